@@ -1,0 +1,41 @@
+# make demo   an AIM from the bundled sample video
+# make test   lint, format, types, layers, tests, notebooks
+# Needs python 3.11 or newer with venv; another one: make test PYTHON=python3.12
+
+PYTHON ?= python3
+BIN := .venv/bin
+SAMPLE ?= samples/junction.mp4
+POINTS ?= samples/junction_gcps.csv
+NOTEBOOKS := $(wildcard notebooks/*.ipynb)
+
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.PHONY: demo test lint install clean
+
+demo: install
+	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
+	@echo
+	@echo "Open demo/aim.tif   the map, in QGIS or any other GIS program"
+	@echo "     demo/aim.png   a quick look: background, control points, drift, coverage"
+
+test: lint
+	$(BIN)/python -m pytest
+	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -o addopts= --nbmake $(NOTEBOOKS))
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+install: .venv/installed
+
+# made anew when the dependencies change
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'geoaim needs Python 3.11 or newer, found ' + sys.version.split()[0] + '; name another one: make PYTHON=python3.12')"
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf .venv demo build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

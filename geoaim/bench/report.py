@@ -1,0 +1,56 @@
+"""What all benchmarks share: the machine in words, tables and JSON."""
+
+import json
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+Row = Mapping[str, Any]
+
+
+def machine() -> dict[str, Any]:
+    """What the figures were measured on, and with which versions."""
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        name = names[0].split(":", 1)[1].strip() if names else name
+    return {
+        "processor": name,
+        "cores": cv2.getNumberOfCPUs(),
+        "opencv": cv2.__version__,
+        "opencv_threads": cv2.getNumThreads(),
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+    }
+
+
+def table(rows: Sequence[Row]) -> str:
+    """A Markdown table; the columns are the keys of the first row."""
+    names = list(rows[0])
+    lines = ["| " + " | ".join(names) + " |", "|" + " --- |" * len(names)]
+    lines += ["| " + " | ".join(_cell(row.get(name, "")) for name in names) + " |" for row in rows]
+    return "\n".join(lines)
+
+
+def save(rows: Sequence[Row], path: Path | None, *, command: str, **settings: Any) -> None:
+    """Write the rows, the machine and the command that made them as JSON."""
+    if path is None:
+        return
+    content = {"command": command, "machine": machine(), **settings, "rows": list(rows)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    part.write_text(json.dumps(content, indent=1, default=_plain) + "\n")
+    part.replace(path)
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    return value.item() if isinstance(value, np.generic) else value.tolist()

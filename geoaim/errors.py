@@ -1,0 +1,39 @@
+"""Every error that geoaim raises about data; a bad call raises ValueError or TypeError.
+
+GeoaimError
+├── VideoError          no frame could be read
+├── RegistrationError   too few frames agree with the reference
+├── BackgroundError     the registered frames do not give a background
+├── GeoreferenceError   the control points or the telemetry do not fix a place
+└── AimError            a file is not an AIM, or an AIM cannot be written as asked
+
+GeoaimWarning           the work went on, with less than was asked for
+"""
+
+
+class GeoaimError(Exception):
+    """Data that cannot be used: the message says what was found, what was needed, what to do."""
+
+
+class VideoError(GeoaimError):
+    """No frame could be read."""
+
+
+class RegistrationError(GeoaimError):
+    """Too few frames agree with the reference."""
+
+
+class BackgroundError(GeoaimError):
+    """The registered frames do not give a background."""
+
+
+class GeoreferenceError(GeoaimError):
+    """The control points or the telemetry do not fix a place."""
+
+
+class AimError(GeoaimError):
+    """A file is not an AIM, or an AIM cannot be written as asked."""
+
+
+class GeoaimWarning(UserWarning):
+    """The work went on, with less than was asked for: a damaged file, a skipped point."""

@@ -1,0 +1,50 @@
+"""Homographies, points and boxes in float64. Pixels have their origin at the image's corner."""
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+HALF = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+MINUS_HALF = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
+
+
+def to_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
+    """The same pixel transform for OpenCV, whose origin is the centre of the first pixel.
+
+    >>> to_opencv(np.diag([2.0, 2.0, 1.0]))[0, 2]   # resizing by 2 moves pixel centres by 1/2
+    np.float64(0.5)
+    """
+    return MINUS_HALF @ matrix @ HALF
+
+
+def from_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
+    """Undo `to_opencv`: a transform between pixel centres becomes one between pixel corners."""
+    return HALF @ matrix @ MINUS_HALF
+
+
+def transform_points(
+    matrix: Float[Array, "*#batch 3 3"], points: Float[Array, "*#batch m 2"]
+) -> Float[Array, "*#batch m 2"]:
+    """Map points by a homography; a matrix of NaN gives NaN.
+
+    >>> transform_points(np.array([[1.0, 0, 3], [0, 1, 4], [0, 0, 1]]), np.zeros((1, 2)))
+    array([[3., 4.]])
+    """
+    transposed = np.swapaxes(np.asarray(matrix, np.float64), -1, -2)
+    mapped = np.asarray(points, np.float64) @ transposed[..., :2, :] + transposed[..., 2:, :]
+    return mapped[..., :2] / mapped[..., 2:]
+
+
+def transform_boxes(
+    matrix: Float[Array, "*#batch 3 3"], boxes: Float[Array, "*#batch m 4"]
+) -> Float[Array, "*#batch m 4 2"]:
+    """The four corners of boxes (left, top, right, bottom), mapped by a homography."""
+    left, top, right, bottom = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
+    corners = np.stack([left, top, right, top, right, bottom, left, bottom], axis=-1)
+    mapped = transform_points(matrix, corners.reshape(*boxes.shape[:-2], -1, 2))
+    return mapped.reshape(*boxes.shape[:-1], 4, 2)
+
+
+def image_corners(height: float, width: float) -> Float[Array, "4 2"]:
+    """Corners of an image in pixels: top-left, top-right, bottom-right, bottom-left."""
+    return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])

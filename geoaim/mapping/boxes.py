@@ -1,0 +1,65 @@
+"""Vehicle boxes that are known beforehand: YOLO text files or arrays."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from geoaim.errors import GeoaimError
+from geoaim.mapping.video import Frame
+
+# Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None where nothing is known.
+Boxes = Callable[[Frame], Float[Array, "N 4"] | None]
+
+
+def read_boxes(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Boxes:
+    """Boxes from a folder of YOLO text, or from arrays in the order of the frames.
+
+    A text file is named like the frame's image, or by the frame's index (`000123.txt` or
+    `123.txt`), and has a row a box: class, centre x, centre y, width, height, all but the class
+    as shares of the image's size.
+
+    Raises:
+        GeoaimError: the folder holds no text files, or a row is not as described.
+    """
+    if not isinstance(source, str | Path):
+        return lambda frame: source[frame.index] if frame.index < len(source) else None
+    files = {file.stem.lstrip("0") or "0": file for file in Path(source).glob("*.txt")}
+    if not files:
+        raise GeoaimError(f"{source} holds no .txt files; one YOLO file for each frame is needed")
+
+    def boxes_of(frame: Frame) -> Float[Array, "N 4"] | None:
+        stem = Path(frame.name).stem if frame.name else str(frame.index)
+        file = files.get(stem.lstrip("0") or "0")
+        return None if file is None else _read_yolo(file, frame.grey.shape)
+
+    return boxes_of
+
+
+def mask_of_boxes(
+    boxes: Float[Array, "N 4"], shape: tuple[int, ...], *, grow: float = 1.12
+) -> Bool[Array, "H W"]:
+    """True inside the boxes, each grown about its centre."""
+    mask = np.zeros(shape[:2], bool)
+    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * grow
+    limits = np.array([shape[1], shape[0]])
+    low = np.clip(np.floor(centre - half), 0, limits).astype(int)
+    high = np.clip(np.ceil(centre + half), 0, limits).astype(int)
+    for (left, top), (right, bottom) in zip(low, high, strict=True):
+        mask[top:bottom, left:right] = True
+    return mask
+
+
+def _read_yolo(file: Path, shape: tuple[int, ...]) -> Float[Array, "N 4"]:
+    rows = [line.split() for line in file.read_text().splitlines() if line.strip()]
+    try:
+        values = np.array([[float(value) for value in row[1:5]] for row in rows]).reshape(-1, 4)
+    except ValueError as error:
+        raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error
+    if len(values) and (values.min() < 0 or values.max() > 1):
+        raise GeoaimError(f"{file}: values reach {values.max():g}; shares of the size are needed")
+    size = np.array([shape[1], shape[0]])
+    low, high = values[:, :2] - values[:, 2:] / 2, values[:, :2] + values[:, 2:] / 2
+    return np.concatenate([low * size, high * size], axis=1)

@@ -1,0 +1,275 @@
+"""Registration: where each frame lies on the reference, or why that cannot be said.
+
+Frames are laid on one reference, each starting from the last, so there is no drift. Another
+keyframe is made where the view leaves it, and its uncertainty is passed on to the frames that
+are laid on it.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from geoaim.errors import RegistrationError
+from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.boxes import Boxes
+from geoaim.mapping.features import Features, detect, match
+from geoaim.mapping.keyframes import (
+    LEAST_PATCHES,
+    OVERLAP,
+    Keyframe,
+    Placement,
+    excluded,
+    keyframe_in_view,
+    make_keyframe,
+    place,
+    share_in_view,
+)
+from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
+from geoaim.mapping.patches import Alignment
+from geoaim.mapping.video import Frame, Video, open_video
+
+PROBES = 5  # frames that choose the reference and the model
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The frame that all others are laid on, and the motion model that they need."""
+
+    keyframe: Keyframe
+    index: int
+    time: float
+    model: Model
+    choice: ModelChoice | None
+    height: int
+    width: int
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where each frame lies on the reference.
+
+    Attributes:
+        reference_from_frame: (T, 3, 3) pixels to pixels; NaN where `valid` is False.
+        index: (T,) number of each frame in the video.
+        time: (T,) seconds.
+        reason: why a frame is invalid, else empty.
+        quality: (T,) median correlation of the patches, 0 to 1.
+        inlier_share: (T,) share of the patches in agreement.
+        uncertainty: (T,) pixels, one standard deviation at the corners.
+        reference: the frame that the others are laid on.
+    """
+
+    reference_from_frame: Float[Array, "T 3 3"]
+    index: Int[Array, " T"]
+    time: Float[Array, " T"]
+    reason: tuple[str, ...]
+    quality: Float[Array, " T"]
+    inlier_share: Float[Array, " T"]
+    uncertainty: Float[Array, " T"]
+    reference: Reference
+
+    @property
+    def valid(self) -> Bool[Array, " T"]:
+        """(T,) frames that can be trusted."""
+        return np.array([not reason for reason in self.reason], bool)
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row a frame; the matrix in nine columns, m00 to m22."""
+        table = pd.DataFrame(
+            {
+                "index": self.index,
+                "time": self.time,
+                "valid": self.valid,
+                "reason": list(self.reason),
+                "quality": self.quality,
+                "inlier_share": self.inlier_share,
+                "uncertainty": self.uncertainty,
+            }
+        )
+        names = [f"m{row}{column}" for row in range(3) for column in range(3)]
+        table[names] = self.reference_from_frame.reshape(-1, 9)
+        return table
+
+
+def register(
+    video: Video | Any,
+    *,
+    boxes: Boxes | None = None,
+    model: Model | None = None,
+    reference_time: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Registration:
+    """Lay every frame of a video on one reference frame.
+
+    Args:
+        video: what `open_video` takes.
+        boxes: vehicles to leave out of the estimate.
+        model: the motion model; chosen by the data when None.
+        reference_time: seconds; the reference is chosen by the data when None.
+        progress: called with the time of each frame, seconds.
+
+    Raises:
+        RegistrationError: no frame can serve as the reference, or none can be laid on it.
+    """
+    video = open_video(video)
+    reference = choose_reference(video, boxes=boxes, model=model, time=reference_time)
+    rows = []
+    for frame, placement in place_frames(video, reference, boxes=boxes):
+        rows.append((frame.index, frame.time, placement))
+        if progress:
+            progress(frame.time)
+    return _refuse_jumps(collect(rows, reference))
+
+
+def collect(rows: Iterable[tuple[int, float, Placement]], reference: Reference) -> Registration:
+    """Gather (index, time, placement) of frames into a table.
+
+    Raises:
+        RegistrationError: no frame is valid.
+    """
+    index, time, placements = zip(*rows, strict=True)
+    reasons = tuple(placement.reason for placement in placements)
+    if all(reasons):
+        common = max(set(reasons), key=reasons.count)
+        raise RegistrationError(
+            f"none of {len(reasons)} frames could be laid on the frame at {reference.time:.2f} s "
+            f"(most often: {common}); pass another reference_time, or check that the camera hovers"
+        )
+
+    def column(name: str) -> Array:
+        return np.array([getattr(placement, name) for placement in placements])
+
+    return Registration(
+        column("matrix"),
+        np.array(index),
+        np.array(time, float),
+        reasons,
+        column("quality"),
+        column("inlier_share"),
+        column("uncertainty"),
+        reference,
+    )
+
+
+def choose_reference(
+    video: Video,
+    *,
+    boxes: Boxes | None = None,
+    model: Model | None = None,
+    time: float | None = None,
+) -> Reference:
+    """Take the frame on which most of a few sampled frames can be laid, and the least model.
+
+    Where the view moves on, so that no frame sees what all others see, it is the first frame.
+    """
+    probes = list(video.sampled(PROBES))
+    if time is not None:
+        probes = [*video.frames_at([time]), *probes]
+    found = [detect(probe.grey, exclude=excluded(probe, boxes)) for probe in probes]
+    best = 0
+    if time is None and len(probes) > 1:
+        best = _best_connected(found, video.height, video.width)
+    probe = probes[best]
+    keyframe = make_keyframe(probe, found[best], boxes, np.eye(3), 0.0)
+    if len(keyframe.fine.points) < LEAST_PATCHES:
+        raise RegistrationError(
+            f"the frame at {probe.time:.2f} s has {len(keyframe.fine.points)} patches with enough "
+            f"texture, {LEAST_PATCHES} are needed; pass the reference_time of a sharper frame"
+        )
+    reference = Reference(
+        keyframe, probe.index, probe.time, model or "homography", None, video.height, video.width
+    )
+    return reference if model else _choose_model(reference, probes)
+
+
+def place_frames(
+    frames: Iterable[Frame], reference: Reference, *, boxes: Boxes | None = None
+) -> Iterator[tuple[Frame, Placement]]:
+    """Lay frames on the reference, one after another, each starting from the last."""
+    keyframes = [reference.keyframe]
+    prior = np.eye(3)
+    for frame in frames:
+        keyframe = keyframe_in_view(keyframes, prior, frame.grey.shape)
+        placement, _ = place(frame.grey, keyframes, keyframe, prior, reference.model)
+        yield frame, placement
+        if placement.valid:
+            prior = placement.matrix
+            if share_in_view(keyframe, prior, frame.grey.shape) < OVERLAP:
+                features = detect(frame.grey, exclude=excluded(frame, boxes))
+                keyframes.append(
+                    make_keyframe(frame, features, boxes, prior, placement.uncertainty)
+                )
+
+
+def _best_connected(found: list[Features], height: int, width: int) -> int:
+    """The probe on which most others can be laid; the first when it cannot hold them all."""
+    count = len(found)
+    links = np.zeros((count, count))
+    strongest = [Features(f.points[:800], f.descriptors[:800]) for f in found]
+    for one in range(count):
+        for other in range(one):
+            pair = strongest[one], strongest[other]
+            matrix = match(*pair, "homography", height=height, width=width)
+            links[one, other] = links[other, one] = matrix is not None
+    degree = links.sum(0)
+    middle = np.argsort(np.abs(np.arange(count) - (count - 1) / 2), kind="stable")
+    best = int(middle[np.argmax(degree[middle])])
+    return best if degree[best] >= 0.5 * (count - 1) else 0
+
+
+def _choose_model(reference: Reference, probes: list[Frame]) -> Reference:
+    """The least model that the probes need; the homography when no probe can be laid."""
+    matches = []
+    for _, placement, alignment in _align_probes(reference, probes):
+        if placement.valid and alignment is not None:
+            points = reference.keyframe.fine.points[alignment.fitted]
+            # What was measured: reference point + residual lies where the frame's point lies.
+            measured = points + alignment.motion.residuals
+            source = transform_points(np.linalg.inv(placement.matrix), points)
+            weight = alignment.motion.weights[:, None, None]
+            matches.append(Match(source, measured, weight * np.eye(2)))
+    if not matches:
+        return reference
+    choice = choose_model(matches, height=reference.height, width=reference.width)
+    return replace(reference, model=choice.model, choice=choice)
+
+
+def _align_probes(
+    reference: Reference, probes: list[Frame]
+) -> Iterator[tuple[Frame, Placement, Alignment]]:
+    home = reference.keyframe
+    for probe in probes:
+        if probe.index != reference.index:
+            placement, alignment = place(probe.grey, [home], home, np.eye(3), "homography")
+            if alignment is not None:
+                yield probe, placement, alignment
+
+
+def _refuse_jumps(registration: Registration) -> Registration:
+    """Mark frames invalid that lie apart from both neighbours while these agree.
+
+    Only neighbours within half a second count. The limit follows the sequence's own jitter.
+    """
+    height, width = registration.reference.height, registration.reference.width
+    where = np.flatnonzero(registration.valid)
+    if len(where) < 5:
+        return registration
+    corners = transform_points(
+        registration.reference_from_frame[where], image_corners(height, width)
+    )
+    between = (corners[:-2] + corners[2:]) / 2
+    apart = np.abs(corners[1:-1] - between).max((1, 2))
+    span = np.abs(corners[2:] - corners[:-2]).max((1, 2))
+    close = registration.time[where[2:]] - registration.time[where[:-2]] <= 0.5
+    limit = max(10 * float(np.median(apart[close])) if close.any() else np.inf, 0.01 * width)
+    jumps = where[1:-1][close & (apart > limit) & (apart > 3 * span)]
+    reason, matrix = list(registration.reason), registration.reference_from_frame.copy()
+    for jump in jumps:
+        reason[jump] = "inconsistent with its neighbours in time"
+        matrix[jump] = np.nan
+    return replace(registration, reason=tuple(reason), reference_from_frame=matrix)

@@ -1,0 +1,56 @@
+"""The AIM as a renderer consumes it: a texture and its corner frame."""
+
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from geoaim.aim import AIM, rectify, replacing
+
+CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
+
+
+def export_texture(
+    aim: AIM, folder: str | os.PathLike[str], *, resolution: float | None = None
+) -> None:
+    """Write texture.png (RGBA) and texture.json, its corner frame in world metres.
+
+    Alpha is 255 where a frame saw the ground and 0 elsewhere. The JSON holds the picture's name,
+    height and width (pixels), pixel_height and pixel_width (metres), the four corners in the
+    order top-left, top-right, bottom-right, bottom-left, and the world (CRS and origin).
+
+    Args:
+        aim: what to export. It is rectified first when its transform is not affine, so that the
+            corner frame says where every pixel lies, or when a resolution is given.
+        folder: made when it is missing; files of the same names are replaced.
+        resolution: metres a pixel of the texture; the image's own when None.
+
+    Raises:
+        AimError: the texture would be too large.
+    """
+    if resolution is not None or not aim.is_affine:
+        aim = rectify(aim, resolution)
+    alpha = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
+    bgra = cv2.cvtColor(np.dstack([aim.image, alpha]), cv2.COLOR_RGBA2BGRA)
+    _, png = cv2.imencode(".png", bgra)
+    height, width = alpha.shape
+    pixel_width, pixel_height = np.linalg.norm(aim.world_from_image[:2, :2], axis=0)
+    frame = {
+        "image": "texture.png",
+        "height": height,
+        "width": width,
+        "pixel_height": float(pixel_height),
+        "pixel_width": float(pixel_width),
+        "corner_order": CORNERS,
+        "corners": aim.corners.tolist(),
+        "world": {"crs": aim.world.crs, "origin": list(aim.world.origin)},
+    }
+    # both are complete before either takes its place, and the JSON comes last
+    with (
+        replacing(Path(folder, "texture.json")) as text,
+        replacing(Path(folder, frame["image"])) as picture,
+    ):
+        picture.write_bytes(png.tobytes())
+        text.write_text(json.dumps(frame, indent=2) + "\n")

@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoaimError
+from geoaim.mapping.boxes import mask_of_boxes, read_boxes
+from geoaim.mapping.video import open_video
+
+
+@pytest.fixture
+def frame():
+    return next(iter(open_video(np.zeros((2, 100, 200, 3), np.uint8))))
+
+
+def test_yolo_rows_become_pixel_boxes(tmp_path, frame):
+    (tmp_path / "000000.txt").write_text("2 0.5 0.5 0.1 0.2\n")
+    np.testing.assert_allclose(read_boxes(tmp_path)(frame), [[90, 40, 110, 60]])
+
+
+def test_a_frame_without_a_file_has_no_boxes(tmp_path, frame):
+    (tmp_path / "7.txt").write_text("")
+    assert read_boxes(tmp_path)(frame) is None
+
+
+def test_pixels_in_place_of_shares_are_refused(tmp_path, frame):
+    (tmp_path / "0.txt").write_text("0 90 40 20 20\n")
+    with pytest.raises(GeoaimError, match="shares of the size"):
+        read_boxes(tmp_path)(frame)
+
+
+def test_a_folder_without_text_files_is_refused(tmp_path):
+    with pytest.raises(GeoaimError, match=r"no \.txt files"):
+        read_boxes(tmp_path)
+
+
+def test_mask_covers_the_grown_box_and_no_more():
+    mask = mask_of_boxes(np.array([[40.0, 40, 60, 60]]), (100, 100), grow=1.2)
+    assert mask[38:62, 38:62].all()
+    assert mask.sum() == 24 * 24

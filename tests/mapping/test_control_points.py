@@ -1,0 +1,144 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rasterio.control import GroundControlPoint
+
+from geoaim.errors import GeoreferenceError
+from geoaim.mapping.control_points import merge_observations, read_control_points
+
+PIXELS = [[100.5, 200.25], [1800.0, 150.0], [1700.0, 1000.0]]
+UTM = [[235269.88, 3811198.11], [235262.54, 3811203.5], [235248.03, 3811227.25]]
+
+
+def written(tmp_path, text, name="points.csv"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("header", ["u,v,x,y", "pixel_x,pixel_y,easting,northing", "col,row,x,y"])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_csv_with_each_header(tmp_path, header, separator):
+    lines = [f"{u},{v},{x},{y}" for (u, v), (x, y) in zip(PIXELS, UTM, strict=True)]
+    text = "\n".join([header, *lines]).replace(",", separator)
+    points = read_control_points(written(tmp_path, f"# crs: EPSG:32611\n{text}\n"))
+    np.testing.assert_array_equal(points.pixels, PIXELS)
+    np.testing.assert_array_equal(points.coordinates, UTM)
+    assert points.crs == "EPSG:32611"
+    assert points.names == ("point 1", "point 2", "point 3")
+    assert points.frames == (None, None, None)
+
+
+def test_csv_in_degrees_needs_no_crs_and_keeps_names_and_frames(tmp_path):
+    text = "name,frame,lon,lat,u,v\nkerb,12,27.5,53.9,10,20\nmanhole,a.jpg,27.51,53.91,30,40\n"
+    points = read_control_points(written(tmp_path, text))
+    assert points.crs == "EPSG:4326"
+    assert points.names == ("kerb", "manhole")
+    assert points.frames == (12, "a.jpg")
+    np.testing.assert_array_equal(points.coordinates[0], [27.5, 53.9])
+
+
+def test_csv_with_a_column_of_crs(tmp_path):
+    text = "u,v,x,y,crs\n1,2,3,4,EPSG:32635\n5,6,7,8,32635\n"
+    assert read_control_points(written(tmp_path, text)).crs == "EPSG:32635"
+
+
+def test_mixed_crs_is_refused(tmp_path):
+    text = "u,v,x,y,crs\n1,2,3,4,EPSG:32635\n5,6,7,8,EPSG:32636\n"
+    with pytest.raises(GeoreferenceError, match=r"EPSG:32635, EPSG:32636"):
+        read_control_points(written(tmp_path, text))
+
+
+def test_an_argument_against_the_file_is_refused(tmp_path):
+    path = written(tmp_path, "# crs: EPSG:32635\nu,v,x,y\n1,2,3,4\n")
+    with pytest.raises(GeoreferenceError, match="different CRSs"):
+        read_control_points(path, crs="EPSG:32636")
+
+
+def test_metres_without_a_crs_are_refused_and_local_is_said(tmp_path):
+    path = written(tmp_path, "u,v,x,y\n1,2,3,4\n")
+    with pytest.raises(GeoreferenceError, match="no coordinate reference system"):
+        read_control_points(path)
+    assert read_control_points(path, crs="local").crs is None
+
+
+@pytest.mark.parametrize("bad", ["abc", "nan", "inf", ""])
+def test_a_bad_number_is_named_by_its_line(tmp_path, bad):
+    path = written(tmp_path, f"u,v,lon,lat\n1,2,3,4\n\n5,6,{bad},8\n")
+    with pytest.raises(GeoreferenceError, match="line 4"):
+        read_control_points(path)
+
+
+@pytest.mark.parametrize(
+    "crs", ["EPSG:32611", "WGS84 UTM 11N", "+proj=utm +zone=11 +datum=WGS84 +units=m +no_defs"]
+)
+def test_opendronemap_pixels_gain_half_a_pixel(tmp_path, crs):
+    text = (
+        f"{crs}\n235269.88\t3811198.11\t0.0\t100\t200\tIMG_1.jpg\tgcp 02\n# no\n1 2 3 4 5 b.jpg\n"
+    )
+    points = read_control_points(written(tmp_path, text, "gcp_list.txt"))
+    np.testing.assert_array_equal(points.pixels[0], [100.5, 200.5])
+    assert points.crs == "EPSG:32611"
+    assert points.frames == ("IMG_1.jpg", "b.jpg")
+    assert points.names == ("gcp 02", "point 2")
+
+
+def test_opendronemap_lists_without_pixels_are_refused(tmp_path):
+    path = written(tmp_path, "EPSG:4326\ngcp01\t-119.87\t34.40\t0\n")
+    with pytest.raises(GeoreferenceError, match=r"line 2.*4 fields"):
+        read_control_points(path)
+    with pytest.raises(GeoreferenceError, match="no column"):
+        read_control_points(written(tmp_path, "3483\t729\tIMG_0031.jpg\n", "b.txt"))
+
+
+@pytest.mark.parametrize("names", ["pixelX,pixelY,enable", "sourceX,sourceY,enable,dX,dY,residual"])
+def test_qgis_points_turn_their_sign_and_skip_disabled(tmp_path, names):
+    text = f"#CRS: EPSG:32635\nmapX,mapY,{names}\n5,6,100.5,-200.5,1,0,0,0\n7,8,1,-1,0,0,0,0\n"
+    points = read_control_points(written(tmp_path, text, "a.points"))
+    np.testing.assert_array_equal(points.pixels, [[100.5, 200.5]])
+    np.testing.assert_array_equal(points.coordinates, [[5.0, 6.0]])
+    assert points.crs == "EPSG:32635"
+
+
+def test_qgis_points_of_a_georeferenced_picture_are_refused(tmp_path):
+    text = "mapX,mapY,sourceX,sourceY,enable\n5,6,100.5,200.5,1\n"
+    with pytest.raises(GeoreferenceError, match=r"line 2.*positive image y"):
+        read_control_points(written(tmp_path, text), crs="EPSG:32635")
+
+
+def test_rasterio_points_are_row_and_column():
+    gcps = [GroundControlPoint(row=20.5, col=10.5, x=5.0, y=6.0, id="a")]
+    points = read_control_points(gcps, crs="EPSG:32635")
+    np.testing.assert_array_equal(points.pixels, [[10.5, 20.5]])
+    assert points.names == ("a",)
+    with pytest.raises(GeoreferenceError, match="no coordinate reference system"):
+        read_control_points(gcps)
+
+
+def test_mappings_and_pairs():
+    pairs = read_control_points([((10, 20), (27.5, 53.9))])
+    mappings = read_control_points([{"u": 10, "v": 20, "lon": 27.5, "lat": 53.9, "name": "a"}])
+    np.testing.assert_array_equal(pairs.pixels, mappings.pixels)
+    assert pairs.crs == mappings.crs == "EPSG:4326"
+    assert mappings.names == ("a",)
+
+
+def test_nothing_and_nonsense_are_refused(tmp_path):
+    with pytest.raises(GeoreferenceError, match="no control points"):
+        read_control_points(written(tmp_path, "\n# only a remark\n"))
+    with pytest.raises(GeoreferenceError, match="cannot be read"):
+        read_control_points(tmp_path / "missing.csv")
+    with pytest.raises(TypeError, match="pair"):
+        read_control_points([3, 4])
+
+
+def test_one_place_seen_on_two_frames_becomes_one_point():
+    points = read_control_points(
+        [{"u": u, "v": 5, "lon": x, "lat": 1, "frame": f} for u, x, f in
+         [(10, 1, "a"), (12, 1, "b"), (50, 2, "a")]]
+    )  # fmt: skip
+    merged = merge_observations(points)
+    np.testing.assert_array_equal(merged.pixels, [[11.0, 5.0], [50.0, 5.0]])
+    same = merge_observations(replace(points, frames=("a", "a", "a")))
+    assert len(same.names) == 3

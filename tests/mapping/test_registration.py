@@ -1,0 +1,126 @@
+import numpy as np
+import pytest
+
+from geoaim.errors import RegistrationError
+from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.features import detect, match
+from geoaim.mapping.patches import align, corner_uncertainty, make_template
+from geoaim.mapping.registration import register
+from geoaim.synthetic.camera import reference_from_frames, render_frame
+from tests.mapping.conftest import textured
+
+
+def corner_error(matrix, truth, clip):
+    corners = image_corners(clip.height, clip.width)
+    apart = transform_points(matrix, corners) - transform_points(truth, corners)
+    return np.linalg.norm(apart, axis=-1).mean(-1)
+
+
+@pytest.fixture(scope="module")
+def frames(clip):
+    return [render_frame(clip, index) for index in range(len(clip.times))]
+
+
+@pytest.fixture(scope="module")
+def registration(frames):
+    return register(frames)
+
+
+def test_every_frame_lies_where_the_truth_says(registration, clip):
+    index = registration.reference.index
+    truth = reference_from_frames(clip, index)
+    errors = corner_error(registration.reference_from_frame, truth, clip)
+    assert registration.valid.all()
+    assert errors.mean() < 0.1
+
+
+def test_stated_uncertainty_is_of_the_size_of_the_error(registration, clip):
+    truth = reference_from_frames(clip, registration.reference.index)
+    errors = corner_error(registration.reference_from_frame, truth, clip)
+    others = errors > 1e-6
+    ratio = np.median(errors[others]) / np.median(registration.uncertainty[others])
+    assert 0.3 < ratio < 2
+
+
+def test_table_has_a_row_a_frame_and_its_matrix(registration, frames):
+    table = registration.to_frame()
+    assert len(table) == len(frames)
+    np.testing.assert_allclose(table.m22, 1)
+
+
+def test_noise_in_place_of_a_frame_is_refused_and_the_rest_is_not(frames, clip):
+    spoilt = list(frames)
+    spoilt[5] = np.random.default_rng(0).integers(0, 256, frames[5].shape).astype(np.uint8)
+    registration = register(spoilt, reference_time=0)
+    assert np.flatnonzero(~registration.valid).tolist() == [5]
+    assert registration.reason[5]
+    assert np.isnan(registration.reference_from_frame[5]).all()
+    errors = corner_error(registration.reference_from_frame, reference_from_frames(clip, 0), clip)
+    assert np.nanmax(errors) < 0.3
+
+
+def test_frames_after_a_cut_to_another_place_are_refused(frames):
+    other = textured(np.random.default_rng(99), *frames[0].shape[:2])
+    registration = register([*frames[:4], other, other], reference_time=0)
+    assert registration.valid.tolist() == [True] * 4 + [False] * 2
+
+
+def test_a_frame_upside_down_is_found(frames):
+    turned = np.ascontiguousarray(frames[0][::-1, ::-1])
+    registration = register([frames[0], turned], reference_time=0)
+    height, width = turned.shape[:2]
+    expected = np.array([[-1.0, 0, width], [0, -1, height], [0, 0, 1]])
+    np.testing.assert_allclose(registration.reference_from_frame[1], expected, atol=0.02)
+
+
+def test_gain_and_shadow_do_not_move_the_frame(frames, clip):
+    shaded = (frames[6] * 0.6).astype(np.uint8)
+    shaded[:, : clip.width // 2] = (shaded[:, : clip.width // 2] * 0.25).astype(np.uint8)
+    registration = register([frames[0], shaded], reference_time=0)
+    truth = reference_from_frames(clip, 0)[6]
+    assert corner_error(registration.reference_from_frame[1], truth, clip) < 0.2
+
+
+def test_a_blank_video_is_refused_with_what_it_lacks():
+    with pytest.raises(RegistrationError, match="enough texture"):
+        register([np.full((200, 300, 3), 90, np.uint8)] * 3)
+
+
+def test_unrelated_frames_are_refused(frames):
+    other = textured(np.random.default_rng(5), *frames[0].shape[:2])
+    third = textured(np.random.default_rng(6), *frames[0].shape[:2])
+    registration = register([frames[0], other, third], reference_time=0)
+    assert registration.valid.tolist() == [True, False, False]
+
+
+def test_a_flight_past_the_reference_is_chained_with_growing_uncertainty():
+    ground = textured(np.random.default_rng(8), 400, 2000)
+    steps = range(0, 1300, 60)
+    frames = [ground[:, left : left + 500] for left in steps]
+    registration = register(frames, reference_time=0)
+    assert registration.valid.all()
+    np.testing.assert_allclose(registration.reference_from_frame[:, 0, 2], list(steps), atol=0.3)
+    assert registration.uncertainty[-1] > registration.uncertainty[1]
+
+
+def test_patches_on_excluded_pixels_are_not_used(frames):
+    grey = frames[0][..., 1]
+    exclude = np.zeros(grey.shape, bool)
+    exclude[:, :320] = True
+    template = make_template(np.ascontiguousarray(grey), exclude=exclude)
+    assert template.points[:, 0].min() > 320
+
+
+def test_aligning_the_reference_with_itself_gives_the_identity(frames):
+    grey = np.ascontiguousarray(frames[0][..., 1])
+    template = make_template(grey)
+    alignment = align(template, grey, np.eye(3), "homography")
+    np.testing.assert_allclose(alignment.matrix, np.eye(3), atol=1e-4)
+    assert alignment.agree[alignment.seen].all()
+    assert corner_uncertainty(template, alignment.motion) < 0.1
+
+
+def test_features_of_unlike_pictures_do_not_match(frames):
+    other = textured(np.random.default_rng(11), *frames[0].shape[:2])
+    one, two = detect(frames[0][..., 1].copy()), detect(other[..., 1].copy())
+    assert match(one, two, "homography", height=360, width=640) is None

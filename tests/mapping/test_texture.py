@@ -1,0 +1,78 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from geoaim.aim import AIM, rectify
+from geoaim.mapping.texture import export_texture
+from geoaim.world import World
+
+PLACE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [0.0, 0.0, 1.0]])
+OBLIQUE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [2e-4, 4e-4, 1.0]])
+
+
+def make_aim(place: np.ndarray) -> AIM:
+    generator = np.random.default_rng(0)
+    coverage = generator.integers(0, 3, (40, 60), dtype=np.uint16)
+    image = generator.integers(0, 256, (40, 60, 3), dtype=np.uint8)
+    world = World("EPSG:32633", (5e5, 5.4e6))
+    return AIM(image, place, world, coverage, np.zeros((40, 60), bool))
+
+
+def read(folder) -> tuple[np.ndarray, dict]:
+    frame = json.loads((folder / "texture.json").read_text())
+    bgra = cv2.imread(str(folder / frame["image"]), cv2.IMREAD_UNCHANGED)
+    return cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA), frame
+
+
+def test_texture_holds_the_image_and_where_its_corners_lie(tmp_path):
+    aim = make_aim(PLACE)
+    export_texture(aim, tmp_path / "new" / "folder")
+    picture, frame = read(tmp_path / "new" / "folder")
+    np.testing.assert_array_equal(picture[..., :3], aim.image)
+    np.testing.assert_array_equal(picture[..., 3], np.where(aim.coverage > 0, 255, 0))
+    np.testing.assert_array_equal(frame["corners"], aim.corners)
+    assert frame["corner_order"] == ["top-left", "top-right", "bottom-right", "bottom-left"]
+    assert (frame["height"], frame["width"]) == (40, 60)
+    assert frame["world"] == {"crs": "EPSG:32633", "origin": [5e5, 5.4e6]}
+
+
+def test_pixel_sides_times_their_number_are_the_sides_of_the_corner_frame(tmp_path):
+    export_texture(make_aim(PLACE), tmp_path)
+    frame = read(tmp_path)[1]
+    corners = np.array(frame["corners"])
+    across, down = np.linalg.norm(corners[[1, 3]] - corners[0], axis=1)
+    assert frame["pixel_width"] * frame["width"] == pytest.approx(across)
+    assert frame["pixel_height"] * frame["height"] == pytest.approx(down)
+
+
+def test_oblique_aim_becomes_a_north_up_texture(tmp_path):
+    aim = make_aim(OBLIQUE)
+    export_texture(aim, tmp_path)
+    picture, frame = read(tmp_path)
+    rectified = rectify(aim)
+    np.testing.assert_array_equal(picture[..., :3], rectified.image)
+    np.testing.assert_array_equal(frame["corners"], rectified.corners)
+    (left, top), (right, _), (_, bottom), _ = frame["corners"]
+    assert frame["corners"] == [[left, top], [right, top], [right, bottom], [left, bottom]]
+
+
+def test_resolution_of_the_texture_can_be_chosen(tmp_path):
+    export_texture(make_aim(PLACE), tmp_path, resolution=0.2)
+    frame = read(tmp_path)[1]
+    assert (frame["pixel_height"], frame["pixel_width"]) == (0.2, 0.2)
+
+
+def test_failed_export_leaves_the_old_files_and_no_litter(tmp_path, monkeypatch):
+    export_texture(make_aim(PLACE), tmp_path)
+    old = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert set(old) == {"texture.png", "texture.json"}
+
+    def fail(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("geoaim.mapping.texture.json.dumps", fail)
+    with pytest.raises(KeyboardInterrupt):
+        export_texture(make_aim(OBLIQUE), tmp_path, resolution=0.1)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old
