@@ -79,7 +79,11 @@ def draw_terms(truth: Truth, generator: np.random.Generator) -> Float[Array, "9"
 
 
 def draw_points(
-    layout: str, count: int, terms: Float[Array, "9"], generator: np.random.Generator
+    layout: str,
+    count: int,
+    terms: Float[Array, "9"],
+    generator: np.random.Generator,
+    noise: float = NOISE,
 ) -> tuple[ControlPoints, Float[Array, "3 3"]]:
     """Control points with picking noise, and the true world_from_image of straightened pixels."""
     left, top, right, bottom = LAYOUTS[layout]
@@ -91,7 +95,7 @@ def draw_points(
     placed = np.block([[turn, np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]])
     truth = compose(placed, terms, (HEIGHT, WIDTH))
     places = _places(truth, terms, pixels)
-    picked = pixels + generator.normal(scale=NOISE, size=pixels.shape)
+    picked = pixels + generator.normal(scale=noise, size=pixels.shape)
     picked = picked.clip(0.0, (WIDTH, HEIGHT))
     names = tuple(f"p{i}" for i in range(count))
     return ControlPoints(picked, places, None, names, (None,) * count), truth
@@ -116,7 +120,7 @@ def judge(
     return np.linalg.norm(offset, axis=1) / GROUND, inside <= ellipse_factor(result.dof) ** 2
 
 
-def rivals(points: ControlPoints) -> dict[str, Float[Array, "9"]]:
+def rivals(points: ControlPoints) -> dict[str, Float[Array, "3 3"]]:
     """Maximum likelihood fits of the plain models, and the choices of AICc and of GRIC.
 
     Torr 1998 for GRIC with the true noise; Burnham and Anderson 2002 for AICc.
@@ -139,22 +143,22 @@ def rivals(points: ControlPoints) -> dict[str, Float[Array, "9"]]:
 
 
 def run_cell(
-    layout: str, truth: str, count: int, *, trials: int, stated: bool, seed: int = 0
+    layout: str, truth: str, count: int, *, trials: int, stated: bool, noise: float = NOISE
 ) -> dict[str, Any]:
     """One cell of the table: coverage of the 95 % region, errors at the corners, choices."""
-    generator = np.random.default_rng([seed, count, *map(ord, layout + truth)])
+    generator = np.random.default_rng([count, *map(ord, layout + truth)])
     corners = image_corners(HEIGHT, WIDTH)
     hits: dict[str, list[bool]] = {"corners": [], "centre": [], "anywhere": []}
     errors: dict[str, list[float]] = {}
     models: Counter[str] = Counter()
     for _ in range(trials):
         terms = draw_terms(TRUTHS[truth], generator)
-        points, matrix = draw_points(layout, count, terms, generator)
+        points, matrix = draw_points(layout, count, terms, generator, noise)
         anywhere = generator.uniform(0.0, (WIDTH, HEIGHT), size=(1, 2))
         where = np.concatenate([corners, [[WIDTH / 2.0, HEIGHT / 2.0]], anywhere])
         try:
             result = georeference(
-                points, height=HEIGHT, width=WIDTH, accuracy=NOISE if stated else None
+                points, height=HEIGHT, width=WIDTH, accuracy=noise if stated else None
             )
         except GeoreferenceError as refusal:
             models["on a line" if "lie " in str(refusal) else "refused"] += 1
@@ -171,6 +175,7 @@ def run_cell(
             errors.setdefault(name, []).append(_rms(np.linalg.norm(gap, axis=1) / GROUND))
     return {
         "layout": layout, "truth": truth, "points": count, "trials": trials, "stated": stated,
+        "noise_px": noise,
         "coverage": {where: round(100.0 * float(np.mean(hit)), 1) for where, hit in hits.items()},
         "error_px": {name: round(_rms(np.array(e)), 1) for name, e in errors.items()},
         "models": dict(models),
@@ -228,17 +233,27 @@ def main() -> None:
         print(
             f"| {layout} | {truth} | {count} | {covered} | {shown} | {cell['models']} |", flush=True
         )
+    print("\nNoise not stated, truth as expected: corners covered")
+    noises = []
+    for layout, count, noise in product(LAYOUTS, COUNTS, (0.75, 1.5, 3.0, 5.0)):
+        cell = run_cell(
+            layout, "as expected", count, trials=arguments.trials, stated=False, noise=noise
+        )
+        noises.append(cell)
+        print(f"| {layout} | {count} | {noise} px | {cell['coverage']['corners']} |", flush=True)
     print("\n| layout | truth | points | one wrong by px | outcomes | corners covered |")
     print("|---|---|---|---|---|---|")
     outliers = []
     for layout, truth, count, size in product(
         ("spread", "one-sided"), ("similarity", "as expected"), (4, 5, 6, 8, 12), (15.0, 60.0, 1e4)
     ):
-        row = run_outliers(layout, truth, count, size, trials=max(arguments.trials // 2, 10))
-        outliers.append(row)
-        print("| " + " | ".join(str(value) for value in row.values()) + " |", flush=True)
+        found = run_outliers(layout, truth, count, size, trials=max(arguments.trials // 2, 10))
+        outliers.append(found)
+        print("| " + " | ".join(str(value) for value in found.values()) + " |", flush=True)
     if arguments.json:
-        arguments.json.write_text(json.dumps({"cells": cells, "outliers": outliers}, indent=1))
+        arguments.json.write_text(
+            json.dumps({"cells": cells, "noises": noises, "outliers": outliers}, indent=1)
+        )
 
 
 if __name__ == "__main__":

@@ -6,13 +6,11 @@ belongs into the repository. A video is a sequence of frames: index it, iterate 
 
 import os
 import tempfile
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import av
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -28,6 +26,7 @@ from geoaim.synthetic.camera import (
     reference_from_frames,
     render_frame,
 )
+from geoaim.synthetic.sample import write_video
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 STILLS = ("00003", "00972")
@@ -106,7 +105,7 @@ def made_video(
     Args:
         still: "00003" or "00972".
         size: "720p", "1080p" or "4k"; drift and tilt grow with it.
-        count: frames, at 30 a second; longer than 10 s best at less drift per frame.
+        count: frames, at 30 a second.
         kind: "plain" (60 cars and a queue that leaves), "queue" (traffic over a fifth of the
             frame, queues standing for 60 % of the time), "cars" (300), "shadow" (x0.15 over
             half of the frame, moving), "gain" (x3 in the middle third), "cut" (the last third
@@ -120,14 +119,12 @@ def made_video(
     height, width = SIZES[size]
     scale = width / 1920
     hover = hover or Hover(drift=28 * scale, perspective=1.5 * scale, vibration=0.4 * scale)
-    hover = Hover(**{**vars(hover), "count": count})
+    hover = replace(hover, count=count)
     generator = np.random.default_rng([seed, STILLS.index(still)])
     moving = {"cars": 300, "queue": 70}.get(kind, 60)
     queue = 10 if kind == "queue" else 5
     traffic = lane_traffic(still, hover, moving=moving, queue=queue, generator=generator)
-    clip = film(
-        clean_still(still), traffic, hover, height=height, width=width, generator=generator
-    )
+    clip = film(clean_still(still), traffic, hover, height=height, width=width, generator=generator)
     good = np.ones(count, bool)
     if kind == "noise":
         good[1 + generator.choice(count - 1, count // 5, replace=False)] = False
@@ -136,27 +133,6 @@ def made_video(
     good[2 * count // 3 :] = False
     other = made_video(next(s for s in STILLS if s != still), size=size, count=count, seed=seed + 1)
     return MadeVideo(clip, kind, good, other.clip)
-
-
-def write_video(
-    frames: Iterable[UInt8[Array, "H W 3"]], path: Path, *, frame_rate: float = 30, crf: int = 20
-) -> Path:
-    """Encode frames to H.264, yuv420p, with a keyframe each second; the file appears when done."""
-    rate = Fraction(frame_rate).limit_denominator(1001)
-    part = path.with_name(path.stem + ".part" + path.suffix)
-    with av.open(str(part), "w") as container:
-        second = str(round(frame_rate))
-        options = {"crf": str(crf), "preset": "veryfast", "g": second, "keyint_min": second}
-        stream = container.add_stream("libx264", rate, options=options | {"sc_threshold": "0"})
-        stream.pix_fmt = "yuv420p"
-        for index, frame in enumerate(frames):
-            if index == 0:
-                stream.height, stream.width = frame.shape[:2]
-            picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
-            picture.pts, picture.time_base = index, 1 / rate
-            container.mux(stream.encode(picture))
-        container.mux(stream.encode(None))
-    return part.replace(path)
 
 
 def write_made_video(video: MadeVideo, path: Path, *, crf: int = 20) -> Path:
@@ -212,7 +188,7 @@ def car_sprites(still: str) -> list[UInt8[Array, "_ _ 4"]]:
     """Cars cut out of the still, heading right, with soft rounded edges and 2 px of air."""
     image, boxes = _read_still(still)
     sprites = []
-    for left, top, right, bottom in boxes:
+    for left, top, right, bottom in boxes.tolist():
         long, short = max(right - left, bottom - top), min(right - left, bottom - top)
         inside = left > 2 and top > 2 and right < 3838 and bottom < 2158
         if not inside or short < 38 or long > 160 or not 2.0 < long / short < 3.2:
@@ -236,7 +212,7 @@ def clean_still(still: str) -> UInt8[Array, "2160 3840 3"]:
         part = cached.with_suffix(".part.png")
         cv2.imwrite(str(part), _remove_boxes(image, boxes)[..., ::-1])
         part.replace(cached)
-    return np.ascontiguousarray(cv2.imread(str(cached))[..., ::-1])
+    return _read_image(cached)
 
 
 def cache_folder() -> Path:
@@ -249,21 +225,29 @@ def _read_still(still: str) -> tuple[UInt8[Array, "2160 3840 3"], Array]:
     if data is None:
         raise FileNotFoundError("made videos need the stills of hover/songdo_stills: GEOAIM_DATA")
     folder = data / "hover" / "songdo_stills"
-    image = np.ascontiguousarray(cv2.imread(str(folder / f"{still}.jpg"))[..., ::-1])
+    image = _read_image(folder / f"{still}.jpg")
     centres = np.loadtxt(folder / f"{still}.txt")[:, 1:]
     half = centres[:, 2:] / 2
     boxes = np.hstack([centres[:, :2] - half, centres[:, :2] + half])
     return image, np.rint(boxes.clip(0, 1) * [3840, 2160, 3840, 2160]).astype(int)
 
 
+def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
+    image = cv2.imread(str(path))
+    if image is None:
+        raise FileNotFoundError(f"{path} is not there, or no image")
+    return np.ascontiguousarray(image[..., ::-1], np.uint8)
+
+
 def _remove_boxes(image: UInt8[Array, "H W 3"], boxes: Array) -> UInt8[Array, "H W 3"]:
     """Fill each box by the nearby patch that suits it best, its rim blended in."""
-    grown = np.hstack([boxes[:, :2] - 14, boxes[:, 2:] + 14]).clip(0, [3840, 2160, 3840, 2160])
+    limit = np.tile(image.shape[1::-1], 2)
+    grown = np.hstack([boxes[:, :2] - 14, boxes[:, 2:] + 14]).clip(0, limit)
     occupied = np.zeros(image.shape[:2], bool)
-    for left, top, right, bottom in grown:
+    for left, top, right, bottom in grown.tolist():
         occupied[top:bottom, left:right] = True
     clean = image.copy()
-    for left, top, right, bottom in grown:
+    for left, top, right, bottom in grown.tolist():
         target = clean[top:bottom, left:right]
         patch = _best_patch(clean, occupied, (left, top, right, bottom))
         if patch is None:
@@ -282,12 +266,13 @@ def _best_patch(
     """The free patch nearby whose rim is like the box's rim, and whose inside is like its rim."""
     left, top, right, bottom = box
     height, width = bottom - top, right - left
+    rows, columns = image.shape[:2]
     inside = np.zeros((height, width), bool)
     inside[10:-10, 10:-10] = True
     rim = image[top:bottom, left:right][~inside][::5].astype(int)
     best, chosen = np.inf, None
-    for y in range(max(0, top - 3 * height), min(2160 - height, top + 3 * height) + 1, 8):
-        for x in range(max(0, left - 4 * width), min(3840 - width, left + 4 * width) + 1, 8):
+    for y in range(max(0, top - 3 * height), min(rows - height, top + 3 * height) + 1, 8):
+        for x in range(max(0, left - 4 * width), min(columns - width, left + 4 * width) + 1, 8):
             if occupied[y : y + height : 4, x : x + width : 4].any():
                 continue
             patch = image[y : y + height, x : x + width]

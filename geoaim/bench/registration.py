@@ -56,7 +56,7 @@ def stabilo_method(*, with_boxes: bool) -> Method:
     def run(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
         stabilizer = Stabilizer(mask_use=with_boxes)
         matrices: list[Array] = []
-    seconds: list[float] = []
+        seconds: list[float] = []
         for index, frame in enumerate(frames):
             bgr = np.ascontiguousarray(frame[..., ::-1])
             low, high = boxes[index][:, :2], boxes[index][:, 2:]
@@ -82,7 +82,7 @@ def feature_method(make: Callable[[], Any], norm: int, shrink: int) -> Method:
         scale = np.diag([1 / shrink, 1 / shrink, 1.0])
         first: Any = None
         matrices: list[Array] = []
-    seconds: list[float] = []
+        seconds: list[float] = []
         for frame in frames:
             start = time.perf_counter()
             grey = _grey(frame, shrink)

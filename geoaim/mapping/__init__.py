@@ -1,0 +1,23 @@
+"""Video and imagery to AIM: numpy, OpenCV, rasterio; never torch. `pipeline` is the contents."""
+
+from geoaim.mapping.background import average_frames, remove_traffic
+from geoaim.mapping.boxes import read_boxes
+from geoaim.mapping.control_points import read_control_points
+from geoaim.mapping.georeference import georeference
+from geoaim.mapping.pipeline import build_aim
+from geoaim.mapping.registration import register, write_registration
+from geoaim.mapping.texture import export_texture
+from geoaim.mapping.video import open_video
+
+__all__ = [
+    "average_frames",
+    "build_aim",
+    "export_texture",
+    "georeference",
+    "open_video",
+    "read_boxes",
+    "read_control_points",
+    "register",
+    "remove_traffic",
+    "write_registration",
+]

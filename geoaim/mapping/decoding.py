@@ -69,16 +69,17 @@ def open_clip(path: Path, threads: int | None) -> Clip:
         if first is None:
             raise VideoError(f"{path}: not one frame could be decoded; the file is damaged")
         count, counted = _stated_count(container, stream)
+        stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
         return Clip(
             path=path,
             threads=threads,
             stored_size=(first.height, first.width),
             turn=_turn(first),
-            start=math.nan if first.pts is None else float(first.pts * stream.time_base),
+            start=float(first.pts * stream.time_base) if stamped else math.nan,
             rate=_rate(stream),
             count=count,
             counted=counted,
-            searchable=first.pts is not None and bool(count) and _is_searchable(container),
+            searchable=stamped and count > 0 and _is_searchable(container),
         )
 
 
@@ -95,12 +96,12 @@ def read_clip(clip: Clip) -> Iterator[Frame]:
             now = _time(clip, stream, decoded, time + (missed + 1) / clip.rate)
             if missed:  # the decoder may drop more than it tells: the time says how many
                 lost = max(round((now - time) * clip.rate) - 1, 0)
-                breaks.append(f"{lost} frames after frame {index} ({time:.3f} s)")
+                breaks.append(f"{lost} frame(s) after frame {index} ({time:.3f} s)")
                 index += lost
             index, time, missed = index + 1, now, 0
             yield _frame(clip, decoded, index, time)
     if missed:
-        breaks.append(f"{missed} frames after frame {index} ({time:.3f} s)")
+        breaks.append(f"{missed} frame(s) after frame {index} ({time:.3f} s)")
     _warn_of_breaks(clip, breaks, index, time)
 
 
@@ -128,7 +129,7 @@ def seek_clip(clip: Clip, times: list[float], slack: float) -> Iterator[Frame]:
                     last = frame.time
                     yield frame
             ended = not (key and key.alone) and next(frames, None) is None
-            beyond = last + 2 / clip.rate if ended else math.inf
+            beyond = last + _hold(clip) if ended else math.inf
             lost += [time for time in wanted if not read or time > beyond]
     if lost:
         message = (
@@ -238,15 +239,21 @@ def _warn_of_breaks(clip: Clip, breaks: list[str], index: int, time: float) -> N
     found = []
     if breaks:
         more = f" and more at {len(breaks) - 1} other places" if len(breaks) > 1 else ""
-        found.append(f"damaged, without {breaks[0]}{more}")
-    slack = 0 if clip.counted else max(2, clip.rate / 10)  # duration x rate is not a count
-    if index + 1 < clip.count - slack:
+        found.append(f"damaged, left out {breaks[0]}{more}")
+    duration = clip.count / clip.rate
+    short = index + 1 < clip.count if clip.counted else time + _hold(clip) < duration
+    if short:
         found.append(
             f"breaks off after frame {index} ({time:.3f} s), "
-            f"{clip.count} frames ({clip.count / clip.rate:.3f} s) were expected"
+            f"{clip.count} frames ({duration:.3f} s) were expected"
         )
     if found:
         warnings.warn(GeoaimWarning(f"{clip.path}: {'; '.join(found)}"), stacklevel=3)
+
+
+def _hold(clip: Clip) -> float:
+    """Seconds for which the last frame may stand without anything being amiss."""
+    return max(0.25, 3 / clip.rate)
 
 
 def _shown(frames: Iterable[Frame], times: list[float]) -> Iterator[Frame]:
@@ -268,8 +275,8 @@ def _keyframe_for(
 ) -> _Key | None:
     """The keyframe to decode alone or from, for the frame at a time; None where nothing is left."""
     before = _keyframe_before(clip, container, stream, time)
-    if before is None or slack == 0 or time - before.time <= TICK:
-        return before if before is None or slack == 0 else replace(before, alone=True)
+    if before is None or slack == 0 or time <= 0:
+        return before
     after = _first_key(clip, container, stream, time, backward=False)
     near = after if after and after.time - time < time - before.time else before
     return replace(near, alone=True) if abs(near.time - time) <= slack else before
@@ -278,7 +285,8 @@ def _keyframe_for(
 def _keyframe_before(clip: Clip, container: Any, stream: Any, time: float) -> _Key | None:
     earlier = 0.0
     while True:
-        key = _first_key(clip, container, stream, time - earlier, backward=True)
+        target = time - earlier if earlier <= time else -10.0  # well before the first frame
+        key = _first_key(clip, container, stream, target, backward=True)
         if key is not None and (key.time <= time + TICK or earlier > time):
             return key
         if key is None and (earlier > time or "mpegts" not in container.format.name):

@@ -62,13 +62,13 @@ class Frame:
     def grey(self) -> UInt8[Array, "H W"]:
         """Luma as stored: 16 to 235 where the video has limited range, 0 to 255 otherwise.
 
-        Of 8-bit YUV it is a read-only view of the decoder's memory; other formats are converted.
+        Of upright 8-bit YUV it is a read-only view of the decoder's memory; others are converted.
         """
         if isinstance(self.decoded, Array):
             is_grey = self.decoded.ndim == 2
             return self.decoded if is_grey else cv2.cvtColor(self.decoded, cv2.COLOR_RGB2GRAY)
         as_stored = self.decoded.format.name in LUMA_FIRST
-        luma = self.decoded if as_stored else self.decoded.reformat(format="gray")
+        luma = self.decoded if as_stored else self.decoded.reformat(format="yuv420p")
         return set_upright(_plane(luma, 0), self.turn)
 
     @cached_property
@@ -105,7 +105,8 @@ def image_from_planes(
 ) -> UInt8[Array, "H W 3"]:
     """RGB from Y, U, V planes, integer or averaged float, chroma at half size (ITU-T H.273, 8.3).
 
-    Chroma is repeated, not interpolated, as FFmpeg does for `Frame.image`.
+    Chroma is repeated, not interpolated, as FFmpeg does for `Frame.image`; which rounds down, and
+    is darker by about one grey level.
 
     >>> half = np.full((1, 1), 128.0)
     >>> image_from_planes(np.full((2, 2), 235.0), half, half, Colour(0.299, 0.114, False))[0, 0]

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -39,8 +39,10 @@ from geoaim.world import (
     world_from_crs,
 )
 
-EXPECTED = 1.5  # px, one sigma of a picked point where the caller states none
-EXPECTED_TRUST = 2.0  # degrees of freedom that this expectation counts for
+EXPECTED = 2.0  # px, one sigma of a picked point where the caller states none
+EXPECTED_TRUST = 3.0  # degrees of freedom that this expectation counts for
+PROOF = 6  # points that may show more stretch or perspective than this by themselves
+MOST_STRETCH, MOST_PERSPECTIVE = 0.08, 0.45
 STATED_TRUST = 50.0  # and that an accuracy stated by the caller counts for
 
 
@@ -100,17 +102,17 @@ def georeference(
 ) -> Georeference:
     """Find where an image lies from control points picked on it.
 
-    The model is the least whose leave-one-out error is within 10 % of the best; one clearly wrong
-    point is left out, with a warning. What the points cannot show (tilt, stretch, lens) is part of
-    the uncertainty at its expected size: see `geoaim.mapping.ground_fit`.
+    The model is chosen by leave-one-out error, the least that does nearly as well as the best; one
+    clearly wrong point is left out, with a warning. What the points cannot show (tilt, stretch,
+    lens) is part of the uncertainty at its expected size: see `geoaim.mapping.ground_fit`.
 
     Args:
-        points: at least three on one image, better six or more, spread over it.
+        points: at least four on one image, better six or more, spread over it.
         height: of the image, pixels.
         width: of the image, pixels.
         world: where to; None keeps the points' CRS when it is metric, and chooses UTM when not.
         accuracy: one sigma of a point's coordinates, pixels, picking and survey together. None
-            expects 1.5 px and lets the residuals overrule it.
+            expects 2 px and lets the residuals overrule it.
 
     Raises:
         GeoreferenceError: the points are too few, repeated, on a line, mirrored, outside the
@@ -127,6 +129,8 @@ def georeference(
     placed = transform_points(np.linalg.inv(world_from_plane), targets)
     trust = _trust(plane, placed, sigma, stated=accuracy is not None)
     used = _find_used(points, plane, placed, (sigma, trust))
+    if not used.all():
+        refuse_layout(_take(points, used), targets[used], size, max(accuracy or EXPECTED, 1.0))
     if trust != STATED_TRUST and accuracy is not None:
         trust = _trust(plane[used], placed[used], sigma, stated=True)
         if trust != STATED_TRUST:
@@ -135,6 +139,7 @@ def georeference(
     candidates = fit_candidates(plane[used], placed[used], posterior)
     best = choose(candidates)
     _refuse_horizon(best, posterior, size)
+    _refuse_unproven(_take(points, used).names, posterior)
     metres = _unit(world_from_plane)
     offset = apply(best.parameters, plane) - placed
     left_out = np.linalg.norm(offset, axis=1)
@@ -233,6 +238,17 @@ def _find_used(
     return used
 
 
+def _take(points: ControlPoints, used: Bool[Array, "m"]) -> ControlPoints:
+    kept = np.flatnonzero(used).tolist()
+    return replace(
+        points,
+        pixels=points.pixels[kept],
+        coordinates=points.coordinates[kept],
+        names=tuple(points.names[i] for i in kept),
+        frames=tuple(points.frames[i] for i in kept),
+    )
+
+
 def _offset(
     plane: Float[Array, "m 2"],
     placed: Float[Array, "m 2"],
@@ -251,6 +267,19 @@ def _refuse_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int]
                 "The control points put the horizon, or a fold of the lens, inside the image. Crop"
                 " it to the ground below the camera, or check the points."
             )
+
+
+def _refuse_unproven(names: tuple[str, ...], posterior: Posterior) -> None:
+    """Few points fit any distortion exactly: an unlikely one rather means a wrong point."""
+    stretch, perspective = (
+        np.hypot(*posterior.parameters[4:6]),
+        np.hypot(*posterior.parameters[6:8]),
+    )
+    if len(names) < PROOF and (stretch > MOST_STRETCH or perspective > MOST_PERSPECTIVE):
+        raise GeoreferenceError(
+            f"{', '.join(names)} fit only a picture stretched by {200 * stretch:.0f} % or seen at a"
+            f" steep slant: one of them is likely wrong. Check them; {PROOF} points would prove it."
+        )
 
 
 def _rms(candidate: Candidate) -> float:

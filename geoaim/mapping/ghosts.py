@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray as Array
 
-ROUNDS = 3  # votes; after two of them the background has moved where it will, the third judges it
+ROUNDS = 4  # votes; after three of them the background has moved where it will, the last judges
 FLOOR = 8  # grey levels; below this a difference is compression, not traffic
-DEVIATIONS = 6.0  # of the frames' noise that a difference must exceed
+DEVIATIONS = 3.0  # of the noise between frames that a difference must exceed
 REACH = 31  # px, about a car's length at this size: how far along the outline a vote is heard
 SUPPORT = 0.1  # share of the frames that must show a state before it can be the ground
 DOUBT = 0.3  # below this majority (0 even, 1 unanimous) the ground stays contested
@@ -78,9 +78,7 @@ def _median(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> UInt8
     return low
 
 
-def _difference(
-    one: UInt8[Array, "h w 3"], other: UInt8[Array, "h w 3"]
-) -> UInt8[Array, "h w"]:
+def _difference(one: UInt8[Array, "h w 3"], other: UInt8[Array, "h w 3"]) -> UInt8[Array, "h w"]:
     """Largest absolute difference of the three channels."""
     first, second, third = cv2.split(cv2.absdiff(one, other))
     return np.asarray(cv2.max(cv2.max(first, second), third), np.uint8)

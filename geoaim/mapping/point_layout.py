@@ -11,7 +11,7 @@ from geoaim.geometry import image_corners
 from geoaim.mapping.control_points import ControlPoints
 from geoaim.world import LONLAT, parse_crs, transform_crs
 
-FEWEST = 3
+FEWEST = 4
 SAME_PIXEL = 0.5  # px
 SAME_PLACE = 1e-3  # m
 SPREAD = 0.05  # an affine fit's 95 % region at the worst corner, as a share of half the diagonal
@@ -149,8 +149,8 @@ def _refuse_repeats(points: ControlPoints, targets: Float[Array, "m 2"]) -> None
         pairs = np.argwhere(np.triu(gap < limit, 1))
         if len(pairs):
             raise GeoreferenceError(
-                f"{_listed(points, pairs[0])} have the same {what}. Remove one of them, or correct"
-                f" it if it was copied by mistake."
+                f"{_listed(points, pairs[0].tolist())} have the same {what}. Remove one of them, or"
+                " correct it if it was copied by mistake."
             )
 
 
@@ -216,8 +216,8 @@ def _refuse_outside(points: ControlPoints, size: tuple[int, int]) -> None:
     outside = ((points.pixels < -0.5) | (points.pixels > (width + 0.5, height + 0.5))).any(axis=1)
     if outside.any():
         raise GeoreferenceError(
-            f"{_listed(points, np.flatnonzero(outside))} lie outside the image of {width} x"
-            f" {height} pixels. Were they picked at another resolution, or are u and v swapped?"
+            f"{_listed(points, np.flatnonzero(outside).tolist())} lie outside the image of {width}"
+            f" x {height} pixels. Were they picked at another resolution, or are u and v swapped?"
         )
 
 
@@ -226,7 +226,7 @@ def _all(points: ControlPoints) -> str:
 
 
 def _listed(points: ControlPoints, indices: Iterable[int]) -> str:
-    names = [points.names[int(i)] for i in indices]
+    names = [points.names[i] for i in indices]
     if len(names) > 8:
         names = [*names[:7], f"{len(names) - 7} more"]
     return ", ".join(names)

@@ -5,8 +5,10 @@ keyframe is made where the view leaves it, and its uncertainty is passed on to t
 are laid on it.
 """
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from geoaim.aim import replacing
 from geoaim.errors import RegistrationError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.boxes import Boxes
@@ -33,6 +36,8 @@ from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
 from geoaim.mapping.patches import Alignment
 from geoaim.mapping.video import Frame, Video, open_video
 
+# Called with the name of a stage, how much of it is done, and how much there is (None: unknown).
+Progress = Callable[[str, float, float | None], None]
 PROBES = 5  # frames that choose the reference and the model
 
 
@@ -102,7 +107,7 @@ def register(
     boxes: Boxes | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Registration:
     """Lay every frame of a video on one reference frame.
 
@@ -111,7 +116,7 @@ def register(
         boxes: vehicles to leave out of the estimate.
         model: the motion model; chosen by the data when None.
         reference_time: seconds; the reference is chosen by the data when None.
-        progress: called with the time of each frame, seconds.
+        progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Raises:
         RegistrationError: no frame can serve as the reference, or none can be laid on it.
@@ -122,8 +127,25 @@ def register(
     for frame, placement in place_frames(video, reference, boxes=boxes):
         rows.append((frame.index, frame.time, placement))
         if progress:
-            progress(frame.time)
+            progress("register", len(rows), video.frame_count)
     return _refuse_jumps(collect(rows, reference))
+
+
+def write_registration(registration: Registration, path: str | os.PathLike[str]) -> None:
+    """Write `registration.to_frame()` as .csv or .parquet, by the name's ending.
+
+    Raises:
+        ValueError: the name ends otherwise.
+    """
+    path = Path(path)
+    if path.suffix not in (".csv", ".parquet"):
+        raise ValueError(f"{path}: the name must end in .csv or .parquet")
+    table = registration.to_frame()
+    with replacing(path) as part:
+        if path.suffix == ".csv":
+            table.to_csv(part, index=False)
+        else:
+            table.to_parquet(part, index=False)
 
 
 def collect(rows: Iterable[tuple[int, float, Placement]], reference: Reference) -> Registration:

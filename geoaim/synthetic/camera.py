@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, to_opencv, transform_boxes, transform_points
+from geoaim.geometry import image_corners, to_opencv, transform_points
 
+CORNERS = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 SHADOW_ALPHA = np.array([0, 0, 0, 0.55], np.float32)
 FINER = 2  # the still is kept at twice the frames' resolution, blurred; then linear warps do
 NOISE_SHIFT = 256  # px: the noise of each frame is one field, cut at a random place
@@ -112,7 +113,6 @@ def film(
     if len(traffic.poses) != hover.count:
         raise ValueError(f"traffic has {len(traffic.poses)} steps for {hover.count} frames")
     nominal_from_frame, gains = _hover_poses(hover, height, width, generator)
-    rows, columns = background.shape[:2]
     corners = transform_points(nominal_from_frame, image_corners(height, width))
     reach = np.abs(corners - [width / 2, height / 2]).max(axis=(0, 1)) + 4
     rows, columns = background.shape[:2]
@@ -121,9 +121,6 @@ def film(
     down, right = base.shape[0] / rows, base.shape[1] / columns
     nominal_from_base = np.diag([1 / FINER, 1 / FINER, 1.0])
     nominal_from_base[:2, 2] = (np.array([width, height]) - base.shape[1::-1] / np.array(FINER)) / 2
-    field = generator.standard_normal(
-        (height + NOISE_SHIFT, width + NOISE_SHIFT, 3), dtype=np.float32
-    )
     base_from_background = np.diag([right, down, 1.0])
     return Clip(
         height=height,
@@ -138,7 +135,7 @@ def film(
         base=_blur(base, FINER * hover.blur),
         base_from_background=base_from_background,
         base_sprites=_prepare_sprites(traffic.sprites, scale, FINER * hover.blur),
-        noise=np.clip(np.rint(128 + 32 * field), 0, 255).astype(np.uint8),
+        noise=_noise_field((height + NOISE_SHIFT, width + NOISE_SHIFT, 3), generator),
         noise_starts=generator.integers(0, NOISE_SHIFT, (hover.count, 2)),
     )
 
@@ -183,11 +180,11 @@ def frame_boxes(clip: Clip, index: int) -> Float[Array, "n 4"]:
     """Boxes (left, top, right, bottom) in pixels of a frame, around the vehicles that it shows."""
     poses = clip.traffic.poses[index]
     present = np.isfinite(poses).all(axis=-1)
-    half = clip.traffic.sizes[present] / 2
-    bodies = transform_boxes(
-        _background_from_vehicle(poses[present]), np.hstack([-half, half])[:, None]
-    )[:, 0]
-    corners = transform_points(clip.frame_from_background[index], bodies)
+    corners = clip.traffic.sizes[present][:, None] / 2 * np.array(CORNERS)
+    frame_from_vehicle = clip.frame_from_background[index] @ _background_from_vehicle(
+        poses[present]
+    )
+    corners = transform_points(frame_from_vehicle, corners)
     limit = [clip.width, clip.height]
     boxes = np.hstack([corners.min(axis=1).clip(0, limit), corners.max(axis=1).clip(0, limit)])
     return boxes[((boxes[:, 2:] - boxes[:, :2]) >= 2).all(axis=1)]
@@ -230,6 +227,13 @@ def _hover_poses(
         tilt[2, :2] = hover.perspective * slow[4:6, i] / radius**2
         poses[i] = centre @ turn @ tilt @ back
     return poses, 1 + hover.exposure * (slow[6] - slow[6, 0])
+
+
+def _noise_field(
+    shape: tuple[int, int, int], generator: np.random.Generator
+) -> UInt8[Array, "_ _ 3"]:
+    field = generator.standard_normal(shape, dtype=np.float32)
+    return np.asarray(np.rint(128 + 32 * field).clip(0, 255), np.uint8)
 
 
 def _slow_noise(times: Float[Array, "T"], generator: np.random.Generator) -> Float[Array, "T"]:

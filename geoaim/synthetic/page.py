@@ -21,12 +21,14 @@ class Page:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
         return self.image.shape[0], self.image.shape[1]
 
     def noise(self, slope: float) -> Float32[Array, "H W"]:
+        """Natural noise over the page."""
         return natural_noise(self.shape, slope, self.generator)
 
-    def mask(self, *polygons: Float[Array, "n 2"]) -> Float32[Array, "H W"]:
+    def mask(self, *polygons: Float[Array, "_ 2"]) -> Float32[Array, "H W"]:
         """Anti-aliased polygons given in plan metres."""
         return polygon_mask(
             self.shape, [transform_points(self.image_from_plan, p) for p in polygons]

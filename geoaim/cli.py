@@ -1,0 +1,225 @@
+"""The command line: flags in, one call of the library, a table and files out."""
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+from geoaim.errors import GeoaimError, GeoaimWarning
+
+if TYPE_CHECKING:
+    from geoaim.aim import AIM
+
+app = typer.Typer(
+    name="geoaim",
+    help="Aerial image-based maps (AIM) from drone video: register, average, georeference, export.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+console = Console(stderr=True)
+
+Source = Annotated[str, typer.Argument(help="a video file, or a folder or glob of images")]
+Points = Annotated[
+    Path | None,
+    typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
+]
+BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
+AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build")]
+
+
+class Rate(ProgressColumn):
+    """Frames a second."""
+
+    def render(self, task: Task) -> Text:
+        """Draw the rate once there is one."""
+        return Text(f"{task.speed:.1f} frames/s" if task.speed else "", style="progress.data.speed")
+
+
+@app.command()
+def build(
+    video: Source,
+    output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
+    gcps: Points = None,
+    boxes: BoxFolder = None,
+    frames: Annotated[str, typer.Option(help="auto, all, or how many")] = "auto",
+    crs: Annotated[str | None, typer.Option(help="of the map, e.g. EPSG:32635")] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(help="metres a pixel, north up; as filmed if left out"),
+    ] = None,
+    pixel_size: Annotated[
+        float | None, typer.Option(help="metres a pixel, for a local map without control points")
+    ] = None,
+) -> None:
+    """Build a georeferenced AIM from a hovering drone's video, and a quick look beside it.
+
+    Control points are picked on the first frame unless their file says on which. Without them the
+    telemetry beside the video gives an approximate place, or --pixel-size a local one.
+    """
+    from geoaim.aim import write_aim
+    from geoaim.mapping.approximate import local_georeference
+    from geoaim.mapping.pipeline import build_aim
+    from geoaim.mapping.video import open_video
+    from geoaim.quicklook import write_quicklook
+
+    with _stages() as progress, _plain_errors():
+        opened = open_video(video)
+        size = opened.height, opened.width
+        local = pixel_size and local_georeference(pixel_size=pixel_size, size=size)
+        aim = build_aim(
+            opened,
+            local or gcps,
+            boxes=boxes,
+            frames=_count(frames),
+            crs=crs,
+            progress=progress,
+        )
+        progress("write", 0, 2)
+        write_aim(aim, output, resolution=resolution)
+        progress("write", 1, 2)
+        write_quicklook(aim, output.with_suffix(".png"))
+        progress("write", 2, 2)
+    _show(aim, f"{output} and {output.with_suffix('.png')}")
+
+
+@app.command()
+def register(
+    video: Source,
+    output: Annotated[Path, typer.Option("--output", "-o", help=".csv or .parquet to write")],
+    boxes: BoxFolder = None,
+) -> None:
+    """Lay every frame of a video on one reference frame: a table of matrices, a row a frame."""
+    from geoaim.mapping.boxes import read_boxes
+    from geoaim.mapping.registration import register as register_frames
+    from geoaim.mapping.registration import write_registration
+
+    with _stages() as progress, _plain_errors():
+        vehicles = read_boxes(boxes) if boxes else None
+        result = register_frames(video, boxes=vehicles, progress=progress)
+        write_registration(result, output)
+    table = Table(title=str(output), show_header=False)
+    table.add_row("motion model", result.reference.model)
+    table.add_row("reference", f"frame {result.reference.index}, {result.reference.time:.2f} s")
+    table.add_row("frames laid", f"{result.valid.sum()} of {len(result.valid)}")
+    for reason in sorted({reason for reason in result.reason if reason}):
+        table.add_row("refused", f"{result.reason.count(reason)}: {reason}")
+    console.print(table)
+
+
+@app.command()
+def texture(
+    aim: AimFile,
+    folder: Annotated[Path, typer.Argument(help="where texture.png and texture.json go")],
+    resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
+) -> None:
+    """Export an AIM as a texture and its corner frame, for a renderer."""
+    from geoaim.aim import read_aim
+    from geoaim.mapping.texture import export_texture
+
+    with _plain_errors():
+        export_texture(read_aim(aim), folder, resolution=resolution)
+    console.print(f"{folder / 'texture.png'}, {folder / 'texture.json'}")
+
+
+@app.command()
+def info(aim: AimFile) -> None:
+    """Say what an AIM is, where it lies and how far to trust it."""
+    from geoaim.aim import read_aim
+
+    with _plain_errors():
+        found = read_aim(aim)
+    _show(found, str(aim))
+
+
+@app.command()
+def sample(
+    folder: Annotated[Path, typer.Argument(help="where the sample goes")],
+    seed: Annotated[int, typer.Option(help="of everything random")] = 1,
+) -> None:
+    """Make a sample: a drone video of a drawn junction, its control points, boxes and truth."""
+    from geoaim.synthetic import write_sample
+
+    with _plain_errors():
+        write_sample(folder, seed=seed)
+    console.print(f"{folder}: see {folder / 'README.md'}")
+
+
+@contextmanager
+def _stages() -> Iterator[Callable[[str, float, float | None], None]]:
+    """A progress bar a stage; the yielded function takes stage, done and total."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    tasks: dict[str, TaskID] = {}
+    with Progress(*columns, console=console) as bars:
+
+        def progress(stage: str, done: float, total: float | None) -> None:
+            if stage not in tasks:
+                for task in bars.task_ids:
+                    bars.update(task, completed=bars.tasks[task].total or 1, total=1)
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield progress
+
+
+@contextmanager
+def _plain_errors() -> Iterator[None]:
+    """Warnings as yellow lines; an error of the data as one red line and exit code 1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", GeoaimWarning)
+        warnings.showwarning = _show_warning
+        try:
+            yield
+        except (GeoaimError, OSError, ValueError) as error:
+            console.print(f"[bold red]{type(error).__name__}[/]: {error}", highlight=False)
+            sys.exit(1)
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    console.print(f"[yellow]warning[/]: {message}", highlight=False)
+
+
+def _count(text: str) -> int | Literal["auto", "all"]:
+    if text == "auto":
+        return "auto"
+    if text == "all":
+        return "all"
+    if not text.isdigit() or int(text) < 1:
+        raise typer.BadParameter(f"{text!r} is not auto, all or a number", param_hint="--frames")
+    return int(text)
+
+
+def _show(aim: "AIM", title: str) -> None:
+    from geoaim.quicklook import summary
+
+    table = Table(title=title, show_header=False)
+    for name, value in summary(aim).items():
+        table.add_row(name, value)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    app()

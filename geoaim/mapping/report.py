@@ -1,0 +1,79 @@
+"""What an AIM says of itself: plain numbers from each stage, kept in the file."""
+
+from typing import Any
+
+import numpy as np
+
+from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.background import Background
+from geoaim.mapping.control_points import ControlPoints
+from geoaim.mapping.georeference import Georeference, predict_uncertainty, world_points
+from geoaim.mapping.registration import Registration
+
+
+def report_registration(registration: Registration) -> dict[str, Any]:
+    """Model, share of frames that could be laid, reasons for the others, and the drift."""
+    reference, valid = registration.reference, registration.valid
+    middle = np.array([[reference.width / 2, reference.height / 2]])
+    path = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
+    refused = [reason for reason in registration.reason if reason]
+    return {
+        "model": reference.model,
+        "predicted_error_px": dict(reference.choice.predicted_error) if reference.choice else {},
+        "reference_index": int(reference.index),
+        "reference_time_s": float(reference.time),
+        "frames": len(valid),
+        "valid": int(valid.sum()),
+        "refused": {reason: refused.count(reason) for reason in sorted(set(refused))},
+        "uncertainty_px": float(np.median(registration.uncertainty[valid])),
+        "inlier_share": float(np.median(registration.inlier_share[valid])),
+        "path": np.column_stack([registration.time[valid], path]).round(3).tolist(),
+    }
+
+
+def report_georeference(georeference: Georeference, points: ControlPoints | None) -> dict[str, Any]:
+    """Model, residuals by point, and how far the corners may be off."""
+    corners = image_corners(georeference.height, georeference.width)
+    sigma, bound = predict_uncertainty(georeference, corners)
+    rows = []
+    if points is not None:
+        fitted = world_points(georeference, points.pixels)
+        given = fitted - georeference.residuals
+        rows = [
+            {
+                "name": georeference.names[i],
+                "u": points.pixels[i, 0],
+                "v": points.pixels[i, 1],
+                "x": given[i, 0],
+                "y": given[i, 1],
+                "residual_x": georeference.residuals[i, 0],
+                "residual_y": georeference.residuals[i, 1],
+                "leave_one_out_m": georeference.leave_one_out[i],
+                "used": bool(georeference.used[i]),
+            }
+            for i in range(len(given))
+        ]
+    return {
+        "model": georeference.model,
+        "approximate": georeference.approximate,
+        "radial": georeference.radial,
+        "noise_m": georeference.noise,
+        "leave_one_out_by_model_m": dict(georeference.candidates),
+        "corner_sigma_m": sigma,
+        "corner_uncertainty_m": bound,
+        "points": rows,
+    }
+
+
+def report_background(background: Background, method: str) -> dict[str, Any]:
+    """How many frames it took, what they left in doubt, and whether more would change it."""
+    seen = background.coverage > 0
+    return {
+        "method": method,
+        "frames_used": background.frames_used,
+        "change_grey_levels": background.change,
+        "contested_share": float(background.contested.mean()),
+        "contested_pixels": int(background.contested.sum()),
+        "unseen_share": float(1 - (seen | background.contested).mean()),
+        "gain_range": [float(background.gains.min()), float(background.gains.max())],
+    }

@@ -1,0 +1,114 @@
+"""A picture of an AIM and of its report, for people: what to trust, at a glance."""
+
+import os
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from geoaim.aim import AIM, replacing
+from geoaim.geometry import transform_points
+
+ACCENT, BAD = "#ff6a00", "#c1121f"
+
+
+def draw_quicklook(aim: AIM) -> Figure:
+    """Draw the background with its control points, the drift, the coverage and the figures."""
+    figure = plt.figure(figsize=(14, 6.4), layout="constrained")
+    grid = figure.add_gridspec(3, 2, width_ratios=[2.4, 1])
+    _draw_points(figure.add_subplot(grid[:, 0]), aim)
+    _draw_path(figure.add_subplot(grid[0, 1]), aim.report.get("registration", {}))
+    _draw_coverage(figure.add_subplot(grid[1, 1]), aim)
+    _draw_summary(figure.add_subplot(grid[2, 1]), aim)
+    return figure
+
+
+def write_quicklook(aim: AIM, path: str | os.PathLike[str]) -> None:
+    """Write `draw_quicklook` as a PNG."""
+    figure = draw_quicklook(aim)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=100, format="png")
+    plt.close(figure)
+
+
+def summary(aim: AIM) -> dict[str, str]:
+    """The report in a dozen short lines."""
+    report: Any = aim.report
+    place, frames, ground = (
+        report.get(stage, {}) for stage in ("georeference", "registration", "background")
+    )
+    height, width = aim.image.shape[:2]
+    size = np.linalg.norm(np.roll(aim.corners, -1, 0) - aim.corners, axis=1)
+    lines = {
+        "image": f"{width} x {height} px, {(size[0] + size[2]) / 2:.0f} x "
+        f"{(size[1] + size[3]) / 2:.0f} m",
+        "world": f"{aim.world.crs or 'local plane'}, origin "
+        f"{aim.world.origin[0]:.0f}, {aim.world.origin[1]:.0f}",
+    }
+    if frames:
+        lines["motion model"] = frames["model"]
+        lines["frames laid"] = f"{frames['valid']} of {frames['frames']}"
+        lines["registration"] = f"{frames['uncertainty_px']:.3f} px (1 sigma, corners)"
+    if ground:
+        lines["background"] = f"{ground['method']} of {ground['frames_used']} frames"
+        lines["contested"] = f"{ground['contested_share']:.2%} of the pixels"
+    if place:
+        kind = "approximate, " if place["approximate"] else ""
+        lines["georeference"] = kind + place["model"]
+        worst = max(place["corner_uncertainty_m"])
+        lines["corner uncertainty"] = f"{worst:.2f} m (95 %)"
+        if place["points"]:
+            errors = [p["leave_one_out_m"] for p in place["points"] if p["used"]]
+            rms = np.sqrt(np.mean(np.square(errors)))
+            lines["leave-one-out"] = f"{rms:.3f} m (rms of {len(errors)} points)"
+    return lines
+
+
+def _draw_points(axes: Axes, aim: AIM) -> None:
+    height, width = aim.image.shape[:2]
+    axes.imshow(aim.image, extent=(0, width, height, 0))
+    axes.set(title="background, control points, residuals x 50", xlabel="u, px", ylabel="v, px")
+    points = aim.report.get("georeference", {}).get("points", [])
+    image_from_world = np.linalg.inv(aim.world_from_image)
+    shade = {"facecolor": "black", "alpha": 0.5, "pad": 1}
+    for point in points:
+        x, y = point["x"], point["y"]
+        ends = np.array([[x, y], [x + point["residual_x"], y + point["residual_y"]]])
+        start, end = transform_points(image_from_world, ends)
+        colour = ACCENT if point["used"] else BAD
+        axes.plot(*start, "o", color=colour, markersize=7, fillstyle="none", markeredgewidth=2)
+        axes.arrow(*start, *(50 * (end - start)), color=colour, width=width / 600)
+        axes.text(start[0] + 8, start[1] + 8, point["name"], color="white", fontsize=8, bbox=shade)
+    axes.set(xlim=(0, width), ylim=(height, 0))
+
+
+def _draw_path(axes: Axes, frames: dict[str, Any]) -> None:
+    axes.set_title("drift of the view's centre, px", fontsize=9)
+    path = np.array(sorted(frames.get("path", [])), float).reshape(-1, 3)
+    if len(path):
+        axes.plot(path[:, 1], path[:, 2], "-", color="0.7", linewidth=0.8)
+        drawn = axes.scatter(path[:, 1], path[:, 2], c=path[:, 0], s=12, cmap="viridis")
+        axes.figure.colorbar(drawn, ax=axes, label="time, s")
+        axes.set_aspect("equal", "datalim")
+        axes.tick_params(labelsize=7)
+        axes.invert_yaxis()
+
+
+def _draw_coverage(axes: Axes, aim: AIM) -> None:
+    height, width = aim.image.shape[:2]
+    drawn = axes.imshow(aim.coverage[::4, ::4], extent=(0, width, height, 0), vmin=0, cmap="magma")
+    axes.figure.colorbar(drawn, ax=axes, label="frames")
+    contested = np.where(aim.contested[::4, ::4], 1.0, np.nan)
+    axes.imshow(contested, extent=(0, width, height, 0), cmap="cool", vmin=0, vmax=1)
+    axes.set_title("frames behind each pixel (cyan: contested)", fontsize=9)
+    axes.set(xticks=[], yticks=[])
+
+
+def _draw_summary(axes: Axes, aim: AIM) -> None:
+    axes.axis("off")
+    lines = summary(aim)
+    left = max(map(len, lines))
+    text = "\n".join(f"{name:<{left}}  {value}" for name, value in lines.items())
+    axes.text(0, 1, text, family="monospace", fontsize=8, va="top", transform=axes.transAxes)
