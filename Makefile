@@ -4,8 +4,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-SAMPLE ?= samples/junction.mp4
-POINTS ?= samples/junction_gcps.csv
+SAMPLE ?= samples/hover.mp4
+POINTS ?= samples/gcps.csv
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1

@@ -41,7 +41,7 @@ def transform_boxes(
     """The four corners of boxes (left, top, right, bottom), mapped by a homography."""
     left, top, right, bottom = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
     corners = np.stack([left, top, right, top, right, bottom, left, bottom], axis=-1)
-    mapped = transform_points(matrix, corners.reshape(*boxes.shape[:-2], -1, 2))
+    mapped = transform_points(matrix, corners.reshape(*boxes.shape[:-2], 4 * boxes.shape[-2], 2))
     return mapped.reshape(*boxes.shape[:-1], 4, 2)
 
 

@@ -3,8 +3,12 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import jaxtyping
+import numpy as np
 import pytest
+
+from geoaim.synthetic.camera import Clip, Hover, Traffic, film
 
 
 @pytest.fixture
@@ -24,3 +28,25 @@ def data_folder() -> Path:
     if folder is None:
         pytest.skip("no real data: GEOAIM_DATA is not set and ../shared/data does not exist")
     return folder
+
+
+def textured(generator: np.random.Generator, height: int, width: int) -> np.ndarray:
+    """A still with structure at all scales, like the ground."""
+    image = np.zeros((height, width, 3), np.float32)
+    for octave in range(1, 7):
+        shape = (max(height >> octave, 2), max(width >> octave, 2), 3)
+        noise = generator.standard_normal(shape, dtype=np.float32)
+        image += cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC) * 2**octave / 8
+    return np.clip(128 + 20 * image, 0, 255).astype(np.uint8)
+
+
+def no_traffic(count: int) -> Traffic:
+    return Traffic((), np.empty((0, 2)), np.empty((count, 0, 3)))
+
+
+@pytest.fixture(scope="session")
+def clip() -> Clip:
+    generator = np.random.default_rng(7)
+    hover = Hover(count=12, drift=8, perspective=1.0, noise=2.0, blur=0.6)
+    still = textured(generator, 500, 800)
+    return film(still, no_traffic(12), hover, height=360, width=640, generator=generator)

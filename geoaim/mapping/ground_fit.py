@@ -115,7 +115,7 @@ def fit_terms(
     for _ in range(20):
         design = jacobian.reshape(-1, 9)[:, terms]
         gradient = design.T @ (targets - mapped).ravel() - ridge[terms] * theta[terms]
-        step = np.linalg.solve(design.T @ design + np.diag(ridge[terms] + 1e-14), gradient)
+        step = _inverse(design.T @ design + np.diag(ridge[terms])) @ gradient
         if np.abs(step).max() < 1e-9:
             break
         for shorter in 0.5 ** np.arange(8):
@@ -142,12 +142,19 @@ def _linear_start(
     jacobian[:, :, 6:8] = -targets[:, :, None] * points[:, None, :]
     for some in (terms, terms[:4]):
         design = jacobian.reshape(-1, 9)[:, some]
-        normal = design.T @ design + np.diag(ridge[some] + 1e-14)
+        normal = design.T @ design + np.diag(ridge[some])
         theta = np.zeros(9)
-        theta[some] = np.linalg.solve(normal, design.T @ (targets - points).ravel())
+        theta[some] = _inverse(normal) @ design.T @ (targets - points).ravel()
         if _in_front(theta, points):
             break
     return theta
+
+
+def _inverse(normal: Float[Array, "k k"]) -> Float[Array, "k k"]:
+    """Inverse of a normal matrix, scaled first so that a term nobody saw does not stop it."""
+    scale = 1.0 / np.sqrt(np.diag(normal) + 1e-30)
+    even = normal * scale * scale[:, None] + 1e-12 * np.eye(len(normal))
+    return np.asarray(np.linalg.inv(even) * scale * scale[:, None])
 
 
 def _in_front(theta: Float[Array, "9"], points: Float[Array, "m 2"]) -> bool:
@@ -170,7 +177,7 @@ def fit_posterior(
         theta = fit_terms(points, targets, list(range(9)), precision * variance, start)
         mapped, jacobian = apply_with_jacobian(theta, points)
         normal = jacobian.reshape(-1, 9).T @ jacobian.reshape(-1, 9)
-        inverse = np.linalg.inv(normal + np.diag(precision * variance + 1e-14))
+        inverse = _inverse(normal + np.diag(precision * variance))
         freedom = 2 * len(points) - np.trace(inverse @ normal)
         squares = np.sum((targets - mapped) ** 2)
         variance = (trust * accuracy**2 + squares) / (trust + freedom)
@@ -204,7 +211,7 @@ def fit_candidates(
         squares = np.sum((targets - mapped) ** 2) + np.sum(ridge * theta**2)
         design = jacobian[:, :, terms]
         flat = design.reshape(-1, len(terms))
-        inverse = np.linalg.inv(flat.T @ flat + np.diag(ridge[terms] + 1e-14))
+        inverse = _inverse(flat.T @ flat + np.diag(ridge[terms]))
         free = np.eye(2) * (1.0 + 1e-12) - design @ inverse @ design.transpose(0, 2, 1)
         left_out = np.linalg.solve(free, (targets - mapped)[:, :, None])[:, :, 0]
         candidates.append(Candidate(model, theta, left_out, float(squares / posterior.noise**2)))

@@ -91,7 +91,7 @@ def write_video(
     part = path.with_name(path.stem + ".part" + path.suffix)
     with av.open(str(part), "w") as container:
         second = str(round(frame_rate))
-        options = {"crf": str(crf), "preset": "veryfast", "g": second, "keyint_min": second}
+        options = {"crf": str(crf), "preset": "medium", "g": second, "keyint_min": second}
         stream = container.add_stream("libx264", rate, options=options | {"sc_threshold": "0"})
         stream.pix_fmt = "yuv420p"
         for index, frame in enumerate(frames):

@@ -7,7 +7,7 @@ from geoaim.mapping.features import detect, match
 from geoaim.mapping.patches import align, corner_uncertainty, make_template
 from geoaim.mapping.registration import register
 from geoaim.synthetic.camera import reference_from_frames, render_frame
-from tests.mapping.conftest import textured
+from tests.conftest import textured
 
 
 def corner_error(matrix, truth, clip):

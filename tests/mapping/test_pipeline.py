@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoreferenceError
+from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.approximate import local_georeference
+from geoaim.mapping.pipeline import build_aim
+from geoaim.synthetic.camera import clean_frame, reference_from_frames, render_frame
+
+# a plane of its own: 5 cm a pixel, y up
+TRUTH = np.array([[0.05, 0, 100], [0, -0.05, 300], [0, 0, 1]])
+PICKED = np.array([[40.0, 30], [600, 50], [580, 320], [60, 330], [300, 180], [450, 100]])
+
+
+@pytest.fixture(scope="module")
+def frames(clip):
+    return [render_frame(clip, index) for index in range(len(clip.times))]
+
+
+def points_on(frame, pixels=PICKED):
+    """Control points picked on a frame of a number, in metres of the truth on frame 0."""
+    return [
+        {"u": u, "v": v, "x": x, "y": y, "frame": frame, "name": f"p{i}", "crs": "local"}
+        for i, ((u, v), (x, y)) in enumerate(
+            zip(pixels, transform_points(TRUTH, PICKED), strict=True)
+        )
+    ]
+
+
+@pytest.fixture(scope="module")
+def aim(frames):
+    return build_aim(frames, points_on(0))
+
+
+def test_the_map_lies_where_the_points_say(aim):
+    expected = transform_points(TRUTH, image_corners(360, 640))
+    np.testing.assert_allclose(aim.corners, expected, atol=0.01)
+
+
+def test_the_background_is_the_clean_ground(aim, clip):
+    truth = clean_frame(clip, 0).astype(float)
+    inner = (slice(30, -30), slice(30, -30))
+    assert np.abs(aim.image[inner] - truth[inner]).mean() < 2
+
+
+def test_points_picked_on_a_later_frame_give_the_same_place(frames, clip, aim):
+    frame_from_first = np.linalg.inv(reference_from_frames(clip, 0)[7])
+    moved = build_aim(frames, points_on(7, transform_points(frame_from_first, PICKED)))
+    assert aim.report["registration"]["reference_index"] == 0
+    middle = np.array([[320.0, 180.0]])
+    reference = moved.report["registration"]["reference_index"]
+    here = transform_points(reference_from_frames(clip, reference)[0], middle)
+    np.testing.assert_allclose(
+        transform_points(moved.world_from_image, here),
+        transform_points(aim.world_from_image, middle),
+        atol=0.02,
+    )
+
+
+def test_the_report_tells_of_every_stage(aim):
+    report = aim.report
+    assert report["registration"]["valid"] == 12
+    assert report["background"]["frames_used"] == 12
+    assert [point["name"] for point in report["georeference"]["points"]][:2] == ["p0", "p1"]
+    assert len(report["georeference"]["corner_uncertainty_m"]) == 4
+
+
+def test_points_on_a_frame_that_cannot_be_laid_are_refused_by_name(frames):
+    spoilt = [*frames[:5], np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)]
+    with pytest.raises(GeoreferenceError, match=r"p0, p1, .*frame 5, which cannot be laid"):
+        build_aim(spoilt, points_on(5))
+
+
+def test_points_on_an_unknown_frame_are_refused(frames):
+    with pytest.raises(GeoreferenceError, match=r"'other\.jpg', which is not among"):
+        build_aim(frames, points_on("other.jpg"))
+
+
+def test_without_points_and_telemetry_the_message_says_what_to_give(frames):
+    with pytest.raises(GeoreferenceError, match="control points, or a pixel size"):
+        build_aim(frames)
+
+
+def test_a_pixel_size_gives_a_local_map_marked_as_approximate(frames):
+    place = local_georeference(pixel_size=0.1, size=(360, 640))
+    aim = build_aim(frames, place)
+    assert aim.world.crs is None
+    assert aim.report["georeference"]["approximate"]
+    np.testing.assert_allclose(aim.corners[0], [-32, 18], atol=1e-6)
+
+
+def test_progress_is_told_stage_by_stage(frames):
+    calls = []
+    build_aim(frames, points_on(0), progress=lambda *call: calls.append(call))
+    assert {stage for stage, _, _ in calls} == {"register", "average"}
+    assert calls[-1] == ("average", 12, 12)

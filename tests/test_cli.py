@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+from typer.testing import CliRunner
+
+from geoaim.cli import app
+from geoaim.synthetic.camera import render_frame
+
+run = CliRunner().invoke
+
+
+@pytest.fixture(scope="module")
+def folder(clip, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("frames")
+    for index in range(6):
+        Image.fromarray(render_frame(clip, index)).save(folder / f"{index:02d}.png")
+    rows = [(40, 30), (600, 50), (580, 320), (60, 330), (300, 180)]
+    lines = [f"p{i},{u},{v},{0.05 * u},{-0.05 * v}" for i, (u, v) in enumerate(rows)]
+    (folder / "gcps.csv").write_text("# crs: local\nname,u,v,x,y\n" + "\n".join(lines))
+    return folder
+
+
+def test_build_writes_the_map_and_a_quick_look(folder, tmp_path):
+    output = tmp_path / "aim.tif"
+    result = run(app, ["build", str(folder), "--gcps", str(folder / "gcps.csv"), "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    with rasterio.open(output) as file:
+        assert file.transform.a == pytest.approx(0.05, rel=1e-3)
+    assert output.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_an_error_is_one_line_and_exit_code_1_and_writes_nothing(folder, tmp_path):
+    output = tmp_path / "aim.tif"
+    result = run(app, ["build", str(folder), "-o", str(output)])
+    assert result.exit_code == 1
+    assert "give four or more control points" in " ".join(result.output.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_register_writes_a_row_a_frame(folder, tmp_path):
+    output = tmp_path / "registration.csv"
+    assert run(app, ["register", str(folder), "-o", str(output)]).exit_code == 0
+    assert len(np.loadtxt(output, delimiter=",", skiprows=1, usecols=(0, 1))) == 6
+
+
+def test_texture_and_info_read_what_build_wrote(folder, tmp_path):
+    output = tmp_path / "aim.tif"
+    run(app, ["build", str(folder), "--pixel-size", "0.05", "-o", str(output)])
+    assert run(app, ["texture", str(output), str(tmp_path / "out")]).exit_code == 0
+    assert (tmp_path / "out" / "texture.json").exists()
+    assert "640 x 360 px" in run(app, ["info", str(output)]).output
+
+
+def test_a_wrong_number_of_frames_is_told_at_once(folder, tmp_path):
+    result = run(app, ["build", str(folder), "--frames", "some", "-o", str(tmp_path / "a.tif")])
+    assert result.exit_code == 2
+    assert "auto, all or a number" in " ".join(result.output.split())
