@@ -1,5 +1,6 @@
 """Video and imagery to AIM: numpy, OpenCV, rasterio; never torch. `pipeline` is the contents."""
 
+from geoaim.geometry import transform_boxes, transform_points
 from geoaim.mapping.background import average_frames, remove_traffic
 from geoaim.mapping.boxes import read_boxes
 from geoaim.mapping.control_points import read_control_points
@@ -19,5 +20,7 @@ __all__ = [
     "read_control_points",
     "register",
     "remove_traffic",
+    "transform_boxes",
+    "transform_points",
     "write_registration",
 ]

@@ -40,9 +40,10 @@ from geoaim.world import (
 )
 
 EXPECTED = 2.0  # px, one sigma of a picked point where the caller states none
-EXPECTED_TRUST = 3.0  # degrees of freedom that this expectation counts for
+EXPECTED_TRUST = 3.0  # degrees of freedom that this counts for in the search for wrong points
 PROOF = 6  # points that may show more stretch or perspective than this by themselves
 MOST_STRETCH, MOST_PERSPECTIVE = 0.08, 0.45
+MOST_NOISE = 0.02  # of half the diagonal: 22 px at 1080p, beyond any picking
 STATED_TRUST = 50.0  # and that an accuracy stated by the caller counts for
 
 
@@ -112,7 +113,7 @@ def georeference(
         width: of the image, pixels.
         world: where to; None keeps the points' CRS when it is metric, and chooses UTM when not.
         accuracy: one sigma of a point's coordinates, pixels, picking and survey together. None
-            expects 2 px and lets the residuals overrule it.
+            expects some 2 px to find wrong points, and takes the noise from the residuals.
 
     Raises:
         GeoreferenceError: the points are too few, repeated, on a line, mirrored, outside the
@@ -135,7 +136,8 @@ def georeference(
         trust = _trust(plane[used], placed[used], sigma, stated=True)
         if trust != STATED_TRUST:
             warnings.warn(_understated(accuracy), GeoaimWarning, stacklevel=2)
-    posterior = fit_posterior(plane[used], placed[used], sigma, trust)
+    believed = trust if trust == STATED_TRUST else 0.0
+    posterior = fit_posterior(plane[used], placed[used], sigma, believed)
     candidates = fit_candidates(plane[used], placed[used], posterior)
     best = choose(candidates)
     _refuse_horizon(best, posterior, size)
@@ -270,11 +272,15 @@ def _refuse_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int]
 
 
 def _refuse_unproven(names: tuple[str, ...], posterior: Posterior) -> None:
-    """Few points fit any distortion exactly: an unlikely one rather means a wrong point."""
-    stretch, perspective = (
-        np.hypot(*posterior.parameters[4:6]),
-        np.hypot(*posterior.parameters[6:8]),
-    )
+    """Refuse points that nothing fits, and few points that only an unlikely picture fits."""
+    if posterior.noise > MOST_NOISE:
+        raise GeoreferenceError(
+            f"No place fits the control points ({', '.join(names)}): they disagree by"
+            f" {100 * posterior.noise:.0f} % of half the image's diagonal. Are they in the right"
+            " order, on this picture, and in the CRS that they claim?"
+        )
+    terms = posterior.parameters
+    stretch, perspective = np.hypot(*terms[4:6]), np.hypot(*terms[6:8])
     if len(names) < PROOF and (stretch > MOST_STRETCH or perspective > MOST_PERSPECTIVE):
         raise GeoreferenceError(
             f"{', '.join(names)} fit only a picture stretched by {200 * stretch:.0f} % or seen at a"

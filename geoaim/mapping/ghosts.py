@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from numpy import ndarray as Array
 
+FEWEST = 4  # frames; with less no majority can be told from chance
 ROUNDS = 4  # votes; after three of them the background has moved where it will, the last judges
 FLOOR = 8  # grey levels; below this a difference is compression, not traffic
 DEVIATIONS = 3.0  # of the noise between frames that a difference must exceed
@@ -47,10 +48,10 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
         seen: where each frame shows the canvas at all.
 
     Raises:
-        ValueError: fewer than 4 frames: no majority could be told from chance.
+        ValueError: fewer than 4 frames.
     """
-    if len(stack) < 4:
-        raise ValueError(f"at least 4 frames are needed to tell traffic from ground: {len(stack)}")
+    if len(stack) < FEWEST:
+        raise ValueError(f"{len(stack)} frames; at least {FEWEST} are needed")
     background = _median(stack, seen)
     noise = np.median([np.median(_difference(f, background)[::4, ::4]) for f in stack[::4]])
     threshold = max(FLOOR, DEVIATIONS * 1.4826 * float(noise))
@@ -60,21 +61,23 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
     votes = _votes(stack, seen, background, threshold)
     moving = np.empty(seen.shape, bool)
     for frame, mine, mask in zip(stack, seen, moving, strict=True):
-        found = _foreground(frame, background, threshold)
-        mask[:] = cv2.dilate(found, DISC) * mine
-    return Traffic(moving, _contested(votes, moving, seen), background)
+        mask[:] = mine & cv2.dilate(_foreground(frame, background, threshold), DISC).view(bool)
+    ground = _mean(stack, seen & ~moving, background)
+    return Traffic(moving, _contested(votes, moving, seen), ground)
 
 
 def _median(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> UInt8[Array, "h w 3"]:
     """Median over the frames that see a pixel, by bisection: 8 counts instead of a sort."""
-    total = seen.sum(0, dtype=np.uint16)[..., None]
+    kind = np.uint8 if len(stack) < 256 else np.uint16
+    half = np.maximum(seen.sum(0, dtype=np.uint16), 1)[..., None] / np.float32(2)
+    stack[~seen] = 0  # never counts as bright
     low = np.zeros(stack.shape[1:], np.uint8)
     for bit in (128, 64, 32, 16, 8, 4, 2, 1):
         middle = low | np.uint8(bit)
-        count = np.zeros(low.shape, np.uint16)
-        for frame, mine in zip(stack, seen, strict=True):
-            count += (frame >= middle) & mine[..., None]
-        low = np.where(2 * count >= np.maximum(total, 1), middle, low)
+        count = np.zeros(low.shape, kind)
+        for frame in stack:
+            count += frame >= middle
+        low = np.where(count >= half, middle, low)
     return low
 
 
@@ -104,7 +107,8 @@ def _votes(
     """Votes in [-1, 1] of each frame: above 0 it shows ground where the background does not."""
     votes = np.zeros(seen.shape, np.float32)
     for frame, mine, vote in zip(stack, seen, votes, strict=True):
-        np.copyto(frame, background, where=~mine[..., None])
+        if not mine.all():
+            frame[~mine] = background[~mine]
         vote[:] = _vote(frame, background, _foreground(frame, background, threshold))
     return votes
 
@@ -116,9 +120,10 @@ def _vote(
 
     What lies farther inside hears the mean of its whole region.
     """
-    rows, columns = np.nonzero(region - cv2.erode(region, CROSS, borderValue=1))
-    if len(rows) == 0:
+    border = cv2.findNonZero(region - cv2.erode(region, CROSS, borderValue=1))
+    if border is None:
         return np.zeros(region.shape, np.float32)
+    columns, rows = border.reshape(-1, 2).T
     smooth = cv2.GaussianBlur(region.astype(np.float32), (0, 0), 1.5)
     normal = np.stack([cv2.Sobel(smooth, cv2.CV_32F, *d)[rows, columns] for d in ((0, 1), (1, 0))])
     normal *= 1.5 / (np.hypot(*normal) + 1e-6)
@@ -164,14 +169,20 @@ def _revise(
         backing += vote * alike
     swap = (votes.sum(0) > 0) & (backing > 0) & (like >= SUPPORT * len(stack))
     revised = np.where(swap[..., None], rival, background)
-    total = np.zeros(background.shape, np.float32)
-    count = np.zeros(background.shape[:2], np.float32)
-    for frame in stack:
-        alike = (_difference(frame, revised) <= threshold).view(np.uint8)
-        cv2.accumulate(frame, total, alike)
-        count += alike
-    mean = np.rint(total / np.maximum(count, 1)[..., None])
-    return np.where(count[..., None] > 0, mean, revised).astype(np.uint8)
+    alike = np.stack([_difference(frame, revised) <= threshold for frame in stack])
+    return _mean(stack, alike, revised)
+
+
+def _mean(
+    stack: UInt8[Array, "K h w 3"], chosen: Bool[Array, "K h w"], otherwise: UInt8[Array, "h w 3"]
+) -> UInt8[Array, "h w 3"]:
+    """Mean over the chosen frames of each pixel; `otherwise` where none is chosen."""
+    total = np.zeros(otherwise.shape, np.float32)
+    for frame, mine in zip(stack, chosen, strict=True):
+        cv2.accumulate(frame, total, mine.view(np.uint8))
+    count = chosen.sum(0)[..., None]
+    mean = np.rint(total / np.maximum(count, 1)).astype(np.uint8)
+    return np.where(count > 0, mean, otherwise)
 
 
 def _contested(

@@ -167,7 +167,8 @@ def fit_posterior(
     """All nine terms with their prior, and the noise.
 
     The prior's heavy tails are Student's t, by reweighting; the noise is the mean of the residuals'
-    variance and of `accuracy` squared, which counts as `trust` degrees of freedom.
+    variance and of `accuracy` squared, which counts as `trust` degrees of freedom. With no trust
+    the residuals alone speak, over all noises from a hundredth of `accuracy` to three times it or more.
     """
     width = np.concatenate([np.full(4, np.inf), 5.0 * PRIOR])  # start wide: a large lens is seen
     precision, variance, theta = 1.0 / width**2, accuracy**2, np.full(9, np.nan)
@@ -180,7 +181,10 @@ def fit_posterior(
         inverse = _inverse(normal + np.diag(precision * variance))
         freedom = 2 * len(points) - np.trace(inverse @ normal)
         squares = np.sum((targets - mapped) ** 2)
-        variance = (trust * accuracy**2 + squares) / (trust + freedom)
+        if trust > 0:
+            variance, dof = (trust * accuracy**2 + squares) / (trust + freedom), trust + freedom
+        else:
+            variance, dof = _noise_by_residuals(float(squares), float(freedom), accuracy)
         for group in GROUPS:
             scale = TAIL * PRIOR[group[0] - 4] ** 2 + np.sum(theta[group] ** 2)
             precision[group] = (TAIL + len(group)) / scale
@@ -189,7 +193,24 @@ def fit_posterior(
         start = theta
     misfit = trust * accuracy**2 + squares + variance * np.sum(precision * theta**2)
     noise = float(np.sqrt(variance))
-    return Posterior(theta, inverse * variance, precision, noise, trust + freedom, float(misfit))
+    return Posterior(theta, inverse * variance, precision, noise, float(dof), float(misfit))
+
+
+def _noise_by_residuals(squares: float, freedom: float, accuracy: float) -> tuple[float, float]:
+    """Variance of the noise and its degrees of freedom, all orders of size alike beforehand.
+
+    The posterior under a density of 1/sigma, summed over sigma, is matched by the scaled inverse
+    chi-square of the same mean and variance (Gelman 2013, Bayesian Data Analysis, 2.6).
+    """
+    most = max(3.0 * accuracy, 3.0 * float(np.sqrt(squares / max(freedom, 1.0))))
+    sigma = np.geomspace(0.01 * accuracy, most, 100)
+    log = -freedom * np.log(sigma) - squares / (2.0 * sigma**2)
+    weight = np.exp(log - log.max())
+    weight /= weight.sum()
+    mean = float(weight @ sigma**2)
+    spread = float(weight @ (sigma**2 - mean) ** 2)
+    dof = 4.0 + 2.0 * mean**2 / max(spread, 1e-12 * mean**2)
+    return mean * (dof - 2.0) / dof, dof
 
 
 def fit_candidates(

@@ -16,7 +16,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.approximate import approximate_georeference
 from geoaim.mapping.background import Background, average_frames, remove_traffic
 from geoaim.mapping.boxes import Boxes, read_boxes
-from geoaim.mapping.control_points import ControlPoints, read_control_points
+from geoaim.mapping.control_points import ControlPoints, merge_observations, read_control_points
 from geoaim.mapping.georeference import Georeference, distort_points, georeference
 from geoaim.mapping.keyframes import Placement
 from geoaim.mapping.registration import (
@@ -197,7 +197,7 @@ def _points_on_reference(
                 f"{reference.time:.2f} s ({placement.reason}); pick them on another frame"
             )
         pixels[mine] = transform_points(placement.matrix, points.pixels[mine])
-    return replace(points, pixels=pixels, frames=(None,) * len(pixels))
+    return merge_observations(replace(points, pixels=pixels, frames=(None,) * len(pixels)))
 
 
 def _frame_index(picked: str | int | None, video: Video) -> int:

@@ -285,3 +285,10 @@ def test_points_left_on_a_line_by_a_wrong_one_are_refused():
     left_out = pytest.warns(GeoaimWarning, match="gcp6 is left out")
     with left_out, pytest.raises(GeoreferenceError, match="nearly on a line"):
         georeference(points, accuracy=1.5, **SIZE)
+
+
+def test_points_in_the_wrong_order_are_refused():
+    points = made(noise=1.0)
+    order = np.random.default_rng(1).permutation(len(GRID))
+    with pytest.raises(GeoreferenceError, match=r"No place fits|mirrored|contradict"):
+        georeference(replace(points, coordinates=points.coordinates[order]), **SIZE)

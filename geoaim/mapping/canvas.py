@@ -1,0 +1,217 @@
+"""A canvas in the reference's pixels: warp frames onto it, and sum them plane by plane."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
+from numpy import ndarray as Array
+
+from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.mapping.frames import Frame, image_from_planes
+
+INSET = 1.5  # px along a frame's border where cubic interpolation would extrapolate
+SAMPLES = 240  # points along the longest side where exposure is compared
+FEWEST = 50  # points below which exposure is not compared
+STEADY = 0.002  # a gain this close to 1 changes nothing by half a grey level
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """Sums over one plane of the canvas, at 1/scale of its size; written to in place.
+
+    Attributes:
+        scale: 2 for the chroma of a video, else 1.
+        neutral: the value that a change of exposure leaves as it is.
+        total: (h, w, c) sums of what may be averaged.
+        weight: (h, w) how many frames are in them.
+        spare: (h, w, c) sums of masked pixels, as long as no frame has shown them clean.
+        spare_weight: (h, w) how many frames are in these.
+    """
+
+    scale: int
+    neutral: float
+    total: Float32[Array, "h w c"]
+    weight: UInt16[Array, "h w"]
+    spare: Float32[Array, "h w c"]
+    spare_weight: UInt16[Array, "h w"]
+
+
+@dataclass(frozen=True, eq=False)
+class Exposure:
+    """Grey levels above black at the points of a grid, 0 where none was seen; filled in place."""
+
+    spacing: int
+    level: Float32[Array, "h w"]
+
+
+def empty_planes(frame: Frame, size: tuple[int, int]) -> tuple[Plane, ...]:
+    """Sums for the Y, U and V planes of a video, or for the RGB of anything else."""
+    kinds = [(1, 0.0, 3)]
+    if frame.planes is not None:
+        kinds = [(1, _black(frame), 1), (2, 128.0, 1), (2, 128.0, 1)]
+    planes = []
+    for scale, neutral, channels in kinds:
+        shape = (-(-size[0] // scale), -(-size[1] // scale))
+        sums = [np.zeros((*shape, channels), np.float32) for _ in range(2)]
+        weights = [np.zeros(shape, np.uint16) for _ in range(2)]
+        planes.append(Plane(scale, neutral, sums[0], weights[0], sums[1], weights[1]))
+    return tuple(planes)
+
+
+def add_frame(
+    planes: tuple[Plane, ...],
+    frame: Frame,
+    canvas_from_frame: Float[Array, "3 3"],
+    mask: UInt8[Array, "H W"] | None,
+    gain: float,
+    rows: slice,
+) -> None:
+    """Warp a frame onto some rows of the canvas and add it; where the mask is 0, to the spare."""
+    shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows.start], [0.0, 0.0, 1.0]])
+    size = rows.stop - rows.start, planes[0].weight.shape[1]
+    reached = footprint(frame.grey.shape, shift @ canvas_from_frame, size)
+    for plane, pixels in zip(planes, frame.planes or (frame.image,), strict=True):
+        every = slice(None, None, plane.scale)
+        part = slice(rows.start // plane.scale, -(-rows.stop // plane.scale))
+        scale = np.diag([plane.scale, plane.scale, 1.0])
+        matrix = np.linalg.inv(scale) @ shift @ canvas_from_frame @ scale
+        warped = expose(warp(pixels, matrix, plane.weight[part].shape), gain, plane.neutral)
+        clean = np.ascontiguousarray(reached[every, every])
+        if mask is None:
+            cv2.accumulate(warped, plane.total[part], clean)
+            plane.weight[part] += clean
+            continue
+        hidden = clean.copy()
+        clean *= mask[rows][every, every]
+        cv2.accumulate(warped, plane.total[part], clean)
+        plane.weight[part] += clean
+        hidden *= plane.weight[part] == 0
+        cv2.accumulate(warped, plane.spare[part], hidden)
+        plane.spare_weight[part] += hidden
+
+
+def mean_image(planes: tuple[Plane, ...], frame: Frame) -> UInt8[Array, "H W 3"]:
+    """RGB of the means, of the spare ones where there are no others; overwrites the sums.
+
+    Args:
+        planes: as filled by `add_frame`.
+        frame: any of the frames, for the meaning of its planes.
+    """
+    for plane in planes:
+        bare = plane.weight == 0
+        np.copyto(plane.total, plane.spare, where=bare[..., None])
+        count = np.where(bare, np.maximum(plane.spare_weight, 1), plane.weight)
+        np.divide(plane.total, count[..., None], out=plane.total, casting="same_kind")
+    if frame.colour is not None and len(planes) == 3:
+        y, u, v = (plane.total[..., 0] for plane in planes)
+        image = image_from_planes(y, u, v, frame.colour)
+    else:
+        image = np.rint(planes[0].total).clip(0, 255).astype(np.uint8)
+    image[(planes[0].weight == 0) & (planes[0].spare_weight == 0)] = 0
+    return image
+
+
+def first_exposure(size: tuple[int, int]) -> Exposure:
+    """Nothing seen yet, on a canvas of (height, width) pixels."""
+    spacing = max(max(size) // SAMPLES, 1)
+    return Exposure(spacing, np.zeros((size[0] // spacing, size[1] // spacing), np.float32))
+
+
+def compare_exposure(
+    exposure: Exposure, frame: Frame, canvas_from_frame: Float[Array, "3 3"], last: float
+) -> float:
+    """Factor that brings a frame to the exposure of those before it: the median ratio of greys.
+
+    One factor for all colours: a real drone's step in exposure was 0.983, 0.984 and 0.986 in
+    red, green and blue. Points that no frame has shown before are learnt from this one.
+
+    Args:
+        exposure: grey levels first seen; filled in place.
+        frame: the frame.
+        canvas_from_frame: where it lies.
+        last: the answer where too few points are known to compare.
+    """
+    shrink = np.diag([1 / exposure.spacing, 1 / exposure.spacing, 1.0])
+    matrix, size = to_opencv(shrink @ canvas_from_frame), exposure.level.shape[::-1]
+    at = cv2.warpPerspective(frame.grey, matrix, size, flags=cv2.INTER_NEAREST)
+    black = _black(frame)
+    usable = (at > black + 20) & (at < 225)
+    grey = at.astype(np.float32) - np.float32(black)
+    common = usable & (exposure.level > 0)
+    gain = last
+    if np.count_nonzero(common) >= FEWEST:
+        gain = float(np.median(exposure.level[common] / grey[common]))
+    np.copyto(exposure.level, grey * np.float32(gain), where=usable & (exposure.level == 0))
+    return gain
+
+
+def expose(pixels: UInt8[Array, "H W *c"], gain: float, neutral: float) -> UInt8[Array, "H W *c"]:
+    """Multiply the distance from the neutral value."""
+    if abs(gain - 1) < STEADY:
+        return pixels
+    return np.asarray(cv2.convertScaleAbs(pixels, alpha=gain, beta=neutral * (1 - gain)), np.uint8)
+
+
+def shrink_frame(
+    frame: Frame, factor: int, gain: float
+) -> tuple[UInt8[Array, "h w 3"], Float[Array, "3 3"]]:
+    """RGB, near enough for comparisons, at 1/factor of the frame's size; small_from_frame."""
+    height, width = frame.grey.shape
+    size = (-(-width // factor), -(-height // factor))
+    if frame.planes is None:
+        pixels = expose(cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA), gain, 0.0)
+    else:
+        parts = [cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in frame.planes]
+        pixels = cv2.cvtColor(cv2.merge(parts), cv2.COLOR_YUV2RGB)
+        pixels = expose(pixels, gain, _black(frame))
+    return pixels, np.diag([size[0] / width, size[1] / height, 1.0])
+
+
+def warp(
+    pixels: UInt8[Array, "H W *c"], matrix: Float[Array, "3 3"], size: tuple[int, int]
+) -> UInt8[Array, "h w *c"]:
+    """Warp to (height, width) by a transform of corner-origin pixels.
+
+    Cubic, since linear interpolation loses 9 % of the gradient.
+    """
+    matrix = to_opencv(matrix)
+    matrix = matrix / matrix[2, 2]
+    if np.abs(matrix[2, :2]).max() < 1e-12:  # affine is faster
+        warped = cv2.warpAffine(
+            pixels, matrix[:2], size[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+    else:
+        warped = cv2.warpPerspective(
+            pixels, matrix, size[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+    return np.asarray(warped, np.uint8)
+
+
+def footprint(
+    frame_size: tuple[int, ...], canvas_from_frame: Float[Array, "3 3"], size: tuple[int, int]
+) -> UInt8[Array, "h w"]:
+    """1 where a frame shows the canvas, its rim left out; else 0."""
+    corners = image_corners(frame_size[0] - 2 * INSET, frame_size[1] - 2 * INSET) + INSET
+    polygon = transform_points(canvas_from_frame, corners)
+    return fill_polygons(np.zeros(size, np.uint8), polygon[None], 1)
+
+
+def fill_polygons(
+    mask: UInt8[Array, "h w"], polygons: Float[Array, "n m 2"], value: int
+) -> UInt8[Array, "h w"]:
+    """Draw convex polygons of corner-origin points, to 1/16 px, in place."""
+    for polygon in np.rint((polygons - 0.5).clip(-30000, 30000) * 16).astype(np.int32):
+        cv2.fillConvexPoly(mask, polygon, [value], shift=4)
+    return mask
+
+
+def enlarge(mask: Bool[Array, "h w"], size: tuple[int, int]) -> UInt8[Array, "H W"]:
+    """1 where a small mask is true, at full size."""
+    large = cv2.resize(mask.view(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(large, np.uint8)
+
+
+def _black(frame: Frame) -> float:
+    """The grey level that stands for no light."""
+    return 0.0 if frame.colour is None or frame.colour.full_range else 16.0
