@@ -47,7 +47,7 @@ def detect(grey: UInt8[Array, "H W"], *, exclude: Bool[Array, "H W"] | None = No
 
 
 def match(
-    reference: Features, frame: Features, model: Model, *, height: int, width: int
+    reference: Features, frame: Features, model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "3 3"] | None:
     """The reference_from_frame on which most matches agree, or None when too few do.
 
@@ -62,7 +62,7 @@ def match(
         return None
     source = frame.points[[pair.queryIdx for pair in pairs]]
     target = reference.points[[pair.trainIdx for pair in pairs]]
-    tolerance = width / TOLERANCE
+    tolerance = size[1] / TOLERANCE
     matrix, mask = cv2.findHomography(source, target, cv2.USAC_MAGSAC, tolerance, maxIters=3000)
     if matrix is None or mask.sum() < LEAST or np.linalg.det(matrix[:2, :2]) <= 0:
         return None
@@ -70,7 +70,7 @@ def match(
         return matrix
     source, target = source[mask.ravel() > 0], target[mask.ravel() > 0]
     equal = np.broadcast_to(np.eye(2), (len(source), 2, 2))
-    return fit_motion(source, target - source, equal, model, height=height, width=width).matrix
+    return fit_motion(source, target - source, equal, model, size=size).matrix
 
 
 def _strongest_per_cell(keypoints: Sequence[cv2.KeyPoint], shape: tuple[int, int]) -> list[int]:

@@ -97,7 +97,7 @@ def place(
         return best
     found = detect(grey)
     for home in dict.fromkeys([keyframe, *keyframes]):
-        start = match(home.features, found, model, height=grey.shape[0], width=grey.shape[1])
+        start = match(home.features, found, model, size=grey.shape)
         if start is not None and attempt(home, start, coarse=True):
             return best
     return best

@@ -61,8 +61,9 @@ class Motion:
     noise: float
 
 
-def normalisation(height: int, width: int) -> Float[Array, "3 3"]:
+def normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
     """Pixels to coordinates in about [-1, 1], the same scale on both axes."""
+    height, width = size
     half = max(height, width) / 2
     return np.array(
         [[1 / half, 0, -width / 2 / half], [0, 1 / half, -height / 2 / half], [0, 0, 1]]
@@ -70,10 +71,10 @@ def normalisation(height: int, width: int) -> Float[Array, "3 3"]:
 
 
 def basis(
-    points: Float[Array, "M 2"], model: Model, *, height: int, width: int
+    points: Float[Array, "M 2"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "M 2 k"]:
     """B(p): pixels moved by a unit of each parameter."""
-    scale = normalisation(height, width)
+    scale = normalisation(size)
     x, y = (points * scale[0, 0] + scale[:2, 2]).T
     zero, one = np.zeros_like(x), np.ones_like(x)
     full = np.array(
@@ -87,11 +88,11 @@ def basis(
 
 
 def small_motion(
-    parameters: Float[Array, " k"], model: Model, *, height: int, width: int
+    parameters: Float[Array, " k"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
     """The pixel transform I + Theta of the given parameters."""
     theta = np.append(parameters @ np.array(_GENERATORS[model]), 0.0).reshape(3, 3)
-    scale = normalisation(height, width)
+    scale = normalisation(size)
     matrix = np.linalg.inv(scale) @ (np.eye(3) + theta) @ scale
     return matrix / matrix[2, 2]
 
@@ -102,20 +103,20 @@ def fit_motion(
     information: Float[Array, "M 2 2"],
     model: Model,
     *,
-    height: int,
-    width: int,
+    size: tuple[int, int],
+    rounds: int = 6,
 ) -> Motion:
     """Robust weighted least squares: iteratively reweighted with Tukey's biweight.
 
     The start is the median displacement, so that points which move on their own are outvoted
     from the first step.
     """
-    columns = basis(points, model, height=height, width=width)
+    columns = basis(points, model, size=size)
     projected = np.einsum("mik,mij->mkj", columns, information)
     normal_parts = projected @ columns
     right_parts = np.einsum("mkj,mj->mk", projected, displacements)
     residuals = displacements - np.median(displacements, axis=0)
-    for _ in range(6):
+    for _ in range(rounds):
         weights = _tukey(residuals, information)
         normal = np.tensordot(weights, normal_parts, 1)
         parameters = np.linalg.solve(normal, weights @ right_parts)
@@ -125,7 +126,7 @@ def fit_motion(
     inner = residuals[weights > 0]
     return Motion(
         model,
-        small_motion(parameters, model, height=height, width=width),
+        small_motion(parameters, model, size=size),
         np.linalg.inv(normal) * variance,
         residuals,
         weights,
@@ -158,8 +159,7 @@ class ModelChoice:
 def choose_model(
     matches: Sequence[Match],
     *,
-    height: int,
-    width: int,
+    size: tuple[int, int],
 ) -> ModelChoice:
     """Choose by the smallest predicted error over the image: squared bias plus variance.
 
@@ -171,10 +171,9 @@ def choose_model(
 
     Args:
         matches: one for each picture.
-        height: of the reference, pixels.
-        width: of the reference, pixels.
+        size: height and width of the reference, pixels.
     """
-    risks = np.array([_risks(*match, height=height, width=width) for match in matches])
+    risks = np.array([_risks(*match, size=size) for match in matches])
     errors = np.sqrt(risks.mean(0))
     simplest = int(np.argmax(errors < errors.min() + MATERIAL))
     return ModelChoice(MODELS[simplest], dict(zip(MODELS, errors.tolist(), strict=True)))
@@ -185,13 +184,12 @@ def _risks(
     target: Float[Array, "M 2"],
     information: Float[Array, "M 2 2"],
     *,
-    height: int,
-    width: int,
+    size: tuple[int, int],
 ) -> list[float]:
     """Mean squared error over the image, predicted for each model."""
+    height, width = size
     grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
     grid = grid.reshape(-1, 2)
-    size = {"height": height, "width": width}
     places, variances = [], []
     matrix = np.eye(3)
     for model in MODELS:
@@ -200,9 +198,9 @@ def _risks(
             matrix = np.eye(3)
         for _ in range(4 if model == "homography" else 1):
             moved = transform_points(matrix, source)
-            motion = fit_motion(moved, target - moved, information, model, **size)
+            motion = fit_motion(moved, target - moved, information, model, size=size)
             matrix = motion.matrix @ matrix
-        columns = basis(grid, model, **size)
+        columns = basis(grid, model, size=size)
         variances.append(np.einsum("mik,kl,mil->m", columns, motion.covariance, columns).mean())
         places.append(transform_points(matrix, grid))
     truth, least = places[-1], variances[-1]

@@ -20,7 +20,7 @@ SIDE = 13  # px of a patch; 9 halves the basin, 17 sees more cars
 CELLS = 340  # patches wanted: one for each cell of a grid over the reference
 LOCAL = 0.03  # px by which a patch may truly move by itself: parallax, lens, rolling shutter
 AGREEMENT = 0.5  # least correlation of a patch that agrees
-SETTLED = 0.03  # px: a step that ends the iteration
+SETTLED = 0.1  # px: a step that ends the iteration, which leaves about a tenth of it
 SATURATED = 0.3  # share of a patch's pixels at 255 above which it is not used
 TRACKABLE = 0.25  # px: a patch that noise moves by more is not used
 
@@ -160,7 +160,7 @@ def align(
     """
     scale = np.diag([template.scale, template.scale, 1.0])
     matrix = scale @ prior @ np.linalg.inv(scale)
-    for _ in range(iterations):
+    for iteration in range(iterations):
         sampled = _sample(template, grey, np.linalg.inv(matrix))
         if sampled is None:
             return None
@@ -174,8 +174,8 @@ def align(
             displacements[fitted],
             np.linalg.inv(covariance),
             model,
-            height=template.height,
-            width=template.width,
+            size=(template.height, template.width),
+            rounds=3 if iteration else 6,
         )
         matrix = motion.matrix @ matrix
         corners = image_corners(template.height, template.width)
@@ -200,7 +200,7 @@ def corner_uncertainty(template: Template, motion: Motion) -> float:
     Criminisi (1997), "Accurate visual metrology from single and multiple uncalibrated images".
     """
     corners = image_corners(template.height, template.width)
-    columns = basis(corners, motion.model, height=template.height, width=template.width)
+    columns = basis(corners, motion.model, size=(template.height, template.width))
     variance = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns)
     return float(np.sqrt(variance.mean()) / template.scale)
 

@@ -197,7 +197,8 @@ def _points_on_reference(
                 f"{reference.time:.2f} s ({placement.reason}); pick them on another frame"
             )
         pixels[mine] = transform_points(placement.matrix, points.pixels[mine])
-    return merge_observations(replace(points, pixels=pixels, frames=(None,) * len(pixels)))
+    merged = merge_observations(replace(points, pixels=pixels))
+    return replace(merged, frames=(None,) * len(merged.pixels))
 
 
 def _frame_index(picked: str | int | None, video: Video) -> int:

@@ -195,7 +195,7 @@ def choose_reference(
     found = [detect(probe.grey, exclude=excluded(probe, boxes)) for probe in probes]
     best = 0
     if time is None and len(probes) > 1:
-        best = _best_connected(found, video.height, video.width)
+        best = _best_connected(found, (video.height, video.width))
     probe = probes[best]
     keyframe = make_keyframe(probe, found[best], boxes, np.eye(3), 0.0)
     if len(keyframe.fine.points) < LEAST_PATCHES:
@@ -228,7 +228,7 @@ def place_frames(
                 )
 
 
-def _best_connected(found: list[Features], height: int, width: int) -> int:
+def _best_connected(found: list[Features], size: tuple[int, int]) -> int:
     """The probe on which most others can be laid; the first when it cannot hold them all."""
     count = len(found)
     links = np.zeros((count, count))
@@ -236,7 +236,7 @@ def _best_connected(found: list[Features], height: int, width: int) -> int:
     for one in range(count):
         for other in range(one):
             pair = strongest[one], strongest[other]
-            matrix = match(*pair, "homography", height=height, width=width)
+            matrix = match(*pair, "homography", size=size)
             links[one, other] = links[other, one] = matrix is not None
     degree = links.sum(0)
     middle = np.argsort(np.abs(np.arange(count) - (count - 1) / 2), kind="stable")
@@ -257,7 +257,7 @@ def _choose_model(reference: Reference, probes: list[Frame]) -> Reference:
             matches.append(Match(source, measured, weight * np.eye(2)))
     if not matches:
         return reference
-    choice = choose_model(matches, height=reference.height, width=reference.width)
+    choice = choose_model(matches, size=(reference.height, reference.width))
     return replace(reference, model=choice.model, choice=choice)
 
 

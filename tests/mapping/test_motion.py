@@ -13,7 +13,7 @@ from geoaim.mapping.motion import (
     small_motion,
 )
 
-SIZE = {"height": 1080, "width": 1920}
+SIZE = {"size": (1080, 1920)}
 
 
 def scattered(count: int, seed: int = 0) -> np.ndarray:

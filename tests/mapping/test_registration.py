@@ -123,4 +123,4 @@ def test_aligning_the_reference_with_itself_gives_the_identity(frames):
 def test_features_of_unlike_pictures_do_not_match(frames):
     other = textured(np.random.default_rng(11), *frames[0].shape[:2])
     one, two = detect(frames[0][..., 1].copy()), detect(other[..., 1].copy())
-    assert match(one, two, "homography", height=360, width=640) is None
+    assert match(one, two, "homography", size=(360, 640)) is None
