@@ -62,7 +62,7 @@ def summary(aim: AIM) -> dict[str, str]:
         if place["points"]:
             errors = [p["leave_one_out_m"] for p in place["points"] if p["used"]]
             rms = np.sqrt(np.mean(np.square(errors)))
-            lines["leave-one-out"] = f"{rms:.3f} m (rms of {len(errors)} points)"
+            lines["leave-one-out"] = f"{rms:.4f} m (rms of {len(errors)} points)"
     return lines
 
 

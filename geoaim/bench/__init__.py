@@ -1,0 +1,1 @@
+"""Speed against accuracy, and where methods break: one script a question."""

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from geoaim.geometry import image_corners, to_opencv, transform_points
 from geoaim.mapping.frames import Frame, image_from_planes
 
-INSET = 1.5  # px along a frame's border where cubic interpolation would extrapolate
+INSET = 0.5  # px: a frame shows what lies between the centres of its outermost pixels
 SAMPLES = 240  # points along the longest side where exposure is compared
 FEWEST = 50  # points below which exposure is not compared
 STEADY = 0.002  # a gain this close to 1 changes nothing by half a grey level
@@ -27,6 +27,7 @@ class Plane:
         weight: (h, w) how many frames are in them.
         spare: (h, w, c) sums of masked pixels, as long as no frame has shown them clean.
         spare_weight: (h, w) how many frames are in these.
+        softness: sums over the frames of the warps' softness along x and y, and their number.
     """
 
     scale: int
@@ -35,6 +36,7 @@ class Plane:
     weight: UInt16[Array, "h w"]
     spare: Float32[Array, "h w c"]
     spare_weight: UInt16[Array, "h w"]
+    softness: Float[Array, "3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,8 @@ def empty_planes(frame: Frame, size: tuple[int, int]) -> tuple[Plane, ...]:
         shape = (-(-size[0] // scale), -(-size[1] // scale))
         sums = [np.zeros((*shape, channels), np.float32) for _ in range(2)]
         weights = [np.zeros(shape, np.uint16) for _ in range(2)]
-        planes.append(Plane(scale, neutral, sums[0], weights[0], sums[1], weights[1]))
+        sums_and_weights = sums[0], weights[0], sums[1], weights[1]
+        planes.append(Plane(scale, neutral, *sums_and_weights, np.zeros(3)))
     return tuple(planes)
 
 
@@ -77,18 +80,15 @@ def add_frame(
         scale = np.diag([plane.scale, plane.scale, 1.0])
         matrix = np.linalg.inv(scale) @ shift @ canvas_from_frame @ scale
         warped = expose(warp(pixels, matrix, plane.weight[part].shape), gain, plane.neutral)
-        clean = np.ascontiguousarray(reached[every, every])
-        if mask is None:
-            cv2.accumulate(warped, plane.total[part], clean)
-            plane.weight[part] += clean
-            continue
-        hidden = clean.copy()
-        clean *= mask[rows][every, every]
+        plane.softness[:] += [*softness(matrix, plane.weight[part].shape), 1.0]
+        shown = reached[every, every].copy()
+        clean = shown if mask is None else shown * mask[rows][every, every]
         cv2.accumulate(warped, plane.total[part], clean)
         plane.weight[part] += clean
-        hidden *= plane.weight[part] == 0
-        cv2.accumulate(warped, plane.spare[part], hidden)
-        plane.spare_weight[part] += hidden
+        if mask is not None:
+            hidden = shown * (plane.weight[part] == 0)
+            cv2.accumulate(warped, plane.spare[part], hidden)
+            plane.spare_weight[part] += hidden
 
 
 def mean_image(planes: tuple[Plane, ...], frame: Frame) -> UInt8[Array, "H W 3"]:
@@ -101,8 +101,12 @@ def mean_image(planes: tuple[Plane, ...], frame: Frame) -> UInt8[Array, "H W 3"]
     for plane in planes:
         bare = plane.weight == 0
         np.copyto(plane.total, plane.spare, where=bare[..., None])
-        count = np.where(bare, np.maximum(plane.spare_weight, 1), plane.weight)
-        np.divide(plane.total, count[..., None], out=plane.total, casting="same_kind")
+        count = np.where(bare, plane.spare_weight, plane.weight)
+        np.divide(
+            plane.total, np.maximum(count, 1)[..., None], out=plane.total, casting="same_kind"
+        )
+        plane.total[count == 0] = plane.neutral
+        plane.total[:] = sharpen(plane.total, plane.softness[:2] / plane.softness[2])
     if frame.colour is not None and len(planes) == 3:
         y, u, v = (plane.total[..., 0] for plane in planes)
         image = image_from_planes(y, u, v, frame.colour)
@@ -183,19 +187,46 @@ def warp(
 ) -> UInt8[Array, "h w *c"]:
     """Warp to (height, width) by a transform of corner-origin pixels.
 
-    Cubic, since linear interpolation loses 9 % of the gradient.
+    Linear: a third of the cubic's time, and OpenCV's cubic kernel (a = -0.75) shifts smooth
+    texture by up to 0.047 px. What a mean of linear warps loses, `sharpen` gives back.
     """
     matrix = to_opencv(matrix)
     matrix = matrix / matrix[2, 2]
     if np.abs(matrix[2, :2]).max() < 1e-12:  # affine is faster
         warped = cv2.warpAffine(
-            pixels, matrix[:2], size[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            pixels, matrix[:2], size[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
     else:
         warped = cv2.warpPerspective(
-            pixels, matrix, size[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+            pixels, matrix, size[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
     return np.asarray(warped, np.uint8)
+
+
+def softness(matrix: Float[Array, "3 3"], size: tuple[int, int]) -> Float[Array, "2"]:
+    """How much a linear warp blurs on average along x and y: d (1 - d) at the sub-pixel phase d.
+
+    That is the second moment of the interpolation's two weights about the point, px squared:
+    0 where pixels fall on pixels, 1/6 where the phases are spread evenly.
+    """
+    steps = [(np.arange(16) + 0.5) * extent / 16 // 1 + 0.5 for extent in size[::-1]]
+    points = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    phase = (transform_points(np.linalg.inv(matrix), points) - 0.5) % 1.0
+    return np.asarray((phase * (1 - phase)).mean(axis=0))
+
+
+def sharpen(pixels: Float32[Array, "h w c"], soft: Float[Array, "2"]) -> Float32[Array, "h w c"]:
+    """Undo the blur of many linear warps, whose `softness` is given.
+
+    Over even phases their mean passes (sin(w/2) / (w/2))^2 of a wave of w radians a pixel. The
+    inverse is 1 + w^2/12 + w^4/240 + ..., and 1 + s/12 + s^2/90 with s = 2 - 2 cos w, which five
+    weights can do, agrees with it to that order.
+    """
+    line = np.array([0.0, -1.0, 2.0, -1.0, 0.0])
+    again = np.convolve([-1.0, 2.0, -1.0], [-1.0, 2.0, -1.0])
+    along_x, along_y = (np.eye(5)[2] + 6 * v * (line / 12 + again / 90) for v in soft)
+    sharp = cv2.sepFilter2D(pixels, -1, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(sharp, np.float32).reshape(pixels.shape)
 
 
 def footprint(

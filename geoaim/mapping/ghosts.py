@@ -19,6 +19,7 @@ ROUNDS = 4  # votes; after three of them the background has moved where it will,
 FLOOR = 8  # grey levels; below this a difference is compression, not traffic
 DEVIATIONS = 3.0  # of the noise between frames that a difference must exceed
 REACH = 31  # px, about a car's length at this size: how far along the outline a vote is heard
+CELL = 4  # px, in which the outline is gathered
 SUPPORT = 0.1  # share of the frames that must show a state before it can be the ground
 DOUBT = 0.3  # below this majority (0 even, 1 unanimous) the ground stays contested
 CROSS = np.ones((3, 3), np.uint8)
@@ -40,28 +41,23 @@ class Traffic:
     background: UInt8[Array, "h w 3"]
 
 
-def find_traffic(
-    stack: UInt8[Array, "K h w 3"],
-    seen: Bool[Array, "K h w"],
-    ground: UInt8[Array, "h w 3"] | None = None,
-) -> Traffic:
+def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> Traffic:
     """Separate traffic from ground in small registered frames, about 1000 px wide.
 
     Args:
         stack: frames on one canvas, exposure compensated, any colour space, any order; pixels
             that a frame does not see are overwritten.
         seen: where each frame shows the canvas at all.
-        ground: what fewer of these frames were found to show; saves two rounds of four.
 
     Raises:
         ValueError: fewer than 4 frames.
     """
     if len(stack) < FEWEST:
         raise ValueError(f"{len(stack)} frames; at least {FEWEST} are needed")
-    background = _median(stack, seen) if ground is None else ground
+    background = _median(stack, seen)
     noise = np.median([np.median(_difference(f, background)[::4, ::4]) for f in stack[::4]])
     threshold = max(FLOOR, DEVIATIONS * 1.4826 * float(noise))
-    for _ in range(ROUNDS - 1 if ground is None else ROUNDS - 3):
+    for _ in range(ROUNDS - 1):
         votes = _votes(stack, seen, background, threshold)
         background = _revise(stack, background, votes, threshold)
     votes = _votes(stack, seen, background, threshold)
@@ -114,8 +110,7 @@ def _votes(
     votes = np.zeros(seen.shape, np.float32)
 
     def fill(k: int) -> None:
-        if not seen[k].all():
-            stack[k][~seen[k]] = background[~seen[k]]
+        cv2.copyTo(background, (~seen[k]).view(np.uint8), stack[k])
         votes[k] = _vote(stack[k], background, _foreground(stack[k], background, threshold))
 
     with ThreadPoolExecutor(cv2.getNumThreads()) as pool:
@@ -128,27 +123,39 @@ def _vote(
 ) -> Float32[Array, "h w"]:
     """Whose outline is it: steps across the region's border, heard within REACH of it.
 
-    What lies farther inside hears the mean of its whole region.
+    What lies farther inside hears its whole region.
     """
     border = cv2.findNonZero(region - cv2.erode(region, CROSS, borderValue=1))
     if border is None:
         return np.zeros(region.shape, np.float32)
     columns, rows = border.reshape(-1, 2).T
-    smooth = cv2.GaussianBlur(region.astype(np.float32), (0, 0), 1.5)
-    normal = np.stack([cv2.Sobel(smooth, cv2.CV_32F, *d)[rows, columns] for d in ((0, 1), (1, 0))])
-    normal *= 1.5 / (np.hypot(*normal) + 1e-6)
+    smooth = cv2.GaussianBlur(region * np.uint8(255), (0, 0), 1.5)
+    normal = np.stack([cv2.Sobel(smooth, cv2.CV_16S, *d)[rows, columns] for d in ((0, 1), (1, 0))])
+    normal = normal.astype(np.float32) * np.float32(1.5) / (np.hypot(*normal) + 1e-6)
     ours = _step(background, rows, columns, normal)
     theirs = _step(frame, rows, columns, normal)
     count, labels = cv2.connectedComponents(region, connectivity=4)
     at = labels[rows, columns]
-    length = np.bincount(at, minlength=count) + 1e-6
-    heard = []
-    for evidence in (ours - theirs, ours + theirs):
-        line = np.zeros(region.shape, np.float32)
-        line[rows, columns] = evidence
-        whole = (0.05 * np.bincount(at, evidence, count) / length).astype(np.float32)
-        heard.append(cv2.blur(line, (REACH, REACH)) + whole[labels])
-    return np.asarray(np.where(region, heard[0] / (heard[1] + 1e-6), 0), np.float32)
+    excess, sum_of_both = ours - theirs, ours + theirs + 1e-3
+    whole = np.bincount(at, excess, count) / (np.bincount(at, sum_of_both, count) + 1e-6)
+    near = _heard(rows, columns, excess, sum_of_both, region.shape)
+    vote = np.where(np.isfinite(near), near, whole.astype(np.float32)[labels])
+    return np.asarray(vote * region, np.float32)
+
+
+def _heard(
+    rows: Array, columns: Array, excess: Array, sum_of_both: Array, shape: tuple[int, ...]
+) -> Float32[Array, "h w"]:
+    """Excess over sum of the border's steps within REACH, on cells of 4 px; NaN out of reach."""
+    height, width = -(-shape[0] // CELL), -(-shape[1] // CELL)
+    cell = rows // CELL * width + columns // CELL
+    window = (REACH // CELL, REACH // CELL)
+    parts = [np.bincount(cell, e, height * width).reshape(height, width) for e in (excess, sum_of_both)]
+    top, bottom = (cv2.boxFilter(part, cv2.CV_64F, window, normalize=False) for part in parts)
+    ratio = np.full((height, width), np.nan, np.float32)
+    np.divide(top, bottom, out=ratio, where=bottom > 1e-4, casting="same_kind")
+    large = ratio.repeat(CELL, 0)[: shape[0]].repeat(CELL, 1)[:, : shape[1]]
+    return large
 
 
 def _step(
@@ -168,7 +175,10 @@ def _revise(
     votes: Float32[Array, "K h w"],
     threshold: float,
 ) -> UInt8[Array, "h w 3"]:
-    """Take the frame with the strongest vote where the majority and enough like frames back it."""
+    """Take the frame with the strongest vote where enough frames are like it and back it.
+
+    Frames that are unlike both sides have no say: a third car that passes is evidence for neither.
+    """
     best = votes.argmax(0)[None, ..., None]
     rival = np.take_along_axis(stack, best, 0)[0]
     backing = np.zeros(background.shape[:2], np.float32)
@@ -177,7 +187,7 @@ def _revise(
         alike = _difference(frame, rival) <= threshold
         like += alike
         backing += vote * alike
-    swap = (votes.sum(0) > 0) & (backing > 0) & (like >= SUPPORT * len(stack))
+    swap = (backing > 0) & (like >= SUPPORT * len(stack))
     revised = np.where(swap[..., None], rival, background)
     alike = np.stack([_difference(frame, revised) <= threshold for frame in stack])
     return _mean(stack, alike, revised)

@@ -168,7 +168,8 @@ def fit_posterior(
 
     The prior's heavy tails are Student's t, by reweighting; the noise is the mean of the residuals'
     variance and of `accuracy` squared, which counts as `trust` degrees of freedom. With no trust
-    the residuals alone speak, over all noises from a hundredth of `accuracy` to three times it or more.
+    the residuals alone speak, for any noise from a hundredth of `accuracy` to three times it or
+    more.
     """
     width = np.concatenate([np.full(4, np.inf), 5.0 * PRIOR])  # start wide: a large lens is seen
     precision, variance, theta = 1.0 / width**2, accuracy**2, np.full(9, np.nan)

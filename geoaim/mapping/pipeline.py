@@ -33,6 +33,7 @@ from geoaim.world import choose_world, transform_crs
 Count = int | Literal["auto", "all"]
 FIRST_BATCH = 16  # frames of "auto"; doubled until the background has converged
 MOST = 64  # frames of "auto"
+ENOUGH = 128  # frames for a pixel of "all", beyond which stripes share the frames: half the time
 CONVERGED = 2.0  # grey levels by which the latter half of the frames may still move the ground
 
 
@@ -54,7 +55,8 @@ def build_aim(
             too. None takes an approximate place from the telemetry beside the video.
         boxes: vehicles to leave out: a folder of YOLO text files, or a function of a frame.
         frames: how many to use. "auto" samples the video, up to 64 frames, and stops when the
-            background has converged; "all" is the plain mean of every frame.
+            background has converged; "all" is the mean of every frame, traffic and all where no
+            boxes are given (a long video's frames add a stripe each, 128 or more to a pixel).
         crs: of the world, projected and in metres; None keeps the points' own, or their UTM zone.
         progress: called with stage, done and total.
 
@@ -164,7 +166,9 @@ def _background(registered: RegisteredFrames, boxes: Boxes | None, frames: Count
     size = registered.reference.height, registered.reference.width
     tolerance = CONVERGED if frames == "auto" else 0.0
     if boxes or frames == "all":
-        return average_frames(registered, size=size, boxes=boxes, tolerance=tolerance)
+        total = registered.video.frame_count or 0
+        bands = min(max(total // ENOUGH, 1), 6) if frames == "all" else 1
+        return average_frames(registered, size=size, boxes=boxes, tolerance=tolerance, bands=bands)
     return remove_traffic(registered, size=size, tolerance=tolerance)
 
 

@@ -64,8 +64,8 @@ class Junction:
 def draw_junction(
     generator: np.random.Generator,
     *,
-    width: float = 112.0,
     height: float = 67.0,
+    width: float = 112.0,
     metres_per_pixel: float = 0.05,
 ) -> Junction:
     """Draw a junction of `width` by `height` metres; the same generator state, the same picture."""

@@ -84,14 +84,23 @@ def write_scene(junction: Junction, clip: Clip, folder: Path) -> None:
 
 
 def write_video(
-    frames: Iterable[UInt8[Array, "H W 3"]], path: Path, *, frame_rate: float = 30, crf: int = 20
+    frames: Iterable[UInt8[Array, "H W 3"]],
+    path: Path,
+    *,
+    frame_rate: float = 30,
+    crf: int = 20,
+    megabits: float | None = None,
 ) -> Path:
-    """Encode frames to H.264, yuv420p, with a keyframe each second; the file appears when done."""
+    """Encode frames to H.264, yuv420p, with a keyframe each second; the file appears when done.
+
+    At constant quality `crf`, or at about so many megabits a second.
+    """
     rate = Fraction(frame_rate).limit_denominator(1001)
     part = path.with_name(path.stem + ".part" + path.suffix)
     with av.open(str(part), "w") as container:
         second = str(round(frame_rate))
-        options = {"crf": str(crf), "preset": "medium", "g": second, "keyint_min": second}
+        options = {"preset": "medium", "g": second, "keyint_min": second}
+        options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
         stream = container.add_stream("libx264", rate, options=options | {"sc_threshold": "0"})
         stream.pix_fmt = "yuv420p"
         for index, frame in enumerate(frames):
