@@ -52,7 +52,8 @@ class Background:
             mean with traffic, and coverage is 0), or two lasting states dispute it.
         frames_used: frames that were read and averaged.
         change: grey levels by which the latter half of the frames moved the image: 99.9 % of its
-            blocks of 8 x 8 pixels moved less. NaN with fewer than 32 frames.
+            blocks of 8 x 8 pixels moved less. NaN with fewer than 32 frames, and from
+            `remove_traffic` without a tolerance.
         gains: (frames_used,) factors that bring each frame to the exposure of the first.
     """
 
@@ -194,6 +195,7 @@ def _watch_traffic(
     stack: list[UInt8[Array, "h w 3"]] = []
     seen: list[Bool[Array, "h w"]] = []
     before: Float32[Array, "h w c"] | None = None
+    traffic: Traffic | None = None
     for frame, reference_from_frame in frames:
         matrix = place @ reference_from_frame
         gain = compare_exposure(exposure, frame, matrix, gain)
@@ -201,8 +203,9 @@ def _watch_traffic(
         matrix = small_from_canvas @ matrix @ np.linalg.inv(small_from_frame)
         stack.append(warp(pixels, matrix, small))
         seen.append(footprint(pixels.shape, matrix, small).view(bool))
-        if _is_time_to_check(len(stack), 1):
-            traffic = find_traffic(np.stack(stack), np.stack(seen))
+        traffic = None
+        if tolerance > 0 and _is_time_to_check(len(stack), 1):
+            traffic = find_traffic(*_pack(stack, seen))
             after = _shrink_to_blocks(traffic.background.astype(np.float32), factor)
             change, before = _change(before, after), after
             if change <= tolerance:
@@ -212,7 +215,16 @@ def _watch_traffic(
             f"{len(stack)} registered frames; at least {FEWEST} are needed to tell traffic from "
             "ground: register more frames, give boxes, or average the frames as they are"
         )
-    return find_traffic(np.stack(stack), np.stack(seen)), change
+    return traffic or find_traffic(*_pack(stack, seen)), change
+
+
+def _pack(
+    stack: list[UInt8[Array, "h w 3"]], seen: list[Bool[Array, "h w"]]
+) -> tuple[UInt8[Array, "K h w 3"], Bool[Array, "K h w"]]:
+    """Each list as one array, which the list's items become views of: nothing is held twice."""
+    packed = np.stack(stack), np.stack(seen)
+    stack[:], seen[:] = packed
+    return packed
 
 
 def _is_time_to_check(count: int, bands: int) -> bool:

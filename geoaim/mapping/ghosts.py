@@ -18,7 +18,7 @@ FEWEST = 4  # frames; with less no majority can be told from chance
 ROUNDS = 4  # votes; after three of them the background has moved where it will, the last judges
 FLOOR = 8  # grey levels; below this a difference is compression, not traffic
 DEVIATIONS = 3.0  # of the noise between frames that a difference must exceed
-REACH = 31  # px, about a car's length at this size: how far along the outline a vote is heard
+REACH = 32  # px, about a car's length at this size: how far along the outline a vote is heard
 CELL = 4  # px, in which the outline is gathered
 SUPPORT = 0.1  # share of the frames that must show a state before it can be the ground
 DOUBT = 0.3  # below this majority (0 even, 1 unanimous) the ground stays contested
@@ -58,8 +58,10 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
     noise = np.median([np.median(_difference(f, background)[::4, ::4]) for f in stack[::4]])
     threshold = max(FLOOR, DEVIATIONS * 1.4826 * float(noise))
     for _ in range(ROUNDS - 1):
-        votes = _votes(stack, seen, background, threshold)
-        background = _revise(stack, background, votes, threshold)
+        # not kept in a name: the votes of a round are as large as the frames
+        background = _revise(
+            stack, background, _votes(stack, seen, background, threshold), threshold
+        )
     votes = _votes(stack, seen, background, threshold)
     moving = np.empty(seen.shape, bool)
     for frame, mine, mask in zip(stack, seen, moving, strict=True):
@@ -150,12 +152,13 @@ def _heard(
     height, width = -(-shape[0] // CELL), -(-shape[1] // CELL)
     cell = rows // CELL * width + columns // CELL
     window = (REACH // CELL, REACH // CELL)
-    parts = [np.bincount(cell, e, height * width).reshape(height, width) for e in (excess, sum_of_both)]
+    parts = [
+        np.bincount(cell, e, height * width).reshape(height, width) for e in (excess, sum_of_both)
+    ]
     top, bottom = (cv2.boxFilter(part, cv2.CV_64F, window, normalize=False) for part in parts)
     ratio = np.full((height, width), np.nan, np.float32)
     np.divide(top, bottom, out=ratio, where=bottom > 1e-4, casting="same_kind")
-    large = ratio.repeat(CELL, 0)[: shape[0]].repeat(CELL, 1)[:, : shape[1]]
-    return large
+    return ratio.repeat(CELL, 0)[: shape[0]].repeat(CELL, 1)[:, : shape[1]]
 
 
 def _step(
@@ -211,7 +214,7 @@ def _contested(
     """Ground that hardly any frame shows, or that a lasting rival nearly outvotes."""
     views = seen.sum(0)
     clean = views - moving.sum(0)
-    majority = -votes.sum(0) / (np.abs(votes).sum(0) + 1e-6)
-    lasting = (votes != 0).sum(0) >= 2 * SUPPORT * views
+    majority = -votes.sum(0) / (sum(np.abs(vote) for vote in votes) + 1e-6)
+    lasting = sum((vote != 0).astype(np.uint16) for vote in votes) >= 2 * SUPPORT * views
     few = (clean < np.maximum(SUPPORT * views, 2)) & (views > 0)
     return np.asarray(few | (lasting & (majority < DOUBT)), bool)
