@@ -1,5 +1,6 @@
 """The command line: flags in, one call of the library, a table and files out."""
 
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -73,26 +74,33 @@ def build(
     Control points are picked on the first frame unless their file says on which. Without them the
     telemetry beside the video gives an approximate place, or --pixel-size a local one.
     """
-    from geoaim.aim import write_aim
+    from geoaim.aim import rectify, write_aim
     from geoaim.mapping.approximate import local_georeference
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video import open_video
     from geoaim.quicklook import write_quicklook
 
     with _stages() as progress, _plain_errors():
+        if output.suffix.lower() not in (".tif", ".tiff"):
+            raise ValueError(f"{output}: the map is a GeoTIFF; give a name that ends in .tif")
+        if pixel_size is not None and gcps is not None:
+            raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
+        _refuse_output(output)
         opened = open_video(video)
         size = opened.height, opened.width
-        local = pixel_size and local_georeference(pixel_size=pixel_size, size=size)
+        place = gcps if pixel_size is None else local_georeference(pixel_size=pixel_size, size=size)
         aim = build_aim(
             opened,
-            local or gcps,
+            place,
             boxes=boxes,
             frames=_count(frames),
             crs=crs,
             progress=progress,
         )
         progress("write", 0, 2)
-        write_aim(aim, output, resolution=resolution)
+        if resolution is not None or not aim.is_affine:
+            aim = rectify(aim, resolution)
+        write_aim(aim, output)
         progress("write", 1, 2)
         write_quicklook(aim, output.with_suffix(".png"))
         progress("write", 2, 2)
@@ -104,22 +112,30 @@ def register(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help=".csv or .parquet to write")],
     boxes: BoxFolder = None,
+    reference: Annotated[
+        float | None, typer.Option(help="seconds of the reference; chosen by the data if left out")
+    ] = None,
 ) -> None:
-    """Lay every frame of a video on one reference frame: a table of matrices, a row a frame."""
-    from geoaim.mapping.boxes import read_boxes
+    """Lay every frame of a video on one reference frame: a table of matrices, a row a frame.
+
+    m00 to m22 map a frame's pixels to the reference's. With --reference 0 these are the pixels of
+    a map built with control points on the first frame.
+    """
     from geoaim.mapping.registration import register as register_frames
-    from geoaim.mapping.registration import write_registration
+    from geoaim.mapping.registration import tally, write_registration
 
     with _stages() as progress, _plain_errors():
-        vehicles = read_boxes(boxes) if boxes else None
-        result = register_frames(video, boxes=vehicles, progress=progress)
+        if output.suffix not in (".csv", ".parquet"):
+            raise ValueError(f"{output}: the name must end in .csv or .parquet")
+        _refuse_output(output)
+        result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
         write_registration(result, output)
-    table = Table(title=str(output), show_header=False)
+    table = Table(title=Text(str(output)), show_header=False)
     table.add_row("motion model", result.reference.model)
     table.add_row("reference", f"frame {result.reference.index}, {result.reference.time:.2f} s")
     table.add_row("frames laid", f"{result.valid.sum()} of {len(result.valid)}")
-    for reason in sorted({reason for reason in result.reason if reason}):
-        table.add_row("refused", f"{result.reason.count(reason)}: {reason}")
+    for reason, count in tally(result.reason).items():
+        table.add_row("refused", f"{count}: {reason}")
     console.print(table)
 
 
@@ -194,12 +210,23 @@ def _plain_errors() -> Iterator[None]:
         try:
             yield
         except (GeoaimError, OSError, ValueError) as error:
-            console.print(f"[bold red]{type(error).__name__}[/]: {error}", highlight=False)
+            console.print(Text.assemble((type(error).__name__, "bold red"), f": {error}"))
             sys.exit(1)
 
 
+def _refuse_output(output: Path) -> None:
+    """Find out before the work whether its result can be written."""
+    if output.is_dir():
+        raise ValueError(f"{output} is a folder; the name of a file is needed")
+    folder = next(parent for parent in output.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file; a folder is needed to write {output.name} into")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"{folder} cannot be written to; choose another folder for {output.name}")
+
+
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    console.print(f"[yellow]warning[/]: {message}", highlight=False)
+    console.print(Text.assemble(("warning", "yellow"), f": {message}"))
 
 
 def _count(text: str) -> int | Literal["auto", "all"]:
@@ -215,7 +242,7 @@ def _count(text: str) -> int | Literal["auto", "all"]:
 def _show(aim: "AIM", title: str) -> None:
     from geoaim.quicklook import summary
 
-    table = Table(title=title, show_header=False)
+    table = Table(title=Text(title), show_header=False)
     for name, value in summary(aim).items():
         table.add_row(name, value)
     console.print(table)

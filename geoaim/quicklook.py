@@ -3,7 +3,6 @@
 import os
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -16,7 +15,7 @@ ACCENT, BAD = "#ff6a00", "#c1121f"
 
 def draw_quicklook(aim: AIM) -> Figure:
     """Draw the background with its control points, the drift, the coverage and the figures."""
-    figure = plt.figure(figsize=(14, 6.4), layout="constrained")
+    figure = Figure(figsize=(14, 6.4), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=[2.4, 1])
     _draw_points(figure.add_subplot(grid[:, 0]), aim)
     _draw_path(figure.add_subplot(grid[0, 1]), aim.report.get("registration", {}))
@@ -30,7 +29,6 @@ def write_quicklook(aim: AIM, path: str | os.PathLike[str]) -> None:
     figure = draw_quicklook(aim)
     with replacing(path) as part:
         figure.savefig(part, dpi=100, format="png")
-    plt.close(figure)
 
 
 def summary(aim: AIM) -> dict[str, str]:
@@ -69,8 +67,9 @@ def summary(aim: AIM) -> dict[str, str]:
 def _draw_points(axes: Axes, aim: AIM) -> None:
     height, width = aim.image.shape[:2]
     axes.imshow(aim.image, extent=(0, width, height, 0))
-    axes.set(title="background, control points, residuals x 50", xlabel="u, px", ylabel="v, px")
     points = aim.report.get("georeference", {}).get("points", [])
+    title = "background, control points, residuals x 50" if points else "background"
+    axes.set(title=title, xlabel="u, px", ylabel="v, px")
     image_from_world = np.linalg.inv(aim.world_from_image)
     shade = {"facecolor": "black", "alpha": 0.5, "pad": 1}
     for point in points:
@@ -93,6 +92,7 @@ def _draw_path(axes: Axes, frames: dict[str, Any]) -> None:
         axes.figure.colorbar(drawn, ax=axes, label="time, s")
         axes.set_aspect("equal", "datalim")
         axes.tick_params(labelsize=7)
+        axes.ticklabel_format(useOffset=False)
         axes.invert_yaxis()
 
 
@@ -102,7 +102,7 @@ def _draw_coverage(axes: Axes, aim: AIM) -> None:
     axes.figure.colorbar(drawn, ax=axes, label="frames")
     contested = np.where(aim.contested[::4, ::4], 1.0, np.nan)
     axes.imshow(contested, extent=(0, width, height, 0), cmap="cool", vmin=0, vmax=1)
-    axes.set_title("frames behind each pixel (cyan: contested)", fontsize=9)
+    axes.set_title("frames behind each pixel (magenta: contested)", fontsize=9)
     axes.set(xticks=[], yticks=[])
 
 

@@ -5,7 +5,7 @@ needs no boxes: it reads the frames twice, first small to find the traffic. Fram
 averaged as Y, U and V planes, so that only the result is converted to RGB.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -15,6 +15,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import BackgroundError
 from geoaim.geometry import transform_boxes
+from geoaim.mapping.boxes import Boxes, grow_boxes
 from geoaim.mapping.canvas import (
     Plane,
     add_frame,
@@ -33,9 +34,7 @@ from geoaim.mapping.ghosts import FEWEST, Traffic, find_traffic
 
 Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its reference_from_frame
 View = tuple[Frame, Float[Array, "3 3"], UInt8[Array, "H W"] | None]  # image_from_frame and mask
-Boxes = Callable[[Frame], Float[Array, "N 4"] | None]
 
-GROW = 1.12  # boxes as detectors draw them leave out shadows and mirrors
 SMALL = 1024  # px, longest side of the frames in which traffic is looked for
 BLOCK = 8  # px; change is judged on means of such blocks: noise is gone, ghosts are not
 FIRST_CHECK = 16  # frames before the first look at what more of them change
@@ -114,7 +113,7 @@ def remove_traffic(
 ) -> Background:
     """Mean of what `ghosts.find_traffic` takes for ground in registered frames.
 
-    Some 30 to 60 frames spread over the video are enough, and memory grows by 5 MB with each.
+    Some 30 to 60 frames spread over the video are enough, and memory grows by 5 to 8 MB with each.
 
     Args:
         frames: each with its reference_from_frame; read twice, so no one-shot iterator.
@@ -132,7 +131,8 @@ def remove_traffic(
     traffic, change = _watch_traffic(frames, place, size, tolerance)
 
     def views() -> Iterator[View]:
-        for (frame, reference_from_frame), moving in zip(frames, traffic.moving, strict=False):
+        # the masks first: when they run out, no further frame is read
+        for moving, (frame, reference_from_frame) in zip(traffic.moving, frames, strict=False):
             yield frame, place @ reference_from_frame, enlarge(~moving, size)
 
     seen = _average(views(), size, 0.0, 1)
@@ -169,7 +169,7 @@ def _average(
         if _is_time_to_check(len(gains), bands):
             after = _block_means(planes[0])
             change, before = _change(before, after), after
-            if change <= tolerance:
+            if tolerance > 0 and change <= tolerance:
                 break
     if frame is None:
         raise BackgroundError(
@@ -258,9 +258,7 @@ def _mask_boxes(
     boxes: Float[Array, "N 4"], matrix: Float[Array, "3 3"], size: tuple[int, int]
 ) -> UInt8[Array, "H W"]:
     """0 inside the grown boxes, as they lie on the canvas; 1 elsewhere."""
-    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * GROW
-    grown = np.concatenate([centre - half, centre + half], axis=1)
-    return fill_polygons(np.ones(size, np.uint8), transform_boxes(matrix, grown), 0)
+    return fill_polygons(np.ones(size, np.uint8), transform_boxes(matrix, grow_boxes(boxes)), 0)
 
 
 def _stripe(number: int, bands: int, height: int) -> slice:

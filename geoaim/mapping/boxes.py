@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from geoaim.errors import GeoaimError
 from geoaim.mapping.video import Frame
 
+GROW = 1.12  # boxes as detectors draw them leave out shadows and mirrors
 # Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None where nothing is known.
 Boxes = Callable[[Frame], Float[Array, "N 4"] | None]
 
@@ -26,6 +27,8 @@ def read_boxes(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Boxes:
     """
     if not isinstance(source, str | Path):
         return lambda frame: source[frame.index] if frame.index < len(source) else None
+    if not Path(source).is_dir():
+        raise GeoaimError(f"{source} is not a folder; a folder of YOLO .txt files is needed")
     files = {file.stem.lstrip("0") or "0": file for file in Path(source).glob("*.txt")}
     if not files:
         raise GeoaimError(f"{source} holds no .txt files; one YOLO file for each frame is needed")
@@ -38,15 +41,19 @@ def read_boxes(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Boxes:
     return boxes_of
 
 
-def mask_of_boxes(
-    boxes: Float[Array, "N 4"], shape: tuple[int, ...], *, grow: float = 1.12
-) -> Bool[Array, "H W"]:
-    """True inside the boxes, each grown about its centre."""
+def grow_boxes(boxes: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
+    """Each box grown by 12 % about its centre."""
+    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * GROW
+    return np.concatenate([centre - half, centre + half], axis=1)
+
+
+def mask_of_boxes(boxes: Float[Array, "N 4"], shape: tuple[int, ...]) -> Bool[Array, "H W"]:
+    """True inside the grown boxes."""
     mask = np.zeros(shape[:2], bool)
-    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * grow
     limits = np.array([shape[1], shape[0]])
-    low = np.clip(np.floor(centre - half), 0, limits).astype(int)
-    high = np.clip(np.ceil(centre + half), 0, limits).astype(int)
+    grown = grow_boxes(boxes)
+    low = np.clip(np.floor(grown[:, :2]), 0, limits).astype(int)
+    high = np.clip(np.ceil(grown[:, 2:]), 0, limits).astype(int)
     for (left, top), (right, bottom) in zip(low, high, strict=True):
         mask[top:bottom, left:right] = True
     return mask
@@ -54,11 +61,17 @@ def mask_of_boxes(
 
 def _read_yolo(file: Path, shape: tuple[int, ...]) -> Float[Array, "N 4"]:
     rows = [line.split() for line in file.read_text().splitlines() if line.strip()]
+    odd = [row for row in rows if len(row) not in (5, 6)]
+    if odd:
+        raise GeoaimError(
+            f"{file}: a row has {len(odd[0])} fields; class, x, y, width and height are needed "
+            "(a confidence may follow)"
+        )
     try:
         values = np.array([[float(value) for value in row[1:5]] for row in rows]).reshape(-1, 4)
     except ValueError as error:
         raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error
-    if len(values) and (values.min() < 0 or values.max() > 1):
+    if not ((values >= 0) & (values <= 1)).all():
         raise GeoaimError(f"{file}: values reach {values.max():g}; shares of the size are needed")
     size = np.array([shape[1], shape[0]])
     low, high = values[:, :2] - values[:, 2:] / 2, values[:, :2] + values[:, 2:] / 2

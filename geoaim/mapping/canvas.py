@@ -13,6 +13,7 @@ from geoaim.mapping.frames import Frame, image_from_planes
 INSET = 0.5  # px: a frame shows what lies between the centres of its outermost pixels
 SAMPLES = 240  # points along the longest side where exposure is compared
 FEWEST = 50  # points below which exposure is not compared
+FULL = 65_535  # frames that a pixel can count
 STEADY = 0.002  # a gain this close to 1 changes nothing by half a grey level
 
 
@@ -83,6 +84,7 @@ def add_frame(
         plane.softness[:] += [*softness(matrix, plane.weight[part].shape), 1.0]
         shown = reached[every, every].copy()
         clean = shown if mask is None else shown * mask[rows][every, every]
+        clean = clean * (plane.weight[part] < FULL)
         cv2.accumulate(warped, plane.total[part], clean)
         plane.weight[part] += clean
         if mask is not None:
@@ -105,8 +107,13 @@ def mean_image(planes: tuple[Plane, ...], frame: Frame) -> UInt8[Array, "H W 3"]
         np.divide(
             plane.total, np.maximum(count, 1)[..., None], out=plane.total, casting="same_kind"
         )
-        plane.total[count == 0] = plane.neutral
-        plane.total[:] = sharpen(plane.total, plane.softness[:2] / plane.softness[2])
+        blank = count == 0
+        plane.total[blank] = plane.neutral
+        sharp = sharpen(plane.total, plane.softness[:2] / plane.softness[2])
+        if blank.any():  # beside what nothing is known of, the mean stays as it is
+            rim = cv2.dilate(blank.view(np.uint8), np.ones((5, 5), np.uint8)).view(bool)
+            sharp[rim] = plane.total[rim]
+        plane.total[:] = sharp
     if frame.colour is not None and len(planes) == 3:
         y, u, v = (plane.total[..., 0] for plane in planes)
         image = image_from_planes(y, u, v, frame.colour)
@@ -152,7 +159,7 @@ def compare_exposure(
 
 def _commonest_ratio(logarithms: Float32[Array, "n"]) -> float:
     """Where ratios crowd: a bus that fills most of the view does not move it, but the median."""
-    counts, edges = np.histogram(logarithms, 150, (-1.5, 1.5))
+    counts, edges = np.histogram(logarithms, 350, (-3.5, 3.5))
     centre = float(edges[counts.argmax()]) + 0.01
     for _ in range(3):
         near = np.abs(logarithms - centre) < 0.05

@@ -48,7 +48,7 @@ class ControlPoints:
         crs: what the coordinates are in; None for a metric plane of its own.
         names: (M,) what messages call the points.
         frames: (M,) image name or frame index that each was picked on; None is the video's
-            reference image.
+            first.
     """
 
     pixels: Float[Array, "m 2"]

@@ -20,6 +20,7 @@ FLOOR = 8  # grey levels; below this a difference is compression, not traffic
 DEVIATIONS = 3.0  # of the noise between frames that a difference must exceed
 REACH = 32  # px, about a car's length at this size: how far along the outline a vote is heard
 CELL = 4  # px, in which the outline is gathered
+WHOLE = 48.0  # px of border that a region's mean is worth
 SUPPORT = 0.1  # share of the frames that must show a state before it can be the ground
 DOUBT = 0.3  # below this majority (0 even, 1 unanimous) the ground stays contested
 CROSS = np.ones((3, 3), np.uint8)
@@ -55,8 +56,7 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
     if len(stack) < FEWEST:
         raise ValueError(f"{len(stack)} frames; at least {FEWEST} are needed")
     background = _median(stack, seen)
-    noise = np.median([np.median(_difference(f, background)[::4, ::4]) for f in stack[::4]])
-    threshold = max(FLOOR, DEVIATIONS * 1.4826 * float(noise))
+    threshold = max(FLOOR, DEVIATIONS * _noise(stack, seen, background))
     for _ in range(ROUNDS - 1):
         # not kept in a name: the votes of a round are as large as the frames
         background = _revise(
@@ -68,6 +68,18 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
         mask[:] = mine & cv2.dilate(_foreground(frame, background, threshold), DISC).view(bool)
     ground = _mean(stack, seen & ~moving, background)
     return Traffic(moving, _contested(votes, moving, seen), ground)
+
+
+def _noise(
+    stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"], background: UInt8[Array, "h w 3"]
+) -> float:
+    """Standard deviation of a frame about the background where it shows ground: robust, median."""
+    typical = [
+        np.median(_difference(frame, background)[::4, ::4][mine[::4, ::4]])
+        for frame, mine in zip(stack[::4], seen[::4], strict=True)
+        if mine[::4, ::4].any()
+    ]
+    return 1.4826 * float(np.median(typical)) if typical else 0.0
 
 
 def _median(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> UInt8[Array, "h w 3"]:
@@ -123,9 +135,10 @@ def _votes(
 def _vote(
     frame: UInt8[Array, "h w 3"], background: UInt8[Array, "h w 3"], region: UInt8[Array, "h w"]
 ) -> Float32[Array, "h w"]:
-    """Whose outline is it: steps across the region's border, heard within REACH of it.
+    """Whose outline is it: steps across the border of a region, weighed against each other.
 
-    What lies farther inside hears its whole region.
+    The border within REACH counts, and the whole region's mean as much as WHOLE pixels of it: the
+    first tells a car from the ghost that it touches, the second is less noisy.
     """
     border = cv2.findNonZero(region - cv2.erode(region, CROSS, borderValue=1))
     if border is None:
@@ -138,27 +151,25 @@ def _vote(
     theirs = _step(frame, rows, columns, normal)
     count, labels = cv2.connectedComponents(region, connectivity=4)
     at = labels[rows, columns]
-    excess, sum_of_both = ours - theirs, ours + theirs + 1e-3
-    whole = np.bincount(at, excess, count) / (np.bincount(at, sum_of_both, count) + 1e-6)
-    near = _heard(rows, columns, excess, sum_of_both, region.shape)
-    vote = np.where(np.isfinite(near), near, whole.astype(np.float32)[labels])
-    return np.asarray(vote * region, np.float32)
+    length = np.maximum(np.bincount(at, minlength=count), 1)
+    excess, both = (
+        _heard(rows, columns, steps, region.shape)
+        + (WHOLE * np.bincount(at, steps, count) / length).astype(np.float32)[labels]
+        for steps in (ours - theirs, ours + theirs)
+    )
+    return np.asarray(region * excess / np.maximum(both, 1e-3), np.float32)
 
 
 def _heard(
-    rows: Array, columns: Array, excess: Array, sum_of_both: Array, shape: tuple[int, ...]
+    rows: Array, columns: Array, steps: Float32[Array, "m"], shape: tuple[int, ...]
 ) -> Float32[Array, "h w"]:
-    """Excess over sum of the border's steps within REACH, on cells of 4 px; NaN out of reach."""
+    """Sums of the border's steps within REACH, gathered in cells."""
     height, width = -(-shape[0] // CELL), -(-shape[1] // CELL)
     cell = rows // CELL * width + columns // CELL
+    sums = np.bincount(cell, steps, height * width).reshape(height, width).astype(np.float32)
     window = (REACH // CELL, REACH // CELL)
-    parts = [
-        np.bincount(cell, e, height * width).reshape(height, width) for e in (excess, sum_of_both)
-    ]
-    top, bottom = (cv2.boxFilter(part, cv2.CV_64F, window, normalize=False) for part in parts)
-    ratio = np.full((height, width), np.nan, np.float32)
-    np.divide(top, bottom, out=ratio, where=bottom > 1e-4, casting="same_kind")
-    return ratio.repeat(CELL, 0)[: shape[0]].repeat(CELL, 1)[:, : shape[1]]
+    near = cv2.boxFilter(sums, cv2.CV_32F, window, normalize=False)
+    return np.asarray(near.repeat(CELL, 0)[: shape[0]].repeat(CELL, 1)[:, : shape[1]], np.float32)
 
 
 def _step(

@@ -15,6 +15,7 @@ from geoaim.mapping.boxes import Boxes, mask_of_boxes
 from geoaim.mapping.features import Features, detect, match
 from geoaim.mapping.motion import Model
 from geoaim.mapping.patches import (
+    SIDE,
     Alignment,
     Template,
     align,
@@ -119,7 +120,7 @@ def _judge(keyframe: Keyframe, alignment: Alignment | None, model: Model) -> Pla
         reason = f"too few inliers: {agreeing} of {seen} patches agree"
     elif not alignment.converged:
         reason = "the alignment did not settle"
-    elif uncertainty > LARGEST_UNCERTAINTY:
+    elif not uncertainty <= LARGEST_UNCERTAINTY:
         reason = f"badly spread inliers: corners uncertain by {uncertainty:.1f} px"
     matrix = keyframe.reference_from_keyframe @ alignment.matrix
     matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
@@ -139,7 +140,8 @@ def make_keyframe(
 ) -> Keyframe:
     """Prepare a frame for others to be laid on it."""
     exclude = excluded(frame, boxes)
-    factor = max(round(frame.grey.shape[1] / COARSE_WIDTH), 1)
+    height, width = frame.grey.shape
+    factor = max(min(round(width / COARSE_WIDTH), height // (4 * SIDE)), 1)
     return Keyframe(
         make_template(frame.grey, factor=factor, exclude=exclude),
         make_template(frame.grey, exclude=exclude),

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points
+from geoaim.geometry import image_corners, to_opencv, transform_points
 from geoaim.mapping.motion import Model, Motion, basis, fit_motion
 
 SIDE = 13  # px of a patch; 9 halves the basin, 17 sees more cars
@@ -212,8 +212,7 @@ def _sample(
     count, area = template.contrast.shape
     height, width = grey.shape
     # Positions are pixel centres (OpenCV's origin) on both sides of the transform.
-    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
-    there = (np.linalg.inv(half) @ frame_from_reference @ half).astype(np.float32)
+    there = to_opencv(frame_from_reference).astype(np.float32)
     position = there @ template.pixels
     position[:2] /= position[2]
     x, y = position[0].reshape(count, area), position[1].reshape(count, area)
@@ -247,6 +246,8 @@ def _corners_on_a_grid(
     if exclude is not None:
         near = cv2.dilate(exclude.view(np.uint8), np.ones((SIDE, SIDE), np.uint8))
         strength[near > 0] = -1
+    if min(height, width) <= 2 * border:
+        return np.empty((0, 2), int)
     step = max(np.sqrt((height - 2 * border) * (width - 2 * border) / CELLS), SIDE)
     rows = np.linspace(border, height - border, max(int((height - 2 * border) / step), 1) + 1)
     columns = np.linspace(border, width - border, max(int((width - 2 * border) / step), 1) + 1)

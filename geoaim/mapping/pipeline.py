@@ -1,5 +1,6 @@
 """The stages in order: video -> registration -> background -> georeference -> AIM."""
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,20 +12,23 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import BackgroundError, GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import transform_points
 from geoaim.mapping.approximate import approximate_georeference
 from geoaim.mapping.background import Background, average_frames, remove_traffic
 from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.control_points import ControlPoints, merge_observations, read_control_points
 from geoaim.mapping.georeference import Georeference, distort_points, georeference
+from geoaim.mapping.ghosts import FEWEST
 from geoaim.mapping.keyframes import Placement
 from geoaim.mapping.registration import (
     Progress,
     Reference,
+    Registration,
     choose_reference,
     collect,
     place_frames,
+    tally,
 )
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.video import Frame, Video, open_video
@@ -33,6 +37,7 @@ from geoaim.world import choose_world, transform_crs
 Count = int | Literal["auto", "all"]
 FIRST_BATCH = 16  # frames of "auto"; doubled until the background has converged
 MOST = 64  # frames of "auto"
+STEEP = np.radians(10.0)  # of a camera's axis from straight down, placed by telemetry
 ENOUGH = 128  # frames for a pixel of "all", beyond which stripes share the frames: half the time
 CONVERGED = 2.0  # grey levels by which the latter half of the frames may still move the ground
 
@@ -50,14 +55,15 @@ def build_aim(
 
     Args:
         video: what `open_video` takes: a video file, a folder or glob of images, arrays.
-        gcps: what `read_control_points` takes, at least three points, better six or more; picked
+        gcps: what `read_control_points` takes, at least four points, better six or more; picked
             on the first frame unless they say on which. A Georeference of the first frame serves
             too. None takes an approximate place from the telemetry beside the video.
         boxes: vehicles to leave out: a folder of YOLO text files, or a function of a frame.
         frames: how many to use. "auto" samples the video, up to 64 frames, and stops when the
             background has converged; "all" is the mean of every frame, traffic and all where no
             boxes are given (a long video's frames add a stripe each, 128 or more to a pixel).
-        crs: of the world, projected and in metres; None keeps the points' own, or their UTM zone.
+        crs: of the world, projected and in metres, when control points place the map; None keeps
+            the points' own, or their UTM zone.
         progress: called with stage, done and total.
 
     Raises:
@@ -66,6 +72,7 @@ def build_aim(
         BackgroundError: the registered frames do not give a background.
         GeoreferenceError: the control points or the telemetry do not fix a place.
     """
+    _refuse_call(gcps, crs, frames)
     video = open_video(video)
     vehicles = read_boxes(boxes) if isinstance(boxes, str | Path) else boxes
     points = None if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
@@ -73,15 +80,22 @@ def build_aim(
     if points is not None:
         points = _points_on_reference(points, video, reference, vehicles)
     place = gcps if isinstance(gcps, Georeference) else _find_place(points, video, reference, crs)
+    if (place.height, place.width) != (video.height, video.width):
+        raise ValueError(
+            f"the georeference is of an image of {place.width} x {place.height} px, the frames "
+            f"have {video.width} x {video.height}; make it for their size"
+        )
     registered = RegisteredFrames(video, reference, vehicles, frames, progress)
     background = _background(registered, vehicles, frames)
     registration = collect(registered.rows, reference)
+    _warn_of_less(registration, background)
+    background = _straighten(background, place.radial)
     return AIM(
-        image=_straighten(background.image, place.radial, cv2.INTER_CUBIC),
+        image=background.image,
         world_from_image=place.world_from_image,
         world=place.world,
-        coverage=_straighten(background.coverage, place.radial, cv2.INTER_NEAREST),
-        contested=_straighten(background.contested, place.radial, cv2.INTER_NEAREST),
+        coverage=background.coverage,
+        contested=background.contested,
         report={
             "source": video.source,
             "registration": report_registration(registration),
@@ -131,12 +145,13 @@ class RegisteredFrames:
         if self.count == "all" or (total is not None and total <= FIRST_BATCH):
             yield iter(self.video)
             return
-        if isinstance(self.count, int):
-            yield self.video.sampled(self.count)
+        if isinstance(self.count, int) or total is None:
+            yield self.video.sampled(MOST if self.count == "auto" else int(self.count))
             return
         read: set[float] = set()
         for times, spacing in _batch_times(self.video.duration):
-            yield _unread(self.video.read_at(times, spacing), read)
+            # a keyframe within half a step is taken in place of the wanted frame
+            yield _unread(self.video.read_at(times, spacing / 2), read)
 
     def _total(self) -> float | None:
         if self.count == "all" or self.video.frame_count is None:
@@ -163,13 +178,67 @@ def _unread(frames: Iterator[Frame], read: set[float]) -> Iterator[Frame]:
 
 
 def _background(registered: RegisteredFrames, boxes: Boxes | None, frames: Count) -> Background:
+    """The mean outside the boxes, the plain mean of all, or the mean of what is not traffic."""
     size = registered.reference.height, registered.reference.width
     tolerance = CONVERGED if frames == "auto" else 0.0
     if boxes or frames == "all":
         total = registered.video.frame_count or 0
         bands = min(max(total // ENOUGH, 1), 6) if frames == "all" else 1
         return average_frames(registered, size=size, boxes=boxes, tolerance=tolerance, bands=bands)
-    return remove_traffic(registered, size=size, tolerance=tolerance)
+    try:
+        return remove_traffic(registered, size=size, tolerance=tolerance)
+    except BackgroundError as error:
+        valid = sum(placement.valid for _, _, placement in registered.rows)
+        raise RegistrationError(
+            f"{valid} of {len(registered.rows)} frames could be laid on the reference at "
+            f"{registered.reference.time:.1f} s"
+            f"{_reasons(registered)}; at least {FEWEST} are needed to tell traffic from ground. "
+            "Use more frames, or boxes, or frames='all' for the mean as it is"
+        ) from error
+
+
+def _reasons(registered: RegisteredFrames) -> str:
+    counts = tally(placement.reason for _, _, placement in registered.rows)
+    return f" ({', '.join(f'{kind}: {count}' for kind, count in counts.items())})" if counts else ""
+
+
+def _refuse_call(gcps: Any, crs: str | None, frames: Count) -> None:
+    if frames not in ("auto", "all") and not (isinstance(frames, int) and frames >= 1):
+        raise ValueError(f"frames is {frames!r}; 'auto', 'all' or a number of frames is needed")
+    if crs is not None and (gcps is None or isinstance(gcps, Georeference)):
+        raise ValueError(f"crs is {crs}, but there are no control points to bring into it")
+
+
+def _warn_of_less(registration: Registration, background: Background) -> None:
+    """Say so when much of the video could not be used, or the map is smaller than the flight."""
+    reference, valid = registration.reference, registration.valid
+    if valid.mean() < 0.5:
+        _warn(
+            f"only {valid.sum()} of {len(valid)} frames could be laid on the reference at "
+            f"{reference.time:.1f} s ({', '.join(tally(registration.reason))})"
+        )
+    if background.frames_used < 0.5 * valid.sum():
+        _warn(
+            f"boxes are known of {background.frames_used} of {valid.sum()} frames only, and the "
+            "others are not used: give a file for every frame, empty where there is no vehicle"
+        )
+    if background.contested.mean() > 0.1:
+        _warn(
+            f"the ground is in doubt in {background.contested.mean():.0%} of the pixels: give "
+            "boxes of the vehicles, or a longer video"
+        )
+    middle = np.array([[reference.width / 2, reference.height / 2]])
+    centres = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
+    away = ~((centres > 0) & (centres < [reference.width, reference.height])).all(axis=1)
+    if np.count_nonzero(away):
+        _warn(
+            f"the view leaves the reference at {reference.time:.1f} s in {np.count_nonzero(away)} "
+            f"of {valid.sum()} frames, and the map ends there: build one map for each place"
+        )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, GeoaimWarning, stacklevel=4)
 
 
 def _method(boxes: Boxes | None, frames: Count) -> str:
@@ -207,6 +276,11 @@ def _points_on_reference(
 
 def _frame_index(picked: str | int | None, video: Video) -> int:
     if picked is None or isinstance(picked, int):
+        if picked and video.frame_count is not None and picked >= video.frame_count:
+            raise GeoreferenceError(
+                f"control points name frame {picked}, but {video.source} has {video.frame_count} "
+                "frames, counted from 0"
+            )
         return picked or 0
     if video.names is None or picked not in video.names:
         raise GeoreferenceError(
@@ -237,6 +311,12 @@ def _place_by_telemetry(video: Video, reference: Reference) -> Georeference:
             "or a pixel size for a map that is only local"
         )
     now = int(np.argmin(np.abs(state.time - reference.time)))
+    if abs(state.pitch[now] + np.pi / 2) > STEEP:
+        raise GeoreferenceError(
+            f"{video.source}: by its telemetry the camera looks "
+            f"{-np.degrees(state.pitch[now]):.0f} degrees down; without control points only "
+            "one that looks straight down (90) can be placed: give four or more"
+        )
     diagonal = np.hypot(reference.height, reference.width)
     # The 35 mm equivalent refers to the diagonal of that film, 43.27 mm.
     half = 43.27 / 2 * reference.width / diagonal / state.focal_length[now]
@@ -250,14 +330,20 @@ def _place_by_telemetry(video: Video, reference: Reference) -> Georeference:
     )
 
 
-def _straighten(image: Array, radial: float, interpolation: int) -> Array:
+def _straighten(background: Background, radial: float) -> Background:
     """Take the lens out of an image, for a georeference that found its radial term."""
     if radial == 0.0:
-        return image
-    height, width = image.shape[:2]
-    rows, columns = np.mgrid[:height, :width] + 0.5
-    source = distort_points(np.stack([columns, rows], -1).reshape(-1, 2), radial, height, width)
-    x, y = (source.T.reshape(2, height, width) - 0.5).astype(np.float32)
-    pixels = image.astype(np.uint8) if image.dtype.kind == "b" else image
-    straight = cv2.remap(pixels, x, y, interpolation, borderMode=cv2.BORDER_CONSTANT)
-    return np.asarray(straight).astype(image.dtype)
+        return background
+    height, width = background.coverage.shape
+    x, y = (np.empty((height, width), np.float32) for _ in range(2))
+    columns = np.arange(width) + 0.5
+    for row in range(height):
+        wanted = np.column_stack([columns, np.full(width, row + 0.5)])
+        x[row], y[row] = distort_points(wanted, radial, height, width).T - 0.5
+    contested = cv2.remap(background.contested.view(np.uint8), x, y, cv2.INTER_NEAREST)
+    return replace(
+        background,
+        image=np.asarray(cv2.remap(background.image, x, y, cv2.INTER_LINEAR), np.uint8),
+        coverage=np.asarray(cv2.remap(background.coverage, x, y, cv2.INTER_NEAREST), np.uint16),
+        contested=np.asarray(contested).astype(bool),
+    )

@@ -6,6 +6,7 @@ are laid on it.
 """
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from numpy import ndarray as Array
 from geoaim.aim import replacing
 from geoaim.errors import RegistrationError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.boxes import Boxes
+from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.features import Features, detect, match
 from geoaim.mapping.keyframes import (
     LEAST_PATCHES,
@@ -104,7 +105,7 @@ class Registration:
 def register(
     video: Video | Any,
     *,
-    boxes: Boxes | None = None,
+    boxes: Boxes | str | Path | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
     progress: Progress | None = None,
@@ -113,7 +114,8 @@ def register(
 
     Args:
         video: what `open_video` takes.
-        boxes: vehicles to leave out of the estimate.
+        boxes: vehicles to leave out of the estimate: a folder of YOLO text files, or a function
+            of a frame, as `read_boxes` makes it.
         model: the motion model; chosen by the data when None.
         reference_time: seconds; the reference is chosen by the data when None.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
@@ -122,6 +124,7 @@ def register(
         RegistrationError: no frame can serve as the reference, or none can be laid on it.
     """
     video = open_video(video)
+    boxes = read_boxes(boxes) if isinstance(boxes, str | Path) else boxes
     reference = choose_reference(video, boxes=boxes, model=model, time=reference_time)
     rows = []
     for frame, placement in place_frames(video, reference, boxes=boxes):
@@ -148,6 +151,16 @@ def write_registration(registration: Registration, path: str | os.PathLike[str])
             table.to_parquet(part, index=False)
 
 
+def tally(reasons: Iterable[str]) -> dict[str, int]:
+    """How many frames each kind of reason refuses, the commonest first; figures are left out.
+
+    >>> tally(["", "too few inliers: 3 of 90", "too few inliers: 5 of 80"])
+    {'too few inliers': 2}
+    """
+    kinds = Counter(reason.split(":")[0] for reason in reasons if reason)
+    return dict(kinds.most_common())
+
+
 def collect(rows: Iterable[tuple[int, float, Placement]], reference: Reference) -> Registration:
     """Gather (index, time, placement) of frames into a table.
 
@@ -157,7 +170,7 @@ def collect(rows: Iterable[tuple[int, float, Placement]], reference: Reference) 
     index, time, placements = zip(*rows, strict=True)
     reasons = tuple(placement.reason for placement in placements)
     if all(reasons):
-        common = max(set(reasons), key=reasons.count)
+        common = next(iter(tally(reasons)))
         raise RegistrationError(
             f"none of {len(reasons)} frames could be laid on the frame at {reference.time:.2f} s "
             f"(most often: {common}); pass another reference_time, or check that the camera hovers"
@@ -221,11 +234,12 @@ def place_frames(
         yield frame, placement
         if placement.valid:
             prior = placement.matrix
-            if share_in_view(keyframe, prior, frame.grey.shape) < OVERLAP:
+            nearest = keyframe_in_view(keyframes, prior, frame.grey.shape)
+            if share_in_view(nearest, prior, frame.grey.shape) < OVERLAP:
                 features = detect(frame.grey, exclude=excluded(frame, boxes))
-                keyframes.append(
-                    make_keyframe(frame, features, boxes, prior, placement.uncertainty)
-                )
+                new = make_keyframe(frame, features, boxes, prior, placement.uncertainty)
+                if len(new.fine.points) >= LEAST_PATCHES:
+                    keyframes.append(new)
 
 
 def _best_connected(found: list[Features], size: tuple[int, int]) -> int:
@@ -275,7 +289,7 @@ def _align_probes(
 def _refuse_jumps(registration: Registration) -> Registration:
     """Mark frames invalid that lie apart from both neighbours while these agree.
 
-    Only neighbours within half a second count. The limit follows the sequence's own jitter.
+    The limit follows the sequence's own jitter.
     """
     height, width = registration.reference.height, registration.reference.width
     where = np.flatnonzero(registration.valid)
@@ -287,9 +301,8 @@ def _refuse_jumps(registration: Registration) -> Registration:
     between = (corners[:-2] + corners[2:]) / 2
     apart = np.abs(corners[1:-1] - between).max((1, 2))
     span = np.abs(corners[2:] - corners[:-2]).max((1, 2))
-    close = registration.time[where[2:]] - registration.time[where[:-2]] <= 0.5
-    limit = max(10 * float(np.median(apart[close])) if close.any() else np.inf, 0.01 * width)
-    jumps = where[1:-1][close & (apart > limit) & (apart > 3 * span)]
+    limit = max(10 * float(np.median(apart)), 0.01 * width)
+    jumps = where[1:-1][(apart > limit) & (apart > 3 * span)]
     reason, matrix = list(registration.reason), registration.reference_from_frame.copy()
     for jump in jumps:
         reason[jump] = "inconsistent with its neighbours in time"

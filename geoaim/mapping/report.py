@@ -8,7 +8,9 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.background import Background
 from geoaim.mapping.control_points import ControlPoints
 from geoaim.mapping.georeference import Georeference, predict_uncertainty, world_points
-from geoaim.mapping.registration import Registration
+from geoaim.mapping.registration import Registration, tally
+
+MOST_OF_PATH = 1000  # points of the drift that are kept
 
 
 def report_registration(registration: Registration) -> dict[str, Any]:
@@ -16,7 +18,8 @@ def report_registration(registration: Registration) -> dict[str, Any]:
     reference, valid = registration.reference, registration.valid
     middle = np.array([[reference.width / 2, reference.height / 2]])
     path = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
-    refused = [reason for reason in registration.reason if reason]
+    path = np.column_stack([registration.time[valid], path])
+    thinned = path[:: len(path) // MOST_OF_PATH + 1]
     return {
         "model": reference.model,
         "predicted_error_px": dict(reference.choice.predicted_error) if reference.choice else {},
@@ -24,10 +27,10 @@ def report_registration(registration: Registration) -> dict[str, Any]:
         "reference_time_s": float(reference.time),
         "frames": len(valid),
         "valid": int(valid.sum()),
-        "refused": {reason: refused.count(reason) for reason in sorted(set(refused))},
+        "refused": tally(registration.reason),
         "uncertainty_px": float(np.median(registration.uncertainty[valid])),
         "inlier_share": float(np.median(registration.inlier_share[valid])),
-        "path": np.column_stack([registration.time[valid], path]).round(3).tolist(),
+        "path": thinned.round(3).tolist(),
     }
 
 

@@ -33,6 +33,6 @@ def test_a_folder_without_text_files_is_refused(tmp_path):
 
 
 def test_mask_covers_the_grown_box_and_no_more():
-    mask = mask_of_boxes(np.array([[40.0, 40, 60, 60]]), (100, 100), grow=1.2)
+    mask = mask_of_boxes(np.array([[40.0, 40, 60, 60]]), (100, 100))
     assert mask[38:62, 38:62].all()
     assert mask.sum() == 24 * 24

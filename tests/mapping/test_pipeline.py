@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.approximate import local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.synthetic.camera import clean_frame, reference_from_frames, render_frame
+from tests.conftest import textured
 
 # a plane of its own: 5 cm a pixel, y up
 TRUTH = np.array([[0.05, 0, 100], [0, -0.05, 300], [0, 0, 1]])
@@ -94,3 +95,10 @@ def test_progress_is_told_stage_by_stage(frames):
     build_aim(frames, points_on(0), progress=lambda *call: calls.append(call))
     assert {stage for stage, _, _ in calls} == {"register", "average"}
     assert calls[-1] == ("average", 12, 12)
+
+
+def test_a_flight_past_the_reference_is_said():
+    ground = textured(np.random.default_rng(8), 360, 1400)
+    frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]
+    with pytest.warns(GeoaimWarning, match="the view leaves the reference"):
+        build_aim(frames, local_georeference(pixel_size=0.1, size=(360, 500)))
