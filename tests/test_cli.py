@@ -56,3 +56,29 @@ def test_a_wrong_number_of_frames_is_told_at_once(folder, tmp_path):
     result = run(app, ["build", str(folder), "--frames", "some", "-o", str(tmp_path / "a.tif")])
     assert result.exit_code == 2
     assert "auto, all or a number" in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["-o", "map.png"], "ends in .tif"),
+        (["-o", "map.tif", "--gcps", "a.csv", "--pixel-size", "1"], "give one"),
+        (["-o", "."], "ends in .tif"),
+        (["-o", "taken/map.tif"], "is a file; a folder is needed"),
+    ],
+)
+def test_what_cannot_be_written_or_meant_is_refused_before_the_work(
+    folder, tmp_path, monkeypatch, options, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("a file")
+    result = run(app, ["build", str(folder), *options])
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_names_in_square_brackets_are_shown_as_they_are(tmp_path):
+    result = run(app, ["info", str(tmp_path / "no[b]where[/b].tif")])
+    assert result.exit_code == 1
+    assert "no[b]where[/b].tif" in result.output.replace("\n", "")

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -61,9 +62,11 @@ class Registered:
     video: Video | Held
     reference_from_frame: Float[Array, "T 3 3"]
     boxes: Boxes | None = None
+    most: int | None = None
 
     def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-        return ((frame, self.reference_from_frame[frame.index]) for frame in self.video)
+        some = islice(self.video, self.most)
+        return ((frame, self.reference_from_frame[frame.index]) for frame in some)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -84,6 +87,11 @@ def masked_mean(frames: Registered) -> Background:
 def without_boxes(frames: Registered) -> Background:
     """The mean of what is not found to be traffic."""
     return remove_traffic(frames, size=frames.size)
+
+
+def half_without_boxes(frames: Registered) -> Background:
+    """The same of the first 30 frames, which spread over the clip as all 60 do."""
+    return remove_traffic(replace(frames, most=30), size=frames.size)
 
 
 def numpy_median(frames: Registered) -> UInt8[Array, "H W 3"]:
@@ -116,6 +124,7 @@ METHODS: dict[str, Callable[[Registered], Any]] = {
     "plain mean": plain_mean,
     "mean masked by boxes": masked_mean,
     "without boxes": without_boxes,
+    "without boxes, 30 frames": half_without_boxes,
     "numpy median": numpy_median,
     "MOG2": mog2,
     "GSOC": gsoc,

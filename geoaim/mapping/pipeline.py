@@ -39,7 +39,7 @@ FIRST_BATCH = 16  # frames of "auto"; doubled until the background has converged
 MOST = 64  # frames of "auto"
 STEEP = np.radians(10.0)  # of a camera's axis from straight down, placed by telemetry
 ENOUGH = 128  # frames for a pixel of "all", beyond which stripes share the frames: half the time
-CONVERGED = 2.0  # grey levels by which the latter half of the frames may still move the ground
+CONVERGED = 3.0  # grey levels by which the latter half of the frames may still move the ground
 
 
 def build_aim(

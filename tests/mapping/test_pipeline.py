@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.approximate import local_georeference
 from geoaim.mapping.pipeline import build_aim
@@ -102,3 +102,54 @@ def test_a_flight_past_the_reference_is_said():
     frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]
     with pytest.warns(GeoaimWarning, match="the view leaves the reference"):
         build_aim(frames, local_georeference(pixel_size=0.1, size=(360, 500)))
+
+
+def test_a_georeference_of_another_size_is_refused(frames):
+    with pytest.raises(ValueError, match="2000 x 1000 px, the frames have 640 x 360"):
+        build_aim(frames, local_georeference(pixel_size=0.1, size=(1000, 2000)))
+
+
+def test_a_frame_number_past_the_end_is_refused(frames):
+    with pytest.raises(GeoreferenceError, match=r"frame 99, but .* has 12 frames"):
+        build_aim(frames, points_on(99))
+
+
+@pytest.mark.parametrize("wanted", ["lots", 0, 2.5])
+def test_a_wrong_number_of_frames_is_refused_before_the_work(frames, wanted, unchecked):
+    with pytest.raises(ValueError, match="'auto', 'all' or a number"):
+        build_aim(frames, points_on(0), frames=wanted)
+
+
+def test_a_world_without_control_points_is_refused(frames):
+    with pytest.raises(ValueError, match="no control points to bring into it"):
+        build_aim(frames, crs="EPSG:32635")
+
+
+def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
+    other = textured(np.random.default_rng(3), 360, 640)
+    noise = [np.roll(other, 97 * i, axis=(i % 2)) for i in range(5)]
+    with pytest.raises(RegistrationError, match="1 of 6 frames could be laid on the reference"):
+        build_aim([frames[0], *noise], points_on(0))
+
+
+def test_boxes_of_few_frames_are_said(frames):
+    none = np.empty((0, 4))
+    with pytest.warns(GeoaimWarning, match="boxes are known of 3 of 12 frames"):
+        build_aim(frames, points_on(0), boxes=lambda f: none if f.index < 3 else None)
+
+
+def test_frames_of_unknown_number_are_sampled(frames):
+    class Stream:
+        def __iter__(self):
+            return iter(frames)
+
+    aim = build_aim(Stream(), points_on(0))
+    assert aim.report["background"]["frames_used"] == 12
+
+
+def test_the_mean_of_all_frames_uses_them_all(frames):
+    aim = build_aim(frames, points_on(0), frames="all")
+    assert (
+        aim.report["background"] | {"method": "mean", "frames_used": 12}
+        == (aim.report["background"])
+    )

@@ -5,7 +5,8 @@ from geoaim.errors import RegistrationError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.features import detect, match
 from geoaim.mapping.patches import align, corner_uncertainty, make_template
-from geoaim.mapping.registration import register
+from geoaim.mapping.registration import choose_reference, place_frames, register
+from geoaim.mapping.video import open_video
 from geoaim.synthetic.camera import reference_from_frames, render_frame
 from tests.conftest import textured
 
@@ -124,3 +125,31 @@ def test_features_of_unlike_pictures_do_not_match(frames):
     other = textured(np.random.default_rng(11), *frames[0].shape[:2])
     one, two = detect(frames[0][..., 1].copy()), detect(other[..., 1].copy())
     assert match(one, two, "homography", size=(360, 640)) is None
+
+
+def test_an_image_too_small_for_patches_is_refused():
+    with pytest.raises(RegistrationError, match="enough texture"):
+        register([textured(np.random.default_rng(1), 20, 20)] * 3)
+
+
+@pytest.mark.parametrize(("height", "width"), [(60, 900), (100, 1900), (90, 100)])
+def test_narrow_and_small_images_are_laid(height, width):
+    image = textured(np.random.default_rng(1), height, width)
+    assert register([image] * 3).valid.all()
+
+
+def test_one_frame_that_jumps_is_refused(frames):
+    ground = textured(np.random.default_rng(4), 400, 700)
+    lefts = [20, 22, 24, 26, 90, 30, 32, 34, 36]
+    registration = register([ground[:, left : left + 500] for left in lefts], reference_time=0)
+    assert np.flatnonzero(~registration.valid).tolist() == [4]
+    assert "neighbours" in registration.reason[4]
+
+
+def test_a_view_that_swings_back_and_forth_makes_few_keyframes(frames):
+    ground = textured(np.random.default_rng(4), 400, 1000)
+    lefts = [0, 230, 20, 260] * 5
+    views = [ground[:, left : left + 500] for left in lefts]
+    reference = choose_reference(open_video(views), time=0)
+    placed = [placement for _, placement in place_frames(open_video(views), reference)]
+    assert all(placement.valid for placement in placed)
