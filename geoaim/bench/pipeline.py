@@ -23,8 +23,9 @@ from geoaim.bench.hover import made_video
 from geoaim.bench.report import save, table
 from geoaim.geometry import transform_points
 from geoaim.mapping.background import average_frames
-from geoaim.mapping.pipeline import RegisteredFrames, build_aim
+from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration import choose_reference, place_frames
+from geoaim.mapping.sampling import RegisteredFrames
 from geoaim.mapping.video import open_video
 from geoaim.synthetic import write_video
 
@@ -95,7 +96,7 @@ def throughput(path: Path, runs: int) -> list[dict[str, Any]]:
     rates: dict[str, list[float]] = {way.__name__: [] for way in ways}
     for run in range(runs + 1):
         for way in ways:
-            if way is opencv_script and run > 1:
+            if way is opencv_script and run != 1:  # slow
                 continue
             start = time.perf_counter()
             count = way(path)
@@ -112,16 +113,15 @@ def throughput(path: Path, runs: int) -> list[dict[str, Any]]:
     ]
 
 
-def length(clip: Path, folder: Path, minutes: tuple[int, ...], runs: int) -> list[dict[str, Any]]:
+def length(clip: Path, folder: Path, minutes: tuple[int, ...]) -> list[dict[str, Any]]:
     """Seconds and peak memory of build_aim and of decoding, each in a process of its own."""
     rows = []
     for duration in minutes:
         path = repeat_packets(clip, folder / f"{duration}min.mp4", 60.0 * duration)
         for way in ("build_aim", "decode"):
-            measured = [_in_process(way, path) for _ in range(runs if way == "build_aim" else 1)]
-            seconds, peak = np.median(measured, axis=0)
-            row = {"minutes": duration, "way": way, "seconds": float(seconds)}
-            rows.append({**row, "peak_rss_mb": float(peak)})
+            seconds, peak = _in_process(way, path)
+            row = {"minutes": duration, "way": way, "seconds": seconds, "peak_rss_mb": peak}
+            rows.append(row)
             print(table(rows[-1:]).splitlines()[-1], flush=True)
         path.unlink()
     return rows
@@ -195,9 +195,9 @@ def main(
             folder / "clip.mp4",
             megabits=megabits,
         )
-        rates = throughput(repeat_packets(video, folder / "half.mp4", 20.0), runs)
+        rates = throughput(repeat_packets(video, folder / "short.mp4", 10.0), runs)
         print(table(rates))
-        lasting = length(video, folder, tuple(map(int, minutes.split(","))), runs)
+        lasting = length(video, folder, tuple(map(int, minutes.split(","))))
         print(table(lasting))
         command = "python -m geoaim.bench.pipeline"
         save(
