@@ -8,7 +8,6 @@ and runs in a process of its own. Real sequences have no truth: there methods ar
 """
 
 import json as jsonlib
-import resource
 import subprocess
 import sys
 import time
@@ -27,7 +26,7 @@ from numpy import ndarray as Array
 
 from geoaim.bench.data import data_folder
 from geoaim.bench.hover import made_video
-from geoaim.bench.report import save, table
+from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.mapping.background import Background, average_frames, remove_traffic, spread_order
 from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.canvas import compare_exposure, expose, first_exposure, warp
@@ -171,7 +170,7 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     start = time.perf_counter()
     result = METHODS[name](frames)
     seconds = time.perf_counter() - start
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    peak = peak_megabytes()
     row: dict[str, Any] = {"method": name}
     image = result.image if isinstance(result, Background) else result
     zones = _zones(truth["share"])
