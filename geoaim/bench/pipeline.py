@@ -43,8 +43,8 @@ def mean_of_all(path: Path) -> int:
 
 
 def mean_of_bands(path: Path) -> int:
-    """Register every frame; each adds one of six stripes: a pixel averages every sixth frame."""
-    return _mean(path, bands=6)
+    """Register every frame; each adds one of 12 stripes: a pixel averages every twelfth frame."""
+    return _mean(path, bands=12)
 
 
 def register_all(path: Path) -> int:

@@ -28,7 +28,7 @@ from geoaim.mapping.report import report_background, report_georeference, report
 from geoaim.mapping.sampling import Count, RegisteredFrames
 from geoaim.mapping.video import open_video
 
-ENOUGH = 128  # frames for a pixel of "all", beyond which stripes share the frames: half the time
+ENOUGH = 50  # frames for a pixel of "all", beyond which stripes share the frames: twice as fast
 CONVERGED = 3.0  # grey levels by which the latter half of the frames may still move the ground
 
 
@@ -51,7 +51,7 @@ def build_aim(
         boxes: vehicles to leave out: a folder of YOLO text files, or a function of a frame.
         frames: how many to use. "auto" samples the video, up to 64 frames, and stops when the
             background has converged; "all" is the mean of every frame, traffic and all where no
-            boxes are given (a long video's frames add a stripe each, 128 or more to a pixel).
+            boxes are given (a long video's frames add a stripe each, 50 or more to a pixel).
         crs: of the world, projected and in metres, when control points place the map; None keeps
             the points' own, or their UTM zone.
         progress: called with stage, done and total.
@@ -101,7 +101,7 @@ def _background(registered: RegisteredFrames, boxes: Boxes | None, frames: Count
     tolerance = CONVERGED if frames == "auto" else 0.0
     if boxes or frames == "all":
         total = registered.video.frame_count or 0
-        bands = min(max(total // ENOUGH, 1), 6) if frames == "all" else 1
+        bands = min(max(total // ENOUGH, 1), 12) if frames == "all" else 1
         return average_frames(registered, size=size, boxes=boxes, tolerance=tolerance, bands=bands)
     try:
         return remove_traffic(registered, size=size, tolerance=tolerance)
