@@ -34,7 +34,6 @@ from geoaim.mapping.keyframes import (
     share_in_view,
 )
 from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
-from geoaim.mapping.patches import Alignment
 from geoaim.mapping.video import Frame, Video, open_video
 
 # Called with the name of a stage, how much of it is done, and how much there is (None: unknown).
@@ -205,10 +204,9 @@ def choose_reference(
     probes = list(video.sampled(PROBES))
     if time is not None:
         probes = [*video.frames_at([time]), *probes]
-    found = [detect(probe.grey, exclude=excluded(probe, boxes)) for probe in probes]
-    best = 0
-    if time is None and len(probes) > 1:
-        best = _best_connected(found, (video.height, video.width))
+    rivals = probes if time is None else probes[:1]
+    found = [detect(probe.grey, exclude=excluded(probe, boxes)) for probe in rivals]
+    best = _best_connected(found, (video.height, video.width))
     probe = probes[best]
     keyframe = make_keyframe(probe, found[best], boxes, np.eye(3), 0.0)
     if len(keyframe.fine.points) < LEAST_PATCHES:
@@ -260,10 +258,13 @@ def _best_connected(found: list[Features], size: tuple[int, int]) -> int:
 
 def _choose_model(reference: Reference, probes: list[Frame]) -> Reference:
     """The least model that the probes need; the homography when no probe can be laid."""
-    matches = []
-    for _, placement, alignment in _align_probes(reference, probes):
+    home, matches = reference.keyframe, []
+    for probe in probes:
+        if probe.index == reference.index:
+            continue
+        placement, alignment = place(probe.grey, [home], home, np.eye(3), "homography")
         if placement.valid and alignment is not None:
-            points = reference.keyframe.fine.points[alignment.fitted]
+            points = home.fine.points[alignment.fitted]
             # What was measured: reference point + residual lies where the frame's point lies.
             measured = points + alignment.motion.residuals
             source = transform_points(np.linalg.inv(placement.matrix), points)
@@ -273,17 +274,6 @@ def _choose_model(reference: Reference, probes: list[Frame]) -> Reference:
         return reference
     choice = choose_model(matches, size=(reference.height, reference.width))
     return replace(reference, model=choice.model, choice=choice)
-
-
-def _align_probes(
-    reference: Reference, probes: list[Frame]
-) -> Iterator[tuple[Frame, Placement, Alignment]]:
-    home = reference.keyframe
-    for probe in probes:
-        if probe.index != reference.index:
-            placement, alignment = place(probe.grey, [home], home, np.eye(3), "homography")
-            if alignment is not None:
-                yield probe, placement, alignment
 
 
 def _refuse_jumps(registration: Registration) -> Registration:
