@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from geoaim.errors import GeoaimWarning as GeoaimWarning
     from geoaim.mapping.pipeline import build_aim as build_aim
     from geoaim.mapping.texture import export_texture as export_texture
+    from geoaim.tracks import Tracks as Tracks
+    from geoaim.tracks import read_tracks as read_tracks
+    from geoaim.tracks import write_tracks as write_tracks
     from geoaim.world import World as World
 
 # where each public name lives; loaded on first use, so that `import geoaim` costs nothing
@@ -53,12 +56,15 @@ _HOMES = {
     "AIM": "geoaim.aim",
     "GeoaimError": "geoaim.errors",
     "GeoaimWarning": "geoaim.errors",
+    "Tracks": "geoaim.tracks",
     "World": "geoaim.world",
     "build_aim": "geoaim.mapping.pipeline",
     "export_texture": "geoaim.mapping.texture",
     "read_aim": "geoaim.aim",
+    "read_tracks": "geoaim.tracks",
     "rectify": "geoaim.aim",
     "write_aim": "geoaim.aim",
+    "write_tracks": "geoaim.tracks",
 }
 _MODULES = ("mapping",)
 __all__ = [*_HOMES, *_MODULES]

@@ -2,7 +2,6 @@
 
 import json
 import os
-import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -22,6 +21,7 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geoaim.errors import AimError
+from geoaim.files import replacing
 from geoaim.geometry import image_corners, to_opencv, transform_points
 from geoaim.world import World
 
@@ -180,19 +180,6 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
         coverage=coverage,
         contested=contested > 0,
     )
-
-
-@contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path whose file takes the place of `path` when the block ends well.
-
-    The folder is made when it is missing. When the block fails, an old file stays as it was.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
-        yield Path(folder, path.name)
-        os.replace(Path(folder, path.name), path)
 
 
 def _check(name: str, found: Any, dtype: type, shape: tuple[int, ...]) -> None:

@@ -5,7 +5,8 @@ GeoaimError
 ├── RegistrationError   too few frames agree with the reference
 ├── BackgroundError     the registered frames do not give a background
 ├── GeoreferenceError   the control points or the telemetry do not fix a place
-└── AimError            a file is not an AIM, or an AIM cannot be written as asked
+├── AimError            a file is not an AIM, or an AIM cannot be written as asked
+└── TracksError         a file holds no tracks, or tracks that contradict themselves
 
 GeoaimWarning           the work went on, with less than was asked for
 """
@@ -33,6 +34,10 @@ class GeoreferenceError(GeoaimError):
 
 class AimError(GeoaimError):
     """A file is not an AIM, or an AIM cannot be written as asked."""
+
+
+class TracksError(GeoaimError):
+    """A file holds no tracks, or tracks that contradict themselves."""
 
 
 class GeoaimWarning(UserWarning):

@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from geoaim.aim import AIM, replacing
+from geoaim.aim import AIM
+from geoaim.files import replacing
 from geoaim.geometry import transform_points
 
 ACCENT, BAD = "#ff6a00", "#c1121f"

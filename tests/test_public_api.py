@@ -9,13 +9,16 @@ NAMES = [
     "AIM",
     "GeoaimError",
     "GeoaimWarning",
+    "Tracks",
     "World",
     "build_aim",
     "export_texture",
     "mapping",
     "read_aim",
+    "read_tracks",
     "rectify",
     "write_aim",
+    "write_tracks",
 ]
 
 

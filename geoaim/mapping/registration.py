@@ -17,8 +17,8 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.aim import replacing
 from geoaim.errors import RegistrationError
+from geoaim.files import replacing
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.features import Features, detect, match

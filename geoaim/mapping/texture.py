@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geoaim.aim import AIM, rectify, replacing
+from geoaim.aim import AIM, rectify
+from geoaim.files import replacing
 
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 

@@ -1,0 +1,20 @@
+"""Files that are replaced whole or not at all."""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path whose file takes the place of `path` when the block ends well.
+
+    The folder is made when it is missing. When the block fails, an old file stays as it was.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
+        yield Path(folder, path.name)
+        os.replace(Path(folder, path.name), path)

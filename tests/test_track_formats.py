@@ -1,0 +1,83 @@
+import gzip
+
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.track_formats import read_geotrax, read_interaction, read_sdd
+
+INTERACTION = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n"
+GEOTRAX = (
+    "Vehicle_ID,Timestamp,Frame_Number,Ortho_X,Ortho_Y,Local_X,Local_Y,Latitude,Longitude,"
+    "Vehicle_Length,Vehicle_Width,Vehicle_Class\n"
+)
+
+
+def test_interaction_gives_states_as_written(tmp_path):
+    path = tmp_path / "vehicle_tracks_000.csv"
+    path.write_text(
+        INTERACTION
+        + "1,1,100,car,10.0,20.0,3.0,4.0,0.927,4.5,1.8\n"
+        + "1,2,200,car,10.3,20.4,3.0,4.0,0.927,4.5,1.8\n"
+        + "P1,2,200,Pedestrian,1,2,0,1,,,\n"
+    )
+    tracks = read_interaction(path)
+    assert tracks.types == ("car", "pedestrian")
+    np.testing.assert_allclose(tracks.states[0, 0], [10, 20, 0.927, 5])
+    np.testing.assert_allclose(tracks.states[1, 1], [1, 2, np.pi / 2, 1])
+    np.testing.assert_allclose(tracks.sizes[1], 0.5)
+    np.testing.assert_allclose(tracks.times, [0.1, 0.2])
+
+
+def test_interaction_keeps_the_first_of_repeated_rows_and_says_so(tmp_path):
+    path = tmp_path / "a.csv"
+    row = "1,1,100,car,{},20.0,3.0,4.0,0.927,4.5,1.8\n"
+    path.write_text(INTERACTION + row.format(1) + row.format(2))
+    with pytest.warns(GeoaimWarning, match="1 rows repeat an agent's time"):
+        assert read_interaction(path).states[0, 0, 0] == 1
+
+
+def test_sdd_turns_boxes_into_metres_and_motion_into_headings(tmp_path):
+    lines = [f'0 {10 * k} 100 {10 * k + 20} 140 {6 * k} 0 0 0 "Biker"' for k in range(10)]
+    lines.append('1 0 0 10 10 0 1 0 0 "Pedestrian"')  # lost
+    path = tmp_path / "annotations.txt.gz"
+    path.write_bytes(gzip.compress("\n".join(lines).encode()))
+    tracks = read_sdd(path, metres_per_pixel=0.1)
+    assert tracks.types == ("cyclist",)
+    np.testing.assert_allclose(tracks.states[0, 0, :2], [1.0, -12.0])
+    np.testing.assert_allclose(tracks.states[0, :, 2], 0.0, atol=1e-9)
+    np.testing.assert_allclose(tracks.states[0, :, 3], 1.0 / 0.2)
+
+
+def test_geotrax_subtracts_an_origin_and_fills_sizes_of_the_class(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [
+        f"1,2022-10-07 17:52:13.{k}00,{k},0,0,{170000 + k},532000.0,37,126,4.9,1.9,0"
+        for k in range(5)
+    ]
+    rows.append("2,2022-10-07 17:52:13.000,0,0,0,170010,532010,37,126,,,0")
+    path.write_text(GEOTRAX + "\n".join(rows))
+    tracks = read_geotrax(path, crs="EPSG:5186")
+    assert tracks.world.crs == "EPSG:5186"
+    east, north = tracks.states[0, 0, :2] + tracks.world.origin
+    assert (east, north) == (170000.0, 532000.0)
+    np.testing.assert_allclose(tracks.sizes, [[4.9, 1.9]] * 2)
+    np.testing.assert_allclose(tracks.states[0, 1:4, 3], 10.0)
+
+
+@pytest.mark.parametrize("read", [read_interaction, read_geotrax])
+def test_file_of_another_data_set_says_what_it_lacks(tmp_path, read):
+    path = tmp_path / "a.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(TracksError, match="lacks the columns"):
+        read(path)
+
+
+def test_real_files_read(data_folder):
+    songdo = read_geotrax(data_folder / "tracks/songdo_u/U_video_cut.csv", crs="EPSG:5186")
+    assert songdo.present.shape == (144, 150)
+    path = next((data_folder / "tracks/sdd_raw").glob("gates/video4/annotations.txt.gz"))
+    people = read_sdd(path, metres_per_pixel=0.0441)
+    assert "pedestrian" in people.types
+    walking = people.states[[t == "pedestrian" for t in people.types], :, 3]
+    assert 0.8 < np.nanmedian(walking[walking > 0.5]) < 1.8
