@@ -42,6 +42,8 @@ Points = Annotated[
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
 BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
+PlaceKind = Literal["junction", "t", "roundabout", "street"]
+VideoSize = Literal["none", "720p", "1080p", "4k"]
 AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build")]
 
 
@@ -168,12 +170,21 @@ def info(aim: AimFile) -> None:
 def sample(
     folder: Annotated[Path, typer.Argument(help="where the sample goes")],
     seed: Annotated[int, typer.Option(help="of everything random")] = 1,
+    kind: Annotated[PlaceKind, typer.Option(help="of place")] = "junction",
+    minutes: Annotated[float, typer.Option(help="of traffic", min=0.2)] = 1.0,
+    video: Annotated[VideoSize, typer.Option(help="of the drone's video")] = "720p",
 ) -> None:
-    """Make a sample: a drone video of a drawn junction, its control points, boxes and truth."""
-    from geoaim.synthetic import write_sample
+    """Make a place with truth for everything: video, tracks, lights, HD map, imagery.
 
-    with _plain_errors():
-        write_sample(folder, seed=seed)
+    The same seed gives the same numbers and frames on every machine. README.md in the folder says
+    what each file is.
+    """
+    from geoaim.synthetic import VIDEOS, make_sample, write_sample
+
+    with _stages() as progress, _plain_errors():
+        progress("traffic", 0, 1)
+        made = make_sample(seed, kind=kind, minutes=minutes, video=VIDEOS.get(video))
+        write_sample(made, folder, progress=progress)
     console.print(f"{folder}: see {folder / 'README.md'}")
 
 

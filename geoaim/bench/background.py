@@ -34,7 +34,7 @@ from geoaim.mapping.frames import Frame
 from geoaim.mapping.registration import register
 from geoaim.mapping.video import Video, open_video
 from geoaim.synthetic import clean_frame, frame_boxes, reference_from_frames, traffic_share
-from geoaim.synthetic.sample import write_video
+from geoaim.synthetic.encode import write_video
 
 MARGIN = 100  # px; the camera's drift leaves the rim to fewer frames
 STOOD = 0.3  # share of the time from which traffic counts as standing

@@ -26,7 +26,7 @@ from geoaim.synthetic.camera import (
     reference_from_frames,
     render_frame,
 )
-from geoaim.synthetic.sample import write_video
+from geoaim.synthetic.encode import write_video
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 STILLS = ("00003", "00972")

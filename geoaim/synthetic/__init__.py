@@ -1,4 +1,8 @@
-"""Made scenes with exact truth: a hovering camera over any still or drawn junction."""
+"""Made places with truth for everything: roads, traffic, lights, HD map, drone video, imagery.
+
+sample = make_sample(1, kind="roundabout")
+write_sample(sample, Path("sample"))
+"""
 
 from geoaim.synthetic.camera import (
     Clip,
@@ -12,26 +16,31 @@ from geoaim.synthetic.camera import (
     render_frame,
     traffic_share,
 )
-from geoaim.synthetic.drawing import Junction, draw_junction
-from geoaim.synthetic.driving import drive_junction
-from geoaim.synthetic.sample import make_sample, write_sample, write_scene, write_video
+from geoaim.synthetic.encode import write_video
+from geoaim.synthetic.files import write_sample
+from geoaim.synthetic.place import Place, draw_place, make_place
+from geoaim.synthetic.sample import VIDEOS, Sample, make_sample, tracks_of
+from geoaim.synthetic.scenery.day import Day
 
 __all__ = [
+    "VIDEOS",
     "Clip",
+    "Day",
     "Hover",
-    "Junction",
+    "Place",
+    "Sample",
     "Traffic",
     "clean_frame",
-    "draw_junction",
-    "drive_junction",
+    "draw_place",
     "film",
     "frame_boxes",
     "hover_frames",
+    "make_place",
     "make_sample",
     "reference_from_frames",
     "render_frame",
+    "tracks_of",
     "traffic_share",
     "write_sample",
-    "write_scene",
     "write_video",
 ]

@@ -1,17 +1,18 @@
 """A hovering camera over a still of the ground: frames whose pose is known exactly."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8, UInt64
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.geometry import image_corners, transform_points
+from geoaim.synthetic.exact import ROWS, blur, pack, premultiplied, warp
 
 CORNERS = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
-SHADOW_ALPHA = np.array([0, 0, 0, 0.55], np.float32)
+SHADOW = 140  # of 255: how dark a vehicle's shadow is
 FINER = 2  # the still is kept at twice the frames' resolution, blurred; then linear warps do
 NOISE_SHIFT = 256  # px: the noise of each frame is one field, cut at a random place
 
@@ -55,12 +56,14 @@ class Traffic:
         poses: (T, N, 3) centre u, v and heading (radians, counter-clockwise as seen: heading
             pi/2 drives up the image); NaN where the vehicle is absent.
         shadow: right and down, how far the sun casts the bodies' shadows; (0, 0) casts none.
+        types: what each one is, where that is known.
     """
 
     sprites: tuple[UInt8[Array, "_ _ 4"], ...]
     sizes: Float[Array, "N 2"]
     poses: Float[Array, "T N 3"]
     shadow: tuple[float, float] = (0.0, 0.0)
+    types: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,9 +78,9 @@ class Clip:
         gains: (T,) exposure relative to frame 0.
         traffic: the vehicles, in pixels of the still.
         hover: the parameters it was made with.
-        base: the still as the lens blurs it, at twice the resolution of the frames.
+        base: the still as the lens blurs it, at twice the resolution of the frames, packed.
         base_from_background: (3, 3) the resizing of the still, a pure scale.
-        base_sprites: the sprites, resized and blurred alike; premultiplied RGBA.
+        base_sprites: the sprites, resized and blurred alike; premultiplied colours, and alphas.
         noise: field of noise, 128 +- 32.
         noise_starts: (T, 2) row and column where each frame cuts its noise.
     """
@@ -89,9 +92,9 @@ class Clip:
     gains: Float[Array, "T"]
     traffic: Traffic
     hover: Hover
-    base: UInt8[Array, "_ _ 3"]
+    base: UInt64[Array, "_ _"]
     base_from_background: Float[Array, "3 3"]
-    base_sprites: tuple[Float32[Array, "_ _ 4"], ...]
+    base_sprites: tuple[tuple[UInt64[Array, "_ _"], UInt64[Array, "_ _"]], ...]
     noise: UInt8[Array, "_ _ 3"]
     noise_starts: Int[Array, "T 2"]
 
@@ -132,7 +135,7 @@ def film(
         gains=gains,
         traffic=traffic,
         hover=hover,
-        base=_blur(base, FINER * hover.blur),
+        base=pack(blur(base, FINER * hover.blur)),
         base_from_background=base_from_background,
         base_sprites=_prepare_sprites(traffic.sprites, scale, FINER * hover.blur),
         noise=_noise_field((height + NOISE_SHIFT, width + NOISE_SHIFT, 3), generator),
@@ -149,26 +152,20 @@ def hover_frames(clip: Clip) -> Iterator[UInt8[Array, "H W 3"]]:
 def render_frame(clip: Clip, index: int) -> UInt8[Array, "H W 3"]:
     """What the camera records: ground and vehicles through the lens, with gain and noise."""
     image = clean_frame(clip, index)
-    for window, patch in _vehicle_patches(clip, index, clip.frame_from_background[index]):
-        ground = image[window] * (1 - patch[..., 3:])
-        image[window] = np.rint(ground + patch[..., :3]).clip(0, 255).astype(np.uint8)
+    for patch in _vehicle_patches(clip, index, clip.frame_from_background[index]):
+        _blend(image, *patch)
     row, column = clip.noise_starts[index]
     noise = clip.noise[row : row + clip.height, column : column + clip.width]
-    strength = clip.hover.noise / 32
-    return np.asarray(
-        cv2.addWeighted(image, clip.gains[index], noise, strength, -128 * strength), np.uint8
-    )
+    return _exposed(image, noise, float(clip.gains[index]), clip.hover.noise / 32)
 
 
 def clean_frame(clip: Clip, index: int = 0) -> UInt8[Array, "H W 3"]:
     """The truth of a background: what the camera would record without traffic, noise and gain.
 
-    Linear interpolation is right here: the base is smooth at its scale, and OpenCV's cubic
-    kernel (a = -0.75) would move smooth texture by up to 0.047 px.
+    Linear interpolation is right here, since the base is smooth at its scale.
     """
-    frame_from_base = clip.frame_from_background[index] @ np.linalg.inv(clip.base_from_background)
-    size = clip.width, clip.height
-    return np.asarray(cv2.warpPerspective(clip.base, to_opencv(frame_from_base), size), np.uint8)
+    base_from_frame = clip.base_from_background @ np.linalg.inv(clip.frame_from_background[index])
+    return warp(clip.base, base_from_frame, clip.height, clip.width)
 
 
 def reference_from_frames(clip: Clip, reference: int = 0) -> Float[Array, "T 3 3"]:
@@ -178,8 +175,13 @@ def reference_from_frames(clip: Clip, reference: int = 0) -> Float[Array, "T 3 3
 
 def frame_boxes(clip: Clip, index: int) -> Float[Array, "n 4"]:
     """Boxes (left, top, right, bottom) in pixels of a frame, around the vehicles that it shows."""
+    return boxed_agents(clip, index)[1]
+
+
+def boxed_agents(clip: Clip, index: int) -> tuple[Int[Array, "n"], Float[Array, "n 4"]]:
+    """The numbers of the agents that a frame shows, and their boxes."""
     poses = clip.traffic.poses[index]
-    present = np.isfinite(poses).all(axis=-1)
+    present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     corners = clip.traffic.sizes[present][:, None] / 2 * np.array(CORNERS)
     frame_from_vehicle = clip.frame_from_background[index] @ _background_from_vehicle(
         poses[present]
@@ -187,7 +189,8 @@ def frame_boxes(clip: Clip, index: int) -> Float[Array, "n 4"]:
     corners = transform_points(frame_from_vehicle, corners)
     limit = [clip.width, clip.height]
     boxes = np.hstack([corners.min(axis=1).clip(0, limit), corners.max(axis=1).clip(0, limit)])
-    return boxes[((boxes[:, 2:] - boxes[:, :2]) >= 2).all(axis=1)]
+    seen = ((boxes[:, 2:] - boxes[:, :2]) >= 2).all(axis=1)
+    return present[seen], boxes[seen]
 
 
 def traffic_share(clip: Clip, reference: int = 0) -> Float32[Array, "H W"]:
@@ -197,8 +200,8 @@ def traffic_share(clip: Clip, reference: int = 0) -> Float32[Array, "H W"]:
     pose = clip.frame_from_background[reference]
     for index in range(len(clip.times)):
         windows = []
-        for window, patch in _vehicle_patches(clip, index, pose):
-            np.maximum(covered[window], patch[..., 3] > 0.02, out=covered[window])
+        for window, _, alpha in _vehicle_patches(clip, index, pose):
+            np.maximum(covered[window], alpha > 5, out=covered[window])
             windows.append(window)
         for window in windows:  # clearing at once: where windows overlap, a pixel counts once
             counts[window] += covered[window]
@@ -245,10 +248,51 @@ def _slow_noise(times: Float[Array, "T"], generator: np.random.Generator) -> Flo
     return np.asarray(waves @ weights / np.sqrt((weights**2).sum() / 2))
 
 
+def paste(
+    image: UInt8[Array, "H W 3"],
+    sprites: Sequence[UInt8[Array, "_ _ 4"]],
+    poses: Float[Array, "N 3"],
+) -> None:
+    """Lay sprites on a picture at poses in its pixels, as in `Traffic`; absent ones are NaN."""
+    for sprite, pose in zip(sprites, poses, strict=True):
+        if np.isfinite(pose).all():
+            light = premultiplied(sprite)
+            packed = pack(light[..., :3]), pack(light[..., 3:])
+            for patch in _place(packed, _background_from_vehicle(pose), image.shape[:2]):
+                _blend(image, *patch)
+
+
+def _blend(
+    image: UInt8[Array, "H W 3"],
+    window: tuple[slice, slice],
+    colour: UInt8[Array, "h w 3"],
+    alpha: UInt8[Array, "h w"],
+) -> None:
+    """Lay a premultiplied picture over a window."""
+    ground = image[window].astype(np.uint16) * (255 - alpha[..., None].astype(np.uint16))
+    image[window] = np.minimum((ground + 127) // 255 + colour, 255).astype(np.uint8)
+
+
+def _exposed(
+    image: UInt8[Array, "H W 3"], noise: UInt8[Array, "H W 3"], gain: float, strength: float
+) -> UInt8[Array, "H W 3"]:
+    """The sensor's gain and noise, a few rows at a time."""
+    exposed = np.empty_like(image)
+    for top in range(0, len(image), ROWS):
+        rows = slice(top, top + ROWS)
+        light = image[rows].astype(np.float32) * np.float32(gain)
+        light += (noise[rows].astype(np.float32) - np.float32(128)) * np.float32(strength)
+        exposed[rows] = np.rint(np.minimum(np.maximum(light, 0), 255))
+    return exposed
+
+
+_Patch = tuple[tuple[slice, slice], UInt8[Array, "_ _ 3"], UInt8[Array, "_ _"]]
+
+
 def _vehicle_patches(
     clip: Clip, index: int, frame_from_background: Float[Array, "3 3"]
-) -> Iterator[tuple[tuple[slice, slice], Float32[Array, "_ _ 4"]]]:
-    """Windows of a frame and the premultiplied RGBA that lies over each; shadows come first."""
+) -> Iterator[_Patch]:
+    """Windows of a frame, and premultiplied colour and alpha over each; shadows come first."""
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     frame_from_vehicle = frame_from_background @ _background_from_vehicle(poses)
@@ -258,26 +302,32 @@ def _vehicle_patches(
     shape = clip.height, clip.width
     if any(clip.traffic.shadow):
         for number in present:
-            sprite = clip.base_sprites[number] * SHADOW_ALPHA
-            yield from _place(sprite, frame_from_shadow[number] @ _unscale(clip), shape)
+            sprite = clip.base_sprites[number]
+            for window, colour, alpha in _place(
+                sprite, frame_from_shadow[number] @ _unscale(clip), shape
+            ):
+                dark = (alpha.astype(np.uint16) * SHADOW // 255).astype(np.uint8)
+                yield window, np.zeros_like(colour), dark
     for number in present:
         sprite = clip.base_sprites[number]
         yield from _place(sprite, frame_from_vehicle[number] @ _unscale(clip), shape)
 
 
 def _place(
-    sprite: Float32[Array, "h w 4"], frame_from_centred: Float[Array, "3 3"], shape: tuple[int, int]
-) -> Iterator[tuple[tuple[slice, slice], Float32[Array, "_ _ 4"]]]:
+    sprite: tuple[UInt64[Array, "h w"], UInt64[Array, "h w"]],
+    frame_from_centred: Float[Array, "3 3"],
+    shape: tuple[int, int],
+) -> Iterator[_Patch]:
     """One sprite warped into its window of the frame; nothing when it lies outside."""
-    rows, columns = sprite.shape[:2]
+    rows, columns = sprite[0].shape
     frame_from_sprite = frame_from_centred @ _shift(-columns / 2, -rows / 2)
     corners = transform_points(frame_from_sprite, image_corners(rows, columns))
     left, top = np.floor(corners.min(axis=0)).clip(0, shape[::-1]).astype(int).tolist()
     right, bottom = np.ceil(corners.max(axis=0)).clip(0, shape[::-1]).astype(int).tolist()
     if right > left and bottom > top:
-        matrix = to_opencv(_shift(-left, -top) @ frame_from_sprite)
-        patch = cv2.warpPerspective(sprite, matrix, (right - left, bottom - top))
-        yield (slice(top, bottom), slice(left, right)), np.asarray(patch, np.float32)
+        matrix = np.linalg.inv(frame_from_sprite) @ _shift(left, top)
+        colour, alpha = (warp(part, matrix, bottom - top, right - left) for part in sprite)
+        yield (slice(top, bottom), slice(left, right)), colour, alpha[..., 0]
 
 
 def _unscale(clip: Clip) -> Float[Array, "3 3"]:
@@ -293,30 +343,24 @@ def _background_from_vehicle(pose: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3
 
 
 def _prepare_sprites(
-    sprites: tuple[UInt8[Array, "_ _ 4"], ...], scale: float, blur: float
-) -> tuple[Float32[Array, "_ _ 4"], ...]:
+    sprites: tuple[UInt8[Array, "_ _ 4"], ...], scale: float, sigma: float
+) -> tuple[tuple[UInt64[Array, "_ _"], UInt64[Array, "_ _"]], ...]:
     """Premultiplied, at the base's resolution, blurred; an object that comes twice is shared."""
-    prepared: dict[int, Float32[Array, "_ _ 4"]] = {}
-    air = int(np.ceil(3 * blur)) + 1
+    prepared: dict[int, tuple[UInt64[Array, "_ _"], UInt64[Array, "_ _"]]] = {}
+    air = int(np.ceil(3 * sigma)) + 2
     for sprite in sprites:
         if id(sprite) not in prepared:
-            light = sprite.astype(np.float32)
-            light[..., 3] /= 255
-            light[..., :3] *= light[..., 3:]
-            light = _resize(light, scale).clip(0, [255, 255, 255, 1]).astype(np.float32)
-            light = np.pad(light, ((air, air), (air, air), (0, 0)))
-            prepared[id(sprite)] = _blur(light, blur)
+            light = _resize(premultiplied(sprite), scale)
+            light = np.minimum(light, light[..., 3:])  # Lanczos overshoots
+            light = blur(np.pad(light, ((air, air), (air, air), (0, 0))), sigma)
+            prepared[id(sprite)] = pack(light[..., :3]), pack(light[..., 3:])
     return tuple(prepared[id(sprite)] for sprite in sprites)
 
 
-def _resize(image: Array, scale: float) -> Array:
+def _resize(image: UInt8[Array, "_ _ c"], scale: float) -> UInt8[Array, "_ _ c"]:
     size = [max(1, round(side * scale)) for side in image.shape[1::-1]]
     method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LANCZOS4
     return np.asarray(cv2.resize(image, size, interpolation=method))
-
-
-def _blur(image: Array, sigma: float) -> Array:
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma)) if sigma > 0 else image
 
 
 def _shift(right: float, down: float) -> Float[Array, "3 3"]:

@@ -5,7 +5,7 @@ import pytest
 from geoaim.bench import hover as made
 from geoaim.bench.data import data_folder
 from geoaim.synthetic import Hover, render_frame
-from geoaim.synthetic.texture import natural_noise
+from geoaim.synthetic.scenery.texture import natural_noise
 
 
 @pytest.fixture(autouse=True)

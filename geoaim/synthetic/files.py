@@ -1,0 +1,323 @@
+"""The files of a sample, as a person has them of a real place, and the truth of each."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import cv2
+import numpy as np
+import rasterio
+import shapely
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+from rasterio.enums import ColorInterp
+
+from geoaim.files import replacing
+from geoaim.geometry import transform_points
+from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
+from geoaim.synthetic.encode import write_video
+from geoaim.synthetic.imagery import (
+    WEB,
+    Imagery,
+    another_day,
+    cut_tiles,
+    draw_offset,
+    georeference_photo,
+    photograph,
+)
+from geoaim.synthetic.place import Place, plan_from_image
+from geoaim.synthetic.roads.lanelet import lanelet_map
+from geoaim.synthetic.roads.markings import landmarks
+from geoaim.synthetic.roads.paving import crossing_area
+from geoaim.synthetic.sample import VIDEOS, Sample, tracks_of
+from geoaim.synthetic.traffic.signals import STATES, lights_at
+from geoaim.tracks import write_tracks
+from geoaim.world import lonlat_from_world
+
+CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files
+ZOOM = 19  # of the tiles
+SENSOR = 36.0  # mm, width of the film that focal lengths are given for
+FOCAL_LENGTH = 24.0  # mm
+CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
+Progress = Callable[[str, float, float], None]
+
+
+def write_sample(sample: Sample, folder: Path, *, progress: Progress | None = None) -> None:
+    """Write the files of a sample and their truth; `README.md` in the folder says what each is.
+
+    Files of the same names are replaced.
+    """
+    report = progress if progress is not None else lambda stage, done, total: None
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(len(sample.recordings)):
+        report("tracks", number, len(sample.recordings))
+        _write_traffic(sample, folder, number)
+    report("maps", 0, 3)
+    _write_maps(sample, folder)
+    report("maps", 1, 3)
+    offset = _write_imagery(sample, folder)
+    _write_truth(sample, folder, offset)
+    report("maps", 3, 3)
+    if sample.clip is not None:
+        _write_film(sample, sample.clip, folder, report)
+    _write_text(folder / "README.md", _readme(sample))
+
+
+def _name(stem: str, number: int, ending: str) -> str:
+    return f"{stem}{ending}" if number == 0 else f"{stem}_{number:03d}{ending}"
+
+
+def _write_traffic(sample: Sample, folder: Path, number: int) -> None:
+    """Tracks, and the changes of the lights."""
+    tracks = tracks_of(sample, number)
+    write_tracks(tracks, folder / _name("tracks", number, ".csv"))
+    signals = sample.recordings[number].signals
+    states = lights_at(signals, tracks.times)
+    before = np.vstack([np.full((1, len(signals.names)), -1), states[:-1]])
+    lines = ["time,signal,state"]
+    for step, light in np.argwhere(states != before):
+        state = STATES[states[step, light]]
+        lines.append(f"{tracks.times[step]:.1f},{signals.names[light]},{state}")
+    if signals.names:
+        _write_text(folder / _name("lights", number, ".csv"), "\n".join(lines) + "\n")
+
+
+def _write_maps(sample: Sample, folder: Path) -> None:
+    """The HD map as such maps often are, one with everything, and all surfaces."""
+    place = sample.place
+    given = place.roads, place.world_from_plan, place.world
+    _write_bytes(folder / "map.osm", lanelet_map(*given))
+    _write_bytes(folder / "map_full.osm", lanelet_map(*given, walkways=True, parking=True))
+    paving = place.roads.paving
+    surfaces = {
+        "carriageway": paving.carriageway,
+        "island": paving.islands,
+        "pavement": shapely.union_all([paving.pavement, place.roads.walks.paths]),
+        "drive": paving.drive,
+        "car park": paving.lot,
+    }
+    features = [_feature(place, geometry, {"kind": kind}) for kind, geometry in surfaces.items()]
+    for crossing in place.roads.crossings:
+        about = {"kind": "crossing", "name": crossing.name, "marked": crossing.marked}
+        features.append(_feature(place, crossing_area(crossing), about))
+    features = [feature for feature in features if feature["geometry"]["coordinates"]]
+    content = {"type": "FeatureCollection", "features": features}
+    _write_text(folder / "surfaces.geojson", json.dumps(content, indent=None) + "\n")
+
+
+def _feature(place: Place, geometry: shapely.Geometry, about: dict[str, Any]) -> dict[str, Any]:
+    """A polygon in longitude and latitude, of what lies on the page."""
+    parts = shapely.get_parts(geometry.intersection(place.roads.page))
+    polygons = [
+        [_lonlat(place, np.array(ring.coords)) for ring in (part.exterior, *part.interiors)]
+        for part in parts
+        if part.geom_type == "Polygon" and not part.is_empty
+    ]
+    shape = {"type": "MultiPolygon", "coordinates": polygons}
+    return {"type": "Feature", "properties": about, "geometry": shape}
+
+
+def _lonlat(place: Place, points: Float[Array, "m 2"]) -> list[list[float]]:
+    world = transform_points(place.world_from_plan, points)
+    return np.round(lonlat_from_world(place.world, world), 9).tolist()
+
+
+def _write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
+    """An orthophoto and tiles of another day; gives by how much they are misplaced."""
+    place = sample.place
+    tracks = tracks_of(sample, len(sample.recordings) - 1)
+    last = replace(
+        tracks,
+        times=tracks.times[-1:],
+        states=tracks.states[:, -1:],
+        present=tracks.present[:, -1:],
+    )
+    offset = draw_offset(place)
+    day, m = another_day(place), sample.metres_per_pixel
+    photo = photograph(place, day, last, metres_per_pixel=m)
+    _write_geotiff(
+        georeference_photo(place, photo, "EPSG:3035", offset=offset), folder / "ortho.tif"
+    )
+    web = georeference_photo(place, photo, WEB, offset=offset)
+    for column, row, tile in cut_tiles(web, ZOOM):
+        _write_image(tile, folder / "tiles" / str(ZOOM) / str(column) / f"{row}.jpg", quality=85)
+    return offset
+
+
+def _write_geotiff(imagery: Imagery, path: Path) -> None:
+    """RGB and alpha, as map services deliver them."""
+    height, width = imagery.covered.shape
+    profile = {
+        "driver": "GTiff",
+        "height": height,
+        "width": width,
+        "count": 4,
+        "dtype": "uint8",
+        "crs": imagery.crs,
+        "transform": rasterio.Affine(*imagery.crs_from_image[:2].flat),
+        "compress": "deflate",
+        "predictor": 2,
+        "tiled": True,
+        "blockxsize": 256,
+        "blockysize": 256,
+    }
+    with replacing(path) as temporary, rasterio.open(temporary, "w", **profile) as dataset:
+        dataset.write(np.moveaxis(imagery.image, -1, 0), [1, 2, 3])
+        dataset.write(np.where(imagery.covered, 255, 0).astype(np.uint8), 4)
+        names = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
+        dataset.colorinterp = names
+
+
+def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> None:
+    """The video, what a surveyor and a detector would add, and the truth."""
+    place, total = sample.place, len(clip.times)
+
+    def frames() -> Iterator[UInt8[Array, "H W 3"]]:
+        for number, frame in enumerate(hover_frames(clip)):
+            report("film", number, total)
+            yield frame
+
+    write_video(frames(), folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
+    world_from_still = place.world_from_plan @ plan_from_image(sample.metres_per_pixel)
+    world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
+    _write_control_points(place, clip, world_from_frame, folder / "gcps.csv")
+    _write_boxes(sample, clip, folder / "boxes")
+    _write_telemetry(place, world_from_frame, clip, folder / "hover.SRT")
+    _write_image(clean_frame(clip), folder / "background.jpg", quality=95)
+    np.savez_compressed(
+        folder / "truth.npz",
+        times=clip.times,
+        frame_from_world=np.linalg.inv(world_from_frame),
+        world_from_frame=world_from_frame,
+        crs=np.array(place.world.crs),
+        origin=np.array(place.world.origin),
+    )
+
+
+def _write_control_points(
+    place: Place, clip: Clip, world_from_frame: Float[Array, "T 3 3"], path: Path
+) -> None:
+    """Surveyed points: name, pixel in frame 0 (corner origin), longitude and latitude (WGS 84)."""
+    names, marks = landmarks(place.roads)
+    world = transform_points(place.world_from_plan, marks)
+    pixels = transform_points(np.linalg.inv(world_from_frame[0]), world)
+    lines = ["name,u,v,lon,lat"]
+    places = lonlat_from_world(place.world, world)
+    for name, (u, v), (lon, lat) in zip(names, pixels, places, strict=True):
+        if 0 <= u < clip.width and 0 <= v < clip.height:
+            lines.append(f"{name},{u:.3f},{v:.3f},{lon:.9f},{lat:.9f}")
+    _write_text(path, "\n".join(lines) + "\n")
+
+
+def _write_boxes(sample: Sample, clip: Clip, folder: Path) -> None:
+    """A YOLO text file for each frame, named by its index: class, centre x and y, width, height."""
+    folder.mkdir(exist_ok=True)
+    size = np.array([clip.width, clip.height, clip.width, clip.height])
+    for index in range(len(clip.times)):
+        agents, boxes = boxed_agents(clip, index)
+        boxes = boxes / size
+        middle, extent = (boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]
+        lines = []
+        for agent, row in zip(agents.tolist(), np.hstack([middle, extent]), strict=True):
+            number = CLASSES.index(clip.traffic.types[agent])
+            lines.append(f"{number} " + " ".join(f"{value:.5f}" for value in row) + "\n")
+        _write_text(folder / f"{index:06d}.txt", "".join(lines))
+
+
+def _write_telemetry(
+    place: Place, world_from_frame: Float[Array, "T 3 3"], clip: Clip, path: Path
+) -> None:
+    """Subtitles as DJI writes them: where the camera is above the ground, and where it looks."""
+    middle = np.array([clip.width, clip.height]) / 2
+    spots = middle + np.array([[0, 0], [0, -1], [-middle[0], 0], [middle[0], 0]])
+    centre, above, left, right = np.moveaxis(transform_points(world_from_frame, spots), -2, 0)
+    heights = np.hypot(*(right - left).T) * FOCAL_LENGTH / SENSOR
+    yaws = np.degrees(np.arctan2(*(above - centre).T))
+    places = lonlat_from_world(place.world, centre)
+    entries = []
+    for index, time in enumerate(clip.times.tolist()):
+        step = round(1000 / clip.hover.frame_rate)
+        start, end = (round(1000 * time) + late for late in (0, step))
+        second, milli = divmod(start, 1000)
+        clock = CLOCK.format(minute=second // 60 + 21, second=second % 60, milli=milli)
+        (lon, lat), height = places[index], heights[index]
+        entries.append(
+            f"{index + 1}\n{_srt_time(start)} --> {_srt_time(end)}\n"
+            f'<font size="28">FrameCnt: {index + 1}, DiffTime: {step}ms\n{clock}\n'
+            f"[iso: 100] [shutter: 1/1000.0] [fnum: 2.8] [ev: 0] [focal_len: {FOCAL_LENGTH:.2f}] "
+            f"[latitude: {lat:.6f}] [longitude: {lon:.6f}] "
+            f"[rel_alt: {height:.3f} abs_alt: {height + 181:.3f}] "
+            f"[gb_yaw: {yaws[index]:.1f} gb_pitch: -90.0 gb_roll: 0.0] </font>\n"
+        )
+    _write_text(path, "\n".join(entries))
+
+
+def _srt_time(milliseconds: int) -> str:
+    seconds, milli = divmod(milliseconds, 1000)
+    return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d},{milli:03d}"
+
+
+def _write_truth(sample: Sample, folder: Path, offset: tuple[float, float]) -> None:
+    """What else is known: the place, its lights, and by how much the imagery is misplaced."""
+    place, day, signals = sample.place, another_day(sample.place), sample.recordings[0].signals
+    names, marks = landmarks(place.roads)
+    world = np.round(transform_points(place.world_from_plan, marks), 4).tolist()
+    content: dict[str, Any] = {
+        "seed": place.seed,
+        "kind": place.roads.layout.kind,
+        "crs": place.world.crs,
+        "origin": place.world.origin,
+        "world_from_plan": place.world_from_plan.tolist(),
+        "imagery": {"offset_east_north_m": offset, "season": day.season, "changes": day.changes},
+        "lights": {
+            "cycle_s": signals.cycle,
+            "phase_s": signals.phase,
+            "green_s": dict(zip(signals.names, signals.green, strict=True)),
+        },
+        "landmarks": dict(zip(names, world, strict=True)),
+    }
+    _write_text(folder / "truth.json", json.dumps(content, indent=1) + "\n")
+
+
+def _write_image(image: UInt8[Array, "H W 3"], path: Path, *, quality: int) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bgr = np.ascontiguousarray(image[..., ::-1])
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise OSError(f"{path}: the picture could not be encoded")
+    _write_bytes(path, data.tobytes())
+
+
+def _write_text(path: Path, text: str) -> None:
+    _write_bytes(path, text.encode())
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+
+
+def _readme(sample: Sample) -> str:
+    """What each file is: the template without the blocks that do not apply."""
+    place, clip = sample.place, sample.clip
+    seconds = sum(float(recording.times[-1]) for recording in sample.recordings)
+    sizes = {size: name for name, size in VIDEOS.items()}
+    video = "none" if clip is None else sizes.get((clip.height, clip.width), "720p")
+    options = f"--seed {place.seed} --kind {place.roads.layout.kind}"
+    values: dict[str, object] = {
+        "command": f"geoaim sample FOLDER {options} --minutes {seconds / 60:g} --video {video}",
+        "traffic": f"{seconds:g}",
+        "zoom": ZOOM,
+    }
+    if clip is not None:
+        values |= {"width": clip.width, "height": clip.height, "rate": f"{clip.hover.frame_rate:g}"}
+        values |= {"seconds": f"{len(clip.times) / clip.hover.frame_rate:g}"}
+    text = Path(__file__).with_name("sample_readme.md").read_text(encoding="utf-8")
+    given = {"film": clip is not None, "lights": bool(sample.recordings[0].signals.names)}
+    for block, there in given.items():
+        before, _, rest = text.partition(f"<{block}>\n")
+        inside, _, after = rest.partition(f"</{block}>\n")
+        text = before + (inside if there else "") + after
+    return Template(text).substitute(values)

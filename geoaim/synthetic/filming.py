@@ -1,0 +1,76 @@
+"""A hovering drone over a made place: its traffic as sprites, and the clip over both."""
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+
+from geoaim.geometry import transform_points
+from geoaim.synthetic.camera import Clip, Hover, Traffic, film
+from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, plan_from_image
+from geoaim.synthetic.scenery.cutouts import draw_person, draw_vehicle
+from geoaim.synthetic.scenery.day import Day, throw
+from geoaim.synthetic.scenery.things import CAR, PAINTS
+from geoaim.tracks import Tracks
+
+CLOTHES = ((58, 62, 78), (150, 60, 52), (198, 190, 178), (70, 96, 128), (90, 98, 72), (36, 36, 40))
+CAMERA, COLOURS = 20, 21  # streams of random numbers
+
+
+def film_place(
+    place: Place,
+    day: Day,
+    tracks: Tracks,
+    hover: Hover,
+    *,
+    size: tuple[int, int],
+    metres_per_pixel: float = METRES_PER_PIXEL,
+) -> Clip:
+    """A clip of a place and its traffic; frames come from `hover_frames(clip)`.
+
+    Args:
+        place: what is filmed.
+        day: when.
+        tracks: of the traffic at the times of the frames, some metres past the page.
+        hover: how it is filmed.
+        size: height and width of a frame, pixels.
+        metres_per_pixel: of the drawn place.
+
+    Raises:
+        ValueError: there are not as many times as frames.
+    """
+    shadow = CAR * throw(day) * (1 - day.clouds) / metres_per_pixel
+    colours = np.random.default_rng([place.seed, COLOURS])
+    traffic = Traffic(
+        sprites=draw_agents(tracks, metres_per_pixel, colours),
+        sizes=tracks.sizes / metres_per_pixel,
+        poses=image_poses(place, tracks, metres_per_pixel),
+        shadow=(float(shadow[0]), float(-shadow[1])),
+        types=tracks.types,
+    )
+    generator = np.random.default_rng([place.seed, CAMERA])
+    still = draw_place(place, day, metres_per_pixel=metres_per_pixel)
+    return film(still, traffic, hover, height=size[0], width=size[1], generator=generator)
+
+
+def image_poses(place: Place, tracks: Tracks, metres_per_pixel: float) -> Float[Array, "T N 3"]:
+    """Where agents are in the drawn place: pixels and heading (counter-clockwise as seen)."""
+    image_from_world = np.linalg.inv(place.world_from_plan @ plan_from_image(metres_per_pixel))
+    pixels = transform_points(image_from_world, tracks.states[..., :2])
+    turn = np.arctan2(place.world_from_plan[1, 0], place.world_from_plan[0, 0])
+    poses = np.concatenate([pixels, tracks.states[..., 2:3] - turn], axis=-1)
+    return np.swapaxes(poses, 0, 1)
+
+
+def draw_agents(
+    tracks: Tracks, metres_per_pixel: float, generator: np.random.Generator
+) -> tuple[UInt8[Array, "_ _ 4"], ...]:
+    """A picture of each agent from above; colours are drawn by chance."""
+    sprites = []
+    for kind, (length, width) in zip(tracks.types, tracks.sizes.tolist(), strict=True):
+        paint = PAINTS[int(generator.integers(len(PAINTS)))]
+        cloth = CLOTHES[int(generator.integers(len(CLOTHES)))]
+        if kind in ("pedestrian", "cyclist"):
+            sprites.append(draw_person(cloth, metres_per_pixel, cycle=kind == "cyclist"))
+        else:
+            sprites.append(draw_vehicle(length, width, paint, metres_per_pixel))
+    return tuple(sprites)

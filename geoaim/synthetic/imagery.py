@@ -1,0 +1,199 @@
+"""Imagery of a made place by others: another day, another sensor, a place that is a little off."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from numpy import ndarray as Array
+
+from geoaim.geometry import image_corners, transform_points
+from geoaim.synthetic.camera import paste
+from geoaim.synthetic.exact import blur, pack, warp
+from geoaim.synthetic.filming import draw_agents, image_poses
+from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, plan_from_image
+from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
+from geoaim.synthetic.scenery.day import SEASONS, Day
+from geoaim.tracks import Tracks
+from geoaim.world import crs_from_world
+
+WEB = "EPSG:3857"
+ROUND = 20037508.342789244  # m, half the width of the world in EPSG:3857
+TILE = 256  # px
+IMAGERY = 30  # stream of random numbers
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What took a picture from far above.
+
+    Attributes:
+        metres_per_pixel: on the ground.
+        blur: standard deviation of its blur, its own pixels.
+        noise: standard deviation of its noise, grey levels.
+        gamma: of its grey levels.
+        balance: gain of red, green and blue.
+        mix: how far its colours are mixed with each other, 0 to 1.
+    """
+
+    metres_per_pixel: float = 0.2
+    blur: float = 0.6
+    noise: float = 2.5
+    gamma: float = 0.9
+    balance: tuple[float, float, float] = (1.04, 1.0, 0.93)
+    mix: float = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class Imagery:
+    """A georeferenced picture, and by how far it is misplaced.
+
+    Attributes:
+        image: (H, W, 3) the picture.
+        covered: (H, W) where it shows the place.
+        crs: a projected CRS.
+        crs_from_image: (3, 3) pixels (corner origin) to where the picture says that they are.
+        offset: metres on the ground, along the axes of `crs`, by which it is misplaced: what it
+            shows at a place is in truth that far back.
+    """
+
+    image: UInt8[Array, "H W 3"]
+    covered: Bool[Array, "H W"]
+    crs: str
+    crs_from_image: Float[Array, "3 3"]
+    offset: tuple[float, float]
+
+
+def another_day(place: Place) -> Day:
+    """A day of another season and another sun than day 0, on which some things have changed."""
+    generator = np.random.default_rng([place.seed, IMAGERY])
+    return Day(
+        season=SEASONS[int(generator.choice([0, 2, 3]))],
+        azimuth=float(generator.uniform(0, 2 * np.pi)),
+        elevation=float(generator.uniform(0.5, 0.95)),
+        clouds=float(generator.choice([0.0, 0.0, 0.5])),
+        number=1 + int(generator.integers(1000)),
+        changes=6,
+    )
+
+
+def photograph(
+    place: Place,
+    day: Day,
+    tracks: Tracks,
+    sensor: Sensor | None = None,
+    *,
+    metres_per_pixel: float = METRES_PER_PIXEL,
+) -> UInt8[Array, "_ _ 3"]:
+    """A place from far above on some day, with the traffic of the tracks' first time.
+
+    Its sides are those of the drawn place, at the sensor's resolution; it is drawn finer, at
+    `metres_per_pixel`.
+    """
+    generator = np.random.default_rng([place.seed, IMAGERY, day.number])
+    still = draw_place(place, day, metres_per_pixel=metres_per_pixel)
+    agents = draw_agents(tracks, metres_per_pixel, generator)
+    paste(still, agents, image_poses(place, tracks, metres_per_pixel)[0])
+    return _sense(still, Sensor() if sensor is None else sensor, generator)
+
+
+def georeference_photo(
+    place: Place, photo: UInt8[Array, "_ _ 3"], crs: str, *, offset: tuple[float, float]
+) -> Imagery:
+    """A photo on a north-up grid of some CRS, misplaced by some metres on the ground."""
+    crs_from_photo = _crs_from_photo(place, photo.shape[:2], crs)
+    unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # of the CRS, for a pixel of the photo
+    pixel = float(np.float32(unit))  # a number that is the same on every machine
+    crs_from_image, (height, width) = _grid(crs_from_photo, photo.shape[:2], pixel)
+    photo_from_image = np.linalg.inv(crs_from_photo) @ crs_from_image
+    image, covered = _resampled(photo, photo_from_image, height, width)
+    metres = WIDTH / photo.shape[1]
+    right, up = np.asarray(offset) * unit / metres
+    moved = np.array([[1, 0, right], [0, 1, up], [0, 0, 1.0]]) @ crs_from_image
+    return Imagery(image, covered, crs, moved, offset)
+
+
+def draw_offset(place: Place) -> tuple[float, float]:
+    """By how many metres east and north imagery of a place is misplaced."""
+    generator = np.random.default_rng([place.seed, IMAGERY, 0])
+    reach, turn = generator.uniform(2.0, 6.0), generator.uniform(0, 2 * np.pi)
+    return round(float(reach * np.cos(turn)), 2), round(float(reach * np.sin(turn)), 2)
+
+
+def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Array, "T T 3"]]]:
+    """XYZ tiles of an imagery in EPSG:3857: column, row and picture; white where nothing is.
+
+    Raises:
+        ValueError: the imagery has another CRS.
+    """
+    if imagery.crs != WEB:
+        raise ValueError(f"tiles are cut from {WEB}, not from {imagery.crs}")
+    side = 2 * ROUND / 2**zoom
+    corners = transform_points(imagery.crs_from_image, image_corners(*imagery.image.shape[:2]))
+    spans = np.floor((corners * [1, -1] + ROUND) / side).astype(int)
+    (left, top), (right, low) = spans.min(axis=0), spans.max(axis=0)
+    for column in range(left, right + 1):
+        for row in range(top, low + 1):
+            west, north, pixel = column * side - ROUND, ROUND - row * side, side / TILE
+            crs_from_tile = np.array([[pixel, 0, west], [0, -pixel, north], [0, 0, 1.0]])
+            image_from_tile = np.linalg.inv(imagery.crs_from_image) @ crs_from_tile
+            tile, inside = _resampled(imagery.image, image_from_tile, TILE, TILE)
+            tile[~inside] = 255
+            if inside.any():
+                yield column, row, tile
+
+
+def _crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:
+    """Pixels of a photo to a CRS: over a place this small, affine to under a millimetre."""
+    rows, columns = shape
+    plan_from_photo = plan_from_image(WIDTH / columns)
+    u, v = np.meshgrid(np.linspace(0, columns, 5), np.linspace(0, rows, 5))
+    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+    world = transform_points(place.world_from_plan @ plan_from_photo, pixels)
+    places = crs_from_world(place.world, world, crs)
+    middle = places.mean(axis=0)
+    system = np.column_stack([pixels, np.ones(len(pixels))])
+    affine = np.eye(3)
+    affine[:2] = np.linalg.lstsq(system, places - middle, rcond=None)[0].T
+    affine[:2, 2] += middle
+    return affine
+
+
+def _grid(
+    crs_from_photo: Float[Array, "3 3"], shape: tuple[int, ...], pixel: float
+) -> tuple[Float[Array, "3 3"], tuple[int, int]]:
+    """A north-up grid around a photo, its corner on whole units of the CRS."""
+    corners = transform_points(crs_from_photo, image_corners(*shape))
+    left, low = np.floor(corners.min(axis=0))
+    right, top = np.ceil(corners.max(axis=0))
+    size = round((top - low) / pixel), round((right - left) / pixel)
+    return np.array([[pixel, 0, left], [0, -pixel, top], [0, 0, 1.0]]), size
+
+
+def _sense(
+    still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
+) -> UInt8[Array, "_ _ 3"]:
+    """The drawn place as the sensor renders it, at its resolution."""
+    size = tuple(round(side / sensor.metres_per_pixel) for side in (WIDTH, HEIGHT))
+    small = cv2.resize(still, size, interpolation=cv2.INTER_AREA)
+    small = blur(np.asarray(small), sensor.blur)
+    levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)
+    light = levels[small] * np.asarray(sensor.balance, np.float32)
+    grey = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3)
+    light += np.float32(sensor.mix) * (grey[..., None] - light)
+    light += np.rint(sensor.noise * generator.standard_normal(light.shape)).astype(np.float32)
+    return np.rint(np.minimum(np.maximum(light, 0), 255)).astype(np.uint8)
+
+
+def _resampled(
+    image: UInt8[Array, "h w 3"], image_from_grid: Float[Array, "3 3"], height: int, width: int
+) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """A picture on another grid, and where it is."""
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    spots = transform_points(image_from_grid, np.stack([u.ravel(), v.ravel()], axis=1))
+    rows, columns = image.shape[:2]
+    inside = ((spots >= 0) & (spots < [columns, rows])).all(axis=1).reshape(height, width)
+    grid = warp(pack(image), image_from_grid, height, width)
+    grid[~inside] = 0
+    return grid, inside

@@ -1,0 +1,82 @@
+"""A made place: its plan, its scenery and where it lies; the same seed gives the same place."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+
+from geoaim.synthetic.roads.layouts import Kind
+from geoaim.synthetic.roads.plan import HEIGHT, WIDTH, Roads, make_roads
+from geoaim.synthetic.scenery.day import Day
+from geoaim.synthetic.scenery.ground import draw_ground
+from geoaim.synthetic.scenery.page import blank_page
+from geoaim.synthetic.scenery.plots import furnish
+from geoaim.synthetic.scenery.scene import Scenery
+from geoaim.synthetic.scenery.things import draw_things, grade
+from geoaim.world import World
+
+METRES_PER_PIXEL = 0.05
+CONTRAST = (0.75, 1.45)  # of the cameras
+WORLD = World("EPSG:32635", (583000.0, 6062000.0))
+PLAN, SCENERY, GROUND, DAY = range(4)  # streams of random numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A made place.
+
+    Attributes:
+        seed: of everything in it.
+        roads: the plan, metres from its middle, x right and y up as drawn.
+        scenery: what stands beside the roads.
+        world: the plane of the tracks.
+        world_from_plan: (3, 3) plan metres to world metres, a rotation and a shift.
+    """
+
+    seed: int
+    roads: Roads
+    scenery: Scenery
+    world: World
+    world_from_plan: Float[Array, "3 3"]
+
+
+def make_place(seed: int, *, kind: Kind = "junction") -> Place:
+    """A place of some kind: "junction", "t", "roundabout" or "street".
+
+    Raises:
+        ValueError: there is no such kind.
+    """
+    roads = make_roads(kind, _generator(seed, PLAN))
+    generator = _generator(seed, SCENERY)
+    turn = generator.uniform(-np.pi, np.pi)  # nobody flies along the grid
+    c, s = np.cos(turn), np.sin(turn)
+    world_from_plan = np.array([[c, -s, 180.0], [s, c, 240.0], [0, 0, 1.0]])
+    return Place(seed, roads, furnish(roads, generator), WORLD, world_from_plan)
+
+
+def draw_place(
+    place: Place, day: Day | None = None, *, metres_per_pixel: float = METRES_PER_PIXEL
+) -> UInt8[Array, "H W 3"]:
+    """The place from above on some day, without traffic.
+
+    Texture is drawn anew at each resolution: for two pictures of the same ground, draw the finer
+    and resize it.
+    """
+    day = Day() if day is None else day
+    page = blank_page(HEIGHT, WIDTH, metres_per_pixel, _generator(place.seed, GROUND))
+    generator = _generator(place.seed, DAY, day.number)
+    draw_ground(page, place.roads, place.scenery, day, generator)
+    draw_things(page, place.scenery, day, generator)
+    grade(page, day, CONTRAST[0] + (CONTRAST[1] - CONTRAST[0]) * page.generator.uniform())
+    return np.rint(np.minimum(np.maximum(page.image, 0), 255)).astype(np.uint8)
+
+
+def plan_from_image(metres_per_pixel: float = METRES_PER_PIXEL) -> Float[Array, "3 3"]:
+    """Pixels of a drawn place (corner origin) to plan metres."""
+    m = metres_per_pixel
+    return np.array([[m, 0, -WIDTH / 2], [0, -m, HEIGHT / 2], [0, 0, 1.0]])
+
+
+def _generator(*seeds: int) -> np.random.Generator:
+    return np.random.default_rng(seeds)

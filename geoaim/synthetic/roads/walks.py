@@ -1,0 +1,194 @@
+"""Where people walk: lines along the pavements, paths to doors, crossings, and routes over them."""
+
+import heapq
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from numpy import ndarray as Array
+from shapely import Geometry, LineString, Point, Polygon
+from shapely.ops import substring
+
+from geoaim.synthetic.roads.curves import Line, even, run
+from geoaim.synthetic.roads.paving import VERGE, Crossing, Paving, outer_kerbs
+
+BEYOND = 8.0  # m past the page where people appear and vanish
+PATH = 2.0  # m, width of a path to a door
+DOOR = (9.0, 16.0)  # m from the middle of a pavement to a door
+DOORS = 2  # on each side, where there is room
+APART = 15.0  # m between two doors
+
+
+@dataclass(frozen=True)
+class Leg:
+    """A piece of a walk, walked in either direction.
+
+    Attributes:
+        line: points at equal steps, plan metres.
+        crossing: number of the crossing that it leads over; -1: a pavement or path.
+        start: node at its start.
+        end: node at its end.
+    """
+
+    line: Line
+    crossing: int
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, eq=False)
+class Walks:
+    """The net that people walk on.
+
+    Attributes:
+        legs: its edges.
+        gates: nodes at which people appear and vanish: the page's edge, doors.
+        paths: paved ways to doors.
+    """
+
+    legs: tuple[Leg, ...]
+    gates: tuple[int, ...]
+    paths: Geometry
+
+
+def make_walks(
+    paving: Paving,
+    crossings: tuple[Crossing, ...],
+    page: Polygon,
+    wide: float,
+    generator: np.random.Generator,
+) -> Walks:
+    """Lines along the pavements (`wide` metres), joined by crossings, with paths to doors."""
+    whole = outer_kerbs(paving)
+    middle = whole.buffer((VERGE + wide) / 2, quad_segs=16).exterior
+    inside = shapely.line_merge(middle.intersection(page.buffer(BEYOND)))
+    sides = [line for line in shapely.get_parts(inside) if line.length > 20]
+    doors = [door for side in sides for door in _doors(side, paving, generator)]
+    feet = [(side, at) for side, line in enumerate(sides) for at in (0.0, line.length)]
+    rims = len(feet)
+    ends = [end for crossing in crossings for end in crossing.ends] + [door[0] for door in doors]
+    feet += [_nearest(sides, end) for end in ends]
+    node = _same_place(feet)
+    legs = [*_over(sides, crossings, feet[rims:], node[rims:])]
+    along_drive = _same_side(crossings, feet[rims:], node[rims:])
+    legs += _along(sides, feet, node, along_drive)
+    door_feet, free = node[rims + 2 * len(crossings) :], len(feet) + 2 * len(crossings)
+    gates = [*node[:rims], *range(free, free + len(doors))]
+    legs += [
+        Leg(even(door), -1, foot, free + k)
+        for k, (door, foot) in enumerate(zip(doors, door_feet, strict=True))
+    ]
+    paths = [LineString(door).buffer(PATH / 2, cap_style="flat") for door in doors]
+    paved = shapely.union_all([whole, paving.pavement])
+    return Walks(tuple(legs), tuple(gates), shapely.union_all(paths).difference(paved))
+
+
+def route(walks: Walks, start: int, end: int, favour: Float[Array, "_"]) -> list[tuple[Line, int]]:
+    """The way between two gates: lines and crossings; each leg counts `favour` times its length.
+
+    Dijkstra's; empty where no way leads there.
+    """
+    edges: dict[int, list[tuple[int, int]]] = {}
+    costs = [run(leg.line)[-1] * weight for leg, weight in zip(walks.legs, favour, strict=True)]
+    for number, leg in enumerate(walks.legs):
+        edges.setdefault(leg.start, []).append((leg.end, number))
+        edges.setdefault(leg.end, []).append((leg.start, number))
+    queue, came = [(0.0, start)], {start: (0.0, -1, -1)}
+    while queue:
+        cost, node = heapq.heappop(queue)
+        for after, number in edges.get(node, []):
+            total = cost + costs[number]
+            if after not in came or total < came[after][0]:
+                came[after] = (total, node, number)
+                heapq.heappush(queue, (total, after))
+    found: list[tuple[Line, int]] = []
+    while end != start and end in came:
+        _, before, number = came[end]
+        leg = walks.legs[number]
+        found.append((leg.line if leg.end == end else leg.line[::-1], leg.crossing))
+        end = before
+    return found[::-1]
+
+
+def _doors(side: LineString, paving: Paving, generator: np.random.Generator) -> list[Line]:
+    """Straight paths from a pavement into the plots, where nothing is in their way."""
+    plots = shapely.union_all(list(paving.plots))
+    found: list[Line] = []
+    for at, reach in zip(
+        generator.uniform(0.1, 0.9, 12), generator.uniform(*DOOR, 12), strict=True
+    ):
+        spot, ahead = (
+            np.array(side.interpolate(at * side.length + d).coords[0]) for d in (0.0, 0.5)
+        )
+        x, y = (ahead - spot) / np.hypot(*(ahead - spot))
+        for across in (np.array([y, -x]), np.array([-y, x])):
+            line = np.stack([spot, spot + reach * across])
+            clear = LineString([spot + 5.5 * across, line[1] + 2 * across]).buffer(2.0)
+            apart = all(np.hypot(*(spot - other[0])) > APART for other in found)
+            if len(found) < DOORS and apart and plots.contains(clear):
+                found.append(line)
+    return found
+
+
+def _nearest(sides: list[LineString], point: Float[Array, "2"]) -> tuple[int, float]:
+    """The side that passes nearest to a point, and metres along it."""
+    side = int(np.argmin([side.distance(Point(point)) for side in sides]))
+    return side, float(sides[side].project(Point(point)))
+
+
+def _same_place(feet: list[tuple[int, float]]) -> list[int]:
+    """A node for each foot; feet within half a metre of each other share one."""
+    node: list[int] = []
+    for k, (side, at) in enumerate(feet):
+        twins = [j for j in range(k) if feet[j][0] == side and abs(feet[j][1] - at) < 0.5]
+        node.append(node[twins[0]] if twins else k)
+    return node
+
+
+def _same_side(
+    crossings: tuple[Crossing, ...], feet: list[tuple[int, float]], node: list[int]
+) -> dict[frozenset[int], int]:
+    """Crossings that lie in a pavement's own line, by the nodes at their ends."""
+    pairs = {}
+    for number in range(len(crossings)):
+        if feet[2 * number][0] == feet[2 * number + 1][0]:
+            pairs[frozenset(node[2 * number : 2 * number + 2])] = number
+    return pairs
+
+
+def _over(
+    sides: list[LineString],
+    crossings: tuple[Crossing, ...],
+    feet: list[tuple[int, float]],
+    node: list[int],
+) -> list[Leg]:
+    """For each crossing that joins two pavements: to the kerb, over, from the kerb."""
+    legs, free = [], max(2 * len(sides) + len(feet), 0)
+    for number, crossing in enumerate(crossings):
+        pair = range(2 * number, 2 * number + 2)
+        if feet[pair[0]][0] == feet[pair[1]][0]:
+            continue
+        kerbs = [free + k for k in pair]
+        legs.append(Leg(even(crossing.ends), number, *kerbs))
+        for k, kerb, end in zip(pair, kerbs, crossing.ends, strict=True):
+            foot = np.array(sides[feet[k][0]].interpolate(feet[k][1]).coords[0])
+            legs.append(Leg(even(np.stack([foot, end])), -1, node[k], kerb))
+    return legs
+
+
+def _along(
+    sides: list[LineString],
+    feet: list[tuple[int, float]],
+    node: list[int],
+    crossings: dict[frozenset[int], int],
+) -> list[Leg]:
+    """The pavements' lines, cut at all feet."""
+    legs = []
+    for number, side in enumerate(sides):
+        marks = sorted({(feet[k][1], k) for k in set(node) if feet[k][0] == number})
+        for (start, a), (end, b) in pairwise(marks):
+            line = even(np.array(substring(side, start, end).coords))
+            legs.append(Leg(line, crossings.get(frozenset((a, b)), -1), a, b))
+    return legs

@@ -1,0 +1,208 @@
+"""What is seen from above and cut out: crowns of trees, vehicles, people."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+from numpy import ndarray as Array
+
+from geoaim.synthetic.exact import blur
+from geoaim.synthetic.scenery.texture import Colour, lay, polygon_mask
+
+FINER = 4  # vehicles and people are drawn at this many times their resolution
+MARGIN = 3  # px of air around them
+GLASS: Colour = (34, 40, 46)
+LAMP: Colour = (222, 225, 222)
+TAIL_LAMP: Colour = (146, 34, 32)
+BARK: Colour = (98, 88, 76)
+SKIN: Colour = (196, 160, 136)
+LARGE, SMALL = 50, 170  # balls of leaves of a crown
+LONG, BUS = 6.5, 11.0  # m: longer vehicles are lorries, and buses
+HEIGHTS = 16384.0  # parts of a radius that the height of a crown is rounded to, to be blurred
+Outline = list[tuple[float, float]]  # metres forward of the middle and to the side; mirrored
+
+
+def draw_tree(
+    radius: int,
+    colour: Colour,
+    light: tuple[float, float],
+    grain: Float32[Array, "_ _"],
+    generator: np.random.Generator,
+) -> UInt8[Array, "_ _ 4"]:
+    """A crown from above: clumps of leaves, lit from one side, with a ragged rim.
+
+    Args:
+        radius: pixels.
+        colour: of leaves in full light.
+        light: direction towards the sun in the image, right and down, of length 1.
+        grain: noise of variance 1, of at least 2.4 radii each way.
+        generator: of the crown's shape.
+    """
+    side = 2 * int(radius * 1.2) + 1
+    axis = np.linspace(-1.2, 1.2, side)
+    height = _crown(axis, generator)
+    crown = height > -1
+    leaves = grain[:side, :side]
+    height = np.where(crown, height, 0.2) + 0.012 * leaves
+    smooth = _smooth(height, max(radius / 40, 0.6))
+    down, right = np.gradient(smooth, axis, axis)
+    slope = -(right * light[0] + down * light[1]) / np.sqrt(1 + right**2 + down**2)
+    hollow = smooth - _smooth(height, radius / 6)
+    shade = 0.66 + 0.30 * slope + 0.9 * hollow + 0.06 * leaves + 0.12 * (smooth - 0.6)
+    rgba = np.empty((side, side, 4))
+    rgba[..., :3] = np.minimum(np.maximum(shade, 0.15), 1.3)[..., None] * colour
+    rgba[..., 3] = blur(np.where(crown, 255, 0).astype(np.uint8), 0.8)
+    return np.rint(np.minimum(np.maximum(rgba, 0), 255)).astype(np.uint8)
+
+
+def draw_bare_tree(radius: int, generator: np.random.Generator) -> UInt8[Array, "_ _ 4"]:
+    """A tree without leaves from above: branches that fork outwards."""
+    side = 2 * int(radius * 1.2) + 1
+    mask = np.zeros((side, side), np.uint8)
+    tips = [(np.array([side / 2, side / 2]), turn, 0.42) for turn in np.arange(7) * 2 * np.pi / 7]
+    width = max(radius / 14, 1.0)
+    for _ in range(4):
+        grown = []
+        for start, turn, reach in tips:
+            for fork in (-0.35, 0.3):
+                bend = turn + fork + generator.normal(0, 0.2)
+                length = reach * radius * generator.uniform(0.7, 1.1)
+                end = start + length * np.array([np.cos(bend), np.sin(bend)])
+                ends = np.rint(16 * np.array([start, end])).astype(np.int32)
+                cv2.polylines(mask, [ends], False, 255, max(round(width), 1), cv2.LINE_AA, 4)
+                grown.append((end, bend, 0.62 * reach))
+        tips, width = grown, 0.6 * width
+    rgba = np.empty((side, side, 4), np.uint8)
+    rgba[..., :3] = BARK
+    rgba[..., 3] = np.minimum(blur(mask, 0.6), 220)
+    return rgba
+
+
+def _crown(axis: Float[Array, "n"], generator: np.random.Generator) -> Float[Array, "n n"]:
+    """The upper surface of balls of leaves, large then small; -1 beside them."""
+    count = LARGE + min(SMALL, len(axis))
+    reach = 0.85 * generator.uniform(size=count) ** 0.6
+    turn = generator.uniform(0, 2 * np.pi, count)
+    large = np.arange(count) < LARGE
+    balls = generator.uniform(np.where(large, 0.18, 0.05), np.where(large, 0.30, 0.13))
+    middles = np.stack([reach * np.cos(turn), reach * np.sin(turn)])
+    spans = np.searchsorted(axis, [middles - balls, middles + balls])  # (2, 2, count)
+    bases = 0.75 * np.sqrt(1 - reach**2) + np.where(large, 0.0, 0.16)
+    height = np.full((len(axis), len(axis)), -1.0)
+    for k in range(count):
+        left, right, top, bottom = spans[0, 0, k], spans[1, 0, k], spans[0, 1, k], spans[1, 1, k]
+        across, down = axis[left:right] - middles[0, k], axis[top:bottom, None] - middles[1, k]
+        room = balls[k] ** 2 - across * across - down * down
+        part = height[top:bottom, left:right]
+        surface = bases[k] + np.sqrt(np.maximum(room, 0))
+        np.copyto(part, surface, where=(room > 0) & (surface > part))
+    return height
+
+
+def _smooth(height: Float[Array, "n n"], sigma: float) -> Float[Array, "n n"]:
+    """Gaussian blur of heights of -1 to 2, in integers."""
+    whole = np.rint((height + 1) * HEIGHTS).astype(np.uint16)
+    return np.asarray(cv2.GaussianBlur(whole, (0, 0), sigma), np.float64) / HEIGHTS - 1
+
+
+def draw_vehicle(
+    length: float, width: float, colour: Colour, metres_per_pixel: float
+) -> UInt8[Array, "_ _ 4"]:
+    """A vehicle from above, heading right, centred; longer than 6.5 m it is a lorry or a bus.
+
+    Args:
+        length: metres.
+        width: metres.
+        colour: of the paint.
+        metres_per_pixel: of the sprite.
+    """
+    a, b = length / 2, width / 2
+    parts = _car(a, b, colour) if length <= LONG else _lorry(a, b, colour)
+    parts = _bus(a, b, colour) if length > BUS else parts
+    return _drawn((length, width), [*_body(a, b, colour), *parts], metres_per_pixel)
+
+
+def draw_person(
+    colour: Colour, metres_per_pixel: float, *, cycle: bool = False
+) -> UInt8[Array, "_ _ 4"]:
+    """Somebody from above, heading right: shoulders and head, and the cycle below them."""
+    shoulders = [(0.14, 0), (0.12, 0.2), (0.02, 0.27), (-0.1, 0.24), (-0.14, 0)]
+    hair = [(0.11, 0), (0.07, 0.09), (-0.04, 0.1), (-0.1, 0)]
+    parts: list[tuple[Outline, Colour]] = [(shoulders, colour), (hair, _mixed(BARK, 0.6))]
+    if cycle:
+        wheels: Outline = [(0.9, 0), (0.88, 0.04), (-0.88, 0.04), (-0.9, 0)]
+        bars: Outline = [(0.45, 0), (0.42, 0.28), (0.36, 0.28), (0.38, 0)]
+        parts = [(wheels, GLASS), (bars, _mixed(GLASS, 1.6)), *parts]
+    size = (1.8, 0.65) if cycle else (0.5, 0.6)
+    return _drawn(size, parts, metres_per_pixel)
+
+
+def _drawn(
+    size: tuple[float, float], parts: list[tuple[Outline, Colour]], metres_per_pixel: float
+) -> UInt8[Array, "_ _ 4"]:
+    """Outlines, mirrored, painted one over the other, and made smaller."""
+    shape = [round(side / metres_per_pixel) + 2 * MARGIN for side in size[::-1]]
+    canvas = np.zeros((shape[0] * FINER, shape[1] * FINER, 4), np.float32)
+    middle = np.array(canvas.shape[1::-1]) / 2
+    for outline, paint in parts:
+        for side in (1, -1):
+            corners = np.array(outline) * [1, side] * FINER / metres_per_pixel + middle
+            mask = polygon_mask((canvas.shape[0], canvas.shape[1]), [[corners]])
+            lay(canvas, mask.astype(np.float32) / np.float32(255), (*paint, 255.0))
+    canvas[..., :3] *= canvas[..., 3:] / 255
+    small = canvas.reshape(shape[0], FINER, shape[1], FINER, 4).mean(axis=(1, 3), dtype=np.float64)
+    small[..., :3] /= np.maximum(small[..., 3:] / 255, 1e-3)
+    return np.rint(np.minimum(np.maximum(small, 0), 255)).astype(np.uint8)
+
+
+def _mixed(colour: Colour, factor: float, light: float = 0.0) -> Colour:
+    red, green, blue = (min(channel * factor + light, 250.0) for channel in colour)
+    return red, green, blue
+
+
+def _body(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+    outline = [(a, 0), (a, b * 0.5), (a - 0.16, b * 0.8), (a - 0.5, b * 0.96), (0, b)]
+    outline += [(-a + 0.35, b * 0.96), (-a + 0.08, b * 0.82), (-a, b * 0.5), (-a, 0)]
+    front = [(a - 0.05, 0.5 * b), (a - 0.18, 0.78 * b), (a - 0.34, 0.84 * b), (a - 0.2, 0.5 * b)]
+    rear = [(0.04 - a, 0.45 * b), (0.12 - a, 0.8 * b), (0.25 - a, 0.84 * b), (0.14 - a, 0.45 * b)]
+    inner = [(x * 0.985, y * 0.94) for x, y in outline]
+    return [(outline, _mixed(colour, 0.62)), (inner, colour), (front, LAMP), (rear, TAIL_LAMP)]
+
+
+def _car(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+    screen, rear = 0.32 * a, -0.6 * a
+    bonnet = [(a - 0.75, 0), (a - 0.7, b * 0.2), (screen + 0.65, b * 0.75), (screen + 0.6, 0)]
+    glass = [
+        (screen + 0.62, 0),
+        (screen + 0.42, b * 0.82),
+        (rear - 0.35, b * 0.8),
+        (rear - 0.48, 0),
+    ]
+    roof = [(screen, 0), (screen - 0.08, b * 0.7), (rear + 0.1, b * 0.68), (rear, 0)]
+    top = [(screen - 0.3, 0), (screen - 0.35, b * 0.5), (rear + 0.5, b * 0.5), (rear + 0.45, 0)]
+    mirror = [(screen + 0.3, b * 0.98), (screen + 0.42, b * 1.08), (screen + 0.22, b * 1.08)]
+    light = _mixed(colour, 0.9, 26)
+    paints = [light, GLASS, light, _mixed(colour, 0.96, 14), _mixed(colour, 0.62)]
+    return list(zip([bonnet, glass, roof, top, mirror], paints, strict=True))
+
+
+def _bus(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+    screen = [(a - 0.1, 0), (a - 0.12, b * 0.8), (a - 0.42, b * 0.86), (a - 0.45, 0)]
+    roof = [(a - 0.7, 0), (a - 0.7, b * 0.9), (-a + 0.2, b * 0.9), (-a + 0.2, 0)]
+    hatches = [
+        [(x, 0.0), (x, b * 0.5), (x + 0.9, b * 0.5), (x + 0.9, 0.0)]
+        for x in np.arange(1.2 - a, a - 1.5, 2.4).tolist()
+    ]
+    shut = _mixed(colour, 0.8)
+    return [(screen, GLASS), (roof, _mixed(colour, 0.9, 26)), *[(hatch, shut) for hatch in hatches]]
+
+
+def _lorry(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+    """A cab and a box behind it."""
+    screen: Outline = [(a - 0.1, 0), (a - 0.12, b * 0.8), (a - 0.4, b * 0.86), (a - 0.42, 0)]
+    cab: Outline = [(a - 0.5, 0), (a - 0.5, b * 0.9), (a - 1.7, b * 0.9), (a - 1.7, 0)]
+    gap: Outline = [(a - 1.7, 0), (a - 1.7, b * 0.8), (a - 2.0, b * 0.8), (a - 2.0, 0)]
+    box: Outline = [(a - 2.0, 0), (a - 2.0, b), (-a, b), (-a, 0)]
+    top: Outline = [(a - 2.1, 0), (a - 2.1, b * 0.94), (0.1 - a, b * 0.94), (0.1 - a, 0)]
+    pale: Colour = (206, 206, 202)
+    paints = [GLASS, _mixed(colour, 0.9, 26), GLASS, _mixed(pale, 0.8), pale]
+    return list(zip([screen, cab, gap, box, top], paints, strict=True))

@@ -1,0 +1,90 @@
+"""A day: sun, season, and what has changed on the ground since another day."""
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.synthetic.scenery.texture import Colour
+
+Season = Literal["spring", "summer", "autumn", "winter"]
+SEASONS: tuple[Season, ...] = get_args(Season)
+
+
+@dataclass(frozen=True)
+class Day:
+    """When a place is looked at.
+
+    Attributes:
+        season: colours of grass and leaves.
+        azimuth: direction to the sun on the plan, radians counter-clockwise from +x.
+        elevation: height of the sun, radians.
+        clouds: 0 for a clear sky, 1 for an overcast one without shadows.
+        number: what differs from day to day by chance: parked cars, and with `changes`, more.
+        changes: how many things have changed since day 0: trees, tar, containers, markings.
+    """
+
+    season: Season = "summer"
+    azimuth: float = 2.24
+    elevation: float = 1.02
+    clouds: float = 0.0
+    number: int = 0
+    changes: int = 0
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours of a season.
+
+    Attributes:
+        grass: mean colour of lawns.
+        dry: of their dry places.
+        dryness: how far these reach.
+        leaves: of trees and shrubs.
+        bare: share of the trees without leaves.
+        light: colour of the light, 1 is white.
+    """
+
+    grass: Colour
+    dry: Colour
+    dryness: float
+    leaves: tuple[Colour, ...]
+    bare: float
+    light: Colour
+
+
+PALETTES: dict[Season, Palette] = {
+    "spring": Palette(
+        (106, 130, 66), (142, 140, 88), -0.9,
+        ((132, 158, 76), (116, 146, 70), (146, 160, 84), (170, 150, 150)), 0.1, (0.99, 1.0, 1.0),
+    ),
+    "summer": Palette(
+        (104, 118, 70), (150, 142, 92), -0.4,
+        ((104, 132, 66), (86, 118, 58), (122, 136, 64), (96, 112, 60)), 0.0, (1.0, 0.995, 0.98),
+    ),
+    "autumn": Palette(
+        (112, 114, 70), (146, 134, 92), -0.1,
+        ((150, 124, 56), (166, 104, 50), (112, 122, 62), (134, 84, 48)), 0.15, (1.02, 0.99, 0.94),
+    ),
+    "winter": Palette(
+        (112, 112, 82), (138, 130, 104), 0.3,
+        ((84, 96, 66), (74, 88, 60)), 0.8, (0.97, 0.99, 1.03),
+    ),
+}  # fmt: skip
+
+
+def throw(day: Day) -> Float[Array, "2"]:
+    """Plan metres by which a metre of height throws its shadow."""
+    return -np.array([np.cos(day.azimuth), np.sin(day.azimuth)]) / np.tan(day.elevation)
+
+
+def towards_sun(day: Day) -> tuple[float, float]:
+    """Direction to the sun in the image: right and down."""
+    return float(np.cos(day.azimuth)), float(-np.sin(day.azimuth))
+
+
+def depth(day: Day) -> Float[Array, "3"]:
+    """The share of light that a shadow takes from each channel."""
+    return (1 - day.clouds) * np.array([0.58, 0.55, 0.47])

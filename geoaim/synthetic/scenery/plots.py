@@ -1,0 +1,154 @@
+"""Furnishing a plan: plots are cut into parcels, streets get trees and lamps."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import shapely
+from jaxtyping import Float
+from numpy import ndarray as Array
+from shapely import Geometry, LineString, Point, Polygon
+from shapely.affinity import rotate
+from shapely.geometry import box
+
+from geoaim.synthetic.roads.arms import Arm, half_width, on_arm
+from geoaim.synthetic.roads.car_park import AISLE, BAY, NEAR
+from geoaim.synthetic.roads.paving import (
+    VERGE,
+    crossing_area,
+    lot_polygon,
+    outer_kerbs,
+)
+from geoaim.synthetic.roads.plan import Roads
+from geoaim.synthetic.scenery.parcels import (
+    make_block,
+    make_field,
+    make_houses,
+    make_park,
+    make_plaza,
+)
+from geoaim.synthetic.scenery.scene import Parcel, Scenery, Spot, Tree
+
+USES = ("block", "houses", "park", "plaza", "field", "houses", "block")
+PARCEL = (30.0, 46.0)  # m, width of what is used alike
+TREES = 9.0  # m between street trees, about
+
+
+def furnish(roads: Roads, generator: np.random.Generator) -> Scenery:
+    """Fill the plots of a plan; the same generator state, the same things."""
+    nothing = Polygon()
+    verges = _verges(roads)
+    empty = Scenery(
+        (), verges, nothing, nothing, nothing, nothing, (), (), (), _lamps(roads), (), ()
+    )
+    scenery = replace(empty, trees=_street_trees(roads, verges, generator), spots=_bay_spots(roads))
+    makers: dict[str, Callable[[Scenery, Polygon, float, np.random.Generator], Scenery]] = {
+        "block": make_block,
+        "houses": make_houses,
+        "park": make_park,
+        "plaza": make_plaza,
+        "field": make_field,
+    }
+    parcels = []
+    for plot in roads.paving.plots:
+        angle = _angle_of(roads, plot)
+        for area in _divided(plot, angle, generator):
+            beside_lot = area.distance(roads.paving.lot) < 3 if roads.car_park else False
+            small = beside_lot or area.area < 350
+            use = "field" if small else USES[int(generator.integers(len(USES)))]
+            parcels.append(Parcel(use, area))
+            free = area.buffer(-0.5).difference(roads.walks.paths.buffer(1.0))
+            part = max(shapely.get_parts(free), key=lambda part: part.area, default=Polygon())
+            if part.area > 80:
+                scenery = makers[use](scenery, part, angle, generator)
+    return replace(scenery, parcels=tuple(parcels))
+
+
+def _divided(plot: Polygon, angle: float, generator: np.random.Generator) -> list[Polygon]:
+    """A plot cut across its road into parcels."""
+    level = rotate(plot, -angle, origin=(0, 0), use_radians=True)
+    left, low, right, high = level.bounds
+    parcels, at = [], left
+    while at < right:
+        wide = generator.uniform(*PARCEL)
+        wide = right - at if right - at - wide < PARCEL[0] / 2 else wide
+        piece = level.intersection(box(at, low, at + wide, high))
+        parts = [part for part in shapely.get_parts(piece) if part.area > 60]
+        parcels += [rotate(part, angle, origin=(0, 0), use_radians=True) for part in parts]
+        at += wide
+    return parcels
+
+
+def _angle_of(roads: Roads, plot: Polygon) -> float:
+    """The direction of the arm that passes closest to a plot's middle."""
+    middle = np.array(plot.representative_point().coords[0])
+
+    def apart(arm: Arm) -> float:
+        along = np.linspace(0, 100, 21)
+        axis = on_arm(arm, np.stack([along, 0 * along], axis=1))
+        return float(((axis - middle) ** 2).sum(axis=1).min())
+
+    return min(roads.layout.arms, key=apart).angle
+
+
+def _verges(roads: Roads) -> Geometry:
+    """Strips of grass along the kerbs, interrupted where people cross and cars turn in."""
+    whole = outer_kerbs(roads.paving)
+    band = whole.buffer(VERGE + 0.3).difference(whole.buffer(0.35))
+    doors = [roads.walks.paths.buffer(0.8), roads.paving.drive.buffer(0.4)]
+    gaps = [crossing_area(crossing).buffer(3.2) for crossing in roads.crossings]
+    keep = [Point(0, 0).buffer(max(arm.mouth for arm in roads.layout.arms) + 3.0)]
+    doors += [
+        LineString(leg.line[[0, -1]]).buffer(1.4)
+        for leg in roads.walks.legs
+        if leg.end in roads.walks.gates and len(leg.line) < 40
+    ]
+    return band.difference(shapely.union_all([*doors, *gaps, *keep]))
+
+
+def _street_trees(
+    roads: Roads, verges: Geometry, generator: np.random.Generator
+) -> tuple[Tree, ...]:
+    """Rows of trees in the verges."""
+    line = outer_kerbs(roads.paving).buffer(VERGE / 2 + 0.3).exterior
+    near = verges.buffer(-0.4)
+    trees, at = [], generator.uniform(0, TREES)
+    while at < line.length:
+        spot = line.interpolate(at)
+        if near.contains(spot) and roads.page.buffer(4.0).contains(spot):
+            number, radius = int(generator.integers(1 << 16)), generator.uniform(1.2, 2.0)
+            trees.append(Tree((spot.x, spot.y), radius, number))
+        at += TREES * generator.uniform(0.85, 1.3)
+    return tuple(trees)
+
+
+def _lamps(roads: Roads) -> Float[Array, "L 2 2"]:
+    """Lamps along the arms, and masts with signals over the stop lines."""
+    rows = []
+    for arm in roads.layout.arms:
+        half = half_width(arm)
+        for along in np.arange(arm.mouth + 16.0, 100.0, 27.0):
+            for side in (-1, 1):
+                across = np.array([[along, side * (half + 0.7)], [along, side * (half - 1.5)]])
+                rows.append(on_arm(arm, across))
+        if roads.layout.signalised:
+            mast = np.array([[arm.stop - 0.8, half + 0.7], [arm.stop - 0.8, 0.35 * half]])
+            rows.append(on_arm(arm, mast))
+    return np.array(rows)
+
+
+def _bay_spots(roads: Roads) -> tuple[Spot, ...]:
+    """Bays of the car park that traffic does not use."""
+    car_park = roads.car_park
+    if car_park is None:
+        return ()
+    spots = []
+    for bay in range(car_park.bays):
+        for side in (-1, 1):
+            if side == 1 and bay in car_park.open_bays:
+                continue
+            beside, deep = side * (AISLE + BAY[1]) / 2, NEAR + (bay + 0.5) * BAY[0]
+            place, ahead = lot_polygon(car_park, (beside, beside + 1), (deep, deep + 1))[:2]
+            heading = float(np.arctan2(*(ahead - place)[::-1]))
+            spots.append(Spot((float(place[0]), float(place[1])), heading, 0.7))
+    return tuple(spots)

@@ -1,0 +1,311 @@
+"""What stands on the drawn ground, and its shadows: houses, trees, hedges, lamps, parked cars."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+
+from geoaim.geometry import transform_points
+from geoaim.synthetic.exact import blur, pack, premultiplied, warp
+from geoaim.synthetic.scenery.cutouts import draw_bare_tree, draw_tree, draw_vehicle
+from geoaim.synthetic.scenery.day import PALETTES, Day, depth, throw, towards_sun
+from geoaim.synthetic.scenery.page import (
+    BLOTCH,
+    GRAIN,
+    PATCH,
+    Page,
+    Window,
+    bar,
+    circle,
+    fill,
+    mask_of,
+    noise,
+    shade,
+    turned,
+)
+from geoaim.synthetic.scenery.scene import Building, Scenery, Tree
+from geoaim.synthetic.scenery.texture import BAND, Colour, darken, lay
+
+PAINTS: tuple[Colour, ...] = (
+    (206, 208, 210), (236, 236, 233), (40, 42, 46), (128, 132, 137), (64, 68, 74),
+    (118, 24, 26), (38, 66, 112), (168, 152, 118), (222, 222, 220), (52, 78, 66),
+)  # fmt: skip
+TILES: tuple[Colour, ...] = ((150, 94, 74), (112, 108, 108), (134, 78, 62), (92, 90, 96))
+CONTAINERS: tuple[Colour, ...] = ((52, 92, 140), (168, 84, 48), (90, 120, 84), (196, 192, 184))
+LAMP = 7.0  # m, height
+CAR = 1.3  # m, height
+CROWN = 1.6  # height of a tree for each metre of its radius
+STEPS = 4  # of the tone curve for each grey level
+MIDDLE = 0.47  # where it is steepest
+HAZE = (7.0, 8.0, 11.0)  # grey levels that the air adds
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    """A picture that stands on the plan: its middle (metres), heading, and height (metres)."""
+
+    place: Float[Array, "2"]
+    heading: float
+    sprite: UInt8[Array, "_ _ 4"]
+    height: float
+
+
+def draw_things(page: Page, scenery: Scenery, day: Day, generator: np.random.Generator) -> None:
+    """Shadows first, then what casts them; `generator` is that of the day."""
+    trees = [_stand(page, tree, day) for tree in _still_there(scenery.trees, day, generator)]
+    cars = _park(page, scenery, generator)
+    boxes = list(scenery.spare[: max(day.changes // 2, 0)])
+    _cast_shadows(page, scenery, [*trees, *cars], boxes, day)
+    for car in cars:
+        _press(page, car)
+    for number, box in enumerate(boxes):
+        fill(page, box, CONTAINERS[number % len(CONTAINERS)], grain=[(GRAIN, 5)])
+        fill(page, _shrunk(box, 0.96), CONTAINERS[number % len(CONTAINERS)], grain=[(BLOTCH, 6)])
+    _draw_hedges(page, scenery, day)
+    for building in scenery.buildings:
+        (_draw_flat if building.flat else _draw_pitched)(page, building, day)
+    for tree in trees:
+        _press(page, tree)
+    for foot, tip in scenery.lamps:
+        fill(page, bar(foot, tip, 0.07), (196, 198, 198))
+        fill(page, circle(foot, 0.16), (120, 122, 124))
+
+
+def grade(page: Page, day: Day, contrast: float) -> None:
+    """Uneven light, the day's colour, the haze of pictures from the air, the camera's contrast."""
+    light = np.asarray(PALETTES[day.season].light, np.float32) * np.float32(1 - 0.12 * day.clouds)
+    uneven = 1 + np.float32(0.012) * noise(page, PATCH)
+    image = page.image
+    image *= uneven[..., None]
+    image *= light
+    image += np.asarray(HAZE, np.float32)
+    levels = np.arange(256 * STEPS) / (256 * STEPS)
+    steep = contrast * (levels - MIDDLE)  # a tone curve that bends softly towards black and white
+    curve = 0.5 + 0.5 * steep / np.sqrt(0.25 + steep**2)
+    low, high = curve[0], curve[-1]
+    tones = np.rint(255 * 16 * (curve - low) / (high - low)).astype(np.float32) / np.float32(16)
+    for top in range(0, len(image), BAND):
+        rows = slice(top, top + BAND)
+        place = np.minimum(np.maximum(image[rows] * STEPS, 0), 256 * STEPS - 1)
+        image[rows] = tones[place.astype(np.int32)]
+
+
+def _still_there(trees: tuple[Tree, ...], day: Day, generator: np.random.Generator) -> list[Tree]:
+    """Without those that have been felled since day 0."""
+    felled = (
+        set(generator.permutation(len(trees))[: day.changes].tolist()) if day.changes else set()
+    )
+    return [tree for k, tree in enumerate(trees) if k not in felled]
+
+
+def _stand(page: Page, tree: Tree, day: Day) -> _Stamp:
+    """A tree's crown; it has the same shape on every day of a season."""
+    palette, generator = PALETTES[day.season], np.random.default_rng(tree.number)
+    colour = palette.leaves[int(generator.integers(len(palette.leaves)))]
+    bare = generator.uniform() < palette.bare
+    radius = max(round(tree.radius / page.metres_per_pixel), 3)
+    if bare:
+        crown = draw_bare_tree(radius, generator)
+    else:
+        crown = draw_tree(radius, colour, towards_sun(day), page.fields[GRAIN], generator)
+    return _Stamp(np.array(tree.place), 0.0, crown, CROWN * tree.radius)
+
+
+def _park(page: Page, scenery: Scenery, generator: np.random.Generator) -> list[_Stamp]:
+    """Cars in some of the spots."""
+    cars = []
+    for spot in scenery.spots:
+        there, paint, flip = (
+            generator.uniform(),
+            generator.integers(len(PAINTS)),
+            generator.integers(2),
+        )
+        length, aside, lean = (
+            generator.uniform(3.9, 4.7),
+            generator.normal(0, 0.12, 2),
+            generator.normal(),
+        )
+        if there < spot.share:
+            sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], page.metres_per_pixel)
+            heading = spot.heading + np.pi * float(flip) + 0.02 * lean
+            cars.append(_Stamp(np.array(spot.place) + aside, heading, sprite, CAR))
+    return cars
+
+
+def _cast_shadows(
+    page: Page,
+    scenery: Scenery,
+    stamps: list[_Stamp],
+    boxes: list[Float[Array, "4 2"]],
+    day: Day,
+) -> None:
+    """Darken the ground away from the sun; where shadows meet, it is not darker."""
+    cast = throw(day)
+    solids = [
+        _swept(turned(np.array(b.centre), b.size, b.angle), b.height * cast)
+        for b in scenery.buildings
+    ]
+    solids += [_swept(hedge, 1.1 * cast) for hedge in scenery.hedges]
+    solids += [_swept(box, 2.6 * cast) for box in boxes]
+    for foot, tip in scenery.lamps:
+        solids.append(bar(foot, foot + LAMP * cast, 0.08))
+        solids.append(bar(foot + LAMP * cast, tip + LAMP * cast, 0.08))
+    whole = slice(0, page.shape[0]), slice(0, page.shape[1])
+    mask = mask_of(page, solids, within=whole)[1]
+    for stamp in stamps:
+        moved = _Stamp(stamp.place + stamp.height * cast, stamp.heading, stamp.sprite, 0.0)
+        placed = _placed(page, moved)
+        if placed is not None:
+            window, sprite = placed
+            np.maximum(mask[window], sprite[..., 3], out=mask[window])
+    soft = blur(mask, (0.06 + 0.25 * day.clouds) / page.metres_per_pixel)
+    darken(page.image, soft.astype(np.float32) / np.float32(255), depth(day))
+
+
+def _press(page: Page, stamp: _Stamp) -> None:
+    """Lay a stamp on the picture."""
+    placed = _placed(page, stamp)
+    if placed is not None:
+        window, sprite = placed
+        alpha = sprite[..., 3:].astype(np.float32) / np.float32(255)
+        page.image[window] *= 1 - alpha
+        page.image[window] += sprite[..., :3].astype(np.float32)
+
+
+def _placed(page: Page, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] | None:
+    """The window of a stamp and its picture there, premultiplied; None where it is off the page.
+
+    What is not turned is laid on whole pixels.
+    """
+    sprite = premultiplied(stamp.sprite)
+    u, v = transform_points(page.image_from_plan, stamp.place[None])[0]
+    rows, columns = sprite.shape[:2]
+    if stamp.heading == 0.0:
+        left, top = round(u - columns / 2), round(v - rows / 2)
+        size = rows, columns
+    else:
+        reach = int(np.hypot(rows, columns) / 2) + 2
+        left, top, size = int(u) - reach, int(v) - reach, (2 * reach, 2 * reach)
+        sprite = _turned(sprite, stamp.heading, (u - left, v - top), size)
+    inner = [
+        max(left, 0),
+        max(top, 0),
+        min(left + size[1], page.shape[1]),
+        min(top + size[0], page.shape[0]),
+    ]
+    if inner[2] <= inner[0] or inner[3] <= inner[1]:
+        return None
+    part = sprite[inner[1] - top : inner[3] - top, inner[0] - left : inner[2] - left]
+    return (slice(inner[1], inner[3]), slice(inner[0], inner[2])), part
+
+
+def _turned(
+    sprite: UInt8[Array, "h w 4"],
+    heading: float,
+    middle: tuple[float, float],
+    size: tuple[int, int],
+) -> UInt8[Array, "_ _ 4"]:
+    """A sprite turned about its middle, which comes to lie at some pixel."""
+    c, s, (u, v) = np.cos(heading), np.sin(heading), middle
+    x, y = sprite.shape[1] / 2 - c * u + s * v, sprite.shape[0] / 2 - s * u - c * v
+    matrix = np.array([[c, -s, x], [s, c, y], [0, 0, 1.0]])
+    colour, alpha = (warp(pack(part), matrix, *size) for part in (sprite[..., :3], sprite[..., 3:]))
+    return np.concatenate([colour, alpha[..., :1]], axis=-1)
+
+
+def _draw_hedges(page: Page, scenery: Scenery, day: Day) -> None:
+    """Clipped leaves, ragged at the rim."""
+    if not scenery.hedges:
+        return
+    window, mask = mask_of(page, list(scenery.hedges))
+    clumps, leaves = noise(page, BLOTCH, window), noise(page, GRAIN, window)
+    ragged = blur(mask, 0.18 / page.metres_per_pixel).astype(np.float32) / np.float32(255)
+    ragged += np.float32(0.10) * clumps + np.float32(0.05) * leaves
+    alpha = np.minimum(np.maximum((ragged - np.float32(0.45)) * 6, 0), 1) * (ragged > 0.3)
+    green = np.asarray(PALETTES[day.season].leaves[0], np.float32) * np.float32(0.8)
+    lay(page.image[window], alpha, green + (12 * clumps + 12 * leaves)[..., None])
+
+
+def _draw_flat(page: Page, building: Building, day: Day) -> None:
+    """Gravel or tar, a parapet, and things on the roof, with their shadows."""
+    centre, (long, wide), angle = np.array(building.centre), building.size, building.angle
+    cast, ahead = throw(day), np.array([np.cos(angle), np.sin(angle)])
+    left = np.array([-ahead[1], ahead[0]])
+    outline, inner = (
+        turned(centre, building.size, angle),
+        turned(centre, (long - 1, wide - 1), angle),
+    )
+    base: Colour = (158, 155, 150) if building.colour == 0 else (120, 118, 118)
+    fill(page, outline, (206, 203, 197), grain=[(GRAIN, 3)])
+    fill(page, inner, base, grain=[(PATCH, 6), (GRAIN, 7)])
+    window, mask = mask_of(page, inner)
+    moved = mask_of(page, turned(centre + 0.9 * cast, (long - 1, wide - 1), angle), within=window)[
+        1
+    ]
+    rim = np.minimum(mask, 255 - moved).astype(np.float32) / np.float32(255)
+    darken(page.image[window], rim, 0.72 * depth(day))
+    for (along, across), size, height, colour in _on_roof(long, wide):
+        body = turned(centre + along * ahead + across * left, size, angle)
+        shade(page, _swept(body, height * cast), tuple(0.85 * depth(day)))
+        fill(page, body, colour, grain=[(GRAIN, 4)])
+
+
+def _on_roof(
+    long: float, wide: float
+) -> list[tuple[tuple[float, float], tuple[float, float], float, Colour]]:
+    """Place, size, height and colour of the stairs, machines and skylights of a flat roof."""
+    return [
+        ((0.28 * long, 0.15 * wide), (0.2 * long, 0.2 * wide), 2.6, (184, 180, 172)),
+        ((-0.3 * long, -0.24 * wide), (3.0, 2.2), 1.5, (198, 200, 202)),
+        ((-0.15 * long, -0.24 * wide), (3.0, 2.2), 1.5, (190, 192, 194)),
+        ((0.07 * long, 0.22 * wide), (2.4, 1.6), 1.0, (205, 206, 206)),
+        ((0.22 * long, -0.3 * wide), (1.2, 1.2), 1.2, (150, 152, 154)),
+        *[
+            (((0.13 * k - 0.36) * long, 0.05 * wide), (0.09 * long, 1.5), 0.5, (108, 134, 152))
+            for k in range(4)
+        ],
+    ]
+
+
+def _draw_pitched(page: Page, building: Building, day: Day) -> None:
+    """Two slopes of tiles, one more in the sun, with a ridge and a chimney."""
+    centre, angle = np.array(building.centre), building.angle
+    a, b, c, d = turned(centre, building.size, angle)
+    ridge = [(b + c) / 2, (a + d) / 2]
+    colour = TILES[building.colour % len(TILES)]
+    across = np.array([-np.sin(angle), np.cos(angle)])
+    lean = float(across @ [np.cos(day.azimuth), np.sin(day.azimuth)]) * (1 - day.clouds)
+    for slope, light in (
+        (np.array([a, b, *ridge]), 0.93 - 0.16 * lean),
+        (np.array([d, c, *ridge]), 0.93 + 0.16 * lean),
+    ):
+        window, mask = mask_of(page, slope)
+        if mask.size == 0:
+            continue
+        rows, columns = (np.arange(side.start, side.stop) for side in window)
+        place = (columns * np.sin(angle))[None] + (rows * np.cos(angle))[:, None]
+        row = np.round(np.sin(place * page.metres_per_pixel * 2 * np.pi / 0.36), 6)
+        look = (
+            1 + 0.05 * noise(page, BLOTCH, window) + 0.06 * noise(page, GRAIN, window) + 0.05 * row
+        )
+        tiles = np.asarray(colour) * (light * look)[..., None]
+        lay(page.image[window], mask.astype(np.float32) / np.float32(255), tiles)
+    pale = tuple(1.15 * channel + 8 for channel in colour)
+    fill(page, bar((a + d) / 2, (b + c) / 2, 0.14), (pale[0], pale[1], pale[2]))
+    foot = 0.7 * (a + d) / 2 + 0.3 * (b + c) / 2 + (d - a) * 0.12
+    chimney = turned(foot, (1.1, 0.8), angle)
+    shade(page, _swept(chimney, 1.6 * throw(day)), tuple(0.8 * depth(day)))
+    fill(page, chimney, (140, 84, 70))
+
+
+def _shrunk(outline: Float[Array, "4 2"], share: float) -> Float[Array, "4 2"]:
+    middle = outline.mean(axis=0)
+    return middle + share * (outline - middle)
+
+
+def _swept(corners: Float[Array, "_ 2"], cast: Float[Array, "2"]) -> Float[Array, "_ 2"]:
+    """The convex hull of a polygon and of itself moved: the shadow of an upright prism."""
+    both = np.concatenate([corners, corners + cast]).astype(np.float32)
+    return np.asarray(cv2.convexHull(both), np.float64)[:, 0]

@@ -1,0 +1,1 @@
+"""Traffic in a made place: ways, lights, vehicles, people on foot and on cycles."""

@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+from pyproj import Transformer
+
+from geoaim.geometry import transform_points
+from geoaim.synthetic.imagery import (
+    TILE,
+    WEB,
+    Sensor,
+    another_day,
+    cut_tiles,
+    draw_offset,
+    georeference_photo,
+    photograph,
+)
+from geoaim.synthetic.place import make_place, plan_from_image
+from geoaim.tracks import Tracks
+
+
+@pytest.fixture(scope="module")
+def place():
+    return make_place(8, kind="roundabout")
+
+
+@pytest.fixture(scope="module")
+def photo(place):
+    nobody = Tracks(
+        np.zeros(1),
+        np.empty((0, 1, 4)),
+        np.empty((0, 1), bool),
+        np.empty((0, 2)),
+        (),
+        (),
+        place.world,
+    )
+    return photograph(place, another_day(place), nobody, Sensor(0.4), metres_per_pixel=0.2)
+
+
+def _middle_in(place, crs):
+    """The middle of the roundabout in some CRS, by pyproj alone."""
+    east, north = np.array([180.0, 240.0]) + place.world.origin
+    return np.array(
+        Transformer.from_crs(place.world.crs, crs, always_xy=True).transform(east, north)
+    )
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3035", WEB])
+def test_imagery_is_misplaced_by_just_its_offset(place, photo, crs):
+    offset = (3.0, -4.0)
+    imagery = georeference_photo(place, photo, crs, offset=offset)
+    straight = georeference_photo(place, photo, crs, offset=(0.0, 0.0))
+    np.testing.assert_array_equal(imagery.image, straight.image)
+    unit = 1 / np.cos(np.radians(54.69)) if crs == WEB else 1.0
+    shift = (imagery.crs_from_image - straight.crs_from_image)[:2, 2]
+    np.testing.assert_allclose(shift, unit * np.array(offset), rtol=2e-3)
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3035", WEB, "EPSG:32635"])
+def test_middle_of_the_place_lies_where_the_crs_has_it(place, photo, crs):
+    imagery = georeference_photo(place, photo, crs, offset=(0.0, 0.0))
+    pixel = transform_points(np.linalg.inv(imagery.crs_from_image), _middle_in(place, crs)[None])[0]
+    grey = imagery.image[int(pixel[1]), int(pixel[0])].astype(int)
+    assert grey[1] > grey[2]  # grass in the middle of the ring
+    centre = transform_points(np.linalg.inv(plan_from_image(0.4)), np.zeros((1, 2)))[0].astype(int)
+    window = photo[centre[1] - 3 : centre[1] + 4, centre[0] - 3 : centre[0] + 4].mean(axis=(0, 1))
+    v, u = int(pixel[1]), int(pixel[0])
+    np.testing.assert_allclose(
+        imagery.image[v - 3 : v + 4, u - 3 : u + 4].mean((0, 1)), window, atol=6
+    )
+
+
+def test_what_lies_outside_is_not_covered(place, photo):
+    imagery = georeference_photo(place, photo, "EPSG:3035", offset=(0.0, 0.0))
+    assert 0.2 < imagery.covered.mean() < 1.0
+    assert not imagery.image[~imagery.covered].any()
+
+
+def test_tiles_continue_each_other(place, photo):
+    web = georeference_photo(place, photo, WEB, offset=(0.0, 0.0))
+    tiles = {(column, row): tile for column, row, tile in cut_tiles(web, 19)}
+    pairs = [(k, (k[0] + 1, k[1])) for k in tiles if (k[0] + 1, k[1]) in tiles]
+    seams, inside = [], []
+    for here, beside in pairs:
+        left, right = tiles[here].astype(int), tiles[beside].astype(int)
+        seams.append(np.abs(left[:, -1] - right[:, 0]).mean())
+        inside.append(np.abs(np.diff(left, axis=1)).mean())
+    assert np.mean(seams) < 2 * np.mean(inside)
+    assert all(tile.shape == (TILE, TILE, 3) for tile in tiles.values())
+
+
+def test_tiles_of_another_crs_are_refused(place, photo):
+    imagery = georeference_photo(place, photo, "EPSG:3035", offset=(0.0, 0.0))
+    with pytest.raises(ValueError, match="cut from EPSG:3857, not from EPSG:3035"):
+        list(cut_tiles(imagery, 19))
+
+
+def test_offset_is_some_metres_and_that_of_the_seed(place):
+    offset = draw_offset(place)
+    assert 2.0 <= np.hypot(*offset) <= 6.1
+    assert offset == draw_offset(place)
+    assert offset != draw_offset(make_place(9, kind="roundabout"))
+
+
+def test_another_day_is_another_season():
+    seasons = {another_day(make_place(seed, kind="street")).season for seed in range(6)}
+    assert "summer" not in seasons
+    assert len(seasons) > 1

@@ -1,0 +1,88 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from geoaim.geometry import transform_points
+from geoaim.synthetic import Day, draw_place, make_place
+from geoaim.synthetic.place import plan_from_image
+from geoaim.synthetic.roads.layouts import KINDS
+from geoaim.synthetic.roads.markings import paint
+
+COARSE = 0.2
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def place(request):
+    return make_place(6, kind=request.param)
+
+
+@pytest.fixture(scope="module")
+def picture(place):
+    return draw_place(place, metres_per_pixel=COARSE)
+
+
+def _grey_at(picture, points):
+    pixels = transform_points(np.linalg.inv(plan_from_image(COARSE)), points).astype(int)
+    inside = (pixels >= 0).all(axis=1) & (pixels < picture.shape[1::-1]).all(axis=1)
+    return picture[pixels[inside, 1], pixels[inside, 0]].mean(axis=-1)
+
+
+def test_picture_has_the_pages_size(picture):
+    assert picture.shape == (520, 880, 3)
+
+
+def test_same_seed_gives_the_same_picture(place, picture):
+    again = make_place(6, kind=place.roads.layout.kind)
+    np.testing.assert_array_equal(draw_place(again, metres_per_pixel=COARSE), picture)
+    other = make_place(7, kind=place.roads.layout.kind)
+    assert not np.array_equal(draw_place(other, metres_per_pixel=COARSE), picture)
+
+
+def test_paint_is_bright_where_the_plan_has_it(place, picture):
+    shapes = [shapely.Polygon(p) for p in paint(place.roads)]
+    wide = [shape for shape in shapes if shape.area > 1.0 and place.roads.page.contains(shape)]
+    middles = np.array([shape.centroid.coords[0] for shape in wide])
+    lanes = np.concatenate([lane.centre for lane in place.roads.lanes])
+    assert np.median(_grey_at(picture, middles)) > np.median(_grey_at(picture, lanes)) + 50
+
+
+def test_grass_is_green_and_tar_is_grey(place, picture):
+    field = max(
+        (p for p in place.scenery.parcels if p.use in ("field", "park", "houses")),
+        key=lambda p: p.area.area,
+    )
+    spot = np.array(field.area.representative_point().coords)
+    pixel = transform_points(np.linalg.inv(plan_from_image(COARSE)), spot)[0].astype(int)
+    window = picture[pixel[1] - 4 : pixel[1] + 5, pixel[0] - 4 : pixel[0] + 5].mean(axis=(0, 1))
+    assert window[1] > window[2]
+
+
+def test_another_day_has_other_cars_and_shadows_on_the_same_ground(place, picture):
+    day = Day("winter", azimuth=0.5, elevation=0.6, number=3, changes=6)
+    later = draw_place(place, day, metres_per_pixel=COARSE)
+    assert np.abs(later.astype(int) - picture).mean() > 10
+    changed = draw_place(place, replace(day, changes=0), metres_per_pixel=COARSE)
+    assert not np.array_equal(changed, later)
+
+
+def test_clouds_take_the_shadows(place):
+    sunny, cloudy = (
+        draw_place(place, Day(clouds=clouds), metres_per_pixel=COARSE) for clouds in (0.0, 1.0)
+    )
+    gain = cloudy.mean(axis=-1) / np.maximum(sunny.mean(axis=-1), 1)
+    assert np.percentile(gain, 97) > 1.5 * np.median(gain)
+
+
+def test_nothing_stands_on_the_roads(place):
+    road = shapely.union_all([place.roads.paving.carriageway, place.roads.paving.drive])
+    for building in place.scenery.buildings:
+        assert road.distance(shapely.Point(building.centre)) > 3
+    for tree in place.scenery.trees:
+        assert road.distance(shapely.Point(tree.place)) > 0
+
+
+def test_unknown_kind_is_refused(unchecked):
+    with pytest.raises(ValueError, match="kind 'lane' is not one of"):
+        make_place(1, kind="lane")  # type: ignore[arg-type]

@@ -1,0 +1,169 @@
+import numpy as np
+import pytest
+import shapely
+from shapely.affinity import affine_transform
+
+from geoaim.synthetic import make_sample, tracks_of
+from geoaim.synthetic.roads.paving import crossing_area
+from geoaim.synthetic.traffic.signals import RED, lights_at
+
+VEHICLES = ("car", "van", "truck", "bus")
+WHEELBASE = 0.6  # share of the length
+
+
+def _bodies(tracks, chosen, *, grow=0.0):
+    """Boxes of the chosen agents at every time: (n, T, 4, 2)."""
+    x, y, heading, _ = np.moveaxis(tracks.states[chosen], -1, 0)
+    half = tracks.sizes[chosen, None] / 2 + grow
+    ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    left = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
+    middle = np.stack([x, y], axis=-1)
+    sides = [(1, 1), (1, -1), (-1, -1), (-1, 1)]
+    corners = [middle + a * half[..., :1] * ahead + b * half[..., 1:] * left for a, b in sides]
+    return np.stack(corners, axis=-2)
+
+
+def _in_world(sample, geometry):
+    m = sample.place.world_from_plan
+    return affine_transform(geometry, [m[0, 0], m[0, 1], m[1, 0], m[1, 1], m[0, 2], m[1, 2]])
+
+
+def _is(tracks, *types):
+    return np.array([kind in types for kind in tracks.types])
+
+
+def test_vehicles_never_overlap(recorded):
+    _, tracks = recorded
+    bodies, present = (
+        _bodies(tracks, _is(tracks, *VEHICLES)),
+        tracks.present[_is(tracks, *VEHICLES)],
+    )
+    for step in range(0, len(tracks.times), 2):
+        shapes = shapely.polygons(bodies[present[:, step], step])
+        pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+        for a, b in pairs.T[pairs[0] < pairs[1]]:
+            assert shapely.area(shapely.intersection(shapes[a], shapes[b])) < 1e-3
+
+
+def test_nobody_is_run_over(recorded):
+    _, tracks = recorded
+    vehicle = _is(tracks, *VEHICLES)
+    bodies = _bodies(tracks, vehicle)
+    for step in range(0, len(tracks.times), 5):
+        shapes = shapely.polygons(bodies[tracks.present[vehicle, step], step])
+        people = tracks.states[~vehicle & tracks.present[:, step], step, :2]
+        hit = shapely.STRtree(shapes).query(shapely.points(people), predicate="within")
+        assert hit.shape[1] == 0
+
+
+def test_wheels_stay_on_the_tar(recorded):
+    sample, tracks = recorded
+    paving = sample.place.roads.paving
+    tar = shapely.union_all([paving.carriageway, paving.drive, paving.lot]).buffer(0.3)
+    tar = _in_world(sample, tar)
+    shapely.prepare(tar)
+    corners = _bodies(tracks, _is(tracks, *VEHICLES))[tracks.present[_is(tracks, *VEHICLES)]]
+    assert shapely.contains_xy(tar, *corners.reshape(-1, 2).T).mean() > 0.998
+
+
+def test_people_stay_on_pavements_and_crossings(recorded):
+    sample, tracks = recorded
+    roads = sample.place.roads
+    allowed = [roads.paving.pavement, roads.walks.paths, roads.paving.drive]
+    allowed += [crossing_area(crossing).buffer(0.6) for crossing in roads.crossings]
+    ground = _in_world(sample, shapely.union_all(allowed).buffer(0.1))
+    people = _is(tracks, "pedestrian", "cyclist")
+    places = tracks.states[people][tracks.present[people]][:, :2]
+    assert shapely.contains_xy(ground, *places.T).mean() > 0.99
+
+
+def test_a_bicycle_could_have_driven_it(recorded):
+    """Acceleration and steering recovered from the states are feasible and lead back to them."""
+    _, tracks = recorded
+    for agent in np.flatnonzero(_is(tracks, "car", "van")):
+        steps = np.flatnonzero(tracks.present[agent])
+        if len(steps) < 20 or len(steps) != np.ptp(steps) + 1:
+            continue
+        x, y, heading, speed = tracks.states[agent, steps].T
+        length = tracks.sizes[agent, 0]
+        rear = np.stack([x - 0.3 * length * np.cos(heading), y - 0.3 * length * np.sin(heading)], 1)
+        turn = (np.diff(heading) + np.pi) % (2 * np.pi) - np.pi
+        middle = heading[:-1] + turn / 2
+        run = (np.diff(rear, axis=0) * np.stack([np.cos(middle), np.sin(middle)], 1)).sum(axis=1)
+        slip = (np.diff(rear, axis=0) * np.stack([-np.sin(middle), np.cos(middle)], 1)).sum(axis=1)
+        assert np.abs(slip).max() < 0.02  # m: a rear axle does not slide
+        moves = np.abs(run) > 0.02
+        steering = np.arctan(WHEELBASE * length * turn[moves] / run[moves])
+        assert np.abs(steering).max(initial=0) < 0.75
+        assert np.abs(np.diff(speed) / 0.1).max() < 10.0
+
+
+def test_speed_is_that_of_the_place(recorded):
+    _, tracks = recorded
+    moved = np.diff(tracks.states[..., :2], axis=1)
+    along = np.hypot(moved[..., 0], moved[..., 1]) / 0.1
+    mean = np.abs(tracks.states[:, 1:, 3] + tracks.states[:, :-1, 3]) / 2
+    known = np.isfinite(along) & np.isfinite(mean)
+    assert np.percentile(np.abs(along - mean)[known], 99) < 0.15
+
+
+def test_nobody_drives_through_red(recorded):
+    sample, _ = recorded
+    recording, flow = sample.recordings[0], sample.flow
+    if not recording.signals.names:
+        return
+    lights = lights_at(recording.signals, recording.times)
+    rows, ways = recording.vehicles, recording.way
+    front = (
+        recording.along[:, 0] + 0.8 * np.array([d.size[0] for d in recording.drivers])[rows[:, 1]]
+    )
+    room = flow.rules.stop[ways] - front
+    order = np.lexsort((rows[:, 0], rows[:, 1]))
+    rows, ways, room = rows[order], ways[order], room[order]
+    passed = (
+        (rows[1:, 1] == rows[:-1, 1]) & (ways[1:] == ways[:-1]) & (room[:-1] > 0) & (room[1:] <= 0)
+    )
+    where = np.flatnonzero(passed & (flow.rules.light[ways[:-1]] >= 0))
+    assert len(where) > 5
+    state = lights[rows[where, 0], flow.rules.light[ways[where]]]
+    assert (state != RED).all()
+
+
+def test_traffic_turns_waits_and_walks(recorded):
+    _, tracks = recorded
+    speed = np.abs(tracks.states[..., 3])
+    assert (speed[tracks.present] < 0.1).mean() > 0.005
+    assert {"car", "pedestrian"} <= set(tracks.types)
+    assert 10 < tracks.present.sum(axis=0).mean() < 90
+
+
+def test_cars_enter_and_leave_the_car_park():
+    sample = make_sample(2, kind="street", minutes=5.0, video=None)
+    recording, rules = sample.recordings[0], sample.flow.rules
+    bays = rules.bay[recording.way] >= 0
+    moves = recording.along[:, 1] > 1.0
+    inwards = rules.inwards[recording.way]
+    far = recording.along[:, 0] > rules.finish[recording.way] - 20
+    assert (bays & inwards & moves & far).any()
+    assert (bays & ~inwards & moves).any()
+    tracks = tracks_of(sample)
+    assert np.nanmin(tracks.states[..., 3]) < -0.5  # somebody backs out
+
+
+@pytest.mark.parametrize("kind", ["junction", "roundabout"])
+def test_same_seed_gives_the_same_tracks(kind):
+    one, again = (tracks_of(make_sample(9, kind=kind, minutes=0.2, video=None)) for _ in range(2))
+    np.testing.assert_array_equal(one.states, again.states)
+    assert one.ids == again.ids
+
+
+def test_long_traffic_is_cut_into_recordings_that_differ():
+    sample = make_sample(1, kind="street", minutes=6.0, video=None)
+    assert [round(float(r.times[-1])) for r in sample.recordings] == [300, 60]
+    assert tracks_of(sample, 1).times[-1] == pytest.approx(60.0)
+    assert sample.recordings[0].drivers[5] != sample.recordings[1].drivers[5]
+
+
+def test_traffic_shorter_than_its_video_is_refused():
+    with pytest.raises(ValueError, match="minutes of traffic"):
+        make_sample(1, minutes=0.05)
