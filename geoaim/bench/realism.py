@@ -60,15 +60,15 @@ def main(
         "picture": ([_look(_picture(s)) for s in samples], _real_pictures(folder)),
         "vehicles": (
             [_move(tracks_of(s), VEHICLES) for s in samples],
-            {name: _move(t, VEHICLES) for name, t in _real_vehicles(folder).items()},
+            {name: _move(t, VEHICLES) for name, t in real_vehicles(folder).items()},
         ),
         "pedestrians": (
             [_move(tracks_of(s), ("pedestrian",)) for s in samples],
-            {name: _move(t, ("pedestrian",)) for name, t in _real_people(folder).items()},
+            {name: _move(t, ("pedestrian",)) for name, t in real_people(folder).items()},
         ),
         "cyclists": (
             [_move(tracks_of(s), ("cyclist",)) for s in samples],
-            {name: _move(t, ("cyclist",)) for name, t in _real_people(folder).items()},
+            {name: _move(t, ("cyclist",)) for name, t in real_people(folder).items()},
         ),
     }
     rows = [row for name, (made, real) in groups.items() for row in _compared(name, made, real)]
@@ -203,7 +203,7 @@ def _opened(path: Path) -> UInt8[Array, "H W 3"]:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def _real_vehicles(folder: Path) -> dict[str, list[Tracks]]:
+def real_vehicles(folder: Path) -> dict[str, list[Tracks]]:
     """Junctions of Songdo and Karlsruhe."""
     found = {"songdo": [read_geotrax(folder / "tracks/songdo_u/U_video_cut.csv", crs="EPSG:5186")]}
     for place in sorted((folder / "tracks/karlsruhe/tracks").iterdir()):
@@ -214,7 +214,7 @@ def _real_vehicles(folder: Path) -> dict[str, list[Tracks]]:
     return found
 
 
-def _real_people(folder: Path) -> dict[str, list[Tracks]]:
+def real_people(folder: Path) -> dict[str, list[Tracks]]:
     """Three campus scenes of the Stanford Drone Dataset, at the resolutions that it estimates."""
     scales = _sdd_scales(folder / "tracks/sdd_raw/estimated_scales.yaml")
     found: dict[str, list[Tracks]] = {}
@@ -247,7 +247,7 @@ def _move(recordings: Tracks | list[Tracks], types: tuple[str, ...]) -> Statisti
 
 def _motion(tracks: Tracks, types: tuple[str, ...]) -> dict[str, Float[Array, "_"]]:
     """Speeds, accelerations, curvatures and distances, all from positions smoothed alike."""
-    places = _resampled(tracks, np.array([kind in types for kind in tracks.types]))
+    places = resample(tracks, np.array([kind in types for kind in tracks.types]))
     velocity = np.gradient(places, STEP, axis=1)
     speed = np.hypot(velocity[..., 0], velocity[..., 1])
     pull = np.gradient(speed, STEP, axis=1)
@@ -271,7 +271,7 @@ def _motion(tracks: Tracks, types: tuple[str, ...]) -> dict[str, Float[Array, "_
     return {name: np.asarray(values, float) for name, values in found.items()}
 
 
-def _resampled(tracks: Tracks, chosen: Bool[Array, "N"]) -> Float[Array, "n T 2"]:
+def resample(tracks: Tracks, chosen: Bool[Array, "N"]) -> Float[Array, "n T 2"]:
     """Positions at even steps, averaged over a window; NaN near gaps and ends."""
     times = np.arange(tracks.times[0], tracks.times[-1], STEP)
     places = np.full((int(chosen.sum()), len(times), 2), np.nan)

@@ -18,7 +18,7 @@ from geoaim.synthetic.camera import (
 )
 from geoaim.synthetic.encode import write_video
 from geoaim.synthetic.files import write_sample
-from geoaim.synthetic.place import Place, draw_place, make_place
+from geoaim.synthetic.place import Place, draw_place, make_place, world_from_image
 from geoaim.synthetic.sample import VIDEOS, Sample, make_sample, tracks_of
 from geoaim.synthetic.scenery.day import Day
 
@@ -41,6 +41,7 @@ __all__ = [
     "render_frame",
     "tracks_of",
     "traffic_share",
+    "world_from_image",
     "write_sample",
     "write_video",
 ]

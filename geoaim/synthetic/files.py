@@ -28,7 +28,7 @@ from geoaim.synthetic.imagery import (
     georeference_photo,
     photograph,
 )
-from geoaim.synthetic.place import Place, plan_from_image
+from geoaim.synthetic.place import Place, world_from_image
 from geoaim.synthetic.roads.lanelet import lanelet_map
 from geoaim.synthetic.roads.markings import landmarks
 from geoaim.synthetic.roads.paving import crossing_area
@@ -181,7 +181,7 @@ def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> N
             yield frame
 
     write_video(frames(), folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
-    world_from_still = place.world_from_plan @ plan_from_image(sample.metres_per_pixel)
+    world_from_still = world_from_image(place, sample.metres_per_pixel)
     world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
     _write_control_points(place, clip, world_from_frame, folder / "gcps.csv")
     _write_boxes(sample, clip, folder / "boxes")

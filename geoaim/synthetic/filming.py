@@ -6,7 +6,7 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.camera import Clip, Hover, Traffic, film
-from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, plan_from_image
+from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, world_from_image
 from geoaim.synthetic.scenery.cutouts import draw_person, draw_vehicle
 from geoaim.synthetic.scenery.day import Day, throw
 from geoaim.synthetic.scenery.things import CAR, PAINTS
@@ -54,7 +54,7 @@ def film_place(
 
 def image_poses(place: Place, tracks: Tracks, metres_per_pixel: float) -> Float[Array, "T N 3"]:
     """Where agents are in the drawn place: pixels and heading (counter-clockwise as seen)."""
-    image_from_world = np.linalg.inv(place.world_from_plan @ plan_from_image(metres_per_pixel))
+    image_from_world = np.linalg.inv(world_from_image(place, metres_per_pixel))
     pixels = transform_points(image_from_world, tracks.states[..., :2])
     turn = np.arctan2(place.world_from_plan[1, 0], place.world_from_plan[0, 0])
     poses = np.concatenate([pixels, tracks.states[..., 2:3] - turn], axis=-1)

@@ -12,7 +12,7 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.synthetic.camera import paste
 from geoaim.synthetic.exact import blur, pack, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
-from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, plan_from_image
+from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, world_from_image
 from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
 from geoaim.synthetic.scenery.day import SEASONS, Day
 from geoaim.tracks import Tracks
@@ -147,10 +147,9 @@ def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Arr
 def _crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:
     """Pixels of a photo to a CRS: over a place this small, affine to under a millimetre."""
     rows, columns = shape
-    plan_from_photo = plan_from_image(WIDTH / columns)
     u, v = np.meshgrid(np.linspace(0, columns, 5), np.linspace(0, rows, 5))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    world = transform_points(place.world_from_plan @ plan_from_photo, pixels)
+    world = transform_points(world_from_image(place, WIDTH / columns), pixels)
     places = crs_from_world(place.world, world, crs)
     middle = places.mean(axis=0)
     system = np.column_stack([pixels, np.ones(len(pixels))])

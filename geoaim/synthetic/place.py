@@ -72,6 +72,13 @@ def draw_place(
     return np.rint(np.minimum(np.maximum(page.image, 0), 255)).astype(np.uint8)
 
 
+def world_from_image(
+    place: Place, metres_per_pixel: float = METRES_PER_PIXEL
+) -> Float[Array, "3 3"]:
+    """Pixels of a drawn place (corner origin) to metres from `place.world.origin`."""
+    return place.world_from_plan @ plan_from_image(metres_per_pixel)
+
+
 def plan_from_image(metres_per_pixel: float = METRES_PER_PIXEL) -> Float[Array, "3 3"]:
     """Pixels of a drawn place (corner origin) to plan metres."""
     m = metres_per_pixel

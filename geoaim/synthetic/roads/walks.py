@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from shapely import Geometry, LineString, Point, Polygon
 from shapely.ops import substring
 
-from geoaim.synthetic.roads.curves import Line, even, run
+from geoaim.synthetic.roads.curves import Line, even
 from geoaim.synthetic.roads.paving import VERGE, Crossing, Paving, outer_kerbs
 
 BEYOND = 8.0  # m past the page where people appear and vanish
@@ -91,7 +91,8 @@ def route(walks: Walks, start: int, end: int, favour: Float[Array, "_"]) -> list
     Dijkstra's; empty where no way leads there.
     """
     edges: dict[int, list[tuple[int, int]]] = {}
-    costs = [run(leg.line)[-1] * weight for leg, weight in zip(walks.legs, favour, strict=True)]
+    legs = zip(walks.legs, favour, strict=True)
+    costs = [len(leg.line) * weight for leg, weight in legs]  # a point each half metre
     for number, leg in enumerate(walks.legs):
         edges.setdefault(leg.start, []).append((leg.end, number))
         edges.setdefault(leg.end, []).append((leg.start, number))

@@ -5,7 +5,7 @@ of the simulation only looks up.
 """
 
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import combinations
 
 import numpy as np
 import shapely
@@ -96,13 +96,13 @@ def find_overlaps(
     longest = max(len(line) for line in points)
     ahead = np.full((count, count, longest), np.inf, np.float32)
     stretches = []
-    for a, b in permutations(range(count), 2):
-        across = points[a][:, None] - points[b][None]
-        apart = np.sqrt((across**2).sum(axis=2))
+    for a, b in combinations(range(count), 2):
+        (ax, ay), (bx, by) = points[a].T, points[b].T
+        apart = np.sqrt((ax[:, None] - bx) ** 2 + (ay[:, None] - by) ** 2)
         same = directions[a] @ directions[b].T
-        ahead[a, b, : len(points[b])] = _ahead(apart, same, across, directions[a])
-        if a < b:
-            stretches += _stretches(a, b, apart, same)
+        ahead[a, b, : len(bx)] = _ahead(apart, same, points[a], points[b], directions[a])
+        ahead[b, a, : len(ax)] = _ahead(apart.T, same.T, points[b], points[a], directions[b])
+        stretches += _stretches(a, b, apart, same)
     for a in range(count):
         ahead[a, a, : len(points[a])] = COARSE * STEP * np.arange(len(points[a]))
     meeting, meetings = _meetings(ways, stretches, ring=ring)
@@ -113,11 +113,13 @@ def _directions(way: Way) -> Float[Array, "L 2"]:
     return np.stack([np.cos(way.heading), np.sin(way.heading)], axis=1)
 
 
-def _ahead(apart: Array, same: Array, across: Array, direction: Array) -> Float[Array, "K"]:
+def _ahead(
+    apart: Array, same: Array, points: Array, others: Array, direction: Array
+) -> Float[Array, "K"]:
     """Where on way A each point of way B lies, for those in A's lane and direction."""
     near = np.argmin(apart, axis=0)
     columns = np.arange(apart.shape[1])
-    offset = -(across[near, columns] * direction[near]).sum(axis=1)
+    offset = ((others - points[near]) * direction[near]).sum(axis=1)
     inside = (apart[near, columns] < LANE) & (same[near, columns] > ALONG)
     return np.where(inside, COARSE * STEP * near + offset, np.inf)
 

@@ -1,6 +1,7 @@
 """A recording of the traffic of a place: the loop over time."""
 
 from dataclasses import dataclass
+from math import ceil
 
 import cv2
 import numpy as np
@@ -36,7 +37,7 @@ from geoaim.synthetic.traffic.overlaps import find_overlaps
 from geoaim.synthetic.traffic.signals import Signals, lights_at, plan_signals
 from geoaim.synthetic.traffic.ways import Way, make_ways
 
-INTERVAL = 0.2  # s
+INTERVAL = 0.25  # s
 EARLY = 30.0  # s before the recording, in which the place fills
 CELL = 0.25  # m of the raster of the pavements
 FULL = 0.6  # share of the open bays in which somebody stands at first
@@ -119,7 +120,7 @@ def record(
         lane_rate: vehicles a second on each lane towards the middle.
         walk_rate: people a second over the whole place.
     """
-    times = np.arange(-round(EARLY / INTERVAL), round(seconds / INTERVAL) + 1) * INTERVAL
+    times = np.arange(-round(EARLY / INTERVAL), ceil(seconds / INTERVAL - 1e-9) + 1) * INTERVAL
     lights = lights_at(flow.signals, times)
     span = -EARLY, seconds
     demand = draw_drivers(flow.ways, span, rate=lane_rate, generator=generator)

@@ -1,0 +1,141 @@
+"""How long a made place takes: its traffic, its picture, its video; each against a floor.
+
+    python -m geoaim.bench.making --json docs/bench/making.json
+
+Floors: for traffic, one addition of 40 numbers by numpy, of which a step makes some hundreds; for a
+picture, one Fourier transform of its size; for frames, one bilinear warp of the ground by OpenCV.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import typer
+
+from geoaim.bench.report import save, table
+from geoaim.synthetic import (
+    VIDEOS,
+    draw_place,
+    make_place,
+    make_sample,
+    render_frame,
+    write_video,
+)
+from geoaim.synthetic.traffic.simulate import EARLY, INTERVAL, prepare_traffic, record
+
+RATES = {"usual": {}, "busy": {"lane_rate": 0.13, "walk_rate": 0.26}}
+
+
+def traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
+    """A junction's traffic: seconds, times real time, and numpy additions that a step costs."""
+    flow = prepare_traffic(make_place(1).roads, np.random.default_rng(0))
+    some = np.ones(40)
+    floor = _median(lambda: [np.add(some, some) for _ in range(10_000)], 5) / 10_000
+    rates: dict[str, float] = dict(RATES[name])
+    seconds, agents = [], []
+    for seed in range(repeats + 1):
+        generator = np.random.default_rng(seed)
+        start = time.perf_counter()
+        made = record(flow, seconds=60 * minutes, generator=generator, **rates)
+        seconds.append(time.perf_counter() - start)
+        agents.append((len(made.vehicles) + len(made.people)) / len(made.times))
+    middle = float(np.median(seconds[1:]))
+    steps = (60 * minutes + EARLY) / INTERVAL
+    return {
+        "what": f"traffic, {minutes:g} min, {name}",
+        "seconds": middle,
+        "floor": "np.add of 40",
+        "times the floor": middle / steps / floor,
+        "more": f"{np.mean(agents[1:]):.0f} agents, {60 * minutes / middle:.0f} x real time",
+    }
+
+
+def preparation(repeats: int) -> dict[str, Any]:
+    """The plan and its tables."""
+    generator = np.random.default_rng(0)
+    plan = _median(lambda: make_place(1), repeats)
+    roads = make_place(1).roads
+    tables = _median(lambda: prepare_traffic(roads, generator), repeats)
+    return {
+        "what": "plan and tables of a junction",
+        "seconds": plan + tables,
+        "floor": "-",
+        "times the floor": float("nan"),
+        "more": f"plan {plan:.2f} s, tables {tables:.2f} s",
+    }
+
+
+def drawing(metres_per_pixel: float, repeats: int) -> dict[str, Any]:
+    """The picture of a junction."""
+    place = make_place(1)
+    size = draw_place(place, metres_per_pixel=metres_per_pixel).shape[:2]
+    noise = np.random.default_rng(0).standard_normal(size)
+    seconds = _median(lambda: draw_place(place, metres_per_pixel=metres_per_pixel), repeats)
+    return {
+        "what": f"picture, {metres_per_pixel:g} m/px",
+        "seconds": seconds,
+        "floor": "Fourier transform",
+        "times the floor": seconds / _median(lambda: np.fft.rfft2(noise), 5),
+        "more": f"{size[1]} x {size[0]} px, {np.prod(size) / 1e6 / seconds:.2f} Mpx/s",
+    }
+
+
+def filming(size: str, count: int) -> dict[str, Any]:
+    """Frames of a junction's video, and their encoding."""
+    clip = make_sample(1, video=VIDEOS[size]).clip
+    assert clip is not None
+    frames, times, floors = [], [], []
+    ground = np.empty((*clip.base.shape, 3), np.uint8)
+    for index in range(count):
+        start = time.perf_counter()
+        frames.append(render_frame(clip, index))
+        times.append(time.perf_counter() - start)
+        matrix = clip.frame_from_background[index] @ np.linalg.inv(clip.base_from_background)
+        start = time.perf_counter()
+        cv2.warpPerspective(ground, matrix, (clip.width, clip.height))
+        floors.append(time.perf_counter() - start)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "clip.mp4"
+        coded = _median(lambda: write_video(frames, path, frame_rate=clip.hover.frame_rate), 1)
+    return {
+        "what": f"{count} frames of {size}",
+        "seconds": float(np.sum(times)) + coded,
+        "floor": "warpPerspective, linear",
+        "times the floor": float(np.median(times) / np.median(floors)),
+        "more": f"rendering {np.sum(times):.1f} s, H.264 {coded:.1f} s",
+    }
+
+
+def _median(work: Callable[[], Any], repeats: int) -> float:
+    """The median time of a call after one to warm up."""
+    seconds = []
+    for _ in range(repeats + 1):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return float(np.median(seconds[1:]))
+
+
+def main(
+    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    repeats: Annotated[int, typer.Option(help="of each measurement; the median counts")] = 5,
+    frames: Annotated[int, typer.Option(help="of each video")] = 100,
+    threads: Annotated[int, typer.Option(help="of OpenCV")] = 2,
+) -> None:
+    """Measure all parts; print a table, and write JSON when asked."""
+    cv2.setNumThreads(threads)
+    rows = [preparation(repeats)]
+    rows += [traffic(1.0, name, repeats) for name in RATES]
+    rows += [traffic(5.0, "usual", 2)]
+    rows += [drawing(metres, min(repeats, 3)) for metres in (0.2, 0.1, 0.05)]
+    rows += [filming(size, frames) for size in ("720p", "1080p")]
+    print(table(rows))
+    save(rows, json, command="python -m geoaim.bench.making", repeats=repeats)
+
+
+if __name__ == "__main__":
+    typer.run(main)
