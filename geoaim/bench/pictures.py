@@ -1,4 +1,4 @@
-"""The README's pictures, from the bundled sample.
+"""The README's pictures, from the bundled sample and other made places.
 
 python -m geoaim.bench.pictures samples docs/images
 """
@@ -11,6 +11,7 @@ import numpy as np
 import typer
 from matplotlib.axes import Axes
 
+from geoaim.geometry import transform_points
 from geoaim.mapping import (
     build_aim,
     open_video,
@@ -19,8 +20,17 @@ from geoaim.mapping import (
 )
 from geoaim.mapping.registration import choose_reference, place_frames
 from geoaim.quicklook import write_quicklook
+from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
+from geoaim.synthetic.roads.layouts import Kind
 
+METRES = 0.1  # a pixel of the drawn places
 MOMENT = 6.0  # s of the frame that is shown
+DAYS: dict[Kind, Day] = {
+    "junction": Day(),
+    "t": Day(season="autumn", azimuth=0.7, elevation=0.7, number=1),
+    "roundabout": Day(season="spring", azimuth=4.0, elevation=0.9, number=2),
+    "street": Day(season="winter", azimuth=2.4, elevation=0.5, number=3),
+}
 
 
 def main(
@@ -42,6 +52,23 @@ def main(
     for box in transform_boxes(placement.matrix, np.empty((0, 4)) if boxes is None else boxes):
         axes[1].fill(*box.T, facecolor="#ff6a0060", edgecolor="#ff6a00", linewidth=1.2)
     figure.savefig(output / "video_to_aim.png", dpi=85)
+    _show_places(output / "made_places.jpg")
+
+
+def _show_places(path: Path) -> None:
+    """The four kinds of made place on days of four seasons, with half a minute of traffic."""
+    figure, axes = plt.subplots(2, 2, figsize=(14, 8.6), layout="constrained")
+    for axis, (kind, day) in zip(axes.ravel(), DAYS.items(), strict=True):
+        sample = make_sample(2, kind=kind, minutes=0.5, video=None)
+        tracks = tracks_of(sample)
+        image = draw_place(sample.place, day, metres_per_pixel=METRES)
+        image_from_world = np.linalg.inv(world_from_image(sample.place, METRES))
+        _show(axis, image, f"{kind}, {day.season}")
+        for states, kind_of_agent in zip(tracks.states, tracks.types, strict=True):
+            u, v = transform_points(image_from_world, states[:, :2]).T
+            on_foot = kind_of_agent in ("pedestrian", "cyclist")
+            axis.plot(u, v, color="#ffd400" if on_foot else "#ff3c28", linewidth=1.0)
+    figure.savefig(path, dpi=85)
 
 
 def _show(axes: Axes, image: np.ndarray, title: str) -> None:

@@ -4,7 +4,8 @@ Each statistic is a distribution; the distance between two is the Kolmogorov-Smi
 for the same and 1 for disjoint ones. Real sources differ from each other as well, so the yardstick
 is the distance between real sources. Of spectra, amplitudes in octaves are compared, in decibels.
 
-python -m geoaim.bench.realism --output docs/bench/realism.json --picture docs/images/realism.png
+    python -m geoaim.bench.realism --output docs/bench/realism.json \
+        --picture docs/images/realism.png
 """
 
 import warnings
@@ -38,6 +39,7 @@ LANE = 1.75  # m to either side within which a vehicle ahead is followed
 SEEN = 60.0  # m
 OCTAVES = 2.0 ** np.arange(-7, 0)  # cycles a pixel
 WINDOW = 256  # px of the squares whose spectra are taken
+CROP = (420, 800)  # px of the pictures that are laid side by side
 Statistics = Mapping[str, Float[Array, "_"]]
 
 
@@ -46,6 +48,9 @@ def main(
     minutes: Annotated[float, typer.Option(help="of traffic in each")] = 3.0,
     output: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
     picture: Annotated[Path | None, typer.Option(help="chart to write")] = None,
+    beside: Annotated[
+        Path | None, typer.Option(help="real and made pictures side by side, to look at")
+    ] = None,
 ) -> None:
     """Compare made places with the shared real data."""
     folder = data_folder()
@@ -56,8 +61,11 @@ def main(
         for kind in KINDS
         for seed in range(1, seeds + 1)
     ]
+    made, real = [_picture(s) for s in samples], _real_pictures(folder)
+    if beside is not None:
+        _lay_beside(list(real.values()), made[::seeds], beside)
     groups = {
-        "picture": ([_look(_picture(s)) for s in samples], _real_pictures(folder)),
+        "picture": ([_look(p) for p in made], {name: _look(p) for name, p in real.items()}),
         "vehicles": (
             [_move(tracks_of(s), VEHICLES) for s in samples],
             {name: _move(t, VEHICLES) for name, t in real_vehicles(folder).items()},
@@ -181,7 +189,20 @@ def _scaled(image: UInt8[Array, "H W 3"], metres_per_pixel: float) -> UInt8[Arra
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
 
 
-def _real_pictures(folder: Path) -> dict[str, Statistics]:
+def _lay_beside(
+    real: list[UInt8[Array, "_ _ 3"]], made: list[UInt8[Array, "_ _ 3"]], path: Path
+) -> None:
+    """The middles of real pictures on the left, of made ones on the right."""
+    middles = []
+    for image in (p for pair in zip(real, made, strict=True) for p in pair):
+        top, left = ((side - cut) // 2 for side, cut in zip(image.shape, CROP, strict=False))
+        middles.append(image[top : top + CROP[0], left : left + CROP[1]])
+    rows = [np.hstack(middles[k : k + 2]) for k in range(0, len(middles), 2)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.vstack(rows)[..., ::-1])
+
+
+def _real_pictures(folder: Path) -> dict[str, UInt8[Array, "_ _ 3"]]:
     """Drone stills of junctions."""
     street = str(next((folder / "hover/minsk_street").glob("*.jpg")).relative_to(folder))
     sources = {
@@ -191,8 +212,7 @@ def _real_pictures(folder: Path) -> dict[str, Statistics]:
         "minsk street": (street, 0.05),
     }
     return {
-        name: _look(_scaled(_opened(folder / path), metres))
-        for name, (path, metres) in sources.items()
+        name: _scaled(_opened(folder / path), metres) for name, (path, metres) in sources.items()
     }
 
 
