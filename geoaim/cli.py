@@ -169,9 +169,9 @@ def info(aim: AimFile) -> None:
 @app.command()
 def sample(
     folder: Annotated[Path, typer.Argument(help="where the sample goes")],
-    seed: Annotated[int, typer.Option(help="of everything random")] = 1,
+    seed: Annotated[int, typer.Option(help="of everything random", min=0)] = 1,
     kind: Annotated[PlaceKind, typer.Option(help="of place")] = "junction",
-    minutes: Annotated[float, typer.Option(help="of traffic", min=0.2)] = 1.0,
+    minutes: Annotated[float, typer.Option(help="of traffic", min=0.2, max=1440)] = 1.0,
     video: Annotated[VideoSize, typer.Option(help="of the drone's video")] = "720p",
 ) -> None:
     """Make a place with truth for everything: video, tracks, lights, HD map, imagery.
@@ -180,9 +180,11 @@ def sample(
     what each file is.
     """
     from geoaim.synthetic import VIDEOS, make_sample, write_sample
+    from geoaim.synthetic.files import check_folder
 
     with _stages() as progress, _plain_errors():
-        progress("traffic", 0, 1)
+        check_folder(folder)
+        progress("place", 0, 1)
         made = make_sample(seed, kind=kind, minutes=minutes, video=VIDEOS.get(video))
         write_sample(made, folder, progress=progress)
     console.print(f"{folder}: see {folder / 'README.md'}")

@@ -3,19 +3,20 @@
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, TracksError
-from geoaim.tracks import COLUMNS, Tracks, heading_of_motion, tracks_of_rows
+from geoaim.tracks import COLUMNS, Tracks, heading_of_motion, read_table, tracks_of_rows
 from geoaim.world import World
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
+LEAST = 0.3  # m/s under which a motion has no direction
 SDD_RATE = 30.0  # frames/s
 # length and width in metres, where a data set gives boxes in pixels that hold limbs and shadows
 SDD_SIZES = {
@@ -39,17 +40,21 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
         world: where x and y lie; a plane of its own when None.
 
     Raises:
-        TracksError: columns are missing.
+        TracksError: columns are missing, or a value is no number.
     """
     import pandas as pd
 
-    table = pd.read_csv(path)
+    table = read_table(path, text=("track_id", "agent_type", "case_id"))
     _need(path, table, ("track_id", "timestamp_ms", "agent_type", "x", "y", "vx", "vy"))
+    numbers = ("timestamp_ms", "x", "y", "vx", "vy", "psi_rad", "length", "width")
+    _numeric(path, table, tuple(name for name in numbers if name in table))
+    if "case_id" in table:  # tracks are counted anew in each case
+        table["track_id"] = table["case_id"] + "/" + table["track_id"]
     for name, default in (("length", 0.5), ("width", 0.5)):
         table[name] = table[name].fillna(default) if name in table else default
     rows = pd.DataFrame(
         {
-            "id": table["track_id"].astype(str),
+            "id": table["track_id"],
             "type": table["agent_type"].str.lower(),
             "time": table["timestamp_ms"] / 1000.0,
             "x": table["x"],
@@ -60,8 +65,11 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
             "width": table["width"],
         }
     )
+    moving = np.where(rows["speed"] > LEAST, np.arctan2(table["vy"], table["vx"]), np.nan)
     known = rows["heading"].notna()
-    rows.loc[~known, "heading"] = np.arctan2(table["vy"], table["vx"])[~known]
+    rows["heading"] = rows["heading"].where(known, moving)  # who stands keeps the direction
+    along = rows.sort_values("time").groupby("id")["heading"]
+    rows["heading"] = along.ffill().fillna(along.bfill()).fillna(0.0)
     once = rows.drop_duplicates(["id", "time"])
     if len(once) < len(rows):
         twice = len(rows) - len(once)
@@ -84,14 +92,24 @@ def read_sdd(path: str | os.PathLike[str], *, metres_per_pixel: float) -> Tracks
         metres_per_pixel: of the reference image.
 
     Raises:
-        TracksError: the file is not of that form.
+        TracksError: the file is not of that form, or nobody is seen in it.
+        ValueError: the resolution is not positive.
     """
     import pandas as pd
 
+    if not metres_per_pixel > 0:
+        raise ValueError(f"metres_per_pixel is {metres_per_pixel}; a positive number is needed")
     names = ["id", "left", "top", "right", "bottom", "frame", "lost", "occluded", "made", "label"]
-    table = pd.read_csv(path, sep=" ", header=None, names=names)
-    _need(path, table.dropna(axis=1, how="all"), tuple(names))
+    table = read_table(path, text=(9,), sep=" ", header=None)
+    if table.shape[1] != len(names):
+        raise TracksError(
+            f"{Path(path)} has {table.shape[1]} columns; {len(names)} are needed: {' '.join(names)}"
+        )
+    table.columns = pd.Index(names)
+    _numeric(path, table, tuple(names[:-1]))
     table = table[table["lost"] == 0]
+    if len(table) == 0:
+        raise TracksError(f"{Path(path)}: all agents are lost in all rows")
     sizes = np.array([SDD_SIZES.get(label, (1.0, 1.0)) for label in table["label"]])
     rows = pd.DataFrame(
         {
@@ -118,23 +136,24 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
         crs: of Local_X (east) and Local_Y (north); a plane of its own when None.
 
     Raises:
-        TracksError: columns are missing.
+        TracksError: columns are missing, or a value is no number.
     """
     import pandas as pd
 
-    table = pd.read_csv(path)
+    table = read_table(path, text=("Vehicle_ID",))
     needed = ("Vehicle_ID", "Timestamp", "Local_X", "Local_Y", "Vehicle_Class")
     _need(path, table, (*needed, "Vehicle_Length", "Vehicle_Width"))
+    _numeric(path, table, (*needed[2:], "Vehicle_Length", "Vehicle_Width"))
     for name in ("Vehicle_Length", "Vehicle_Width"):  # not every vehicle could be measured
         usual = table.groupby("Vehicle_Class")[name].transform("median")
         table[name] = table[name].fillna(usual).fillna(table[name].median())
-    clock = pd.to_datetime(table["Timestamp"])
+    time = _seconds(path, table["Timestamp"])
     origin = (round(float(table["Local_X"].mean()), -2), round(float(table["Local_Y"].mean()), -2))
     rows = pd.DataFrame(
         {
-            "id": table["Vehicle_ID"].astype(str),
+            "id": table["Vehicle_ID"],
             "type": [GEOTRAX_TYPES.get(kind, "other") for kind in table["Vehicle_Class"]],
-            "time": (clock - clock.min()).dt.total_seconds(),
+            "time": time - time.min(),
             "x": table["Local_X"] - origin[0],
             "y": table["Local_Y"] - origin[1],
             "length": table["Vehicle_Length"],
@@ -142,6 +161,31 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
         }
     )
     return _with_motion(rows, World(crs, origin), reach=0.25)
+
+
+def _seconds(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series[float]":
+    """Times of day, or numbers, which are seconds."""
+    import pandas as pd
+
+    if pd.api.types.is_numeric_dtype(stamps):
+        return stamps.astype(float)
+    try:
+        clock = pd.to_datetime(stamps)
+    except ValueError as error:
+        raise TracksError(f"{Path(path)}: a Timestamp is no time: {error}") from error
+    return (clock - clock.min()).dt.total_seconds()
+
+
+def _numeric(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
+    """Refuse a table that has text, or nothing at all, where numbers are needed."""
+    import pandas as pd
+
+    if len(table) == 0:
+        raise TracksError(f"{Path(path)} has no rows")
+    for name in names:
+        if not pd.api.types.is_numeric_dtype(table[name]):
+            found = table[name][pd.to_numeric(table[name], errors="coerce").isna()].iloc[0]
+            raise TracksError(f"{Path(path)}: {name} is {found!r} in a row; a number is needed")
 
 
 def _need(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:

@@ -15,9 +15,10 @@ radians counter-clockwise from +x; speed in m/s, negative in reverse; length and
 
 import json
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -34,7 +35,9 @@ COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width"
 DECIMALS = (3, 3, 3, 4, 3, 2, 2)  # of the numbers from time on, in CSV
 LOCAL = "local"
 METADATA = b"geoaim_world"
-TICK = 1e-6  # s within which two times are one
+ABSENT = ["", "nan", "NaN", "NA", "null"]
+TICKS = 1e6  # a second; times that are closer are one
+LATEST = 1e11  # s; later is no time in seconds
 MOST = 200_000_000  # agents times steps: more is a broken file, or one to be cut
 
 
@@ -53,7 +56,8 @@ class Tracks:
         world: the plane that the metres lie in.
 
     Raises:
-        ValueError: shapes do not match, times do not increase, a present state is not finite.
+        ValueError: shapes do not match, times do not increase, a present state is not finite, a
+            size is not positive, two agents have one name.
     """
 
     times: Float[Array, "T"]
@@ -78,7 +82,11 @@ class Tracks:
                 raise ValueError(
                     f"{name} has the shape {found}; {agents} ids and {steps} times need {shape}"
                 )
-        if not (np.diff(self.times) > 0).all():
+        if len(set(self.ids)) < agents:
+            raise ValueError(f"{agents - len(set(self.ids))} agents have the name of another")
+        if not (np.isfinite(self.sizes) & (np.asarray(self.sizes) > 0)).all():
+            raise ValueError("a length or width is not a positive number of metres")
+        if not (np.diff(self.times) > 0).all() or not np.isfinite(self.times).all():
             raise ValueError("times do not increase; sort the steps and drop repeated ones")
         if not np.isfinite(self.states[self.present]).all():
             raise ValueError("a state is not finite where its agent is present")
@@ -101,20 +109,28 @@ class Tracks:
 def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
 
+    Times are kept to the millisecond and to the microsecond.
+
     Raises:
-        ValueError: the name ends otherwise.
+        ValueError: the name ends otherwise, nobody is present, or times are too close for the form.
     """
     path = Path(path)
     if path.suffix not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv or .parquet")
+    if not tracks.present.any():
+        raise ValueError(f"nobody is present in the tracks; {path} would have no rows")
+    closest = np.diff(tracks.times).min(initial=np.inf)
+    if closest < (1e-3 if path.suffix == ".csv" else 1 / TICKS):
+        raise ValueError(f"{path}: times are {closest:.1g} s apart, too close for the form")
     frame, world = tracks.to_frame(), tracks.world
     with replacing(path) as temporary:
         if path.suffix == ".parquet":
             _write_parquet(frame, world, temporary)
             return
         with open(temporary, "w", encoding="utf-8", newline="") as file:
-            east, north = world.origin
-            file.write(f"# crs: {world.crs or LOCAL}\n# origin: {east!r} {north!r}\n")
+            east, north = map(float, world.origin)
+            crs = " ".join((world.crs or LOCAL).split())  # WKT may have lines
+            file.write(f"# crs: {crs}\n# origin: {east!r} {north!r}\n")
             for name, decimals in zip(COLUMNS[2:], DECIMALS, strict=True):
                 frame[name] = frame[name].round(decimals) + 0.0  # no minus zero
             frame.to_csv(file, index=False, lineterminator="\n")
@@ -131,8 +147,8 @@ def read_tracks(path: str | os.PathLike[str]) -> Tracks:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        frame, world = (_read_parquet if path.suffix == ".parquet" else _read_csv)(path)
-    except (ValueError, OSError) as error:
+        frame, world = (_read_parquet if path.suffix.lower() == ".parquet" else _read_csv)(path)
+    except (ValueError, KeyError, TypeError, OSError) as error:
         raise TracksError(f"{path} is no table of tracks: {error}") from error
     missing = [name for name in COLUMNS if name not in frame.columns]
     if missing:
@@ -147,8 +163,9 @@ def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
     An agent's type and size are those of its first row.
 
     Raises:
-        TracksError: there are no rows, a value is missing or no number, an agent is twice at one
-            time, or the table would be too large.
+        TracksError: there are no rows, a value is missing or no number, a heading is not in
+            radians, a size is not positive, an agent is twice at one time, or the table would be
+            too large.
     """
     if len(rows) == 0:
         raise TracksError("the table has no rows; a row for each agent and time is needed")
@@ -163,7 +180,20 @@ def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
             f"{broken.sum()} rows have missing values; the first is {COLUMNS[2 + column]} in row "
             f"{row}. Leave out rows of absent agents, and give each present one a full state"
         )
-    ticks, step = np.unique(np.rint(values[:, 0] / TICK).astype(np.int64), return_inverse=True)
+    for name in ("id", "type"):
+        empty = rows[name].isna() | (rows[name].astype(str) == "")
+        if empty.any():
+            raise TracksError(f"{empty.sum()} rows have no {name}; give each agent one")
+    for wrong, what in (
+        (np.abs(values[:, 0]) > LATEST, "a time beyond 1e11; seconds are needed"),
+        (np.abs(values[:, 3]) > 2 * np.pi, "a heading beyond a full turn; radians are needed"),
+        ((values[:, 5:] <= 0).any(axis=1), "a length or width that is not positive"),
+    ):
+        if wrong.any():
+            raise TracksError(f"{wrong.sum()} rows have {what}; the first is row {wrong.argmax()}")
+    heading = values[:, 3]
+    heading = np.where(np.abs(heading) < np.pi, heading, (heading + np.pi) % (2 * np.pi) - np.pi)
+    ticks, step = np.unique(np.rint(values[:, 0] * TICKS).astype(np.int64), return_inverse=True)
     names, first, agent = np.unique(
         rows["id"].astype(str).to_numpy(), return_index=True, return_inverse=True
     )
@@ -182,8 +212,9 @@ def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
         )
     states = np.full((*present.shape, 4), np.nan)
     states[rank[agent], step] = values[:, 1:5]
+    states[rank[agent], step, 2] = heading
     return Tracks(
-        times=ticks * TICK,
+        times=ticks / TICKS,
         states=states,
         present=present,
         sizes=values[first[order], 5:],
@@ -214,8 +245,6 @@ def heading_of_motion(
 
 
 def _read_csv(path: Path) -> tuple["DataFrame", World]:
-    import pandas as pd
-
     with open(path, encoding="utf-8-sig") as file:
         heads = []
         for line in file:
@@ -231,8 +260,41 @@ def _read_csv(path: Path) -> tuple["DataFrame", World]:
     origin = [float(word) for word in told.get("origin", "0 0").split()]
     if len(origin) != 2:
         raise ValueError(f"its origin {told['origin']!r} is not two numbers")
-    frame = pd.read_csv(path, skiprows=len(heads), dtype={"id": str, "type": str})
+    frame = read_table(path, text=("id", "type"), skiprows=len(heads))
     return frame, _world(told["crs"], origin)
+
+
+def read_table(
+    path: str | os.PathLike[str], *, text: tuple[str | int, ...], **options: Any
+) -> "DataFrame":
+    """`pandas.read_csv`, strict about the number of fields; an agent may be called NA.
+
+    Args:
+        path: the file.
+        text: columns that are kept as they are written.
+        options: of `pandas.read_csv`.
+
+    Raises:
+        TracksError: the file is empty, or a row has more fields than there are columns.
+    """
+    import pandas as pd
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        try:
+            columns = pd.read_csv(path, index_col=False, nrows=1, **options).columns
+            return pd.read_csv(
+                path,
+                index_col=False,
+                dtype=dict.fromkeys(set(columns) & set(text), str),
+                keep_default_na=False,
+                na_values={name: ABSENT for name in columns if name not in text},
+                **options,
+            )
+        except (ValueError, pd.errors.ParserWarning) as error:
+            reason = "a row has more fields than there are columns"
+            told = reason if isinstance(error, pd.errors.ParserWarning) else str(error).strip()
+            raise TracksError(f"{Path(path)} is no table of tracks: {told}") from error
 
 
 def _read_parquet(path: Path) -> tuple["DataFrame", World]:

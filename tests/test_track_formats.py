@@ -1,4 +1,5 @@
 import gzip
+from functools import partial
 
 import numpy as np
 import pytest
@@ -81,3 +82,43 @@ def test_real_files_read(data_folder):
     assert "pedestrian" in people.types
     walking = people.states[[t == "pedestrian" for t in people.types], :, 3]
     assert 0.8 < np.nanmedian(walking[walking > 0.5]) < 1.8
+
+
+SHORT = "track_id,timestamp_ms,agent_type,x,y,vx,vy\n"
+
+
+def test_interaction_counts_tracks_anew_in_each_case(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("case_id," + SHORT + "1,1,0,car,0,0,1,0\n2,1,0,car,500,0,1,0\n")
+    assert read_interaction(path).ids == ("1/1", "2/1")
+
+
+def test_who_stands_keeps_the_direction(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(SHORT + "1,0,pedestrian,0,0,0,1\n1,100,pedestrian,0,0.1,0,0\n")
+    np.testing.assert_allclose(read_interaction(path).states[0, :, 2], np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    ("read", "text", "message"),
+    [
+        (read_interaction, "", "no table of tracks"),
+        (read_interaction, SHORT, "has no rows"),
+        (read_interaction, SHORT + "1,soon,car,0,0,1,0\n", "timestamp_ms is 'soon'"),
+        (read_interaction, SHORT + "1,0,car,0,0,1,0,9\n", "more fields"),
+        (read_geotrax, GEOTRAX, "has no rows"),
+        (read_geotrax, GEOTRAX + "1,noon,0,0,0,1,2,37,126,4,2,0\n", "Timestamp is no time"),
+        (partial(read_sdd, metres_per_pixel=0.1), "0 1 2 3 4 5 1 0 0 Biker\n", "are lost"),
+        (partial(read_sdd, metres_per_pixel=0.1), "0 1 2 3\n", "4 columns; 10 are needed"),
+    ],
+)
+def test_broken_files_are_refused_in_words(tmp_path, read, text, message):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(TracksError, match=message):
+        read(path)
+
+
+def test_sdd_needs_a_resolution(tmp_path):
+    with pytest.raises(ValueError, match="positive number"):
+        read_sdd(tmp_path / "a.txt", metres_per_pixel=0.0)

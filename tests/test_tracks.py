@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -48,6 +50,7 @@ def test_csv_keeps_millimetres(tmp_path_factory, present, seed):
         return
     tracks = _tracks(present=present[present.any(axis=1)])
     states = tracks.states + np.random.default_rng(seed).normal(0, 500, tracks.states.shape)
+    states[..., 2] = np.arctan2(states[..., 2], 100.0)
     moved = Tracks(
         tracks.times, states, tracks.present, tracks.sizes, tracks.types, tracks.ids, WORLD
     )
@@ -127,7 +130,7 @@ def test_wrong_shapes_and_times_are_bad_calls(unchecked):
 
 def test_ids_keep_the_order_in_which_they_come():
     rows = pd.DataFrame(
-        {name: [0.0, 0.0, 0.1] for name in COLUMNS} | {"id": ["9", "10", "9"], "type": "car"}
+        {name: [0.1, 0.1, 0.1] for name in COLUMNS} | {"id": ["9", "10", "9"], "type": "car"}
     ).assign(time=[0.0, 0.0, 0.1])
     tracks = tracks_of_rows(rows, World(None))
     assert tracks.ids == ("9", "10")
@@ -139,3 +142,65 @@ def test_heading_is_kept_while_standing_and_known_before_the_first_step():
     np.testing.assert_allclose(
         heading_of_motion(velocity), [[np.pi / 2, np.pi / 2, np.pi / 2, np.pi]]
     )
+
+
+def _row(**changed):
+    row = {"id": "1", "type": "car", "time": 0, "x": 1, "y": 2, "heading": 0, "speed": 1}
+    return row | {"length": 4, "width": 2} | changed
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"id": ""}, "no id"),
+        ({"id": None}, "no id"),
+        ({"type": np.nan}, "no type"),
+        ({"heading": 90}, "radians are needed"),
+        ({"length": 0}, "not positive"),
+        ({"time": 1.7e18}, "seconds are needed"),
+    ],
+)
+def test_rows_that_cannot_be_meant_are_refused(changed, message):
+    with pytest.raises(TracksError, match=message):
+        tracks_of_rows(pd.DataFrame([_row(**changed)]), WORLD)
+
+
+def test_an_agent_may_be_called_na(tmp_path):
+    path = tmp_path / "a.csv"
+    write_tracks(tracks_of_rows(pd.DataFrame([_row(id="NA"), _row(id="null")]), WORLD), path)
+    assert read_tracks(path).ids == ("NA", "null")
+
+
+def test_times_read_back_are_those_written(tmp_path):
+    times = np.arange(3000) / 10
+    tracks = tracks_of_rows(pd.DataFrame([_row(time=time) for time in times]), WORLD)
+    write_tracks(tracks, tmp_path / "a.csv")
+    np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").times, times)
+
+
+def test_row_with_a_field_too_many_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("# crs: local\n" + ",".join(COLUMNS) + "\n1,2,0,1,2,0,1,4,2,9\n")
+    with pytest.raises(TracksError, match="more fields than there are columns"):
+        read_tracks(path)
+
+
+def test_heading_is_brought_into_one_turn():
+    tracks = tracks_of_rows(pd.DataFrame([_row(heading=1.5 * np.pi)]), WORLD)
+    assert tracks.states[0, 0, 2] == pytest.approx(-np.pi / 2)
+
+
+def test_tracks_that_could_not_be_read_back_are_not_written(tmp_path):
+    nobody = _tracks(present=((False, False, False),))
+    with pytest.raises(ValueError, match="nobody is present"):
+        write_tracks(nobody, tmp_path / "a.csv")
+    close = tracks_of_rows(pd.DataFrame([_row(), _row(time=1e-4)]), WORLD)
+    with pytest.raises(ValueError, match="too close for the form"):
+        write_tracks(close, tmp_path / "a.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_agents_of_one_name_are_refused():
+    tracks = _tracks()
+    with pytest.raises(ValueError, match="name of another"):
+        replace(tracks, ids=("7", "7"))

@@ -17,6 +17,7 @@ import numpy as np
 import typer
 
 from geoaim.bench.report import save, table
+from geoaim.geometry import to_opencv
 from geoaim.synthetic import (
     VIDEOS,
     draw_place,
@@ -96,7 +97,7 @@ def filming(size: str, count: int) -> dict[str, Any]:
         times.append(time.perf_counter() - start)
         matrix = clip.frame_from_background[index] @ np.linalg.inv(clip.base_from_background)
         start = time.perf_counter()
-        cv2.warpPerspective(ground, matrix, (clip.width, clip.height))
+        cv2.warpPerspective(ground, to_opencv(matrix), (clip.width, clip.height))
         floors.append(time.perf_counter() - start)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "clip.mp4"

@@ -176,11 +176,11 @@ def _spectrum(grey: Float[Array, "H W"]) -> Float[Array, "n k"]:
 
 
 def _picture(sample: Sample) -> UInt8[Array, "H W 3"]:
-    """A made place with its traffic after a minute."""
+    """A made place with its traffic at the end."""
     still = draw_place(sample.place)
     tracks = tracks_of(sample)
     agents = draw_agents(tracks, 0.05, np.random.default_rng(1))
-    paste(still, agents, image_poses(sample.place, tracks, 0.05)[600])
+    paste(still, agents, image_poses(sample.place, tracks, 0.05)[-1])
     return _scaled(still, 0.05)
 
 

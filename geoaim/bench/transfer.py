@@ -8,7 +8,8 @@
 - prediction: where agents are after 3 s, by five rules, on made and on real tracks; mean
   displacement, metres. Once more with noise on the made ones, as real trackers have it;
 - alignment: windows of a picture found in that of another sensor, by five ways to compare them;
-  windows that are more than a metre from where the median of all says that they are, per cent.
+  windows that are more than a metre from the truth, per cent. Of the real pictures the truth is
+  the median of all windows and ways.
 
 Agreement is the number of pairs of methods that made and real data put in the same order, of those
 that both tell apart by a tenth.
@@ -85,12 +86,17 @@ def agreement(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[int
     """Pairs of methods that both put in the same order, all that both tell apart, and the rest."""
     swapped, pairs = [], 0
     for a, b in combinations(one, 2):
-        ratios = [np.log(figures[a] / figures[b]) for figures in (one, other)]
+        ratios = [np.log(_some(figures[a]) / _some(figures[b])) for figures in (one, other)]
         if min(abs(ratio) for ratio in ratios) > np.log1p(EQUAL):
             pairs += 1
             if ratios[0] * ratios[1] < 0:
                 swapped.append(f"{a} / {b}")
     return pairs - len(swapped), pairs, swapped
+
+
+def _some(figure: float) -> float:
+    """A figure that has a logarithm."""
+    return max(figure, 1e-3)
 
 
 def registration(frames: int) -> Figures:
@@ -204,7 +210,8 @@ def alignment(folder: Path) -> Figures:
         wrong: list[Array] = []
         for one, two in pairs:
             shifts = np.array([_shifts(one, two, way) for way in ways.values()])
-            apart = np.linalg.norm(shifts - np.median(shifts, axis=(0, 1)), axis=-1)
+            truth = np.median(shifts, axis=(0, 1)) if source == "rotterdam" else np.zeros(2)
+            apart = np.linalg.norm(shifts - truth, axis=-1)
             wrong.append(apart * PIXEL > 1.0)
         shares = np.concatenate(wrong, axis=1).mean(axis=1)
         found[source] = {name: 100 * float(s) for name, s in zip(ways, shares, strict=True)}
@@ -285,7 +292,7 @@ def _orientation(grey: Float[Array, "H W"]) -> Float[Array, "2 H W"]:
 def _mean(figures: list[dict[str, float]]) -> dict[str, float]:
     """The geometric mean over sources."""
     return {
-        name: float(np.exp(np.mean([np.log(max(found[name], 1e-3)) for found in figures])))
+        name: float(np.exp(np.mean([np.log(_some(found[name])) for found in figures])))
         for name in figures[0]
     }
 

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8, UInt64
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points
-from geoaim.synthetic.exact import ROWS, blur, pack, premultiplied, warp
+from geoaim.synthetic.exact import ROWS, blur, pack, premultiplied, resize, warp
 
 CORNERS = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 SHADOW = 140  # of 255: how dark a vehicle's shadow is
@@ -120,7 +119,7 @@ def film(
     reach = np.abs(corners - [width / 2, height / 2]).max(axis=(0, 1)) + 4
     rows, columns = background.shape[:2]
     scale = FINER * max(2 * reach[0] / columns, 2 * reach[1] / rows)
-    base = _resize(background, scale)
+    base = _scaled(background, scale)
     down, right = base.shape[0] / rows, base.shape[1] / columns
     nominal_from_base = np.diag([1 / FINER, 1 / FINER, 1.0])
     nominal_from_base[:2, 2] = (np.array([width, height]) - base.shape[1::-1] / np.array(FINER)) / 2
@@ -350,17 +349,16 @@ def _prepare_sprites(
     air = int(np.ceil(3 * sigma)) + 2
     for sprite in sprites:
         if id(sprite) not in prepared:
-            light = _resize(premultiplied(sprite), scale)
+            light = _scaled(premultiplied(sprite), scale)
             light = np.minimum(light, light[..., 3:])  # Lanczos overshoots
             light = blur(np.pad(light, ((air, air), (air, air), (0, 0))), sigma)
             prepared[id(sprite)] = pack(light[..., :3]), pack(light[..., 3:])
     return tuple(prepared[id(sprite)] for sprite in sprites)
 
 
-def _resize(image: UInt8[Array, "_ _ c"], scale: float) -> UInt8[Array, "_ _ c"]:
-    size = [max(1, round(side * scale)) for side in image.shape[1::-1]]
-    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LANCZOS4
-    return np.asarray(cv2.resize(image, size, interpolation=method))
+def _scaled(image: UInt8[Array, "_ _ c"], scale: float) -> UInt8[Array, "_ _ c"]:
+    rows, columns = (max(1, round(side * scale)) for side in image.shape[:2])
+    return resize(image, (columns, rows))
 
 
 def _shift(right: float, down: float) -> Float[Array, "3 3"]:

@@ -30,6 +30,15 @@ def blur(image: UInt8[Array, "H W *c"], sigma: float) -> UInt8[Array, "H W *c"]:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma)) if sigma > 0 else image
 
 
+def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array, "_ _ *c"]:
+    """To a width and height, finer details blurred away first; OpenCV's area mean is inexact."""
+    shrink = image.shape[1] / size[0]
+    if shrink > 1:
+        smooth = blur(image, 0.5 * np.sqrt(shrink**2 - 1))
+        return np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR_EXACT))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LANCZOS4))
+
+
 def premultiplied(sprite: UInt8[Array, "h w 4"]) -> UInt8[Array, "_ _ 4"]:
     """Colours times alpha, with a clear rim, so that it can be resampled."""
     whole = sprite.astype(np.uint16)

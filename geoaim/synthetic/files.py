@@ -1,8 +1,11 @@
 """The files of a sample, as a person has them of a real place, and the truth of each."""
 
 import json
+import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from fnmatch import fnmatch
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -14,8 +17,8 @@ import shapely
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
+from shapely import Point
 
-from geoaim.files import replacing
 from geoaim.geometry import transform_points
 from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
 from geoaim.synthetic.encode import write_video
@@ -28,11 +31,11 @@ from geoaim.synthetic.imagery import (
     georeference_photo,
     photograph,
 )
-from geoaim.synthetic.place import Place, world_from_image
+from geoaim.synthetic.place import METRES_PER_PIXEL, Place, world_from_image
 from geoaim.synthetic.roads.lanelet import lanelet_map
 from geoaim.synthetic.roads.markings import landmarks
 from geoaim.synthetic.roads.paving import crossing_area
-from geoaim.synthetic.sample import VIDEOS, Sample, tracks_of
+from geoaim.synthetic.sample import HOVER, VIDEOS, Sample, tracks_of
 from geoaim.synthetic.traffic.signals import STATES, lights_at
 from geoaim.tracks import write_tracks
 from geoaim.world import lonlat_from_world
@@ -42,16 +45,59 @@ ZOOM = 19  # of the tiles
 SENSOR = 36.0  # mm, width of the film that focal lengths are given for
 FOCAL_LENGTH = 24.0  # mm
 CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
+# all that a sample's folder may hold
+OWN = (
+    *("hover.mp4", "hover.SRT", "gcps.csv", "boxes", "background.jpg", "tracks*.csv"),
+    *("lights*.csv", "map.osm", "map_full.osm", "surfaces.geojson", "ortho.tif", "tiles"),
+    *("truth.json", "truth.npz", "README.md", ".part"),
+)
 Progress = Callable[[str, float, float], None]
 
 
-def write_sample(sample: Sample, folder: Path, *, progress: Progress | None = None) -> None:
+def write_sample(
+    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress | None = None
+) -> None:
     """Write the files of a sample and their truth; `README.md` in the folder says what each is.
 
-    Files of the same names are replaced.
+    A sample that is there already is replaced once the new one is whole.
+
+    Raises:
+        ValueError: the folder holds something else than a sample.
     """
+    folder = Path(folder)
+    check_folder(folder)
     report = progress if progress is not None else lambda stage, done, total: None
-    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / ".part"
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    try:
+        _write_all(sample, part, report)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    for old in [path for path in folder.iterdir() if path != part]:
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
+    for new in list(part.iterdir()):
+        new.replace(folder / new.name)
+    part.rmdir()
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse to write a sample among other files.
+
+    Raises:
+        ValueError: the folder holds something else than a sample, or is none.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is a file; a folder is needed")
+    names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
+    other = [name for name in names if not any(fnmatch(name, own) for own in OWN)]
+    if other:
+        found = ", ".join(other[:3])
+        raise ValueError(f"{folder} holds {found}, no part of a sample; name a new folder")
+
+
+def _write_all(sample: Sample, folder: Path, report: Progress) -> None:
     for number in range(len(sample.recordings)):
         report("tracks", number, len(sample.recordings))
         _write_traffic(sample, folder, number)
@@ -164,7 +210,7 @@ def _write_geotiff(imagery: Imagery, path: Path) -> None:
         "blockxsize": 256,
         "blockysize": 256,
     }
-    with replacing(path) as temporary, rasterio.open(temporary, "w", **profile) as dataset:
+    with rasterio.open(path, "w", **profile) as dataset:
         dataset.write(np.moveaxis(imagery.image, -1, 0), [1, 2, 3])
         dataset.write(np.where(imagery.covered, 255, 0).astype(np.uint8), 4)
         names = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
@@ -184,7 +230,7 @@ def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> N
     world_from_still = world_from_image(place, sample.metres_per_pixel)
     world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
     _write_control_points(place, clip, world_from_frame, folder / "gcps.csv")
-    _write_boxes(sample, clip, folder / "boxes")
+    _write_boxes(clip, folder / "boxes")
     _write_telemetry(place, world_from_frame, clip, folder / "hover.SRT")
     _write_image(clean_frame(clip), folder / "background.jpg", quality=95)
     np.savez_compressed(
@@ -206,13 +252,15 @@ def _write_control_points(
     pixels = transform_points(np.linalg.inv(world_from_frame[0]), world)
     lines = ["name,u,v,lon,lat"]
     places = lonlat_from_world(place.world, world)
-    for name, (u, v), (lon, lat) in zip(names, pixels, places, strict=True):
-        if 0 <= u < clip.width and 0 <= v < clip.height:
+    crowns = [Point(tree.place).buffer(tree.radius) for tree in place.scenery.trees]
+    hidden = shapely.contains_xy(shapely.union_all(crowns), *marks.T)
+    for name, (u, v), (lon, lat), unseen in zip(names, pixels, places, hidden, strict=True):
+        if 0 <= u < clip.width and 0 <= v < clip.height and not unseen:
             lines.append(f"{name},{u:.3f},{v:.3f},{lon:.9f},{lat:.9f}")
     _write_text(path, "\n".join(lines) + "\n")
 
 
-def _write_boxes(sample: Sample, clip: Clip, folder: Path) -> None:
+def _write_boxes(clip: Clip, folder: Path) -> None:
     """A YOLO text file for each frame, named by its index: class, centre x and y, width, height."""
     folder.mkdir(exist_ok=True)
     size = np.array([clip.width, clip.height, clip.width, clip.height])
@@ -299,15 +347,26 @@ def _write_bytes(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
+def _command(sample: Sample, minutes: float) -> str:
+    """The command that makes the sample; the call where none does."""
+    kind, seed, clip = sample.place.roads.layout.kind, sample.place.seed, sample.clip
+    sizes = {size: name for name, size in VIDEOS.items()}
+    video = "none" if clip is None else sizes.get((clip.height, clip.width))
+    usual = clip is None or clip.hover == HOVER
+    if video and usual and sample.metres_per_pixel == METRES_PER_PIXEL:
+        options = f"--seed {seed} --kind {kind} --minutes {minutes:g} --video {video}"
+        return f"geoaim sample FOLDER {options}"
+    given = "None" if clip is None else f"({clip.height}, {clip.width}), hover={clip.hover}"
+    given = f"{given}, metres_per_pixel={sample.metres_per_pixel:g}"
+    return f'make_sample({seed}, kind="{kind}", minutes={minutes:g}, video={given})'
+
+
 def _readme(sample: Sample) -> str:
     """What each file is: the template without the blocks that do not apply."""
-    place, clip = sample.place, sample.clip
+    clip = sample.clip
     seconds = sum(float(recording.times[-1]) for recording in sample.recordings)
-    sizes = {size: name for name, size in VIDEOS.items()}
-    video = "none" if clip is None else sizes.get((clip.height, clip.width), "720p")
-    options = f"--seed {place.seed} --kind {place.roads.layout.kind}"
     values: dict[str, object] = {
-        "command": f"geoaim sample FOLDER {options} --minutes {seconds / 60:g} --video {video}",
+        "command": _command(sample, seconds / 60),
         "traffic": f"{seconds:g}",
         "zoom": ZOOM,
     }

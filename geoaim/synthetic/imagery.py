@@ -3,14 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points
 from geoaim.synthetic.camera import paste
-from geoaim.synthetic.exact import blur, pack, warp
+from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
 from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, world_from_image
 from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
@@ -54,8 +53,8 @@ class Imagery:
         covered: (H, W) where it shows the place.
         crs: a projected CRS.
         crs_from_image: (3, 3) pixels (corner origin) to where the picture says that they are.
-        offset: metres on the ground, along the axes of `crs`, by which it is misplaced: what it
-            shows at a place is in truth that far back.
+        offset: metres east and north in the place's world by which it is misplaced: what it shows
+            at a place is in truth that far back.
     """
 
     image: UInt8[Array, "H W 3"]
@@ -108,8 +107,9 @@ def georeference_photo(
     crs_from_image, (height, width) = _grid(crs_from_photo, photo.shape[:2], pixel)
     photo_from_image = np.linalg.inv(crs_from_photo) @ crs_from_image
     image, covered = _resampled(photo, photo_from_image, height, width)
-    metres = WIDTH / photo.shape[1]
-    right, up = np.asarray(offset) * unit / metres
+    middle = place.world_from_plan[None, :2, 2]
+    here, there = (crs_from_world(place.world, spot, crs)[0] for spot in (middle, middle + offset))
+    right, up = there - here
     moved = np.array([[1, 0, right], [0, 1, up], [0, 0, 1.0]]) @ crs_from_image
     return Imagery(image, covered, crs, moved, offset)
 
@@ -139,6 +139,8 @@ def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Arr
             crs_from_tile = np.array([[pixel, 0, west], [0, -pixel, north], [0, 0, 1.0]])
             image_from_tile = np.linalg.inv(imagery.crs_from_image) @ crs_from_tile
             tile, inside = _resampled(imagery.image, image_from_tile, TILE, TILE)
+            covered = np.repeat(imagery.covered[..., None] * np.uint8(255), 3, axis=-1)
+            inside &= _resampled(covered, image_from_tile, TILE, TILE)[0][..., 0] == 255
             tile[~inside] = 255
             if inside.any():
                 yield column, row, tile
@@ -174,9 +176,8 @@ def _sense(
     still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
     """The drawn place as the sensor renders it, at its resolution."""
-    size = tuple(round(side / sensor.metres_per_pixel) for side in (WIDTH, HEIGHT))
-    small = cv2.resize(still, size, interpolation=cv2.INTER_AREA)
-    small = blur(np.asarray(small), sensor.blur)
+    width, height = (round(side / sensor.metres_per_pixel) for side in (WIDTH, HEIGHT))
+    small = blur(resize(still, (width, height)), sensor.blur)
     levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)
     light = levels[small] * np.asarray(sensor.balance, np.float32)
     grey = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3)

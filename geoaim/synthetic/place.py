@@ -82,7 +82,8 @@ def world_from_image(
 def plan_from_image(metres_per_pixel: float = METRES_PER_PIXEL) -> Float[Array, "3 3"]:
     """Pixels of a drawn place (corner origin) to plan metres."""
     m = metres_per_pixel
-    return np.array([[m, 0, -WIDTH / 2], [0, -m, HEIGHT / 2], [0, 0, 1.0]])
+    left, top = (-m * round(side / m) / 2 for side in (WIDTH, HEIGHT))
+    return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])
 
 
 def _generator(*seeds: int) -> np.random.Generator:

@@ -72,9 +72,12 @@ def make_sample(
         metres_per_pixel: of the drawn place, 0.05 to 0.2.
 
     Raises:
-        ValueError: there is no such kind, or less traffic than video.
+        ValueError: there is no such kind, less traffic than video, or more video than fits in one
+            recording.
     """
     filmed = hover.count / hover.frame_rate if video is not None else 0.0
+    if filmed > LONGEST:
+        raise ValueError(f"{filmed:g} s of video; a recording has at most {LONGEST:g} s")
     if 60 * minutes < max(filmed, 1.0):
         raise ValueError(
             f"{minutes:g} minutes of traffic; at least {max(filmed, 1) / 60:.2f} needed"
@@ -99,7 +102,7 @@ def make_sample(
 def tracks_of(sample: Sample, number: int = 0) -> Tracks:
     """The tracks of a recording, 10 a second."""
     place, recording = sample.place, sample.recordings[number]
-    times = np.arange(round(recording.times[-1] * RATE) + 1) / RATE
+    times = np.arange(int(recording.times[-1] * RATE + 1e-9) + 1) / RATE
     return replay(sample.flow, recording, place.world_from_plan, place.world, times=times)
 
 

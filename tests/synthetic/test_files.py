@@ -11,9 +11,10 @@ import shapely
 
 import geoaim
 from geoaim.geometry import transform_points
-from geoaim.mapping import read_boxes
+from geoaim.mapping import open_video, read_boxes
 from geoaim.mapping.telemetry import read_srt
 from geoaim.synthetic import (
+    Hover,
     clean_frame,
     frame_boxes,
     make_sample,
@@ -36,7 +37,7 @@ def test_every_file_is_named_in_the_readme(folder):
     for path in folder.iterdir():
         assert path.name == "README.md" or path.name in text, path.name
     assert "$" not in text
-    assert "geoaim sample FOLDER --seed 3 --kind junction --minutes 0.3" in text
+    assert 'make_sample(3, kind="junction", minutes=0.3, video=(180, 320)' in text
 
 
 def test_control_points_reproject_within_a_hundredth_of_a_pixel(sample, folder):
@@ -64,7 +65,8 @@ def test_boxes_are_those_of_the_frames(sample, folder):
     left, _, right, _ = wanted[0]
     assert float(rows[0][1]) == pytest.approx((left + right) / 2 / 320, abs=1e-5)
     assert {row[0] for row in rows} <= set("012345")
-    assert callable(read_boxes(folder / "boxes"))
+    frame = next(iter(open_video(folder / "hover.mp4").frames_at([6.0])))
+    np.testing.assert_allclose(read_boxes(folder / "boxes")(frame), wanted, atol=0.01)
 
 
 def test_background_is_the_first_frame_without_traffic(sample, folder):
@@ -96,6 +98,42 @@ def test_lights_tell_each_change_once(sample, folder):
     assert set(table[table["time"] == 0]["signal"]) == set(sample.flow.signals.names)
     for _, changes in table.groupby("signal"):
         assert (changes["state"] != changes["state"].shift()).all()
+
+
+def test_another_sample_takes_the_place_of_the_whole_old_one(tmp_path):
+    small = {"minutes": 0.21, "metres_per_pixel": 0.2}
+    first = make_sample(2, kind="street", video=(90, 160), hover=Hover(count=3), **small)
+    write_sample(first, tmp_path / "there")
+    assert (tmp_path / "there" / "lights.csv").exists()
+    second = make_sample(3, kind="roundabout", video=None, **small)
+    write_sample(second, str(tmp_path / "there"))
+    write_sample(second, tmp_path / "new")
+    there, new = (
+        sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+        for folder in (tmp_path / "there", tmp_path / "new")
+    )
+    assert there == new
+
+
+def test_sample_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
+    sample = make_sample(2, kind="t", minutes=0.1, video=None, metres_per_pixel=0.2)
+    write_sample(sample, tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    monkeypatch.setattr("geoaim.synthetic.files._write_imagery", _fail)
+    with pytest.raises(OSError, match="no space left"):
+        write_sample(sample, tmp_path)
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+
+
+def _fail(*_):
+    raise OSError("no space left")
+
+
+def test_folder_with_other_files_is_refused(sample, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(ValueError, match="thesis\\.tex, no part of a sample"):
+        write_sample(sample, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_maps_name_the_lights(sample, folder):

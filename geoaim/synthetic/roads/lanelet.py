@@ -16,13 +16,16 @@ from shapely import LineString, Polygon
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.roads.arms import Arm, lane_in, lane_out, on_arm
-from geoaim.synthetic.roads.curves import Line, headings
-from geoaim.synthetic.roads.lanes import FAR, Lane
+from geoaim.synthetic.roads.curves import Line, parallel
+from geoaim.synthetic.roads.lanes import FAR, Lane, sides
+from geoaim.synthetic.roads.markings import give_way_line
+from geoaim.synthetic.roads.paving import Crossing
 from geoaim.synthetic.roads.plan import Roads, arm_named, signal_of
 from geoaim.world import World, lonlat_from_world
 
 STATION = 3.0  # m between the points of an arm's boundaries
 TOLERANCE = 0.005  # m by which a boundary may be simplified
+SLIVER = 0.2  # m, width of what is no part of an area
 SAME = 0.03  # m within which two ends are one node
 WALK = 1.2  # m, half the width of a walkway
 DECIMALS = 11  # of degrees
@@ -85,17 +88,16 @@ def _boundaries(roads: Roads, lane: Lane) -> tuple[Line, Line]:
     """Left and right of a lane; neighbours on an arm share theirs to the letter."""
     words = lane.name.split()
     if words[1] not in ("in", "out"):
-        share = np.linspace(0, 1, len(lane.centre))
-        half = 0.5 * (lane.width[0] + (lane.width[1] - lane.width[0]) * share)
-        return _simple(_beside(lane.centre, half)), _simple(_beside(lane.centre, -half))
+        left, right = sides(lane)
+        return _simple(left), _simple(right)
     arm, rank = arm_named(roads.layout, words[0]), int(words[2])
     across = lane_in(arm, rank) if words[1] == "in" else lane_out(arm, rank)
     along = np.linspace(arm.mouth, FAR, round((FAR - arm.mouth) / STATION) + 1)
-    sides = [
+    low, high = (
         on_arm(arm, np.stack([along, np.full_like(along, round(across + side, 6))], axis=1))
         for side in (-arm.lane / 2, arm.lane / 2)
-    ]
-    return (sides[0][::-1], sides[1][::-1]) if words[1] == "in" else (sides[1], sides[0])
+    )
+    return (low[::-1], high[::-1]) if words[1] == "in" else (high, low)
 
 
 def _kinds(roads: Roads, lane: Lane) -> tuple[Kind, Kind]:
@@ -104,15 +106,10 @@ def _kinds(roads: Roads, lane: Lane) -> tuple[Kind, Kind]:
         name, way, rank = lane.name.split()
         arm = arm_named(roads.layout, name)
         count = len(arm.turns) if way == "in" else arm.lanes_out
-        return SOLID if rank == "0" else DASHED, KERB if int(rank) == count - 1 else DASHED
+        return SOLID if rank == "0" else DASHED, SOLID if int(rank) == count - 1 else DASHED
     if lane.name.startswith("ring"):
         return KERB, VIRTUAL if "past" in lane.name else KERB
     return VIRTUAL, KERB if " ring" in lane.name else VIRTUAL
-
-
-def _beside(line: Line, left: Float[Array, "L"]) -> Line:
-    angle = headings(line)
-    return line + left[:, None] * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
 
 
 def _add_rule(draft: _Draft, roads: Roads, arm: Arm, lanes: dict[str, ET.Element]) -> None:
@@ -128,6 +125,7 @@ def _add_rule(draft: _Draft, roads: Roads, arm: Arm, lanes: dict[str, ET.Element
             lane_in(arm, max(ranks)) + arm.lane / 2,
         )
         bar = on_arm(arm, np.array([[arm.stop, inner], [arm.stop, outer]]))
+        bar = give_way_line(roads.layout, arm) if roads.layout.ring else bar
         stop = _way(draft, bar, ("stop_line", ""))
         members = [("way", stop, "ref_line")]
         tags = {"type": "regulatory_element", "subtype": "right_of_way"}
@@ -139,9 +137,7 @@ def _add_rule(draft: _Draft, roads: Roads, arm: Arm, lanes: dict[str, ET.Element
             members.append(("way", light, "refers"))
             tags |= {"subtype": "traffic_light", "name": signal}
         else:
-            others = [
-                n for n in lanes if n.startswith("ring") or (" in " in n and _is_main(roads, n))
-            ]
+            names, others = _right_of_way(roads, arm, names)
             members += [("relation", int(lanes[n].attrib["id"]), "yield") for n in names]
             members += [("relation", int(lanes[n].attrib["id"]), "right_of_way") for n in others]
         rule = _relation(draft, members, tags)
@@ -150,8 +146,14 @@ def _add_rule(draft: _Draft, roads: Roads, arm: Arm, lanes: dict[str, ET.Element
             lanes[name].insert(2, ET.Element("member", member))
 
 
-def _is_main(roads: Roads, lane: str) -> bool:
-    return not np.isfinite(arm_named(roads.layout, lane.split()[0]).stop)
+def _right_of_way(roads: Roads, arm: Arm, names: list[str]) -> tuple[list[str], list[str]]:
+    """The lanelets that give way at an arm, and those that they give way to."""
+    arms = roads.layout.arms
+    if roads.layout.ring:
+        before = arms[arms.index(arm) - 1].name
+        return [f"{arm.name} onto ring"], [f"ring after {before}", f"ring past {arm.name}"]
+    main = [other for other in arms if not np.isfinite(other.stop)]
+    return names, [f"{other.name} in {rank}" for other in main for rank in range(len(other.turns))]
 
 
 def _add_walkways(draft: _Draft, roads: Roads) -> None:
@@ -161,19 +163,31 @@ def _add_walkways(draft: _Draft, roads: Roads) -> None:
         marked = crossing is not None and crossing.marked
         half = crossing.width / 2 if crossing is not None and marked else WALK
         kind: Kind = ("pedestrian_marking", "") if marked else VIRTUAL
-        sides = [
-            _way(draft, _simple(_beside(leg.line, np.full(len(leg.line), side * half))), kind)
-            for side in (1, -1)
-        ]
+        edges = [_way(draft, _simple(parallel(leg.line, side * half)), kind) for side in (1, -1)]
         tags = {"type": "lanelet", "subtype": "crosswalk" if marked else "walkway"}
         tags |= {"location": "urban", "one_way": "no", "participant:pedestrian": "yes"}
-        _relation(draft, [("way", sides[0], "left"), ("way", sides[1], "right")], tags)
+        lanelet = _relation(draft, [("way", edges[0], "left"), ("way", edges[1], "right")], tags)
+        if crossing is not None and crossing.marked and crossing.signalised:
+            _add_walk_light(draft, crossing, lanelet)
+
+
+def _add_walk_light(draft: _Draft, crossing: Crossing, lanelet: ET.Element) -> None:
+    """The light of those on foot, at the crossing's first end."""
+    lamp = crossing.ends[0] + np.array([[0.0, 0.0], [0.3, 0.0]])
+    light = _way(draft, lamp, ("traffic_light", "red_green"))
+    tags = {"type": "regulatory_element", "subtype": "traffic_light"}
+    tags["name"] = f"walk {crossing.name}"
+    rule = _relation(draft, [("way", light, "refers")], tags)
+    member = {"type": "relation", "ref": rule.attrib["id"], "role": "regulatory_element"}
+    lanelet.insert(2, ET.Element("member", member))
 
 
 def _add_area(draft: _Draft, ground: shapely.Geometry, tags: dict[str, str]) -> None:
-    for part in shapely.get_parts(ground):
+    """An area without the slivers that differences of curves leave."""
+    whole = ground.buffer(SLIVER, join_style="mitre").buffer(-2 * SLIVER, join_style="mitre")
+    for part in shapely.get_parts(whole.buffer(SLIVER, join_style="mitre")):
         if isinstance(part, Polygon):
-            ring = np.array(part.exterior.simplify(0.1).coords)
+            ring = np.array(part.exterior.simplify(SLIVER / 2).coords)
             _relation(draft, [("way", _way(draft, ring, KERB), "outer")], tags)
 
 
@@ -183,7 +197,8 @@ def _simple(line: Line) -> Line:
 
 def _way(draft: _Draft, line: Line, kind: Kind) -> int:
     """The number of a way; a line that is there already, either way round, serves."""
-    nodes = tuple(_node(draft, point) for point in line)
+    every = [_node(draft, point) for point in line]
+    nodes = tuple(node for node, before in zip(every, [0, *every], strict=False) if node != before)
     found = draft.ways.get(nodes) or draft.ways.get(nodes[::-1])
     if found:
         return found

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.arms import Arm, lane_in, lane_out, on_arm, turn_between
-from geoaim.synthetic.roads.curves import Line, arc, even, headings, joint
+from geoaim.synthetic.roads.curves import Line, arc, even, headings, joint, parallel
 from geoaim.synthetic.roads.layouts import RING_LANE, Layout
 
 FAR = 150.0  # m from the middle to where lanes begin and end, out of sight
@@ -22,7 +22,6 @@ class Lane:
         name: "east in 0", "east 0 to north 0", "north out 0", "ring past east", ...
         centre: its middle, a point each half metre, plan metres.
         width: (start, end) metres.
-        follows: names of the lanes that it goes on from.
         speed: limit, m/s.
         turn: L, S or R through the middle; "" elsewhere.
     """
@@ -30,9 +29,15 @@ class Lane:
     name: str
     centre: Line
     width: tuple[float, float]
-    follows: tuple[str, ...] = ()
     speed: float = 13.9
     turn: str = ""
+
+
+def sides(lane: Lane) -> tuple[Line, Line]:
+    """The left and the right edge of a lane."""
+    share = np.linspace(0, 1, len(lane.centre))
+    half = 0.5 * (lane.width[0] + (lane.width[1] - lane.width[0]) * share)
+    return parallel(lane.centre, half), parallel(lane.centre, -half)
 
 
 @dataclass(frozen=True)
@@ -68,10 +73,10 @@ def _arm_lanes(arm: Arm) -> list[Lane]:
     lanes = []
     for rank in range(len(arm.turns)):
         inwards = on_arm(arm, np.array([[s, lane_in(arm, rank)] for s in _along(arm)[::-1]]))
-        lanes.append(Lane(f"{arm.name} in {rank}", even(inwards), (arm.lane,) * 2, (), arm.speed))
+        lanes.append(Lane(f"{arm.name} in {rank}", even(inwards), (arm.lane,) * 2, arm.speed))
     for rank in range(arm.lanes_out):
         outwards = on_arm(arm, np.array([[s, lane_out(arm, rank)] for s in _along(arm)]))
-        lanes.append(Lane(f"{arm.name} out {rank}", even(outwards), (arm.lane,) * 2, (), arm.speed))
+        lanes.append(Lane(f"{arm.name} out {rank}", even(outwards), (arm.lane,) * 2, arm.speed))
     return lanes
 
 
@@ -93,7 +98,7 @@ def _connectors(layout: Layout, known: dict[str, Lane]) -> tuple[list[Lane], lis
                 name = f"{come.name} {rank} to {go.name} {exit_rank}"
                 line = _join(known[start].centre, known[end].centre)
                 width = (come.lane, go.lane)
-                links.append(Lane(name, line, width, (start,), min(come.speed, go.speed), turn))
+                links.append(Lane(name, line, width, min(come.speed, go.speed), turn))
                 passages.append(Passage(come.name, go.name, (start, name, end), turn))
     return links, passages
 
@@ -125,10 +130,10 @@ def _ring_lanes(layout: Layout, known: dict[str, Lane]) -> tuple[list[Lane], lis
         gap = (after.angle - MERGE - on) % (2 * np.pi)
         widths = (arm.lane, RING_LANE), (RING_LANE, arm.lane), (RING_LANE, RING_LANE)
         links += [
-            Lane(f"{arm.name} onto ring", entry, widths[0], (f"{arm.name} in 0",), 8.3),
-            Lane(f"{arm.name} off ring", away, widths[1], (), 8.3),
-            Lane(f"ring past {arm.name}", arc(middle, radius, off, on), widths[2], (), 8.3),
-            Lane(f"ring after {arm.name}", arc(middle, radius, on, on + gap), widths[2], (), 8.3),
+            Lane(f"{arm.name} onto ring", entry, widths[0], 8.3),
+            Lane(f"{arm.name} off ring", away, widths[1], 8.3),
+            Lane(f"ring past {arm.name}", arc(middle, radius, off, on), widths[2], 8.3),
+            Lane(f"ring after {arm.name}", arc(middle, radius, on, on + gap), widths[2], 8.3),
         ]
     return links, _ring_passages(arms)
 

@@ -27,13 +27,14 @@ DASH, GAP = 3.0, 4.5  # m
 SOLID = 18.0  # m before a stop line where lanes must be kept
 STRIPE = 0.5  # m, width of a crossing's stripes and of the gaps between them
 TEETH = 0.6  # m, length of the dashes of a give-way line
+RIM, JOIN = 2.9, (0.16, 0.62)  # m from the ring lane's middle, and radians: where they are
 
 
 def paint(roads: Roads) -> list[Line]:
     """White paint."""
     polygons: list[Line] = []
     for arm in roads.layout.arms:
-        polygons += [*_edges(arm), *_middle(arm, roads.layout), *_lane_lines(arm)]
+        polygons += [*_edges(arm), *_middle(arm), *_lane_lines(arm)]
         polygons += [*_stop_line(arm, roads.layout), *_arrows(arm, roads.layout)]
     for crossing in roads.crossings:
         if crossing.marked:
@@ -109,7 +110,7 @@ def _edges(arm: Arm) -> list[Line]:
     return [strip(arm, (start, FAR), side) for side in ((at, at + THIN), (-at - THIN, -at))]
 
 
-def _middle(arm: Arm, layout: Layout) -> list[Line]:
+def _middle(arm: Arm) -> list[Line]:
     """Between the directions: solid where there are lights or several lanes, else dashed."""
     at, start, half = divider(arm), _start(arm), THIN / 2
     if arm.median:
@@ -161,11 +162,17 @@ def _stop_line(arm: Arm, layout: Layout) -> list[Line]:
     ]
 
 
+def give_way_line(layout: Layout, arm: Arm) -> Line:
+    """The middle of a roundabout's dashes where an arm joins."""
+    angle = arm.angle + np.linspace(*JOIN, 8)
+    return (layout.ring + RIM + 0.2) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
 def _ring_teeth(layout: Layout) -> list[Line]:
     """The give-way lines of a roundabout: dashes along its rim where lanes join."""
-    outside, teeth = layout.ring + 2.9, []
+    outside, teeth = layout.ring + RIM, []
     for arm in layout.arms:
-        for turn in np.arange(0.16, 0.62, 2 * TEETH / outside):
+        for turn in np.arange(*JOIN, 2 * TEETH / outside):
             angle = arm.angle + np.linspace(turn, turn + TEETH / outside, 3)
             ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
             teeth.append(np.concatenate([outside * ring, (outside + 0.4) * ring[::-1]]))

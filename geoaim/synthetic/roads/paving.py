@@ -12,11 +12,10 @@ from shapely.geometry import box
 from geoaim.synthetic.roads.arms import GUTTER, Arm, divider, half_width, on_arm, strip
 from geoaim.synthetic.roads.car_park import AISLE, BAY, DRIVE, CarPark, lot_end
 from geoaim.synthetic.roads.curves import Line
-from geoaim.synthetic.roads.lanes import FAR, Lane
+from geoaim.synthetic.roads.lanes import FAR, Lane, sides
 from geoaim.synthetic.roads.layouts import CROSSING, RING_LANE, Layout
 
 VERGE = 1.5  # m, width of the grass between kerb and pavement, away from crossings
-CLEAR = 1.6  # m to either side of a lane's middle that no island reaches
 FLARE = 5.0  # m, radius of the kerbs of a drive
 
 
@@ -70,9 +69,10 @@ def pave(
     tar += [_lane_area(lane) for lane in lanes if " to " in lane.name or " ring" in lane.name]
     if layout.ring:
         tar.append(Point(0, 0).buffer(layout.ring + RING_LANE / 2 + 0.4, quad_segs=32))
+    edges = [sides(lane) for lane in lanes]
     closed = shapely.union_all(tar).buffer(layout.corner, quad_segs=32).buffer(-layout.corner)
     whole = Polygon(shapely.union_all([closed]).exterior)
-    wheels = [LineString(lane.centre).buffer(CLEAR, cap_style="flat") for lane in lanes]
+    wheels = [Polygon(np.concatenate([left, right[::-1]])).buffer(0) for left, right in edges]
     islands = shapely.union_all(_islands(layout)).difference(shapely.union_all(wheels))
     drive, lot = _drive_and_lot(car_park, whole)
     around = whole.buffer(wide, quad_segs=32)

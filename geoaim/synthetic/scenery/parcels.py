@@ -223,12 +223,9 @@ def _scatter(
     radius: tuple[float, float],
     apart: float,
     generator: np.random.Generator,
-    *,
-    keep: Geometry | None = None,
 ) -> tuple[Tree, ...]:
     """Trees in an area, their stems some metres from each other."""
-    inside = area if keep is None else area.difference(keep)
-    inside = inside.buffer(-0.4 * radius[1])
+    inside = area.buffer(-0.4 * radius[1])
     spots = _points(inside, count, apart, generator)
     return tuple(
         Tree((spot.x, spot.y), generator.uniform(*radius), int(generator.integers(1 << 16)))

@@ -16,7 +16,7 @@ WANDER = ((37.0, 0.45), (83.0, 0.55))  # m, share: drivers drift in their lane i
 SWAY = 0.22  # m for each metre that a lane of this width leaves
 LANE = 2.9  # m
 SIZE = {"pedestrian": (0.5, 0.6), "cyclist": (1.8, 0.65)}  # m
-STANDING = 0.25  # m/s under which one keeps one's heading
+STANDING = 0.5  # m/s under which one keeps one's heading
 
 
 def replay(
@@ -104,7 +104,7 @@ def _vehicle_states(
     table = _dense(recording.vehicles, values, agents, steps)
     before, t = _between(recording, times)
     start, end = table[:, before], table[:, before + 1]
-    same = start[..., 0] == end[..., 0]
+    same = (start[..., 0] == end[..., 0]) | np.isnan(start[..., 0])
     start = np.where(same[..., None], start, end)  # who leaves a bay stood there until then
     at, speed = _cubic(start[..., 1], end[..., 1], start[..., 2], end[..., 2], t)
     at = np.where(same, at, end[..., 1])

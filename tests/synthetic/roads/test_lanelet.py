@@ -1,10 +1,14 @@
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 
 import numpy as np
 import pytest
+import shapely
 
 from geoaim.synthetic.roads.lanelet import lanelet_map
-from geoaim.world import World, lonlat_from_world
+from geoaim.synthetic.roads.lanes import sides
+from geoaim.synthetic.roads.plan import make_roads
+from geoaim.world import World, lonlat_from_world, world_from_lonlat
 
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 
@@ -49,10 +53,10 @@ def test_lanelets_that_follow_each_other_share_their_end_nodes(roads):
     for way in root.findall("way"):
         nodes = [nd.attrib["ref"] for nd in way.findall("nd")]
         ends[way.attrib["id"]] = {nodes[0], nodes[-1]}
-    for lane in roads.lanes:
-        for before in lane.follows:
+    for passage in roads.passages:
+        for before, after in pairwise(passage.lanes):
             for side in ("left", "right"):
-                assert ends[lanelets[lane.name][side]] & ends[lanelets[before][side]]
+                assert ends[lanelets[before][side]] & ends[lanelets[after][side]]
 
 
 def test_places_are_longitude_and_latitude(roads):
@@ -85,3 +89,45 @@ def test_lights_and_give_way_lines_are_regulatory_elements(roads):
 def test_same_plan_gives_the_same_bytes(roads, options):
     one, again = (lanelet_map(roads, np.eye(3), WORLD, **options) for _ in range(2))
     assert one == again
+
+
+def test_who_enters_a_ring_yields_to_those_who_come_round_it():
+    roads = make_roads("roundabout", np.random.default_rng(5))
+    root, _ = _parsed(roads)
+    names = {r.attrib["id"]: _tags(r).get("name") for r in root.findall("relation")}
+    rules = [r for r in root.findall("relation") if _tags(r).get("subtype") == "right_of_way"]
+    assert len(rules) == len(roads.layout.arms)
+    for rule in rules:
+        roles = {m.attrib["role"]: names.get(m.attrib["ref"]) for m in rule.findall("member")}
+        assert roles["yield"].replace(" onto ring", "") == roles["right_of_way"].split()[-1]
+
+
+def test_crossings_at_lights_name_the_light_of_those_on_foot():
+    roads = make_roads("junction", np.random.default_rng(5))
+    root, _ = _parsed(roads, walkways=True)
+    found = {_tags(r).get("name", "") for r in root.findall("relation")}
+    wanted = {f"walk {c.name}" for c in roads.crossings if c.marked and c.signalised}
+    assert wanted
+    assert wanted <= found
+
+
+def test_no_island_lies_in_a_lane(roads):
+    for lane in roads.lanes:
+        left, right = sides(lane)
+        area = shapely.Polygon(np.concatenate([left, right[::-1]])).buffer(0)
+        assert area.intersection(roads.paving.islands).area < 0.01
+
+
+def test_car_park_is_one_area_without_slivers(roads):
+    if roads.car_park is None:
+        return
+    root, _ = _parsed(roads, parking=True)
+    nodes = {n.attrib["id"]: (n.attrib["lon"], n.attrib["lat"]) for n in root.iter("node")}
+    [area] = [r for r in root.findall("relation") if _tags(r).get("subtype") == "parking"]
+    [ring] = [m.attrib["ref"] for m in area.findall("member")]
+    way = next(w for w in root.findall("way") if w.attrib["id"] == ring)
+    lonlat = np.array([nodes[nd.attrib["ref"]] for nd in way.findall("nd")], float)
+    polygon = shapely.Polygon(world_from_lonlat(WORLD, lonlat))
+    assert polygon.is_valid
+    core = polygon.buffer(-0.1).buffer(0.15, join_style="mitre")
+    assert polygon.difference(core).area < 0.05

@@ -3,7 +3,7 @@ import pytest
 import shapely
 from shapely.affinity import affine_transform
 
-from geoaim.synthetic import make_sample, tracks_of
+from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.paving import crossing_area
 from geoaim.synthetic.traffic.signals import RED, lights_at
 
@@ -167,3 +167,14 @@ def test_long_traffic_is_cut_into_recordings_that_differ():
 def test_traffic_shorter_than_its_video_is_refused():
     with pytest.raises(ValueError, match="minutes of traffic"):
         make_sample(1, minutes=0.05)
+
+
+@pytest.mark.parametrize("minutes", [0.21, 0.26, 0.3])
+def test_tracks_end_within_a_recording_of_any_length(minutes):
+    tracks = tracks_of(make_sample(1, kind="t", minutes=minutes, video=None))
+    assert 60 * minutes - 0.11 < tracks.times[-1] <= 60 * minutes + 0.25
+
+
+def test_more_video_than_a_recording_is_refused():
+    with pytest.raises(ValueError, match="at most 300 s"):
+        make_sample(1, minutes=10.0, hover=Hover(count=400, frame_rate=1.0))
