@@ -176,8 +176,9 @@ def sample(
 ) -> None:
     """Make a place with truth for everything: video, tracks, lights, HD map, imagery.
 
-    The same seed gives the same numbers and frames on every machine. README.md in the folder says
-    what each file is.
+    The same seed gives the same numbers and frames on every machine. The video has 12 s, whatever
+    the minutes of traffic. README.md in the folder says what each file is. A sample that is there
+    already is replaced; a folder that holds anything else is refused.
     """
     from geoaim.synthetic import VIDEOS, make_sample, write_sample
     from geoaim.synthetic.files import check_folder

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import cv2
@@ -17,7 +16,7 @@ import shapely
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
-from shapely import Point
+from shapely import Point, Polygon
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
@@ -31,17 +30,17 @@ from geoaim.synthetic.imagery import (
     georeference_photo,
     photograph,
 )
-from geoaim.synthetic.place import METRES_PER_PIXEL, Place, world_from_image
+from geoaim.synthetic.place import Place, world_from_image
+from geoaim.synthetic.readme import TITLE, ZOOM, describe
 from geoaim.synthetic.roads.lanelet import lanelet_map
 from geoaim.synthetic.roads.markings import landmarks
 from geoaim.synthetic.roads.paving import crossing_area
-from geoaim.synthetic.sample import HOVER, VIDEOS, Sample, tracks_of
+from geoaim.synthetic.sample import Sample, tracks_of
 from geoaim.synthetic.traffic.signals import STATES, lights_at
 from geoaim.tracks import write_tracks
 from geoaim.world import lonlat_from_world
 
 CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files
-ZOOM = 19  # of the tiles
 SENSOR = 36.0  # mm, width of the film that focal lengths are given for
 FOCAL_LENGTH = 24.0  # mm
 CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
@@ -83,18 +82,29 @@ def write_sample(
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse to write a sample among other files.
+    """Refuse to write a sample among other files, or in the place of anything but a sample.
 
     Raises:
         ValueError: the folder holds something else than a sample, or is none.
     """
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder} is a file; a folder is needed")
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise ValueError(f"{there} is a file; a folder is needed")
     names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
     other = [name for name in names if not any(fnmatch(name, own) for own in OWN)]
-    if other:
-        found = ", ".join(other[:3])
-        raise ValueError(f"{folder} holds {found}, no part of a sample; name a new folder")
+    if other or (set(names) - {".part"} and not _is_sample(folder)):
+        found = ", ".join((other or names)[:3])
+        raise ValueError(f"{folder} holds {found} and is no sample; name a new folder")
+
+
+def _is_sample(folder: Path) -> bool:
+    """Whether what is there was written here."""
+    try:
+        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+        text = (folder / "README.md").read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+    return isinstance(truth, dict) and "seed" in truth and text.startswith(TITLE)
 
 
 def _write_all(sample: Sample, folder: Path, report: Progress) -> None:
@@ -109,7 +119,7 @@ def _write_all(sample: Sample, folder: Path, report: Progress) -> None:
     report("maps", 3, 3)
     if sample.clip is not None:
         _write_film(sample, sample.clip, folder, report)
-    _write_text(folder / "README.md", _readme(sample))
+    _write_text(folder / "README.md", describe(sample))
 
 
 def _name(stem: str, number: int, ending: str) -> str:
@@ -158,12 +168,20 @@ def _feature(place: Place, geometry: shapely.Geometry, about: dict[str, Any]) ->
     """A polygon in longitude and latitude, of what lies on the page."""
     parts = shapely.get_parts(geometry.intersection(place.roads.page))
     polygons = [
-        [_lonlat(place, np.array(ring.coords)) for ring in (part.exterior, *part.interiors)]
-        for part in parts
-        if part.geom_type == "Polygon" and not part.is_empty
+        Polygon(*_rings(place, part)) for part in parts if part.geom_type == "Polygon" and part.area
     ]
-    shape = {"type": "MultiPolygon", "coordinates": polygons}
-    return {"type": "Feature", "properties": about, "geometry": shape}
+    whole = shapely.make_valid(shapely.MultiPolygon(polygons), method="structure")
+    parts = shapely.get_parts(shapely.set_precision(whole, 1e-9))  # rounded, and valid for good
+    shape = shapely.MultiPolygon([part for part in parts if part.geom_type == "Polygon"])
+    return {"type": "Feature", "properties": about, "geometry": shapely.geometry.mapping(shape)}
+
+
+def _rings(place: Place, part: Polygon) -> tuple[list[list[float]], list[list[list[float]]]]:
+    """Outline and holes of a polygon in longitude and latitude."""
+    first, *holes = (
+        _lonlat(place, np.array(ring.coords)) for ring in (part.exterior, *part.interiors)
+    )
+    return first, holes
 
 
 def _lonlat(place: Place, points: Float[Array, "m 2"]) -> list[list[float]]:
@@ -345,38 +363,3 @@ def _write_text(path: Path, text: str) -> None:
 
 def _write_bytes(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-
-
-def _command(sample: Sample, minutes: float) -> str:
-    """The command that makes the sample; the call where none does."""
-    kind, seed, clip = sample.place.roads.layout.kind, sample.place.seed, sample.clip
-    sizes = {size: name for name, size in VIDEOS.items()}
-    video = "none" if clip is None else sizes.get((clip.height, clip.width))
-    usual = clip is None or clip.hover == HOVER
-    if video and usual and sample.metres_per_pixel == METRES_PER_PIXEL:
-        options = f"--seed {seed} --kind {kind} --minutes {minutes:g} --video {video}"
-        return f"geoaim sample FOLDER {options}"
-    given = "None" if clip is None else f"({clip.height}, {clip.width}), hover={clip.hover}"
-    given = f"{given}, metres_per_pixel={sample.metres_per_pixel:g}"
-    return f'make_sample({seed}, kind="{kind}", minutes={minutes:g}, video={given})'
-
-
-def _readme(sample: Sample) -> str:
-    """What each file is: the template without the blocks that do not apply."""
-    clip = sample.clip
-    seconds = sum(float(recording.times[-1]) for recording in sample.recordings)
-    values: dict[str, object] = {
-        "command": _command(sample, seconds / 60),
-        "traffic": f"{seconds:g}",
-        "zoom": ZOOM,
-    }
-    if clip is not None:
-        values |= {"width": clip.width, "height": clip.height, "rate": f"{clip.hover.frame_rate:g}"}
-        values |= {"seconds": f"{len(clip.times) / clip.hover.frame_rate:g}"}
-    text = Path(__file__).with_name("sample_readme.md").read_text(encoding="utf-8")
-    given = {"film": clip is not None, "lights": bool(sample.recordings[0].signals.names)}
-    for block, there in given.items():
-        before, _, rest = text.partition(f"<{block}>\n")
-        inside, _, after = rest.partition(f"</{block}>\n")
-        text = before + (inside if there else "") + after
-    return Template(text).substitute(values)

@@ -12,6 +12,7 @@ from geoaim.synthetic.camera import paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
 from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, world_from_image
+from geoaim.synthetic.roads.layouts import KINDS
 from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
 from geoaim.synthetic.scenery.day import SEASONS, Day
 from geoaim.tracks import Tracks
@@ -66,7 +67,7 @@ class Imagery:
 
 def another_day(place: Place) -> Day:
     """A day of another season and another sun than day 0, on which some things have changed."""
-    generator = np.random.default_rng([place.seed, IMAGERY])
+    generator = _generator(place)
     return Day(
         season=SEASONS[int(generator.choice([0, 2, 3]))],
         azimuth=float(generator.uniform(0, 2 * np.pi)),
@@ -90,7 +91,7 @@ def photograph(
     Its sides are those of the drawn place, at the sensor's resolution; it is drawn finer, at
     `metres_per_pixel`.
     """
-    generator = np.random.default_rng([place.seed, IMAGERY, day.number])
+    generator = _generator(place, day.number)
     still = draw_place(place, day, metres_per_pixel=metres_per_pixel)
     agents = draw_agents(tracks, metres_per_pixel, generator)
     paste(still, agents, image_poses(place, tracks, metres_per_pixel)[0])
@@ -116,7 +117,7 @@ def georeference_photo(
 
 def draw_offset(place: Place) -> tuple[float, float]:
     """By how many metres east and north imagery of a place is misplaced."""
-    generator = np.random.default_rng([place.seed, IMAGERY, 0])
+    generator = _generator(place, 0)
     reach, turn = generator.uniform(2.0, 6.0), generator.uniform(0, 2 * np.pi)
     return round(float(reach * np.cos(turn)), 2), round(float(reach * np.sin(turn)), 2)
 
@@ -144,6 +145,12 @@ def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Arr
             tile[~inside] = 255
             if inside.any():
                 yield column, row, tile
+
+
+def _generator(place: Place, *number: int) -> np.random.Generator:
+    """Places of one seed and of different kinds are seen on different days."""
+    kind = KINDS.index(place.roads.layout.kind)
+    return np.random.default_rng([place.seed, IMAGERY, kind, *number])
 
 
 def _crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:

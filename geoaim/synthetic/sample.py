@@ -75,6 +75,12 @@ def make_sample(
         ValueError: there is no such kind, less traffic than video, or more video than fits in one
             recording.
     """
+    if not 1 / 60 <= minutes < np.inf:
+        raise ValueError(f"{minutes:g} minutes of traffic; at least a second is needed")
+    if video is not None and (
+        len(video) != 2 or not all(isinstance(n, int) and n > 0 for n in video)
+    ):
+        raise ValueError(f"video is {video!r}; a height and a width in pixels are needed")
     filmed = hover.count / hover.frame_rate if video is not None else 0.0
     if filmed > LONGEST:
         raise ValueError(f"{filmed:g} s of video; a recording has at most {LONGEST:g} s")

@@ -131,9 +131,20 @@ def _fail(*_):
 
 def test_folder_with_other_files_is_refused(sample, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="thesis\\.tex, no part of a sample"):
+    with pytest.raises(ValueError, match="holds thesis\\.tex and is no sample"):
         write_sample(sample, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_folder_whose_files_only_look_like_a_sample_is_refused(sample, tmp_path):
+    (tmp_path / "gcps.csv").write_text("my own points")
+    (tmp_path / "boxes").mkdir()
+    (tmp_path / "boxes" / "mine.txt").write_text("my own labels")
+    with pytest.raises(ValueError, match="is no sample"):
+        write_sample(sample, tmp_path)
+    assert (tmp_path / "boxes" / "mine.txt").read_text() == "my own labels"
+    with pytest.raises(ValueError, match="is a file"):
+        write_sample(sample, tmp_path / "gcps.csv" / "below")
 
 
 def test_maps_name_the_lights(sample, folder):
@@ -154,10 +165,11 @@ def test_surfaces_are_polygons_of_the_place(sample, folder):
     content = json.loads((folder / "surfaces.geojson").read_text())
     kinds = {feature["properties"]["kind"] for feature in content["features"]}
     assert {"carriageway", "pavement", "crossing", "car park"} <= kinds
+    assert all(shapely.geometry.shape(f["geometry"]).is_valid for f in content["features"])
     tracks = tracks_of(sample)
     lonlat = lonlat_from_world(sample.place.world, tracks.states[tracks.present][:, :2])
     ground = shapely.union_all(
-        [shapely.make_valid(shapely.geometry.shape(f["geometry"])) for f in content["features"]]
+        [shapely.geometry.shape(feature["geometry"]) for feature in content["features"]]
     )
     assert shapely.contains_xy(ground.buffer(3e-6), *lonlat.T).mean() > 0.98
 

@@ -27,7 +27,7 @@ DASH, GAP = 3.0, 4.5  # m
 SOLID = 18.0  # m before a stop line where lanes must be kept
 STRIPE = 0.5  # m, width of a crossing's stripes and of the gaps between them
 TEETH = 0.6  # m, length of the dashes of a give-way line
-RIM, JOIN = 2.9, (0.16, 0.62)  # m from the ring lane's middle, and radians: where they are
+RIM, JOIN = 2.9, (0.05, 0.5)  # m from the ring lane's middle, and radians: where they are
 
 
 def paint(roads: Roads) -> list[Line]:
