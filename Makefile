@@ -14,9 +14,11 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
+	$(BIN)/geoaim render demo/aim.tif --tracks samples/tracks.csv --ego 6 --size 384 -o demo/view.gif
 	@echo
 	@echo "Open demo/aim.tif   the map, in QGIS or any other GIS program"
 	@echo "     demo/aim.png   a quick look: background, control points, drift, coverage"
+	@echo "     demo/view.gif  what a car of the sample has around it, on the map"
 
 test: lint
 	$(BIN)/python -m pytest

@@ -167,6 +167,37 @@ def info(aim: AimFile) -> None:
 
 
 @app.command()
+def render(
+    aim: AimFile,
+    tracks: Annotated[Path, typer.Option(help="tracks in the plain format, .csv or .parquet")],
+    ego: Annotated[str, typer.Option(help="id of the agent in the middle, heading up")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".mp4, .gif or .png to write")],
+    size: Annotated[int, typer.Option(help="pixels of each side", min=16, max=4096)] = 512,
+    metres: Annotated[float, typer.Option(help="metres of each side", min=1)] = 80.0,
+    time: Annotated[float | None, typer.Option(help="s, of a .png; the first if left out")] = None,
+) -> None:
+    """Draw what an agent has around it: the map, heading up, with all agents on it."""
+    from geoaim.aim import read_aim
+    from geoaim.simulation.birdview import View
+    from geoaim.simulation.pictures import write_pictures
+    from geoaim.simulation.scene import agent_number, film_agent, make_scene, step_at
+    from geoaim.tracks import read_tracks
+
+    with _stages() as progress, _plain_errors():
+        _refuse_output(output)
+        scene = make_scene(read_aim(aim), read_tracks(tracks))
+        agent = agent_number(scene, ego)
+        steps = scene.present[agent].nonzero()[:, 0]
+        if output.suffix.lower() == ".png":
+            steps = step_at(scene, agent, time)[None]
+        view = View(size, size, metres / size)
+        rate = 1 / float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
+        frames = _counted(film_agent(scene, agent, view, steps), len(steps), progress)
+        write_pictures(frames, output, rate=rate)
+    console.print(f"{output}: {len(steps)} pictures of {size} x {size} px around agent {ego}")
+
+
+@app.command()
 def sample(
     folder: Annotated[Path, typer.Argument(help="where the sample goes")],
     seed: Annotated[int, typer.Option(help="of everything random", min=0)] = 1,
@@ -189,6 +220,15 @@ def sample(
         made = make_sample(seed, kind=kind, minutes=minutes, video=VIDEOS.get(video))
         write_sample(made, folder, progress=progress)
     console.print(f"{folder}: see {folder / 'README.md'}")
+
+
+def _counted(
+    frames: Iterator[Any], total: int, progress: Callable[[str, float, float | None], None]
+) -> Iterator[Any]:
+    """The frames, each reported."""
+    for number, frame in enumerate(frames, 1):
+        progress("render", number, total)
+        yield frame
 
 
 @contextmanager

@@ -82,3 +82,29 @@ def test_names_in_square_brackets_are_shown_as_they_are(tmp_path):
     result = run(app, ["info", str(tmp_path / "no[b]where[/b].tif")])
     assert result.exit_code == 1
     assert "no[b]where[/b].tif" in result.output.replace("\n", "")
+
+
+def test_render_draws_the_map_around_an_agent(folder, tmp_path):
+    run(
+        app, ["build", str(folder), "--gcps", str(folder / "gcps.csv"), "-o", f"{tmp_path}/aim.tif"]
+    )
+    rows = [f"7,car,{k / 10},{15 + k},-9,0,10,4.5,1.8" for k in range(4)]
+    names = "id,type,time,x,y,heading,speed,length,width"
+    (tmp_path / "t.csv").write_text("\n".join(["# crs: local", names, *rows]))
+    given = ["render", f"{tmp_path}/aim.tif", "--tracks", f"{tmp_path}/t.csv", "--size", "64"]
+    for name in ("view.png", "view.mp4"):
+        result = run(app, [*given, "--ego", "7", "-o", f"{tmp_path}/{name}"])
+        assert result.exit_code == 0, result.output
+    with Image.open(tmp_path / "view.png") as picture:
+        assert picture.size == (64, 64)
+    result = run(app, [*given, "--ego", "8", "-o", f"{tmp_path}/other.png"])
+    assert result.exit_code == 1
+    assert "there is no agent '8' among 1: 7" in " ".join(result.output.split())
+    assert not (tmp_path / "other.png").exists()
+
+
+def test_sample_is_not_written_among_other_files(tmp_path):
+    (tmp_path / "thesis.tex").write_text("")
+    result = run(app, ["sample", str(tmp_path)])
+    assert result.exit_code == 1
+    assert "is no sample; name a new folder" in " ".join(result.output.split())

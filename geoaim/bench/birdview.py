@@ -1,0 +1,314 @@
+"""The bird's-eye renderer against `grid_sample` alone, OpenCV, and 256 points a pixel.
+
+    python -m geoaim.bench.birdview --json docs/bench/birdview.json
+
+Speed: 20 agents, views of 100 m, a texture of 1024 x 1024 px over 200 m, one thread; the parts of
+a row are timed in turn, and medians compared. Accuracy: every pixel of the reference is the mean
+of 16 x 16 points; gradients are compared with its central differences.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+import typer
+from jaxtyping import Float
+from torch import Tensor
+
+from geoaim.bench.report import peak_megabytes, save, table
+from geoaim.geometry import to_opencv
+from geoaim.simulation.birdview import NOSE, Boxes, Ground, View, fit_ground, make_ground, render
+from geoaim.synthetic import draw_place, make_place
+
+SIDE, TEXTURE, AGENTS, FINER = 100.0, 1024, 20, 16
+SIZES = torch.tensor([[4.5, 1.9]]).expand(AGENTS, 2)
+STEP = 0.25  # px: of the central differences
+
+
+def ground_of_place(dtype: torch.dtype = torch.float32) -> Ground:
+    """A made junction, 1024 x 1024 px over 200 m."""
+    place = draw_place(make_place(1), metres_per_pixel=0.1)
+    image = cv2.resize(place, (TEXTURE, TEXTURE), interpolation=cv2.INTER_AREA)
+    scale = TEXTURE / (2 * SIDE)
+    matrix = torch.tensor([[scale, 0, TEXTURE / 2], [0, -scale, TEXTURE / 2]], dtype=dtype)
+    return make_ground(torch.tensor(image).permute(2, 0, 1).to(dtype) / 255, matrix)
+
+
+def scene(views: int, seed: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Boxes]:
+    """Cameras on the map, each with agents around it."""
+    generator = torch.Generator().manual_seed(seed)
+    random = torch.rand(views, AGENTS + 1, 6, generator=generator, dtype=torch.float64).to(dtype)
+    cameras = torch.cat([random[:, 0, :2] * 60 - 30, random[:, 0, 2:3] * 6.28], 1)
+    places = cameras[:, None, :2] + (random[:, 1:, :2] - 0.5) * 0.8 * SIDE
+    poses = torch.cat([places, random[:, 1:, 2:3] * 6.28], 2)
+    return cameras, Boxes(poses, SIZES.to(dtype), random[:, 1:, 3:], noses=1 - random[:, 1:, 3:])
+
+
+def speed(pixels: int, views: int, repeats: int) -> dict[str, Any]:
+    """Forward and backward, against `grid_sample` alone of the same texture and grid."""
+    view, ground = View(pixels, pixels, SIDE / pixels), ground_of_place()
+    fitted = fit_ground(ground, view.resolution)
+    cameras, boxes = scene(views, 1)
+    texture = ground.image[None]
+    grid = _grid(view, cameras, ground).requires_grad_()
+    weight = torch.rand(1, 3, views * pixels, pixels)
+    own = weight.view(3, views, pixels, pixels).transpose(0, 1)
+    given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
+
+    def forward() -> None:
+        with torch.no_grad():
+            render(view, cameras, fitted, [boxes])
+
+    def sample() -> None:
+        with torch.no_grad():
+            F.grid_sample(texture, grid, align_corners=False)
+
+    def both() -> None:
+        picture = render(view, given[0], fitted, [replace(boxes, poses=given[1])])
+        torch.autograd.grad((picture * own).sum(), given)
+
+    def sample_both() -> None:
+        torch.autograd.grad(
+            (F.grid_sample(texture, grid, align_corners=False) * weight).sum(), grid
+        )
+
+    image = np.ascontiguousarray((ground.image + 0.5).permute(1, 2, 0).numpy())
+    ours, alone, ours_both, alone_both, opencv = _medians(
+        [
+            forward,
+            sample,
+            both,
+            sample_both,
+            lambda: _by_opencv(view, cameras, ground, boxes, image),
+        ],
+        repeats,
+    )
+    return {
+        "pixels": pixels,
+        "views": views,
+        "ms a view": ours / views,
+        "times grid_sample": ours / alone,
+        "forward + backward, ms": ours_both / views,
+        "times grid_sample's": ours_both / alone_both,
+        "times OpenCV (no gradient)": ours / opencv,
+    }
+
+
+def memory(pixels: int, views: int) -> float:
+    """Megabytes a view that forward and backward add at most, in a process of its own."""
+    code = f"from geoaim.bench.birdview import _added; print(_added({pixels}, {views}))"
+    return float(subprocess.check_output([sys.executable, "-c", code])) / views
+
+
+def _added(pixels: int, views: int) -> float:
+    """Megabytes by which a batch raises the most memory that the process has held."""
+    torch.set_num_threads(1)
+    view, random = View(pixels, pixels, SIDE / pixels), torch.rand(3, TEXTURE, TEXTURE)
+    scale = TEXTURE / (2 * SIDE)
+    matrix = torch.tensor([[scale, 0, TEXTURE / 2], [0, -scale, TEXTURE / 2]])
+    ground = fit_ground(make_ground(random, matrix), view.resolution)
+
+    def run(count: int) -> None:
+        cameras, boxes = scene(count, 1)
+        given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
+        picture = render(view, given[0], ground, [replace(boxes, poses=given[1])])
+        torch.autograd.grad(picture.sum(), given)
+
+    run(1)
+    before = peak_megabytes()
+    run(views)
+    return peak_megabytes() - before
+
+
+def picture_error(pixels: int) -> dict[str, Any]:
+    """Grey levels between a picture and the reference."""
+    view, ground = View(pixels, pixels, SIDE / pixels), ground_of_place(torch.float64)
+    fitted, apart = fit_ground(ground, view.resolution), []
+    for seed in range(4):
+        cameras, boxes = _apart(*scene(1, seed, torch.float64))
+        wanted = supersampled(view, cameras, ground, boxes)
+        apart.append((render(view, cameras, fitted, [boxes]) - wanted).abs() * 255)
+    every = torch.cat(apart)
+    return {"pixels": pixels, "mean": float(every.mean()), "largest": float(every.max())}
+
+
+def gradient_errors(count: int) -> list[dict[str, Any]]:
+    """Relative errors against the reference's central differences, scene by scene."""
+    names = ("x", "y", "heading", "length", "width", "camera x", "camera y", "camera heading")
+    rows = np.array([_gradient_error(seed) for seed in range(count)])
+    return [
+        {
+            "gradient by": name,
+            "median error, %": 100 * float(np.median(row)),
+            "worst error, %": 100 * float(np.max(row)),
+        }
+        for name, row in zip(names, rows.T, strict=True)
+    ]
+
+
+def _gradient_error(seed: int) -> list[float]:
+    """One agent on smooth ground: the error of each gradient, relative to that kind's size."""
+    generator = torch.Generator().manual_seed(seed)
+    random = torch.rand(8, generator=generator, dtype=torch.float64)
+    view = View(40, 40, 0.5)
+    v, u = torch.meshgrid(torch.arange(80.0), torch.arange(80.0), indexing="ij")
+    image = (0.5 + 0.4 * torch.sin(u / 7 + 6 * random[0]) * torch.cos(v / 9)).double()[None]
+    ground = make_ground(image, torch.tensor([[2.0, 0, 40], [0, -2.0, 40]]).double())
+    across = torch.linspace(-1, 1, 40, dtype=torch.float64)
+    weight = (
+        across[:, None] * torch.cos(3 * across + 6 * random[1]) + torch.sin(5 * across)[:, None]
+    )
+    pose = torch.stack([6 * random[2] - 3, 6 * random[3] - 3, 6.28 * random[4]])
+    values = torch.cat([pose, SIZES[0].double(), random[5:8] * torch.tensor([2.0, 2.0, 6.28])])
+
+    def loss(values: Tensor, draw: Callable[..., Tensor]) -> Tensor:
+        boxes = Boxes(values[None, None, :3], values[None, 3:5], torch.ones(1, 1).double())
+        return (draw(view, values[None, 5:], ground, boxes)[0, 0] * weight).sum()
+
+    exact = values.clone().requires_grad_()
+    loss(exact, lambda v, c, g, b: render(v, c, g, [b])).backward()  # type: ignore[no-untyped-call]
+    assert exact.grad is not None
+    steps = torch.tensor([1.0, 1, 0.2, 1, 1, 1, 1, 0.05], dtype=torch.float64) * STEP * 0.5
+    found = exact.grad * steps
+    wanted = torch.stack(
+        [
+            (loss(values + move, supersampled) - loss(values - move, supersampled)) / 2
+            for move in torch.diag(steps)
+        ]
+    )
+    size = torch.stack([wanted[:2].norm().expand(2), wanted[2:3].norm().expand(2)[:2]]).flatten()
+    scale = torch.cat(
+        [
+            size[:2],
+            wanted[2:3].abs(),
+            wanted[3:5].norm().expand(2),
+            wanted[5:7].norm().expand(2),
+            wanted[7:].abs(),
+        ]
+    )
+    floor = wanted.abs().max() * 0.05
+    return ((found - wanted).abs() / torch.maximum(scale, floor)).tolist()
+
+
+def supersampled(
+    view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Boxes
+) -> Float[Tensor, "B C H W"]:
+    """Every pixel the mean of 16 x 16 points, each in a box or not."""
+    fine = View(view.height * FINER, view.width * FINER, view.resolution / FINER)
+    picture = render(fine, cameras, ground).clone()
+    ahead = (fine.height / 2 - torch.arange(fine.height) - 0.5) * fine.resolution
+    right = (torch.arange(fine.width) + 0.5 - fine.width / 2) * fine.resolution
+    count = boxes.poses.shape[1]
+    for b, (x, y, heading) in enumerate(cameras):
+        east = x + ahead[:, None] * heading.cos() + right * heading.sin()
+        north = y + ahead[:, None] * heading.sin() - right * heading.cos()
+        for a in range(count):
+            u, v, turn = boxes.poses[b, a]
+            length, width = boxes.sizes[a] / 2
+            along = (east - u) * turn.cos() + (north - v) * turn.sin()
+            aside = ((north - v) * turn.cos() - (east - u) * turn.sin()).abs()
+            inside = (along.abs() < length) & (aside < width)
+            _fill(picture[b], inside, boxes.colours.expand(len(cameras), count, -1)[b, a])
+            if boxes.noses is not None:
+                tip = inside & (along > (1 - 2 * NOSE) * length)
+                tip &= aside / width < (length - along) / (2 * NOSE * length)
+                _fill(picture[b], tip, boxes.noses.expand(len(cameras), count, -1)[b, a])
+    return F.avg_pool2d(picture, FINER)
+
+
+def _fill(picture: Tensor, where: Tensor, colour: Tensor) -> None:
+    picture.copy_(torch.where(where, colour[:, None, None], picture))
+
+
+def _apart(cameras: Tensor, boxes: Boxes) -> tuple[Tensor, Boxes]:
+    """Without agents that would stand in others."""
+    gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
+    keep = [a for a in range(AGENTS) if not (gaps[a, :a] < 6.5).any()]
+    assert boxes.noses is not None
+    some = replace(boxes, poses=boxes.poses[:, keep], sizes=boxes.sizes[keep])
+    return cameras, replace(some, colours=boxes.colours[:, keep], noses=boxes.noses[:, keep])
+
+
+def _grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
+    """Where the pixels of all views lie in the texture, as `grid_sample` takes it."""
+    corners = torch.tensor([[-1.0, 1.0]]) * view.width * view.resolution / 2
+    c, s = cameras[:, 2].cos(), cameras[:, 2].sin()
+    turn = torch.stack([torch.stack([s, -c], 1), torch.stack([-c, -s], 1)], 2) * corners[0, 1]
+    matrix = ground.image_from_world
+    theta = torch.cat(
+        [matrix[:, :2] @ turn, (cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2])[..., None]], 2
+    )
+    theta = theta * 2 / TEXTURE - torch.tensor([0.0, 0, 1])
+    grid = F.affine_grid(theta, [len(cameras), 1, view.height, view.width], align_corners=False)
+    return grid.view(1, -1, view.width, 2).contiguous()
+
+
+def _by_opencv(
+    view: View, cameras: Tensor, ground: Ground, boxes: Boxes, image: np.ndarray
+) -> list[np.ndarray]:
+    """What scripts do: a warp for each view and hard-edged polygons."""
+    pictures = []
+    half = np.array([view.width, view.height]) / 2
+    sides = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+    for camera, poses, colours in zip(
+        cameras.numpy(), boxes.poses.numpy(), boxes.colours.numpy(), strict=True
+    ):
+        c, s = np.cos(camera[2]), np.sin(camera[2])
+        turn = np.array([[s, -c], [-c, -s]]) / view.resolution
+        view_from_world = np.eye(3)
+        view_from_world[:2] = np.column_stack([turn, half - turn @ camera[:2]])
+        image_from_world = np.eye(3)
+        image_from_world[:2] = ground.image_from_world.numpy()
+        matrix = to_opencv(view_from_world @ np.linalg.inv(image_from_world))
+        picture = cv2.warpAffine(image, matrix[:2], (view.width, view.height))
+        for (x, y, heading), colour in zip(poses, colours, strict=True):
+            axis = np.array(
+                [[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]
+            )
+            corners = [x, y] + (sides * SIZES[0].numpy() / 2) @ axis
+            ring = corners @ turn.T + view_from_world[:2, 2] - 0.5
+            cv2.fillConvexPoly(picture, np.rint(ring).astype(np.int32), colour.tolist())
+        pictures.append(picture)
+    return pictures
+
+
+def _medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+    """Milliseconds of each part, timed in turn after one round to warm up."""
+    seconds: list[list[float]] = [[] for _ in parts]
+    for _ in range(repeats + 1):
+        for part, found in zip(parts, seconds, strict=True):
+            start = time.perf_counter()
+            part()
+            found.append(time.perf_counter() - start)
+    return [1e3 * float(np.median(found[1:])) for found in seconds]
+
+
+def main(
+    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 7,
+    scenes: Annotated[int, typer.Option(help="for the gradients")] = 200,
+) -> None:
+    """Measure speed, memory, pictures and gradients; print tables, and write JSON when asked."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    rows = [speed(pixels, views, repeats) for pixels in (256, 64) for views in (1, 16, 64)]
+    print(table(rows), flush=True)
+    pictures = [picture_error(pixels) for pixels in (256, 128)]
+    gradients = gradient_errors(scenes)
+    megabytes = memory(256, 64)
+    print(table(pictures), table(gradients), f"{megabytes:.1f} MB a view", sep="\n\n")
+    command = "python -m geoaim.bench.birdview"
+    more = {"pictures": pictures, "gradients": gradients, "megabytes_a_view": megabytes}
+    save(rows, json, command=command, torch=torch.__version__, **more)
+
+
+if __name__ == "__main__":
+    typer.run(main)

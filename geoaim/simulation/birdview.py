@@ -1,0 +1,340 @@
+"""Bird's-eye pictures of an image map with boxes on it, in batches, differentiable.
+
+A top-down scene needs one textured plane and boxes in a fixed paint order: no depth, no lighting.
+All views of one texture are one `grid_sample`. A box is evaluated only at the pixels that it
+touches, whose coverage is exact, so that gradients by its pose and size are exact as well.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from geoaim.simulation.coverage import pixel_coverage
+
+RIM = 0.71  # px: further from all edges than half a pixel's diagonal, a pixel is in or out
+NOSE = 0.35  # of the length that the direction's triangle takes
+GREY = 0.5
+
+
+@dataclass(frozen=True)
+class View:
+    """The picture of a camera: what is ahead of it is up.
+
+    Attributes:
+        height: pixels.
+        width: pixels.
+        resolution: metres a pixel.
+    """
+
+    height: int
+    width: int
+    resolution: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A texture and where it lies.
+
+    Attributes:
+        image: (C, H, W) the texture, less `outside`.
+        image_from_world: (2, 3) metres to its pixels (corner origin).
+        outside: (C,) what is seen where the texture ends.
+    """
+
+    image: Float[Tensor, "C h w"]
+    image_from_world: Float[Tensor, "2 3"]
+    outside: Float[Tensor, "C"]
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Oriented boxes of B views; later ones are painted over earlier ones.
+
+    Attributes:
+        poses: (B, A, 3) middle x and y, metres, and heading, radians.
+        sizes: (B, A, 2) or (A, 2) length and width, metres.
+        colours: (B, A, C) or (A, C).
+        present: (B, A); None: all are.
+        noses: colours of triangles that show the direction; None: there are none.
+    """
+
+    poses: Float[Tensor, "B A 3"]
+    sizes: Float[Tensor, "... A 2"]
+    colours: Float[Tensor, "... A C"]
+    present: Bool[Tensor, "B A"] | None = None
+    noses: Float[Tensor, "... A C"] | None = None
+
+
+def make_ground(
+    image: Float[Tensor, "C h w"],
+    image_from_world: Float[Tensor, "2 3"],
+    *,
+    outside: Float[Tensor, "C"] | None = None,
+) -> Ground:
+    """A ground from a texture; where it ends, mid-grey is seen unless another colour is given.
+
+    Raises:
+        ValueError: the transform is singular, or a number is not finite.
+    """
+    if not torch.isfinite(image_from_world).all() or _metres_per_pixel(image_from_world) == 0:
+        raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
+    if outside is None:
+        outside = torch.full_like(image[:, 0, 0], GREY)
+    return Ground(image - outside[:, None, None], image_from_world.to(image), outside)
+
+
+def fit_ground(ground: Ground, resolution: float) -> Ground:
+    """The ground for views of so many metres a pixel: averaged beforehand over a view's pixel.
+
+    A texture finer than the view would shimmer. Once each of its pixels is the mean over a square
+    of the view's pixel, one linear lookup a pixel is close to the mean over that pixel; of what
+    is then too fine, two pixels for each of the view's are kept.
+    """
+    ratio = resolution / _metres_per_pixel(ground.image_from_world)
+    if ratio <= 1:
+        return ground
+    reach = math.ceil((ratio - 1) / 2)
+    weights = torch.ones(2 * reach + 1).to(ground.image)
+    weights[0] = weights[-1] = (ratio - (2 * reach - 1)) / 2
+    weights = weights / ratio
+    step = max(1, int(ratio / 2))
+    small = ground.image[:, None]
+    small = F.conv2d(small, weights[None, None, :, None], stride=(step, 1), padding=(reach, 0))
+    small = F.conv2d(small, weights[None, None, None], stride=(1, step), padding=(0, reach))
+    matrix = ground.image_from_world / step
+    matrix = matrix + F.pad(matrix.new_full((2, 1), 0.5 - 0.5 / step), (2, 0))
+    return replace(ground, image=small[:, 0], image_from_world=matrix)
+
+
+def render(
+    view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[Boxes] = ()
+) -> Float[Tensor, "B C H W"]:
+    """Pictures of all cameras.
+
+    Args:
+        view: size and resolution of each picture.
+        cameras: x and y, metres, and heading, radians, of each.
+        ground: what lies below, from `make_ground`; by `fit_ground` where it is finer.
+        boxes: agents, lights: painted in this order.
+
+    Returns:
+        Colours. Gradients exist by cameras, poses, sizes, colours and the ground's image.
+
+    Raises:
+        ValueError: shapes do not match, a pose that is present is not finite, or a size is not
+            positive.
+
+    >>> ground = make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2])
+    >>> car = Boxes(torch.zeros(1, 1, 3), torch.tensor([[2.0, 1.0]]), torch.ones(1, 1))
+    >>> picture = render(View(4, 4, 1.0), torch.zeros(1, 3), ground, [car])
+    >>> picture[0, 0, :, 1].tolist()
+    [0.0, 0.5, 0.75, 0.5]
+    """
+    _check(cameras, boxes)
+    flat = _ground_seen(view, cameras, ground)
+    for layer in boxes:
+        flat = _paint(flat, view, cameras, layer)
+    return flat.view(-1, len(cameras), view.height, view.width).transpose(0, 1)
+
+
+def ground_share(
+    view: View, cameras: Float[Tensor, "B 3"], ground: Ground
+) -> Float[Tensor, "B 1 H W"]:
+    """Where each view shows the ground, and where it leaves it: 1 and 0, in between at its rim."""
+    one = torch.ones_like(ground.image[:1])
+    whole = Ground(one, ground.image_from_world, torch.zeros_like(one[:, 0, 0]))
+    with torch.no_grad():
+        return render(view, cameras, whole)
+
+
+def _ground_seen(view: View, cameras: Float[Tensor, "B 3"], ground: Ground) -> Float[Tensor, "C P"]:
+    """The ground in all pixels of all views, one view after the other."""
+    height, width = ground.image.shape[-2:]
+    matrix = ground.image_from_world
+    cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
+    right, down = torch.stack([sine, -cosine], 1), torch.stack([-cosine, -sine], 1)
+    steps = (
+        (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
+        for count in (view.width, view.height)
+    )
+    columns, rows = (
+        step[:, None] * (axis @ matrix[:, :2].t())[:, None]
+        for step, axis in zip(steps, (right, down), strict=True)
+    )
+    middle = cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2]
+    size = cameras.new_tensor([2 / width, 2 / height])  # grid_sample counts from -1 to 1
+    rows = (rows + middle[:, None]) * size - 1
+    grid = rows[:, :, None] + (columns * size)[:, None]
+    grid = grid.view(1, len(cameras) * view.height, view.width, 2)
+    seen = F.grid_sample(ground.image[None], grid, align_corners=False)
+    return seen.view(len(ground.image), -1).add_(ground.outside[:, None])
+
+
+def _paint(
+    flat: Float[Tensor, "C P"], view: View, cameras: Float[Tensor, "B 3"], boxes: Boxes
+) -> Float[Tensor, "C P"]:
+    """The pictures with boxes laid over them, in place."""
+    views, count = boxes.poses.shape[:2]
+    sizes = boxes.sizes.expand(views, count, 2).reshape(-1, 2) / view.resolution
+    middle, axis = _in_pixels(view, cameras, boxes.poses)
+    present = boxes.present if boxes.present is not None else middle.new_ones(views, count).bool()
+    with torch.no_grad():
+        owner, pixel, place = _bounds(view, middle, axis, sizes, present.reshape(-1), count)
+        touched, rim, front = _near_edges(owner, place, middle, axis, sizes)
+        owner, pixel, place = owner[touched], pixel[touched], place[touched]
+    if len(owner) == 0:
+        return flat
+    side = torch.stack([axis[:, 1], -axis[:, 0]], dim=1)
+    ahead, aside = sizes[:, :1] / 2 * axis, sizes[:, 1:] / 2 * side
+    ring = torch.stack([ahead + aside, ahead - aside, -ahead - aside, aside - ahead], 1)
+    alpha = _covered(middle[:, None] + ring, owner, place, rim, inside=1.0)
+    colours = boxes.colours.expand(views, count, -1).reshape(views * count, -1).t()
+    light = alpha * colours[:, owner]
+    if boxes.noses is not None:
+        base = (1 - 2 * NOSE) * ahead
+        tip = torch.stack([ahead, base - aside, base + aside], dim=1)
+        share = _covered(middle[:, None] + tip, owner, place, front, inside=0.0)
+        noses = boxes.noses.expand(views, count, -1).reshape(views * count, -1).t()
+        light = light + share * (noses - colours)[:, owner]
+    return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
+
+
+class _Over(torch.autograd.Function):
+    """Fragments laid over the pictures, in place; the gradient needs one copy of the pictures'."""
+
+    @staticmethod
+    def forward(ctx, flat, light, alpha, pixel):  # type: ignore[no-untyped-def]
+        turns = list(_turns(pixel, flat.shape[1]))
+        below = torch.empty_like(light)
+        for turn in turns:
+            here = pixel[turn]
+            below[:, turn] = seen = flat[:, here]
+            flat[:, here] = light[:, turn] + (1 - alpha[turn]) * seen
+        ctx.mark_dirty(flat)
+        ctx.save_for_backward(alpha, pixel, below, *turns)
+        return flat
+
+    @staticmethod
+    def backward(ctx, *grads):  # type: ignore[no-untyped-def]
+        alpha, pixel, below, *turns = ctx.saved_tensors
+        of_flat, of_light = grads[0].clone(), torch.empty_like(below)
+        for turn in reversed(turns):
+            here = pixel[turn]
+            of_light[:, turn] = grad = of_flat[:, here]
+            of_flat[:, here] = (1 - alpha[turn]) * grad
+        return of_flat, of_light, -(of_light * below).sum(0), None
+
+
+def _in_pixels(
+    view: View, cameras: Float[Tensor, "B 3"], poses: Float[Tensor, "B A 3"]
+) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
+    """Middles in pixels of the views, and directions there (right, down)."""
+    apart = poses[..., :2] - cameras[:, None, :2]
+    cosine, sine = cameras[:, 2:].cos(), cameras[:, 2:].sin()
+    right = apart[..., 0] * sine - apart[..., 1] * cosine
+    ahead = apart[..., 0] * cosine + apart[..., 1] * sine
+    u = view.width / 2 + right / view.resolution
+    v = view.height / 2 - ahead / view.resolution
+    turn = poses[..., 2] - cameras[:, 2:]
+    axis = torch.stack([-turn.sin(), -turn.cos()], dim=-1)
+    return torch.stack([u, v], dim=-1).reshape(-1, 2), axis.reshape(-1, 2)
+
+
+def _bounds(
+    view: View,
+    middle: Float[Tensor, "N 2"],
+    axis: Float[Tensor, "N 2"],
+    sizes: Float[Tensor, "N 2"],
+    present: Bool[Tensor, "N"],
+    count: int,
+) -> tuple[Int[Tensor, "n"], Int[Tensor, "n"], Float[Tensor, "n 2"]]:
+    """Pixels within the bounds of each box: whose, their number among all, and their corner."""
+    reach = (axis.abs() * sizes[:, :1] + axis.flip(1).abs() * sizes[:, 1:]) / 2
+    limit = middle.new_tensor([view.width, view.height])
+    low = torch.minimum((middle - reach).floor().clamp_min(0), limit).nan_to_num(0).long()
+    high = torch.minimum((middle + reach).ceil().clamp_min(0), limit).nan_to_num(0).long()
+    present = present & torch.isfinite(middle).all(dim=1)
+    wide, tall = ((high - low).clamp_min(0) * present[:, None]).unbind(1)
+    counts = wide * tall
+    start = counts.cumsum(0) - counts
+    above = torch.arange(len(middle), device=middle.device) // count * view.height
+    owner = torch.repeat_interleave(counts)
+    table = torch.stack([start, wide, low[:, 0], low[:, 1], above], dim=1)
+    begin, step, left, top, shift = table[owner].unbind(1)
+    number = torch.arange(len(owner), device=owner.device) - begin
+    row = number // step
+    column = number - row * step + left
+    row = row + top
+    pixel = (shift + row) * view.width + column
+    return owner, pixel, torch.stack([column, row], dim=1).to(middle)
+
+
+def _near_edges(
+    owner: Int[Tensor, "n"],
+    place: Float[Tensor, "n 2"],
+    middle: Float[Tensor, "N 2"],
+    axis: Float[Tensor, "N 2"],
+    sizes: Float[Tensor, "N 2"],
+) -> tuple[Int[Tensor, "m"], Bool[Tensor, "m"], Bool[Tensor, "m"]]:
+    """Which pixels their box touches; of these, where an edge may pass, and where the triangle."""
+    table = torch.cat([middle - 0.5, axis, sizes / 2], dim=1)[owner]
+    x, y = place[:, 0] - table[:, 0], place[:, 1] - table[:, 1]
+    right, down, length, width = table[:, 2:].unbind(1)
+    along = x * right + y * down
+    inside = torch.minimum(length - along.abs(), width - (x * down - y * right).abs())
+    touched = (inside > -RIM).nonzero()[:, 0]
+    front = along > (1 - 2 * NOSE) * length - RIM
+    return touched, inside[touched] < RIM, front[touched]
+
+
+def _covered(
+    corners: Float[Tensor, "N K 2"],
+    owner: Int[Tensor, "n"],
+    place: Float[Tensor, "n 2"],
+    near: Bool[Tensor, "n"],
+    *,
+    inside: float,
+) -> Float[Tensor, "n"]:
+    """The share of each pixel that its polygon covers; of those that are not near, as told."""
+    which = near.nonzero()[:, 0]
+    share = pixel_coverage(corners[owner[which]] - place[which, None])
+    return place.new_full((len(owner),), inside).index_copy(0, which, share)
+
+
+def _turns(pixel: Int[Tensor, "n"], pixels: int) -> Iterator[Int[Tensor, "m"]]:
+    """Fragments in paint order, so many at once that no pixel comes twice in a turn."""
+    left = torch.arange(len(pixel), device=pixel.device)
+    first = torch.full((pixels,), len(pixel), device=pixel.device, dtype=torch.int32)
+    while len(left):
+        here = pixel[left]
+        first.scatter_reduce_(0, here, left.int(), "amin")
+        mine = first[here] == left
+        yield left[mine]
+        left = left[~mine]
+        first[pixel[left]] = len(pixel)
+
+
+def _metres_per_pixel(image_from_world: Float[Tensor, "2 3"]) -> float:
+    area = abs(float(torch.linalg.det(image_from_world[:, :2].double())))
+    return 1 / math.sqrt(area) if area > 0 else 0.0
+
+
+def _check(cameras: Float[Tensor, "B 3"], boxes: Sequence[Boxes]) -> None:
+    """Refuse what would give a wrong picture."""
+    if not torch.isfinite(cameras).all():
+        raise ValueError("a camera's pose is not finite")
+    for layer in boxes:
+        if len(layer.poses) != len(cameras):
+            raise ValueError(f"boxes of {len(layer.poses)} views for {len(cameras)} cameras")
+        known = torch.isfinite(layer.poses).all(dim=-1)
+        right = (layer.sizes > 0).all(dim=-1).expand(known.shape) & known
+        if not (right if layer.present is None else right | ~layer.present).all():
+            raise ValueError(
+                "a box that is present has a pose that is not finite, or a size that is not "
+                "positive; mask absent ones by `present`"
+            )

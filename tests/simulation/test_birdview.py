@@ -1,0 +1,208 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch.nn.functional import avg_pool2d
+
+from geoaim.simulation import Boxes, View, fit_ground, ground_share, make_ground, render
+
+FINER = 16
+NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
+
+
+def _ground(colour=None):
+    """64 x 64 pixels of half a metre around the origin: smooth, or of one colour."""
+    v, u = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
+    waves = [0.5 + 0.3 * torch.sin(u / a) * torch.cos(v / b) for a, b in ((5, 7), (9, 4), (6, 6))]
+    image = torch.stack(waves) if colour is None else torch.full((3, 64, 64), colour)
+    return make_ground(image.double(), NORTH_UP)
+
+
+def _scene(seed=0, views=2, count=4):
+    """Cameras near the middle, and boxes that do not touch each other."""
+    generator = torch.Generator().manual_seed(seed)
+    random = torch.rand(views, 8 + 4 * count, generator=generator, dtype=torch.float64)
+    cameras = torch.cat([random[:, :2] * 4 - 2, random[:, 2:3] * 6], 1)
+    spots = torch.tensor([[-5.0, -5], [5, -5], [-5, 5], [5, 5]]).double()[:count]
+    poses = torch.cat(
+        [spots + random[:, 8 : 8 + count, None], random[:, 8 : 8 + count, None] * 6], 2
+    )
+    sizes = torch.tensor([[4.5, 1.9], [0.6, 0.5], [8.0, 2.5], [1.8, 0.7]]).double()[:count]
+    colours = torch.rand(count, 3, generator=generator, dtype=torch.float64)
+    return cameras, Boxes(poses, sizes, colours, noses=1 - colours)
+
+
+def _supersampled(view, cameras, ground, boxes):
+    """Every pixel the mean of 256 points, each in a box or not."""
+    fine = View(view.height * FINER, view.width * FINER, view.resolution / FINER)
+    picture = render(fine, cameras, ground).clone()
+    ahead = (fine.height / 2 - torch.arange(fine.height) - 0.5) * fine.resolution
+    right = (torch.arange(fine.width) + 0.5 - fine.width / 2) * fine.resolution
+    for b, (x, y, heading) in enumerate(cameras):
+        east = x + ahead[:, None] * heading.cos() + right * heading.sin()
+        north = y + ahead[:, None] * heading.sin() - right * heading.cos()
+        for a, (u, v, turn) in enumerate(boxes.poses[b]):
+            length, width = boxes.sizes[a] / 2
+            along = (east - u) * turn.cos() + (north - v) * turn.sin()
+            aside = ((north - v) * turn.cos() - (east - u) * turn.sin()).abs()
+            inside = (along.abs() < length) & (aside < width)
+            tip = (
+                inside
+                & (along > 0.3 * length)
+                & (aside / width < (length - along) / (0.7 * length))
+            )
+            picture[b] = torch.where(inside, boxes.colours[a][:, None, None], picture[b])
+            picture[b] = torch.where(tip, boxes.noses[a][:, None, None], picture[b])
+    return avg_pool2d(picture, FINER)
+
+
+@pytest.mark.parametrize("resolution", [0.25, 0.5, 1.0])
+def test_picture_is_that_of_256_points_a_pixel(resolution):
+    cameras, boxes = _scene()
+    view = View(48, 40, resolution)
+    plain = _ground(0.5)  # as grey as what is outside of it
+    found = render(view, cameras, plain, [boxes])
+    apart = (found - _supersampled(view, cameras, plain, boxes)).abs() * 255
+    assert apart.mean() < 0.2
+    assert apart.max() < 8
+
+
+def test_ahead_is_up_and_left_is_left():
+    camera = torch.tensor([[3.0, -2.0, np.pi / 2]])
+    spots = torch.tensor([[[3.0, 4.0, 0.0], [-1.0, -2.0, 0.0]]])  # 6 m ahead, 4 m to the left
+    boxes = Boxes(spots, torch.tensor([1.0, 1.0]).expand(2, 2), torch.eye(3)[:2])
+    picture = render(View(20, 20, 1.0), camera, _single(0.0), [boxes])[0]
+    assert picture[0, 3:5, 9:11].sum() == pytest.approx(1, abs=1e-5)
+    assert picture[1, 9:11, 5:7].sum() == pytest.approx(1, abs=1e-5)
+
+
+def _single(colour):
+    ground = _ground(colour)
+    return make_ground((ground.image + ground.outside[:, None, None]).float(), NORTH_UP.float())
+
+
+def test_pixel_of_the_ground_is_where_its_transform_says():
+    image = torch.zeros(1, 64, 64)
+    image[0, 20, 45] = 1.0  # x 6.75, y 5.75
+    ground = make_ground(image, NORTH_UP.float())
+    view = View(32, 32, 0.5)
+    camera = torch.tensor([[4.5, 4.0, np.pi / 2]])
+    row, column = np.unravel_index(int(render(view, camera, ground)[0, 0].argmax()), (32, 32))
+    ahead, right = (16 - row - 0.5) * 0.5, (column + 0.5 - 16) * 0.5
+    assert (4.5 + right, 4.0 + ahead) == (6.75, 5.75)
+
+
+def test_later_boxes_and_layers_lie_above():
+    pose = torch.zeros(1, 2, 3)
+    two = Boxes(pose, torch.full((2, 2), 4.0), torch.eye(3)[:2])
+    top = Boxes(pose[:, :1], torch.full((1, 2), 2.0), torch.eye(3)[2:])
+    picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.0), [two, top])[0]
+    assert picture[:, 4, 4].tolist() == [0, 0, 1]
+    assert picture[:, 2, 2].tolist() == [0, 1, 0]
+
+
+def test_absent_boxes_are_not_drawn_and_may_be_nan():
+    _, boxes = _scene(views=1)
+    poses = boxes.poses.clone()
+    poses[0, 1] = torch.nan
+    some = replace(boxes, poses=poses, present=torch.tensor([[True, False, True, False]]))
+    rest = [0, 2]
+    only = Boxes(poses[:, rest], boxes.sizes[rest], boxes.colours[rest], noses=boxes.noses[rest])
+    view, camera = View(32, 32, 0.7), torch.zeros(1, 3).double()
+    found = render(view, camera, _ground(), [some])
+    torch.testing.assert_close(found, render(view, camera, _ground(), [only]))
+
+
+def test_gradients_are_those_of_the_picture():
+    cameras, boxes = _scene(views=2, count=3)
+    weight = torch.rand(2, 3, 12, 14, generator=torch.Generator().manual_seed(3)).double()
+    view = View(12, 14, 1.3)
+
+    def loss(cameras, poses, sizes, colours):
+        layer = Boxes(poses, sizes, colours, noses=boxes.noses)
+        return (weight * render(view, cameras, _ground(), [layer])).sum()
+
+    given = [x.clone().requires_grad_() for x in (cameras, boxes.poses, boxes.sizes, boxes.colours)]
+    assert torch.autograd.gradcheck(loss, given, eps=1e-6, atol=2e-4, rtol=2e-3)
+
+
+def test_gradient_by_the_texture_reaches_what_is_seen():
+    image = _ground().image.requires_grad_()
+    ground = fit_ground(make_ground(image, NORTH_UP), 1.5)
+    render(View(8, 8, 1.5), torch.zeros(1, 3).double(), ground).sum().backward()
+    assert image.grad[:, 24:40, 24:40].min() > 0
+    assert not image.grad[:, :8].any()
+
+
+def test_overlapping_boxes_have_right_gradients():
+    poses = torch.tensor([[[0.1, 0.2, 0.3], [0.9, 0.5, 1.0], [0.4, -0.6, 2.0]]]).double()
+    sizes = torch.tensor([[4.0, 2.0]]).double().expand(3, 2)
+    colours = torch.eye(3).double()
+    weight = torch.rand(1, 3, 10, 10, generator=torch.Generator().manual_seed(0)).double()
+
+    def loss(poses):
+        picture = render(
+            View(10, 10, 0.7), torch.zeros(1, 3).double(), _ground(), [Boxes(poses, sizes, colours)]
+        )
+        return (weight * picture).sum()
+
+    assert torch.autograd.gradcheck(loss, poses.requires_grad_(), eps=1e-6, atol=2e-4)
+
+
+def test_outside_of_the_ground_is_grey_and_said():
+    far = torch.tensor([[500.0, 0.0, 0.0]])
+    view = View(8, 8, 1.0)
+    assert (render(view, far, _single(0.0)) == 0.5).all()
+    assert (ground_share(view, far, _single(0.0)) == 0).all()
+    assert (ground_share(view, torch.zeros(1, 3), _single(0.0)) == 1).all()
+
+
+@pytest.mark.parametrize("resolution", [0.7, 1.5, 4.0])
+def test_fitted_ground_does_not_shimmer(resolution):
+    """A fine checkerboard stays grey wherever the camera is."""
+    board = ((torch.arange(512)[:, None] + torch.arange(512)) % 2).float().expand(1, 512, 512)
+    ground = make_ground(board, torch.tensor([[4.0, 0, 256], [0, -4.0, 256]]))  # 0.25 m
+    fitted = fit_ground(ground, resolution)
+    cameras = torch.rand(8, 3, generator=torch.Generator().manual_seed(1))
+    pictures = render(View(8, 8, resolution), cameras, fitted)
+    assert (pictures - 0.5).abs().max() < 0.25 / resolution
+    assert (render(View(8, 8, resolution), cameras, ground) - 0.5).abs().max() > 0.3
+
+
+def test_fitted_ground_stays_in_place():
+    ground, camera = _ground(), torch.tensor([[1.0, 2.0, 0.5]]).double()
+    view = View(10, 10, 2.0)
+    fine = avg_pool2d(render(View(160, 160, 0.125), camera, ground), 16)
+    found = render(view, camera, fit_ground(ground, 2.0))
+    assert (found - fine).abs().max() < 0.06
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"poses": torch.full((2, 4, 3), torch.nan).double()}, "not finite"),
+        ({"sizes": torch.zeros(4, 2).double()}, "not positive|not \\npositive|size that is not"),
+        ({"poses": torch.zeros(3, 4, 3).double()}, "boxes of 3 views for 2 cameras"),
+    ],
+)
+def test_what_would_give_a_wrong_picture_is_refused(changed, message):
+    cameras, boxes = _scene()
+    with pytest.raises(ValueError, match=message):
+        render(View(8, 8, 1.0), cameras, _ground(), [replace(boxes, **changed)])
+
+
+def test_camera_that_is_nowhere_is_refused():
+    with pytest.raises(ValueError, match="camera's pose is not finite"):
+        render(View(8, 8, 1.0), torch.tensor([[0.0, torch.inf, 0.0]]), _single(0.0))
+
+
+def test_transform_without_inverse_is_refused():
+    with pytest.raises(ValueError, match="must be invertible"):
+        make_ground(torch.zeros(1, 4, 4), torch.zeros(2, 3))
+
+
+def test_no_boxes_are_a_picture_of_the_ground():
+    none = Boxes(torch.empty(1, 0, 3), torch.empty(0, 2), torch.empty(0, 3))
+    picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.3), [none])
+    torch.testing.assert_close(picture, torch.full_like(picture, 0.3))

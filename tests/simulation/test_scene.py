@@ -1,0 +1,105 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from geoaim.aim import AIM
+from geoaim.errors import TracksError
+from geoaim.simulation import View, render
+from geoaim.simulation.scene import (
+    EGO,
+    agent_number,
+    boxes_at,
+    film_agent,
+    make_scene,
+    step_at,
+)
+from geoaim.tracks import Tracks
+from geoaim.world import World, crs_from_world
+
+MAP = World("EPSG:32635", (583200.0, 6062200.0))
+OTHER = World("EPSG:32635", (583000.0, 6062000.0))
+
+
+def _aim(world=MAP):
+    image = np.full((200, 300, 3), 60, np.uint8)
+    coverage = np.ones((200, 300), np.uint16)
+    coverage[:, :30] = 0
+    world_from_image = np.array([[0.2, 0, 0], [0, -0.2, 40.0], [0, 0, 1.0]])
+    return AIM(image, world_from_image, world, coverage, np.zeros((200, 300), bool))
+
+
+def _tracks(world=OTHER, first=(230.0, 220.0)):
+    """A car that drives north-east, and somebody who comes later."""
+    states = np.full((2, 3, 4), np.nan)
+    states[0] = [[first[0] + k, first[1] + k, np.pi / 4, 14.1] for k in range(3)]
+    states[1, 1:] = [first[0] - 5, first[1], 0.0, 1.0]
+    present = np.isfinite(states).all(-1)
+    sizes = np.array([[4.5, 1.8], [0.5, 0.6]])
+    times = np.array([0.0, 0.1, 0.2])
+    return Tracks(times, states, present, sizes, ("car", "pedestrian"), ("7", "b"), world)
+
+
+def test_tracks_come_into_the_maps_world():
+    scene = make_scene(_aim(), _tracks())
+    torch.testing.assert_close(scene.poses[0, 0], torch.tensor([30.0, 20.0, np.pi / 4]))
+    assert scene.present.tolist() == [[True] * 3, [False, True, True]]
+
+
+def test_tracks_in_another_crs_lie_at_the_same_place():
+    there = "EPSG:3035"
+    origin = crs_from_world(OTHER, np.array([[200.0, 200.0]]), there)[0]
+    other = World(there, tuple(origin))
+    turned = make_scene(_aim(), _tracks(world=other, first=(30.0, 20.0)))
+    straight = make_scene(_aim(), _tracks())
+    apart = (turned.poses[0, 0] - straight.poses[0, 0]).numpy()
+    assert np.hypot(*apart[:2]) < 12  # both grids turn about the origin, by their convergence
+    assert 0.1 < abs(apart[2]) < 0.4
+
+
+def test_ego_is_in_the_middle_and_heads_up():
+    scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
+    step, ego = torch.tensor([1]), torch.tensor([0])
+    picture = render(view, scene.poses[0, step], scene.ground, [boxes_at(scene, step, ego)])[0]
+    torch.testing.assert_close(picture[:, 33, 30], torch.tensor(EGO))
+    assert picture[:, 25, 30].min() > 0.99  # the nose, before the middle
+    torch.testing.assert_close(picture[:, 5, 5], torch.full((3,), 60 / 255))
+
+
+def test_pixels_without_coverage_are_grey():
+    scene = make_scene(_aim(), _tracks())
+    camera = torch.tensor([[2.0, 20.0, 0.0]])
+    assert (render(View(4, 4, 0.5), camera, scene.ground) == 0.5).all()
+
+
+def test_film_has_a_picture_for_each_step():
+    scene = make_scene(_aim(), _tracks())
+    agent = agent_number(scene, "b")
+    pictures = list(film_agent(scene, agent, View(32, 40, 0.5), torch.tensor([1, 2])))
+    assert [picture.shape for picture in pictures] == [(32, 40, 3)] * 2
+    assert pictures[0].dtype == np.uint8
+    assert int(step_at(scene, agent, None)) == 1
+    assert int(step_at(scene, agent, 0.19)) == 2
+
+
+def test_agent_that_is_not_there_is_named():
+    scene = make_scene(_aim(), _tracks())
+    with pytest.raises(TracksError, match="no agent 'c' among 2: 7, b"):
+        agent_number(scene, "c")
+    with pytest.raises(TracksError, match=r"from 0 to 0\.2 s, not at 9 s"):
+        step_at(scene, 0, 9.0)
+
+
+def test_tracks_of_another_place_are_refused():
+    with pytest.raises(TracksError, match="no track touches the map"):
+        make_scene(_aim(), _tracks(first=(900.0, 0.0)))
+    with pytest.raises(TracksError, match="plane of their own"):
+        make_scene(_aim(), _tracks(world=World(None)))
+
+
+def test_tilted_map_is_refused():
+    aim = _aim()
+    tilt = aim.world_from_image + np.array([[0, 0, 0], [0, 0, 0], [1e-4, 0, 0]])
+    with pytest.raises(ValueError, match="rectify"):
+        make_scene(replace(aim, world_from_image=tilt), _tracks())
