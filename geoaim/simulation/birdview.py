@@ -7,7 +7,7 @@ touches, whose coverage is exact, so that gradients by its pose and size are exa
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -41,14 +41,12 @@ class Ground:
     """A texture and where it lies.
 
     Attributes:
-        image: (C, H, W) the texture, less `outside`.
+        image: (C, H, W) the texture, in a frame of one pixel of what is seen where it ends.
         image_from_world: (2, 3) metres to its pixels (corner origin).
-        outside: (C,) what is seen where the texture ends.
     """
 
     image: Float[Tensor, "C h w"]
     image_from_world: Float[Tensor, "2 3"]
-    outside: Float[Tensor, "C"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,7 @@ def make_ground(
         raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
     if outside is None:
         outside = torch.full_like(image[:, 0, 0], GREY)
-    return Ground(image - outside[:, None, None], image_from_world.to(image), outside)
+    return Ground(_framed(image, outside), _shifted(image_from_world.to(image), 1.0))
 
 
 def fit_ground(ground: Ground, resolution: float) -> Ground:
@@ -103,12 +101,12 @@ def fit_ground(ground: Ground, resolution: float) -> Ground:
     weights[0] = weights[-1] = (ratio - (2 * reach - 1)) / 2
     weights = weights / ratio
     step = max(1, int(ratio / 2))
-    small = ground.image[:, None]
+    outside = ground.image[:, 0, 0]
+    small = (ground.image[:, 1:-1, 1:-1] - outside[:, None, None])[:, None]
     small = F.conv2d(small, weights[None, None, :, None], stride=(step, 1), padding=(reach, 0))
     small = F.conv2d(small, weights[None, None, None], stride=(1, step), padding=(0, reach))
-    matrix = ground.image_from_world / step
-    matrix = matrix + F.pad(matrix.new_full((2, 1), 0.5 - 0.5 / step), (2, 0))
-    return replace(ground, image=small[:, 0], image_from_world=matrix)
+    matrix = _shifted(_shifted(ground.image_from_world, -1.5) / step, 0.5 + 1)
+    return Ground(_framed(small[:, 0] + outside[:, None, None], outside), matrix)
 
 
 def render(
@@ -146,8 +144,8 @@ def ground_share(
     view: View, cameras: Float[Tensor, "B 3"], ground: Ground
 ) -> Float[Tensor, "B 1 H W"]:
     """Where each view shows the ground, and where it leaves it: 1 and 0, in between at its rim."""
-    one = torch.ones_like(ground.image[:1])
-    whole = Ground(one, ground.image_from_world, torch.zeros_like(one[:, 0, 0]))
+    one = torch.ones_like(ground.image[:1, 1:-1, 1:-1])
+    whole = Ground(_framed(one, torch.zeros_like(one[:, 0, 0])), ground.image_from_world)
     with torch.no_grad():
         return render(view, cameras, whole)
 
@@ -171,8 +169,9 @@ def _ground_seen(view: View, cameras: Float[Tensor, "B 3"], ground: Ground) -> F
     rows = (rows + middle[:, None]) * size - 1
     grid = rows[:, :, None] + (columns * size)[:, None]
     grid = grid.view(1, len(cameras) * view.height, view.width, 2)
-    seen = F.grid_sample(ground.image[None], grid, align_corners=False)
-    return seen.view(len(ground.image), -1).add_(ground.outside[:, None])
+    image = ground.image[None]
+    seen = F.grid_sample(image, grid, padding_mode="border", align_corners=False)
+    return seen.view(len(ground.image), -1)
 
 
 def _paint(
@@ -317,6 +316,17 @@ def _turns(pixel: Int[Tensor, "n"], pixels: int) -> Iterator[Int[Tensor, "m"]]:
         yield left[mine]
         left = left[~mine]
         first[pixel[left]] = len(pixel)
+
+
+def _framed(image: Float[Tensor, "C h w"], colour: Float[Tensor, "C"]) -> Float[Tensor, "C H W"]:
+    """An image in a frame of one pixel."""
+    colour = colour[:, None, None]
+    return F.pad(image - colour, (1, 1, 1, 1)) + colour
+
+
+def _shifted(matrix: Float[Tensor, "2 3"], pixels: float) -> Float[Tensor, "2 3"]:
+    """The transform into an image whose corner has moved so many pixels up and to the left."""
+    return matrix + F.pad(matrix.new_full((2, 1), pixels), (2, 0))
 
 
 def _metres_per_pixel(image_from_world: Float[Tensor, "2 3"]) -> float:
