@@ -100,6 +100,13 @@ def test_lights_tell_each_change_once(sample, folder):
         assert (changes["state"] != changes["state"].shift()).all()
 
 
+@pytest.fixture
+def without_imagery(monkeypatch):
+    """Drawing another day takes most of the time."""
+    monkeypatch.setattr("geoaim.synthetic.files._write_imagery", lambda *_: (0.0, 0.0))
+
+
+@pytest.mark.usefixtures("without_imagery")
 def test_another_sample_takes_the_place_of_the_whole_old_one(tmp_path):
     small = {"minutes": 0.21, "metres_per_pixel": 0.2}
     first = make_sample(2, kind="street", video=(90, 160), hover=Hover(count=3), **small)
@@ -115,6 +122,7 @@ def test_another_sample_takes_the_place_of_the_whole_old_one(tmp_path):
     assert there == new
 
 
+@pytest.mark.usefixtures("without_imagery")
 def test_sample_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     sample = make_sample(2, kind="t", minutes=0.1, video=None, metres_per_pixel=0.2)
     write_sample(sample, tmp_path)
