@@ -48,3 +48,12 @@ def transform_boxes(
 def image_corners(height: float, width: float) -> Float[Array, "4 2"]:
     """Corners of an image in pixels: top-left, top-right, bottom-right, bottom-left."""
     return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
+
+
+def wrap_angle(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Angles brought into [-pi, pi).
+
+    >>> wrap_angle(np.array([0.5, 1.5 * np.pi])).round(3)
+    array([ 0.5  , -1.571])
+    """
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -205,9 +206,7 @@ def _with_motion(rows: "DataFrame", world: World, *, reach: float) -> Tracks:
     states = tracks.states.copy()
     states[..., 2] = np.where(tracks.present, heading_of_motion(velocity), np.nan)
     states[..., 3] = np.where(tracks.present, np.hypot(velocity[..., 0], velocity[..., 1]), np.nan)
-    return Tracks(
-        tracks.times, states, tracks.present, tracks.sizes, tracks.types, tracks.ids, world
-    )
+    return replace(tracks, states=states)
 
 
 def _velocity(tracks: Tracks, reach: float) -> Float[Array, "N T 2"]:

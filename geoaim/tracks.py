@@ -26,6 +26,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
 from geoaim.files import replacing
+from geoaim.geometry import wrap_angle
 from geoaim.world import World
 
 if TYPE_CHECKING:
@@ -192,7 +193,7 @@ def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
         if wrong.any():
             raise TracksError(f"{wrong.sum()} rows have {what}; the first is row {wrong.argmax()}")
     heading = values[:, 3]
-    heading = np.where(np.abs(heading) < np.pi, heading, (heading + np.pi) % (2 * np.pi) - np.pi)
+    heading = np.where(np.abs(heading) < np.pi, heading, wrap_angle(heading))
     ticks, step = np.unique(np.rint(values[:, 0] * TICKS).astype(np.int64), return_inverse=True)
     names, first, agent = np.unique(
         rows["id"].astype(str).to_numpy(), return_index=True, return_inverse=True

@@ -9,8 +9,7 @@ of 16 x 16 points; gradients are compared with central differences of one of 32 
 
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ import typer
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.bench.report import peak_megabytes, save, table
+from geoaim.bench.report import medians, peak_megabytes, save, table
 from geoaim.geometry import to_opencv
 from geoaim.simulation.birdview import NOSE, Boxes, Ground, View, fit_ground, make_ground, render
 from geoaim.synthetic import draw_place, make_place
@@ -35,13 +34,18 @@ SIZES = torch.tensor([[4.5, 1.9]]).expand(AGENTS, 2)
 STEP = 0.3  # px: of the central differences
 
 
-def ground_of_place(dtype: torch.dtype = torch.float32) -> Ground:
-    """A made junction, 1024 x 1024 px over 200 m."""
+def picture_of_place() -> Float[Tensor, "3 h w"]:
+    """A made junction."""
     place = draw_place(make_place(1), metres_per_pixel=0.1)
     image = cv2.resize(place, (TEXTURE, TEXTURE), interpolation=cv2.INTER_AREA)
+    return torch.tensor(image).permute(2, 0, 1) / 255
+
+
+def on_map(texture: Float[Tensor, "3 h w"]) -> Ground:
+    """A ground of 200 m around the origin."""
     scale = TEXTURE / (2 * SIDE)
-    matrix = torch.tensor([[scale, 0, TEXTURE / 2], [0, -scale, TEXTURE / 2]], dtype=dtype)
-    return make_ground(torch.tensor(image).permute(2, 0, 1).to(dtype) / 255, matrix)
+    matrix = torch.tensor([[scale, 0, TEXTURE / 2], [0, -scale, TEXTURE / 2]])
+    return make_ground(texture, matrix)
 
 
 def scene(views: int, seed: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Boxes]:
@@ -54,9 +58,9 @@ def scene(views: int, seed: int, dtype: torch.dtype = torch.float32) -> tuple[Te
     return cameras, Boxes(poses, SIZES.to(dtype), random[:, 1:, 3:], noses=1 - random[:, 1:, 3:])
 
 
-def speed(pixels: int, views: int, repeats: int) -> dict[str, Any]:
+def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
     """Forward and backward, against `grid_sample` alone of the same texture and grid."""
-    view, ground = View(pixels, pixels, SIDE / pixels), ground_of_place()
+    view = View(pixels, pixels, SIDE / pixels)
     fitted = fit_ground(ground, view.resolution)
     cameras, boxes = scene(views, 1)
     texture = ground.image[None, :, 1:-1, 1:-1].contiguous()
@@ -83,7 +87,7 @@ def speed(pixels: int, views: int, repeats: int) -> dict[str, Any]:
         )
 
     image = np.ascontiguousarray(ground.image[:, 1:-1, 1:-1].permute(1, 2, 0).numpy())
-    ours, alone, ours_both, alone_both, opencv = _medians(
+    ours, alone, ours_both, alone_both, opencv = medians(
         [
             forward,
             sample,
@@ -96,9 +100,9 @@ def speed(pixels: int, views: int, repeats: int) -> dict[str, Any]:
     return {
         "pixels": pixels,
         "views": views,
-        "ms a view": ours / views,
+        "ms a view": 1e3 * ours / views,
         "times grid_sample": ours / alone,
-        "forward + backward, ms": ours_both / views,
+        "forward + backward, ms": 1e3 * ours_both / views,
         "times grid_sample's": ours_both / alone_both,
         "times OpenCV (no gradient)": ours / opencv,
     }
@@ -113,10 +117,8 @@ def memory(pixels: int, views: int) -> float:
 def _added(pixels: int, views: int) -> float:
     """Megabytes by which a batch raises the most memory that the process has held."""
     torch.set_num_threads(1)
-    view, random = View(pixels, pixels, SIDE / pixels), torch.rand(3, TEXTURE, TEXTURE)
-    scale = TEXTURE / (2 * SIDE)
-    matrix = torch.tensor([[scale, 0, TEXTURE / 2], [0, -scale, TEXTURE / 2]])
-    ground = fit_ground(make_ground(random, matrix), view.resolution)
+    view = View(pixels, pixels, SIDE / pixels)
+    ground = fit_ground(on_map(torch.rand(3, TEXTURE, TEXTURE)), view.resolution)
 
     def run(count: int) -> None:
         cameras, boxes = scene(count, 1)
@@ -130,9 +132,9 @@ def _added(pixels: int, views: int) -> float:
     return peak_megabytes() - before
 
 
-def picture_error(pixels: int) -> dict[str, Any]:
+def picture_error(ground: Ground, pixels: int) -> dict[str, Any]:
     """Grey levels between a picture and the reference."""
-    view, ground = View(pixels, pixels, SIDE / pixels), ground_of_place(torch.float64)
+    view = View(pixels, pixels, SIDE / pixels)
     fitted, apart = fit_ground(ground, view.resolution), []
     for seed in range(4):
         cameras, boxes = _apart(*scene(1, seed, torch.float64))
@@ -286,17 +288,6 @@ def _by_opencv(
     return pictures
 
 
-def _medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
-    """Milliseconds of each part, timed in turn after one round to warm up."""
-    seconds: list[list[float]] = [[] for _ in parts]
-    for _ in range(repeats + 1):
-        for part, found in zip(parts, seconds, strict=True):
-            start = time.perf_counter()
-            part()
-            found.append(time.perf_counter() - start)
-    return [1e3 * float(np.median(found[1:])) for found in seconds]
-
-
 def main(
     json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 7,
@@ -305,13 +296,15 @@ def main(
     """Measure speed, memory, pictures and gradients; print tables, and write JSON when asked."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    rows = [speed(pixels, views, repeats) for pixels in (256, 64) for views in (1, 16, 64)]
+    texture = picture_of_place()
+    ground, exact = on_map(texture), on_map(texture.double())
+    rows = [speed(ground, pixels, views, repeats) for pixels in (256, 64) for views in (1, 16, 64)]
     print(table(rows), flush=True)
-    pictures = [picture_error(pixels) for pixels in (256, 128)]
+    pictures = [picture_error(exact, pixels) for pixels in (256, 128)]
     gradients = gradient_errors(scenes)
     megabytes = memory(256, 64)
     print(table(pictures), table(gradients), f"{megabytes:.1f} MB a view", sep="\n\n")
-    command = "python -m geoaim.bench.birdview"
+    command = f"python -m geoaim.bench.birdview --scenes {scenes} --repeats {repeats}"
     more = {"pictures": pictures, "gradients": gradients, "megabytes_a_view": megabytes}
     save(rows, json, command=command, torch=torch.__version__, **more)
 

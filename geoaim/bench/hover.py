@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.data import data_folder
+from geoaim.encode import write_video
 from geoaim.synthetic.camera import (
     Clip,
     Hover,
@@ -26,7 +27,6 @@ from geoaim.synthetic.camera import (
     reference_from_frames,
     render_frame,
 )
-from geoaim.synthetic.encode import write_video
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 STILLS = ("00003", "00972")

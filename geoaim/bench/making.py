@@ -7,7 +7,6 @@ picture, one Fourier transform of its size; for frames, one bilinear warp of the
 """
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -16,7 +15,7 @@ import cv2
 import numpy as np
 import typer
 
-from geoaim.bench.report import save, table
+from geoaim.bench.report import medians, save, table
 from geoaim.geometry import to_opencv
 from geoaim.synthetic import (
     VIDEOS,
@@ -35,7 +34,7 @@ def traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
     """A junction's traffic: seconds, times real time, and numpy additions that a step costs."""
     flow = prepare_traffic(make_place(1).roads, np.random.default_rng(0))
     some = np.ones(40)
-    floor = _median(lambda: [np.add(some, some) for _ in range(10_000)], 5) / 10_000
+    floor = medians([lambda: [np.add(some, some) for _ in range(10_000)]], 5)[0] / 10_000
     rates: dict[str, float] = dict(RATES[name])
     seconds, agents = [], []
     for seed in range(repeats + 1):
@@ -58,9 +57,9 @@ def traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
 def preparation(repeats: int) -> dict[str, Any]:
     """The plan and its tables."""
     generator = np.random.default_rng(0)
-    plan = _median(lambda: make_place(1), repeats)
+    plan = medians([lambda: make_place(1)], repeats)[0]
     roads = make_place(1).roads
-    tables = _median(lambda: prepare_traffic(roads, generator), repeats)
+    tables = medians([lambda: prepare_traffic(roads, generator)], repeats)[0]
     return {
         "what": "plan and tables of a junction",
         "seconds": plan + tables,
@@ -75,12 +74,12 @@ def drawing(metres_per_pixel: float, repeats: int) -> dict[str, Any]:
     place = make_place(1)
     size = draw_place(place, metres_per_pixel=metres_per_pixel).shape[:2]
     noise = np.random.default_rng(0).standard_normal(size)
-    seconds = _median(lambda: draw_place(place, metres_per_pixel=metres_per_pixel), repeats)
+    seconds = medians([lambda: draw_place(place, metres_per_pixel=metres_per_pixel)], repeats)[0]
     return {
         "what": f"picture, {metres_per_pixel:g} m/px",
         "seconds": seconds,
         "floor": "Fourier transform",
-        "times the floor": seconds / _median(lambda: np.fft.rfft2(noise), 5),
+        "times the floor": seconds / medians([lambda: np.fft.rfft2(noise)], 5)[0],
         "more": f"{size[1]} x {size[0]} px, {np.prod(size) / 1e6 / seconds:.2f} Mpx/s",
     }
 
@@ -101,7 +100,7 @@ def filming(size: str, count: int) -> dict[str, Any]:
         floors.append(time.perf_counter() - start)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "clip.mp4"
-        coded = _median(lambda: write_video(frames, path, frame_rate=clip.hover.frame_rate), 1)
+        coded = medians([lambda: write_video(frames, path, frame_rate=clip.hover.frame_rate)], 1)[0]
     return {
         "what": f"{count} frames of {size}",
         "seconds": float(np.sum(times)) + coded,
@@ -109,16 +108,6 @@ def filming(size: str, count: int) -> dict[str, Any]:
         "times the floor": float(np.median(times) / np.median(floors)),
         "more": f"rendering {np.sum(times):.1f} s, H.264 {coded:.1f} s",
     }
-
-
-def _median(work: Callable[[], Any], repeats: int) -> float:
-    """The median time of a call after one to warm up."""
-    seconds = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return float(np.median(seconds[1:]))
 
 
 def main(

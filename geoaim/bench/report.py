@@ -2,7 +2,8 @@
 
 import json
 import platform
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,17 @@ def peak_megabytes() -> float:
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1024 if platform.system() == "Linux" else 1024**2)
+
+
+def medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+    """Seconds of each part: timed in turn after one round to warm up, the median of each."""
+    seconds: list[list[float]] = [[] for _ in parts]
+    for _ in range(repeats + 1):
+        for part, found in zip(parts, seconds, strict=True):
+            start = time.perf_counter()
+            part()
+            found.append(time.perf_counter() - start)
+    return [float(np.median(found[1:])) for found in seconds]
 
 
 def table(rows: Sequence[Row]) -> str:

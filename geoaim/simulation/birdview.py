@@ -192,14 +192,13 @@ def _paint(
     ahead, aside = sizes[:, :1] / 2 * axis, sizes[:, 1:] / 2 * side
     ring = torch.stack([ahead + aside, ahead - aside, -ahead - aside, aside - ahead], 1)
     alpha = _covered(middle[:, None] + ring, owner, place, rim, inside=1.0)
-    colours = boxes.colours.expand(views, count, -1).reshape(views * count, -1).t()
+    colours = _by_agent(boxes.colours, views)
     light = alpha * colours[:, owner]
     if boxes.noses is not None:
         base = (1 - 2 * NOSE) * ahead
         tip = torch.stack([ahead, base - aside, base + aside], dim=1)
         share = _covered(middle[:, None] + tip, owner, place, front, inside=0.0)
-        noses = boxes.noses.expand(views, count, -1).reshape(views * count, -1).t()
-        light = light + share * (noses - colours)[:, owner]
+        light = light + share * (_by_agent(boxes.noses, views) - colours)[:, owner]
     return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
 
 
@@ -227,6 +226,11 @@ class _Over(torch.autograd.Function):
             of_light[:, turn] = grad = of_flat[:, here]
             of_flat[:, here] = (1 - alpha[turn]) * grad
         return of_flat, of_light, -(of_light * below).sum(0), None
+
+
+def _by_agent(colours: Float[Tensor, "... A C"], views: int) -> Float[Tensor, "C N"]:
+    """Colours of all agents of all views."""
+    return colours.expand(views, *colours.shape[-2:]).reshape(-1, colours.shape[-1]).t()
 
 
 def _in_pixels(

@@ -1,7 +1,7 @@
 """A scene: a map and the agents on it as tensors, the one crossing from files to tensors."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -137,11 +137,11 @@ def film_agent(
     scene: Scene, agent: int, view: View, steps: Int[Tensor, "S"]
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """What an agent has around it at some steps at which it is there, for people's eyes."""
-    fitted = replace(scene, ground=fit_ground(scene.ground, view.resolution))
+    ground = fit_ground(scene.ground, view.resolution)
     for some in torch.split(steps, BATCH):
-        boxes = boxes_at(fitted, some, torch.full_like(some, agent))
+        boxes = boxes_at(scene, some, torch.full_like(some, agent))
         with torch.no_grad():
-            pictures = render(view, scene.poses[agent, some], fitted.ground, [boxes])
+            pictures = render(view, scene.poses[agent, some], ground, [boxes])
         for picture in (pictures.clamp(0, 1) * 255).round().to(torch.uint8):
             yield np.ascontiguousarray(picture.permute(1, 2, 0).numpy())
 
@@ -164,10 +164,7 @@ def _poses_in(tracks: Tracks, world: World) -> Float[Array, "N T 3"]:
 
 
 def _moved(points: Float[Array, "m 2"], before: World, after: World) -> Float[Array, "m 2"]:
-    if before.crs == after.crs:
-        return points + before.origin - np.array(after.origin)
-    assert after.crs is not None
-    return world_from_crs(after, crs_from_world(before, points, after.crs), after.crs)
+    return world_from_crs(after, crs_from_world(before, points), before.crs)
 
 
 def _said(place: Float[Array, "2"]) -> str:

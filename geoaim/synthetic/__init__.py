@@ -4,6 +4,7 @@ sample = make_sample(1, kind="roundabout")
 write_sample(sample, Path("sample"))
 """
 
+from geoaim.encode import write_video
 from geoaim.synthetic.camera import (
     Clip,
     Hover,
@@ -16,7 +17,6 @@ from geoaim.synthetic.camera import (
     render_frame,
     traffic_share,
 )
-from geoaim.synthetic.encode import write_video
 from geoaim.synthetic.files import write_sample
 from geoaim.synthetic.place import Place, draw_place, make_place, world_from_image
 from geoaim.synthetic.sample import VIDEOS, Sample, make_sample, tracks_of

@@ -18,9 +18,9 @@ from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
 from shapely import Point, Polygon
 
+from geoaim.encode import write_video
 from geoaim.geometry import transform_points
 from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
-from geoaim.synthetic.encode import write_video
 from geoaim.synthetic.imagery import (
     WEB,
     Imagery,

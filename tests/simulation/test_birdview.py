@@ -5,9 +5,9 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d
 
+from geoaim.bench.birdview import supersampled
 from geoaim.simulation import Boxes, View, fit_ground, ground_share, make_ground, render
 
-FINER = 16
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
 
 
@@ -33,37 +33,13 @@ def _scene(seed=0, views=2, count=4):
     return cameras, Boxes(poses, sizes, colours, noses=1 - colours)
 
 
-def _supersampled(view, cameras, ground, boxes):
-    """Every pixel the mean of 256 points, each in a box or not."""
-    fine = View(view.height * FINER, view.width * FINER, view.resolution / FINER)
-    picture = render(fine, cameras, ground).clone()
-    ahead = (fine.height / 2 - torch.arange(fine.height) - 0.5) * fine.resolution
-    right = (torch.arange(fine.width) + 0.5 - fine.width / 2) * fine.resolution
-    for b, (x, y, heading) in enumerate(cameras):
-        east = x + ahead[:, None] * heading.cos() + right * heading.sin()
-        north = y + ahead[:, None] * heading.sin() - right * heading.cos()
-        for a, (u, v, turn) in enumerate(boxes.poses[b]):
-            length, width = boxes.sizes[a] / 2
-            along = (east - u) * turn.cos() + (north - v) * turn.sin()
-            aside = ((north - v) * turn.cos() - (east - u) * turn.sin()).abs()
-            inside = (along.abs() < length) & (aside < width)
-            tip = (
-                inside
-                & (along > 0.3 * length)
-                & (aside / width < (length - along) / (0.7 * length))
-            )
-            picture[b] = torch.where(inside, boxes.colours[a][:, None, None], picture[b])
-            picture[b] = torch.where(tip, boxes.noses[a][:, None, None], picture[b])
-    return avg_pool2d(picture, FINER)
-
-
 @pytest.mark.parametrize("resolution", [0.25, 0.5, 1.0])
 def test_picture_is_that_of_256_points_a_pixel(resolution):
     cameras, boxes = _scene()
     view = View(48, 40, resolution)
     plain = _ground(0.5)  # as grey as what is outside of it
     found = render(view, cameras, plain, [boxes])
-    apart = (found - _supersampled(view, cameras, plain, boxes)).abs() * 255
+    apart = (found - supersampled(view, cameras, plain, boxes)).abs() * 255
     assert apart.mean() < 0.2
     assert apart.max() < 8
 

@@ -8,6 +8,8 @@ from geoaim.geometry import transform_points
 from geoaim.synthetic import Day, draw_place, make_place
 from geoaim.synthetic.place import plan_from_image
 from geoaim.synthetic.roads.markings import paint
+from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
+from geoaim.synthetic.scenery.page import blank_page
 
 COARSE = 0.2
 
@@ -26,6 +28,12 @@ def _grey_at(picture, points):
     pixels = transform_points(np.linalg.inv(plan_from_image(COARSE)), points).astype(int)
     inside = (pixels >= 0).all(axis=1) & (pixels < picture.shape[1::-1]).all(axis=1)
     return picture[pixels[inside, 1], pixels[inside, 0]].mean(axis=-1)
+
+
+@pytest.mark.parametrize("metres", [0.05, 0.06, 0.07, 0.15, 0.2])
+def test_drawn_and_told_places_of_pixels_agree(metres):
+    page = blank_page(HEIGHT, WIDTH, metres, np.random.default_rng(0))
+    np.testing.assert_allclose(plan_from_image(metres) @ page.image_from_plan, np.eye(3), atol=1e-9)
 
 
 def test_picture_has_the_pages_size(picture):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.curves import Line, left_of, unit
 
 GUTTER = 0.45  # m between the outer lane's edge and the kerb
@@ -89,5 +90,5 @@ def lane_out(arm: Arm, rank: int) -> float:
 
 def turn_between(come: Arm, go: Arm) -> str:
     """L, S or R: how somebody turns who comes in on one arm and leaves on another."""
-    change = (go.angle - come.angle - np.pi + np.pi) % (2 * np.pi) - np.pi
+    change = wrap_angle(np.asarray(go.angle - come.angle - np.pi))
     return "S" if abs(change) < np.pi / 4 else "L" if change > 0 else "R"

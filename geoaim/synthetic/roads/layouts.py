@@ -6,6 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.arms import Arm, half_width
 
 Kind = Literal["junction", "t", "roundabout", "street"]
@@ -138,7 +139,7 @@ def corner_along(arm: Arm, other: Arm) -> float:
 
 
 def _between(arm: Arm, other: Arm) -> float:
-    return float(abs((other.angle - arm.angle + np.pi) % (2 * np.pi) - np.pi))
+    return float(abs(wrap_angle(np.asarray(other.angle - arm.angle))))
 
 
 def _meeting(arm: Arm, arms: list[Arm], corner: float, *, cycles: float) -> Arm:

@@ -14,7 +14,6 @@ GLASS: Colour = (34, 40, 46)
 LAMP: Colour = (222, 225, 222)
 TAIL_LAMP: Colour = (146, 34, 32)
 BARK: Colour = (98, 88, 76)
-SKIN: Colour = (196, 160, 136)
 LARGE, SMALL = 50, 170  # balls of leaves of a crown
 LONG, BUS = 6.5, 11.0  # m: longer vehicles are lorries, and buses
 HEIGHTS = 16384.0  # parts of a radius that the height of a crown is rounded to, to be blurred

@@ -4,6 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.curves import STEP, run
 from geoaim.synthetic.traffic.fleet import NOSE, TAIL
 from geoaim.synthetic.traffic.simulate import INTERVAL, Flow, Recording
@@ -48,7 +49,7 @@ def replay(
     states[~_on_page(flow, states, margin)] = np.nan
     turn = float(np.arctan2(world_from_plan[1, 0], world_from_plan[0, 0]))
     states[..., :2] = states[..., :2] @ world_from_plan[:2, :2].T + world_from_plan[:2, 2]
-    states[..., 2] = (states[..., 2] + turn + np.pi) % (2 * np.pi) - np.pi
+    states[..., 2] = wrap_angle(states[..., 2] + turn)
     present = np.isfinite(states).all(axis=-1)
     kinds = [d.kind for d in recording.drivers] + [w.kind for w in recording.walkers]
     sizes = [d.size for d in recording.drivers] + [SIZE[w.kind] for w in recording.walkers]

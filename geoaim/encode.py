@@ -8,6 +8,8 @@ import av
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 
+from geoaim.files import replacing
+
 
 def write_video(
     frames: Iterable[UInt8[Array, "H W 3"]],
@@ -22,8 +24,7 @@ def write_video(
     At constant quality `crf`, or at about so many megabits a second.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
-    part = path.with_name(path.stem + ".part" + path.suffix)
-    with av.open(str(part), "w") as container:
+    with replacing(path) as part, av.open(str(part), "w") as container:
         second = str(round(frame_rate))
         options = {"preset": "medium", "g": second, "keyint_min": second}
         options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
@@ -36,4 +37,4 @@ def write_video(
             picture.pts, picture.time_base = index, 1 / rate
             container.mux(stream.encode(picture))
         container.mux(stream.encode(None))
-    return part.replace(path)
+    return path
