@@ -175,24 +175,38 @@ def render(
     size: Annotated[int, typer.Option(help="pixels of each side", min=16, max=4096)] = 512,
     metres: Annotated[float, typer.Option(help="metres of each side", min=1)] = 80.0,
     time: Annotated[float | None, typer.Option(help="s, of a .png; the first if left out")] = None,
+    lights: Annotated[Path | None, typer.Option(help="changes of traffic lights, .csv")] = None,
+    hdmap: Annotated[Path | None, typer.Option(help="lanelet2 map with their stop lines")] = None,
+    trail: Annotated[float, typer.Option(help="s of everybody's way to draw", min=0)] = 0.0,
 ) -> None:
-    """Draw what an agent has around it: the map, heading up, with all agents on it."""
+    """Draw what an agent has around it: the map, heading up, with all agents on it.
+
+    Traffic lights are bars on their stop lines; they need both --lights and --hdmap.
+    """
     from geoaim.aim import read_aim
-    from geoaim.simulation.birdview import View
-    from geoaim.simulation.pictures import write_pictures
-    from geoaim.simulation.scene import agent_number, film_agent, make_scene, step_at
+    from geoaim.lights import read_lights
+    from geoaim.mapping.hdmap import read_hdmap
+    from geoaim.simulation.ground import View
+    from geoaim.simulation.pictures import film_agent, write_pictures
+    from geoaim.simulation.scene import agent_number, make_scene, step_at
     from geoaim.tracks import read_tracks
 
     with _stages() as progress, _plain_errors():
         _refuse_output(output)
-        scene = make_scene(read_aim(aim), read_tracks(tracks))
+        if (lights is None) != (hdmap is None):
+            raise ValueError("--lights and --hdmap go together: one has states, one stop lines")
+        moved, signals = read_tracks(tracks), None
+        if lights is not None and hdmap is not None:
+            known = read_hdmap(hdmap, moved.world)
+            signals = read_lights(lights, known.stop_lines, known.world)
+        scene = make_scene(read_aim(aim), moved, signals)
         agent = agent_number(scene, ego)
         steps = scene.present[agent].nonzero()[:, 0]
         if output.suffix.lower() == ".png":
             steps = step_at(scene, agent, time)[None]
         view = View(size, size, metres / size)
         rate = 1 / float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
-        frames = _counted(film_agent(scene, agent, view, steps), len(steps), progress)
+        frames = _counted(film_agent(scene, agent, view, steps, trail=trail), len(steps), progress)
         write_pictures(frames, output, rate=rate)
     console.print(f"{output}: {len(steps)} pictures of {size} x {size} px around agent {ego}")
 

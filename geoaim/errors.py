@@ -6,7 +6,8 @@ GeoaimError
 ├── BackgroundError     the registered frames do not give a background
 ├── GeoreferenceError   the control points or the telemetry do not fix a place
 ├── AimError            a file is not an AIM, or an AIM cannot be written as asked
-└── TracksError         a file holds no tracks, or tracks that contradict themselves
+├── TracksError         a file holds no tracks or lights, or such as contradict themselves
+└── MapError            a file is no HD map, or does not lie where it is needed
 
 GeoaimWarning           the work went on, with less than was asked for
 """
@@ -37,7 +38,11 @@ class AimError(GeoaimError):
 
 
 class TracksError(GeoaimError):
-    """A file holds no tracks, or tracks that contradict themselves."""
+    """A file holds no tracks or lights, or such as contradict themselves."""
+
+
+class MapError(GeoaimError):
+    """A file is no HD map, or does not lie where it is needed."""
 
 
 class GeoaimWarning(UserWarning):

@@ -5,48 +5,18 @@ All views of one texture are one `grid_sample`. A box is evaluated only at the p
 touches, whose coverage is exact, so that gradients by its pose and size are exact as well.
 """
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from geoaim.simulation.coverage import pixel_coverage
+from geoaim.simulation.ground import Ground, View, ground_seen, unfolded
 
 RIM = 0.71  # px: further from all edges than half a pixel's diagonal, a pixel is in or out
 NOSE = 0.35  # of the length that the direction's triangle takes
-GREY = 0.5
-
-
-@dataclass(frozen=True)
-class View:
-    """The picture of a camera: what is ahead of it is up.
-
-    Attributes:
-        height: pixels.
-        width: pixels.
-        resolution: metres a pixel.
-    """
-
-    height: int
-    width: int
-    resolution: float
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """A texture and where it lies.
-
-    Attributes:
-        image: (C, H, W) the texture, in a frame of one pixel of what is seen where it ends.
-        image_from_world: (2, 3) metres to its pixels (corner origin).
-    """
-
-    image: Float[Tensor, "C h w"]
-    image_from_world: Float[Tensor, "2 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,47 +38,6 @@ class Boxes:
     noses: Float[Tensor, "... A C"] | None = None
 
 
-def make_ground(
-    image: Float[Tensor, "C h w"],
-    image_from_world: Float[Tensor, "2 3"],
-    *,
-    outside: Float[Tensor, "C"] | None = None,
-) -> Ground:
-    """A ground from a texture; where it ends, mid-grey is seen unless another colour is given.
-
-    Raises:
-        ValueError: the transform is singular, or a number is not finite.
-    """
-    if not torch.isfinite(image_from_world).all() or _metres_per_pixel(image_from_world) == 0:
-        raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
-    if outside is None:
-        outside = torch.full_like(image[:, 0, 0], GREY)
-    return Ground(_framed(image, outside), _shifted(image_from_world.to(image), 1.0))
-
-
-def fit_ground(ground: Ground, resolution: float) -> Ground:
-    """The ground for views of so many metres a pixel: averaged beforehand over a view's pixel.
-
-    A texture finer than the view would shimmer. Once each of its pixels is the mean over a square
-    of the view's pixel, one linear lookup a pixel is close to the mean over that pixel; of what
-    is then too fine, two pixels for each of the view's are kept.
-    """
-    ratio = resolution / _metres_per_pixel(ground.image_from_world)
-    if ratio <= 1:
-        return ground
-    reach = math.ceil((ratio - 1) / 2)
-    weights = torch.ones(2 * reach + 1).to(ground.image)
-    weights[0] = weights[-1] = (ratio - (2 * reach - 1)) / 2
-    weights = weights / ratio
-    step = max(1, int(ratio / 2))
-    outside = ground.image[:, 0, 0]
-    small = (ground.image[:, 1:-1, 1:-1] - outside[:, None, None])[:, None]
-    small = F.conv2d(small, weights[None, None, :, None], stride=(step, 1), padding=(reach, 0))
-    small = F.conv2d(small, weights[None, None, None], stride=(1, step), padding=(0, reach))
-    matrix = _shifted(_shifted(ground.image_from_world, -1.5) / step, 0.5 + 1)
-    return Ground(_framed(small[:, 0] + outside[:, None, None], outside), matrix)
-
-
 def render(
     view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[Boxes] = ()
 ) -> Float[Tensor, "B C H W"]:
@@ -127,6 +56,7 @@ def render(
         ValueError: shapes do not match, a pose that is present is not finite, or a size is not
             positive.
 
+    >>> from geoaim.simulation.ground import make_ground
     >>> ground = make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2])
     >>> car = Boxes(torch.zeros(1, 1, 3), torch.tensor([[2.0, 1.0]]), torch.ones(1, 1))
     >>> picture = render(View(4, 4, 1.0), torch.zeros(1, 3), ground, [car])
@@ -134,44 +64,38 @@ def render(
     [0.0, 0.5, 0.75, 0.5]
     """
     _check(cameras, boxes)
-    flat = _ground_seen(view, cameras, ground)
+    for layer in boxes:
+        if layer.colours.shape[-1] != len(ground.image):
+            found = layer.colours.shape[-1]
+            raise ValueError(f"colours of {found} channels on a ground of {len(ground.image)}")
+    flat = ground_seen(view, cameras, ground.image, ground.image_from_world)
     for layer in boxes:
         flat = _paint(flat, view, cameras, layer)
-    return flat.view(-1, len(cameras), view.height, view.width).transpose(0, 1)
+    return unfolded(flat, view, cameras)
 
 
-def ground_share(
-    view: View, cameras: Float[Tensor, "B 3"], ground: Ground
-) -> Float[Tensor, "B 1 H W"]:
-    """Where each view shows the ground, and where it leaves it: 1 and 0, in between at its rim."""
-    one = torch.ones_like(ground.image[:1, 1:-1, 1:-1])
-    whole = Ground(_framed(one, torch.zeros_like(one[:, 0, 0])), ground.image_from_world)
-    with torch.no_grad():
-        return render(view, cameras, whole)
+def render_layers(
+    view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[Boxes] = ()
+) -> Float[Tensor, "B K H W"]:
+    """Channels for models: the ground's colours, then a plane for each layer of boxes.
 
+    A plane is 1 where a box is, and one half in the triangles that show directions; colours of
+    boxes play no part. Otherwise as `render`.
 
-def _ground_seen(view: View, cameras: Float[Tensor, "B 3"], ground: Ground) -> Float[Tensor, "C P"]:
-    """The ground in all pixels of all views, one view after the other."""
-    height, width = ground.image.shape[-2:]
-    matrix = ground.image_from_world
-    cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
-    right, down = torch.stack([sine, -cosine], 1), torch.stack([-cosine, -sine], 1)
-    steps = (
-        (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
-        for count in (view.width, view.height)
-    )
-    columns, rows = (
-        step[:, None] * (axis @ matrix[:, :2].t())[:, None]
-        for step, axis in zip(steps, (right, down), strict=True)
-    )
-    middle = cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2]
-    size = cameras.new_tensor([2 / width, 2 / height])  # grid_sample counts from -1 to 1
-    rows = (rows + middle[:, None]) * size - 1
-    grid = rows[:, :, None] + (columns * size)[:, None]
-    grid = grid.view(1, len(cameras) * view.height, view.width, 2)
-    image = ground.image[None]
-    seen = F.grid_sample(image, grid, padding_mode="border", align_corners=False)
-    return seen.view(len(ground.image), -1)
+    >>> from geoaim.simulation.ground import make_ground
+    >>> ground = make_ground(torch.zeros(3, 4, 4), torch.eye(3)[:2])
+    >>> car = Boxes(torch.zeros(1, 1, 3), torch.tensor([[2.0, 1.0]]), torch.ones(1, 3))
+    >>> render_layers(View(4, 4, 1.0), torch.zeros(1, 3), ground, [car, car]).shape
+    torch.Size([1, 5, 4, 4])
+    """
+    _check(cameras, boxes)
+    planes = [ground_seen(view, cameras, ground.image, ground.image_from_world)]
+    for layer in boxes:
+        one = torch.ones_like(layer.poses[..., :1])
+        noses = None if layer.noses is None else one / 2
+        plain = replace(layer, colours=one, noses=noses)
+        planes.append(_paint(torch.zeros_like(planes[0][:1]), view, cameras, plain))
+    return unfolded(torch.cat(planes), view, cameras)
 
 
 def _paint(
@@ -180,8 +104,12 @@ def _paint(
     """The pictures with boxes laid over them, in place."""
     views, count = boxes.poses.shape[:2]
     sizes = boxes.sizes.expand(views, count, 2).reshape(-1, 2) / view.resolution
-    middle, axis = _in_pixels(view, cameras, boxes.poses)
-    present = boxes.present if boxes.present is not None else middle.new_ones(views, count).bool()
+    present, poses = boxes.present, boxes.poses
+    if present is None:
+        present = torch.ones_like(poses[..., 0], dtype=torch.bool)
+    else:  # whatever absent ones hold reaches no gradient
+        poses = torch.where(present[..., None], poses, 0.0)
+    middle, axis = _in_pixels(view, cameras, poses)
     with torch.no_grad():
         owner, pixel, place = _bounds(view, middle, axis, sizes, present.reshape(-1), count)
         touched, rim, front = _near_edges(owner, place, middle, axis, sizes)
@@ -261,7 +189,6 @@ def _bounds(
     limit = middle.new_tensor([view.width, view.height])
     low = torch.minimum((middle - reach).floor().clamp_min(0), limit).nan_to_num(0).long()
     high = torch.minimum((middle + reach).ceil().clamp_min(0), limit).nan_to_num(0).long()
-    present = present & torch.isfinite(middle).all(dim=1)
     wide, tall = ((high - low).clamp_min(0) * present[:, None]).unbind(1)
     counts = wide * tall
     start = counts.cumsum(0) - counts
@@ -322,29 +249,25 @@ def _turns(pixel: Int[Tensor, "n"], pixels: int) -> Iterator[Int[Tensor, "m"]]:
         first[pixel[left]] = len(pixel)
 
 
-def _framed(image: Float[Tensor, "C h w"], colour: Float[Tensor, "C"]) -> Float[Tensor, "C H W"]:
-    """An image in a frame of one pixel."""
-    colour = colour[:, None, None]
-    return F.pad(image - colour, (1, 1, 1, 1)) + colour
-
-
-def _shifted(matrix: Float[Tensor, "2 3"], pixels: float) -> Float[Tensor, "2 3"]:
-    """The transform into an image whose corner has moved so many pixels up and to the left."""
-    return matrix + F.pad(matrix.new_full((2, 1), pixels), (2, 0))
-
-
-def _metres_per_pixel(image_from_world: Float[Tensor, "2 3"]) -> float:
-    area = abs(float(torch.linalg.det(image_from_world[:, :2].double())))
-    return 1 / math.sqrt(area) if area > 0 else 0.0
-
-
 def _check(cameras: Float[Tensor, "B 3"], boxes: Sequence[Boxes]) -> None:
     """Refuse what would give a wrong picture."""
     if not torch.isfinite(cameras).all():
         raise ValueError("a camera's pose is not finite")
     for layer in boxes:
-        if len(layer.poses) != len(cameras):
-            raise ValueError(f"boxes of {len(layer.poses)} views for {len(cameras)} cameras")
+        views, count = layer.poses.shape[:2]
+        if views != len(cameras):
+            raise ValueError(f"boxes of {views} views for {len(cameras)} cameras")
+        shapes = {
+            "sizes": layer.sizes.shape[:-1],
+            "colours": layer.colours.shape[:-1],
+            "present": (views, count) if layer.present is None else layer.present.shape,
+            "noses": (count,) if layer.noses is None else layer.noses.shape[:-1],
+        }
+        for name, shape in shapes.items():
+            if tuple(shape) not in ((views, count), (count,)[: name != "present"]):
+                raise ValueError(
+                    f"{name} for {tuple(shape)} boxes, where {views} views have {count} each"
+                )
         known = torch.isfinite(layer.poses).all(dim=-1)
         right = (layer.sizes > 0).all(dim=-1).expand(known.shape) & known
         if not (right if layer.present is None else right | ~layer.present).all():

@@ -1,18 +1,44 @@
-"""Pictures to a file that people look at: a film or a single picture."""
+"""Pictures that people look at: what an agent has around it, as a film or a single picture."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
-from jaxtyping import UInt8
+import numpy as np
+import torch
+from jaxtyping import Int, UInt8
 from numpy import ndarray as Array
 from PIL import Image
+from torch import Tensor
 
 from geoaim.encode import write_video
 from geoaim.files import replacing
+from geoaim.simulation.birdview import render
+from geoaim.simulation.ground import View, fit_ground
+from geoaim.simulation.layers import agents_at, lights_at, trails_at
+from geoaim.simulation.scene import Scene
 
 ENDINGS = (".mp4", ".gif", ".png")
+BATCH = 16  # pictures that are rendered at once
+
+
+def film_agent(
+    scene: Scene, agent: int, view: View, steps: Int[Tensor, "S"], *, trail: float = 0.0
+) -> Iterator[UInt8[Array, "H W 3"]]:
+    """What an agent has around it at some steps at which it is there, for people's eyes.
+
+    Trails show where agents were for so many seconds.
+    """
+    ground = fit_ground(scene.ground, view.resolution)
+    for some in torch.split(steps, BATCH):
+        layers = [lights_at(scene, some), agents_at(scene, some, torch.full_like(some, agent))]
+        if trail > 0:
+            layers.insert(1, trails_at(scene, some, seconds=trail))
+        with torch.no_grad():
+            pictures = render(view, scene.poses[agent, some], ground, layers)
+        for picture in (pictures.clamp(0, 1) * 255).round().to(torch.uint8):
+            yield np.ascontiguousarray(picture.permute(1, 2, 0).cpu().numpy())
 
 
 def write_pictures(

@@ -1,37 +1,24 @@
-"""A scene: a map and the agents on it as tensors, the one crossing from files to tensors."""
+"""A scene: a map, agents and lights as tensors; the one crossing from files to tensors."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
 from geoaim.aim import AIM
 from geoaim.errors import TracksError
-from geoaim.simulation.birdview import GREY, Boxes, Ground, View, fit_ground, make_ground, render
+from geoaim.lights import Lights, states_at
+from geoaim.simulation.ground import Ground, make_ground
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
-
-EGO = (1.0, 0.35, 0.0)
-NOSE = (1.0, 1.0, 1.0)
-OTHER = (0.55, 0.2, 0.75)
-COLOURS: Mapping[str, tuple[float, float, float]] = {
-    "car": (0.1, 0.35, 0.9),
-    "van": (0.1, 0.35, 0.9),
-    "truck": (0.05, 0.2, 0.6),
-    "bus": (0.05, 0.2, 0.6),
-    "pedestrian": (1.0, 0.85, 0.0),
-    "cyclist": (0.0, 0.85, 0.85),
-}
-BATCH = 16  # pictures that are rendered at once
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A map and the agents on it.
+    """A map, the agents and the lights on it.
 
     Attributes:
         ground: the map.
@@ -39,8 +26,10 @@ class Scene:
         poses: (N, T, 3) x, y and heading in the map's world; NaN while absent.
         present: (N, T) whether the agent is there.
         sizes: (N, 2) length and width, metres.
-        colours: (N, 3) by type.
+        types: what each agent is.
         ids: a name for each agent.
+        stop_lines: (L, 2, 2) both ends of the stop line of each light, metres.
+        light_states: (T, L) as in `geoaim.lights`.
     """
 
     ground: Ground
@@ -48,16 +37,18 @@ class Scene:
     poses: Float[Tensor, "N T 3"]
     present: Bool[Tensor, "N T"]
     sizes: Float[Tensor, "N 2"]
-    colours: Float[Tensor, "N 3"]
+    types: tuple[str, ...]
     ids: tuple[str, ...]
+    stop_lines: Float[Tensor, "L 2 2"]
+    light_states: Int[Tensor, "T L"]
 
 
-def make_scene(aim: AIM, tracks: Tracks) -> Scene:
-    """A map with tracks, brought into the map's world; grey where the map shows nothing.
+def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
+    """A map with tracks and lights, brought into the map's world; grey where it shows nothing.
 
     Raises:
         ValueError: the map is not affine; `geoaim.aim.rectify` it.
-        TracksError: only one of both has a place on the Earth, or no track touches the map.
+        TracksError: not all have a place on the Earth, or no track touches the map.
     """
     poses = _poses_in(tracks, aim.world)
     low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
@@ -68,15 +59,21 @@ def make_scene(aim: AIM, tracks: Tracks) -> Scene:
             f"{_said(places.max(axis=0))} m, the map between {_said(low)} and {_said(high)} m. "
             "Are both of one place?"
         )
-    colours = [COLOURS.get(kind, OTHER) for kind in tracks.types]
+    lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
+    if lights is not None:
+        _check_planes("lights", lights.world, aim.world)
+        lines = _moved(lights.lines.reshape(-1, 2), lights.world, aim.world).reshape(-1, 2, 2)
+        states = states_at(lights, tracks.times)
     return Scene(
         ground=ground_of(aim),
         times=torch.tensor(tracks.times, dtype=torch.float32),
         poses=torch.tensor(poses, dtype=torch.float32),
         present=torch.tensor(tracks.present),
         sizes=torch.tensor(tracks.sizes, dtype=torch.float32),
-        colours=torch.tensor(colours, dtype=torch.float32),
+        types=tracks.types,
         ids=tracks.ids,
+        stop_lines=torch.tensor(lines, dtype=torch.float32),
+        light_states=torch.tensor(states),
     )
 
 
@@ -89,9 +86,8 @@ def ground_of(aim: AIM) -> Ground:
     if not aim.is_affine:
         raise ValueError("the map's transform is not affine; use geoaim.aim.rectify first")
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
-    image = torch.where(torch.tensor(aim.coverage > 0), image, GREY)
-    image_from_world = np.linalg.inv(aim.world_from_image)[:2]
-    return make_ground(image, torch.tensor(image_from_world, dtype=torch.float32))
+    image_from_world = torch.tensor(np.linalg.inv(aim.world_from_image)[:2], dtype=torch.float32)
+    return make_ground(image, image_from_world, known=torch.tensor(aim.coverage > 0))
 
 
 def agent_number(scene: Scene, name: str) -> int:
@@ -104,16 +100,6 @@ def agent_number(scene: Scene, name: str) -> int:
         some = ", ".join(scene.ids[:8]) + (", ..." if len(scene.ids) > 8 else "")
         raise TracksError(f"there is no agent {name!r} among {len(scene.ids)}: {some}")
     return scene.ids.index(name)
-
-
-def boxes_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> Boxes:
-    """All agents at each of B steps, one of them in the ego's colour."""
-    present = scene.present[:, steps].t()
-    poses = scene.poses[:, steps].transpose(0, 1)
-    colours = scene.colours.repeat(len(steps), 1, 1)
-    colours[torch.arange(len(steps)), egos] = colours.new_tensor(EGO)
-    noses = colours.new_tensor(NOSE).expand_as(colours)
-    return Boxes(poses, scene.sizes, colours, present, noses)
 
 
 def step_at(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
@@ -133,27 +119,10 @@ def step_at(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
     return steps[nearest]
 
 
-def film_agent(
-    scene: Scene, agent: int, view: View, steps: Int[Tensor, "S"]
-) -> Iterator[UInt8[Array, "H W 3"]]:
-    """What an agent has around it at some steps at which it is there, for people's eyes."""
-    ground = fit_ground(scene.ground, view.resolution)
-    for some in torch.split(steps, BATCH):
-        boxes = boxes_at(scene, some, torch.full_like(some, agent))
-        with torch.no_grad():
-            pictures = render(view, scene.poses[agent, some], ground, [boxes])
-        for picture in (pictures.clamp(0, 1) * 255).round().to(torch.uint8):
-            yield np.ascontiguousarray(picture.permute(1, 2, 0).numpy())
-
-
 def _poses_in(tracks: Tracks, world: World) -> Float[Array, "N T 3"]:
     """x, y and heading in another world."""
     poses, there = tracks.states[..., :3].copy(), tracks.present
-    if (tracks.world.crs is None) != (world.crs is None):
-        raise TracksError(
-            f"the map lies in {world.crs or 'a plane of its own'} and the tracks in "
-            f"{tracks.world.crs or 'a plane of their own'}; give both a place on the Earth, or none"
-        )
+    _check_planes("tracks", tracks.world, world)
     heading = poses[there, 2]
     here = poses[there, :2]
     ahead = here + np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -161,6 +130,14 @@ def _poses_in(tracks: Tracks, world: World) -> Float[Array, "N T 3"]:
     poses[there, :2] = here
     poses[there, 2] = np.arctan2(*(ahead - here).T[::-1])
     return poses
+
+
+def _check_planes(what: str, theirs: World, maps: World) -> None:
+    if (theirs.crs is None) != (maps.crs is None):
+        raise TracksError(
+            f"the map lies in {maps.crs or 'a plane of its own'} and the {what} in "
+            f"{theirs.crs or 'a plane of their own'}; give both a place on the Earth, or none"
+        )
 
 
 def _moved(points: Float[Array, "m 2"], before: World, after: World) -> Float[Array, "m 2"]:

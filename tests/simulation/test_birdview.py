@@ -1,14 +1,22 @@
+import math
 from dataclasses import replace
 
+import jaxtyping
 import numpy as np
 import pytest
 import torch
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, interpolate
 
 from geoaim.bench.birdview import supersampled
 from geoaim.simulation import Boxes, View, fit_ground, ground_share, make_ground, render
 
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
+
+
+@pytest.fixture
+def without_shape_checks(monkeypatch):
+    """As users run it: shapes are checked by the code alone."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
 def _ground(colour=None):
@@ -154,15 +162,57 @@ def test_fitted_ground_stays_in_place():
     assert (found - fine).abs().max() < 0.06
 
 
+def test_absent_boxes_have_no_gradient_whatever_they_hold():
+    cameras, boxes = _scene(views=1)
+    poses = boxes.poses.clone()
+    poses[0, 1] = torch.nan
+    poses.requires_grad_()
+    some = replace(boxes, poses=poses, present=torch.tensor([[True, False, True, False]]))
+    render(View(16, 16, 1.0), cameras, _ground(), [some]).square().sum().backward()
+    assert torch.isfinite(poses.grad).all()
+    assert not poses.grad[0, [1, 3]].any()
+    assert poses.grad[0, 0].all()
+
+
+def test_no_map_is_a_plain_colour():
+    plain = make_ground(torch.zeros(3, 1, 1), NORTH_UP, outside=torch.tensor([0.1, 0.2, 0.3]))
+    picture = render(View(5, 7, 2.0), torch.tensor([[90.0, 0, 1]]), plain)
+    torch.testing.assert_close(
+        picture, torch.tensor([0.1, 0.2, 0.3])[None, :, None, None].expand(1, 3, 5, 7)
+    )
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.0, 4.0, 8.0, 16.0])
+def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
+    """A scene of hard edges, at most as fine as the camera that took it."""
+    generator = torch.Generator().manual_seed(2)
+    scene = torch.rand(1, 1, 32, 32, generator=generator, dtype=torch.float64).round()
+    image = avg_pool2d(interpolate(scene, scale_factor=24), 3)[0]  # 256 px, edges everywhere
+    ground = make_ground(image, torch.tensor([[1.0, 0, 128], [0, -1.0, 128]]).double())
+    view, camera = View(10, 10, ratio), torch.tensor([[0.3, -0.4, 0.6]]).double()
+    fine = View(160, 160, ratio / 16)
+    wanted = avg_pool2d(render(fine, camera, ground), 16)
+    apart = (render(view, camera, fit_ground(ground, ratio)) - wanted).abs() * 255
+    plain = (render(view, camera, ground) - wanted).abs() * 255
+    assert apart.mean() < 2 * math.sqrt(ratio)
+    assert apart.mean() < 0.8 * plain.mean()
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
         ({"poses": torch.full((2, 4, 3), torch.nan).double()}, "not finite"),
         ({"sizes": torch.zeros(4, 2).double()}, "not positive|not \\npositive|size that is not"),
         ({"poses": torch.zeros(3, 4, 3).double()}, "boxes of 3 views for 2 cameras"),
+        (
+            {"sizes": torch.ones(3, 2).double()},
+            r"sizes for \(3,\) boxes, where 2 views have 4 each",
+        ),
+        ({"colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
+        ({"present": torch.ones(4).bool()}, r"present for \(4,\) boxes"),
     ],
 )
-def test_what_would_give_a_wrong_picture_is_refused(changed, message):
+def test_what_would_give_a_wrong_picture_is_refused(changed, message, without_shape_checks):
     cameras, boxes = _scene()
     with pytest.raises(ValueError, match=message):
         render(View(8, 8, 1.0), cameras, _ground(), [replace(boxes, **changed)])
@@ -173,9 +223,13 @@ def test_camera_that_is_nowhere_is_refused():
         render(View(8, 8, 1.0), torch.tensor([[0.0, torch.inf, 0.0]]), _single(0.0))
 
 
-def test_transform_without_inverse_is_refused():
+def test_texture_that_is_none_is_refused(without_shape_checks):
     with pytest.raises(ValueError, match="must be invertible"):
         make_ground(torch.zeros(1, 4, 4), torch.zeros(2, 3))
+    with pytest.raises(ValueError, match="pixels that are not finite"):
+        make_ground(torch.full((1, 4, 4), torch.nan), NORTH_UP)
+    with pytest.raises(ValueError, match=r"mask of \(4, 5\)"):
+        make_ground(torch.zeros(1, 4, 4), NORTH_UP, known=torch.ones(4, 5).bool())
 
 
 def test_no_boxes_are_a_picture_of_the_ground():

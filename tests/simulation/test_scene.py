@@ -6,15 +6,21 @@ import torch
 
 from geoaim.aim import AIM
 from geoaim.errors import TracksError
-from geoaim.simulation import View, render
-from geoaim.simulation.scene import (
-    EGO,
-    agent_number,
-    boxes_at,
-    film_agent,
+from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
+from geoaim.simulation import (
+    View,
+    agents_at,
+    ground_share,
+    layers_at,
+    lights_at,
     make_scene,
-    step_at,
+    render,
+    render_layers,
+    trails_at,
 )
+from geoaim.simulation.layers import EGO
+from geoaim.simulation.pictures import film_agent
+from geoaim.simulation.scene import agent_number, step_at
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world
 
@@ -41,6 +47,13 @@ def _tracks(world=OTHER, first=(230.0, 220.0)):
     return Tracks(times, states, present, sizes, ("car", "pedestrian"), ("7", "b"), world)
 
 
+def _lights(world=OTHER):
+    """A stop line 4 m ahead of the car's second place, red from 0.1 s on; another one green."""
+    lines = np.array([[[232.0, 225.0], [236.0, 221.0]], [[200.0, 210.0], [204.0, 210.0]]])
+    states = np.array([[UNKNOWN, GREEN], [RED, GREEN]], np.int8)
+    return Lights(("a", "b"), lines, np.array([0.0, 0.1]), states, world)
+
+
 def test_tracks_come_into_the_maps_world():
     scene = make_scene(_aim(), _tracks())
     torch.testing.assert_close(scene.poses[0, 0], torch.tensor([30.0, 20.0, np.pi / 4]))
@@ -61,7 +74,7 @@ def test_tracks_in_another_crs_lie_at_the_same_place():
 def test_ego_is_in_the_middle_and_heads_up():
     scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
     step, ego = torch.tensor([1]), torch.tensor([0])
-    picture = render(view, scene.poses[0, step], scene.ground, [boxes_at(scene, step, ego)])[0]
+    picture = render(view, scene.poses[0, step], scene.ground, [agents_at(scene, step, ego)])[0]
     torch.testing.assert_close(picture[:, 33, 30], torch.tensor(EGO))
     assert picture[:, 25, 30].min() > 0.99  # the nose, before the middle
     torch.testing.assert_close(picture[:, 5, 5], torch.full((3,), 60 / 255))
@@ -70,7 +83,47 @@ def test_ego_is_in_the_middle_and_heads_up():
 def test_pixels_without_coverage_are_grey():
     scene = make_scene(_aim(), _tracks())
     camera = torch.tensor([[2.0, 20.0, 0.0]])
-    assert (render(View(4, 4, 0.5), camera, scene.ground) == 0.5).all()
+    view = View(4, 4, 0.5)
+    assert (render(view, camera, scene.ground) == 0.5).all()
+    assert (ground_share(view, camera, scene.ground) == 0).all()
+    assert (ground_share(view, camera + torch.tensor([20.0, 0, 0]), scene.ground) == 1).all()
+
+
+def test_light_is_a_bar_of_its_states_colour():
+    scene, view = make_scene(_aim(), _tracks(), _lights()), View(60, 60, 0.25)
+    steps = torch.tensor([0, 1])
+    cameras = scene.poses[0, 1].expand(2, 3)
+    found = render(view, cameras, scene.ground, [lights_at(scene, steps)])
+    before, after = found[:, :, 16, 30]  # 3.5 m ahead
+    torch.testing.assert_close(before, torch.full((3,), 60 / 255))
+    torch.testing.assert_close(after, torch.tensor([0.9, 0.1, 0.1]))
+
+
+def test_trail_shows_where_agents_of_the_step_have_been():
+    scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
+    steps = torch.tensor([0, 2])
+    cameras = scene.poses[0, 2].expand(2, 3)
+    found = render(view, cameras, scene.ground, [trails_at(scene, steps, seconds=0.2)])
+    ground = torch.full((3,), 60 / 255)
+    torch.testing.assert_close(found[0, :, 37, 30], ground)  # nothing before the first step
+    assert found[1, 2, 37, 30] > 0.7
+    torch.testing.assert_close(found[1, :, 20, 30], ground)
+
+
+def test_layers_hold_one_kind_each():
+    scene, view = make_scene(_aim(), _tracks(), _lights()), View(60, 60, 0.25)
+    step, ego = torch.tensor([1]), torch.tensor([0])
+    layers = layers_at(scene, step, ego)
+    names = list(layers)
+    planes = render_layers(view, scene.poses[0, step], scene.ground, list(layers.values()))[0]
+    areas = dict(zip(names, planes[3:].sum((1, 2)) * view.resolution**2, strict=True))
+    assert names == ["ego", *("vehicle", "pedestrian", "cyclist", "other"), *STATES]
+    assert float(areas["ego"]) == pytest.approx(4.5 * 1.8 * (1 - 0.35 / 4), rel=1e-3)
+    assert float(areas["pedestrian"]) == pytest.approx(0.5 * 0.6 * (1 - 0.35 / 4), rel=1e-3)
+    assert float(areas["red"]) == pytest.approx(np.hypot(4, 4) * 1.0, rel=1e-3)
+    assert not any(areas[name] for name in ("vehicle", "cyclist", "other", "yellow"))
+    plain = render(view, scene.poses[0, step], scene.ground)[0]
+    torch.testing.assert_close(planes[:3], plain)
 
 
 def test_film_has_a_picture_for_each_step():
@@ -96,6 +149,8 @@ def test_tracks_of_another_place_are_refused():
         make_scene(_aim(), _tracks(first=(900.0, 0.0)))
     with pytest.raises(TracksError, match="plane of their own"):
         make_scene(_aim(), _tracks(world=World(None)))
+    with pytest.raises(TracksError, match="the lights in a plane of their own"):
+        make_scene(_aim(), _tracks(), _lights(World(None)))
 
 
 def test_tilted_map_is_refused():

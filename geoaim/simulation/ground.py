@@ -1,0 +1,176 @@
+"""The ground of bird's-eye views: a texture, looked up at the pixels of all views at once."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+GREY = 0.5
+
+
+@dataclass(frozen=True)
+class View:
+    """The picture of a camera: what is ahead of it is up.
+
+    Attributes:
+        height: pixels.
+        width: pixels.
+        resolution: metres a pixel.
+    """
+
+    height: int
+    width: int
+    resolution: float
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A texture and where it lies.
+
+    Attributes:
+        image: (C, H, W) the texture, in a frame of one pixel of what is seen where it ends.
+        known: (1, H, W) where it shows the ground: 1, and 0 where it does not, and in the frame.
+        image_from_world: (2, 3) metres to its pixels (corner origin).
+    """
+
+    image: Float[Tensor, "C h w"]
+    known: Float[Tensor, "1 h w"]
+    image_from_world: Float[Tensor, "2 3"]
+
+
+def make_ground(
+    image: Float[Tensor, "C h w"],
+    image_from_world: Float[Tensor, "2 3"],
+    *,
+    known: Bool[Tensor, "h w"] | None = None,
+    outside: Float[Tensor, "C"] | None = None,
+) -> Ground:
+    """A ground from a texture.
+
+    Args:
+        image: a map's picture, or a plain colour (C, 1, 1) for no map.
+        image_from_world: metres to its pixels (corner origin).
+        known: where the texture shows the ground; None: everywhere.
+        outside: colour of what is not known and of what lies beyond the texture; None: mid-grey.
+
+    Raises:
+        ValueError: the transform is singular, a number is not finite, or shapes do not match.
+    """
+    if not torch.isfinite(image_from_world).all() or _metres_per_pixel(image_from_world) == 0:
+        raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
+    if not torch.isfinite(image).all():
+        raise ValueError("the texture has pixels that are not finite")
+    if known is None:
+        known = torch.ones_like(image[0], dtype=torch.bool)
+    if outside is None:
+        outside = torch.full_like(image[:, 0, 0], GREY)
+    if known.shape != image.shape[1:] or len(outside) != len(image):
+        raise ValueError(
+            f"a texture of {tuple(image.shape)} with a mask of {tuple(known.shape)} and an "
+            f"outside of {len(outside)} channels"
+        )
+    seen = torch.where(known, image, outside[:, None, None])
+    share = known.to(image)[None]
+    matrix = _shifted(image_from_world.to(image), 1.0)
+    return Ground(_framed(seen, outside), _framed(share, torch.zeros_like(share[:, 0, 0])), matrix)
+
+
+def fit_ground(ground: Ground, resolution: float) -> Ground:
+    """The ground for views of so many metres a pixel: averaged beforehand over a view's pixel.
+
+    A texture finer than the view would shimmer. Once each of its pixels is the mean over a square
+    of the view's pixel, of the texture between its pixels by cubic convolution (Keys 1981), one
+    linear lookup a pixel is close to the mean over that pixel, however the view is turned. Of what
+    is then too fine, four pixels for each of the view's are kept, and the square is made smaller
+    by what looking up among fewer pixels blurs.
+    """
+    ratio = resolution / _metres_per_pixel(ground.image_from_world)
+    step = max(1, int(ratio / 4 + 1e-3))
+    weights = _square_mean(math.sqrt(ratio**2 - 2 * (step**2 - 1))).to(ground.image)
+    matrix = _shifted(_shifted(ground.image_from_world, -1.5) / step, 0.5 + 1)
+    image, known = (_thinned(plane, weights, step) for plane in (ground.image, ground.known))
+    return Ground(image, known, matrix)
+
+
+def ground_share(
+    view: View, cameras: Float[Tensor, "B 3"], ground: Ground
+) -> Float[Tensor, "B 1 H W"]:
+    """How much of each pixel shows ground that is known: 0 beyond the map's end and in its gaps."""
+    with torch.no_grad():
+        share = ground_seen(view, cameras, ground.known, ground.image_from_world)
+    return unfolded(share.clamp(0, 1), view, cameras)
+
+
+def ground_seen(
+    view: View,
+    cameras: Float[Tensor, "B 3"],
+    image: Float[Tensor, "C h w"],
+    matrix: Float[Tensor, "2 3"],
+) -> Float[Tensor, "C P"]:
+    """A texture in all pixels of all views, one view after the other."""
+    height, width = image.shape[-2:]
+    cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
+    right, down = torch.stack([sine, -cosine], 1), torch.stack([-cosine, -sine], 1)
+    steps = (
+        (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
+        for count in (view.width, view.height)
+    )
+    columns, rows = (
+        step[:, None] * (axis @ matrix[:, :2].t())[:, None]
+        for step, axis in zip(steps, (right, down), strict=True)
+    )
+    middle = cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2]
+    size = cameras.new_tensor([2 / width, 2 / height])  # grid_sample counts from -1 to 1
+    rows = (rows + middle[:, None]) * size - 1
+    grid = rows[:, :, None] + (columns * size)[:, None]
+    grid = grid.view(1, len(cameras) * view.height, view.width, 2)
+    seen = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)
+    return seen.view(len(image), -1)
+
+
+def unfolded(
+    flat: Float[Tensor, "C P"], view: View, cameras: Float[Tensor, "B 3"]
+) -> Float[Tensor, "B C H W"]:
+    """Pictures of which all pixels stood in a row, one view after the other."""
+    return flat.view(-1, len(cameras), view.height, view.width).transpose(0, 1)
+
+
+def _thinned(
+    image: Float[Tensor, "C h w"], weights: Float[Tensor, "n"], step: int
+) -> Float[Tensor, "C H W"]:
+    """The image within its frame averaged by weights, at every so many pixels; framed again."""
+    outside, reach = image[:, 0, 0], len(weights) // 2
+    small = (image[:, 1:-1, 1:-1] - outside[:, None, None])[:, None]
+    small = F.conv2d(small, weights[None, None, :, None], stride=(step, 1), padding=(reach, 0))
+    small = F.conv2d(small, weights[None, None, None], stride=(1, step), padding=(0, reach))
+    return _framed(small[:, 0] + outside[:, None, None], outside)
+
+
+def _square_mean(side: float) -> Float[Tensor, "n"]:
+    """Weights of pixels in the mean over so many pixels of what cubic convolution puts between."""
+    reach = math.ceil(side / 2 + 1.5)
+    ends = torch.arange(-reach, reach + 1)[:, None] + torch.tensor([-side, side]).double() / 2
+    x = ends.abs().clamp(max=2)
+    near = x * (1 + x**2 * (3 / 8 * x - 5 / 6))
+    far = 2 * x - 2 * x**2 + 5 / 6 * x**3 - x**4 / 8 - 1 / 6
+    weights = (torch.where(x < 1, near, far) * ends.sign()).diff(dim=1)[:, 0]
+    return weights / weights.sum()
+
+
+def _framed(image: Float[Tensor, "C h w"], colour: Float[Tensor, "C"]) -> Float[Tensor, "C H W"]:
+    """An image in a frame of one pixel."""
+    colour = colour[:, None, None]
+    return F.pad(image - colour, (1, 1, 1, 1)) + colour
+
+
+def _shifted(matrix: Float[Tensor, "2 3"], pixels: float) -> Float[Tensor, "2 3"]:
+    """The transform into an image whose corner has moved so many pixels up and to the left."""
+    return matrix + F.pad(matrix.new_full((2, 1), pixels), (2, 0))
+
+
+def _metres_per_pixel(image_from_world: Float[Tensor, "2 3"]) -> float:
+    area = abs(float(torch.linalg.det(image_from_world[:, :2].double())))
+    return 1 / math.sqrt(area) if area > 0 else 0.0
