@@ -14,7 +14,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
-	$(BIN)/geoaim render demo/aim.tif --tracks samples/tracks.csv --ego 6 --size 384 -o demo/view.gif
+	$(BIN)/geoaim render demo/aim.tif --tracks samples/tracks.csv --ego 9 --size 384 --trail 2 \
+		--lights samples/lights.csv --hdmap samples/map.osm -o demo/view.gif
 	@echo
 	@echo "Open demo/aim.tif   the map, in QGIS or any other GIS program"
 	@echo "     demo/aim.png   a quick look: background, control points, drift, coverage"

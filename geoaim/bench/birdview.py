@@ -1,6 +1,7 @@
-"""The bird's-eye renderer against `grid_sample` alone, OpenCV, and 256 points a pixel.
+"""The bird's-eye renderer against `grid_sample` alone, OpenCV, plain torch, and a finer truth.
 
-    python -m geoaim.bench.birdview --json docs/bench/birdview.json
+    python -m geoaim.bench.birdview --json docs/bench/birdview.json \\
+        --chart docs/images/birdview.png
 
 Speed: 20 agents, views of 100 m, a texture of 1024 x 1024 px over 200 m, one thread; the parts of
 a row are timed in turn, and medians compared. Accuracy: every pixel of the reference is the mean
@@ -11,11 +12,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
+import matplotlib.pyplot as plt
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -23,16 +24,14 @@ import typer
 from jaxtyping import Float
 from torch import Tensor
 
+from geoaim.bench.birdview_peers import by_dense_torch, by_opencv, sampling_grid
+from geoaim.bench.birdview_truth import CAR, gradient_errors, picture_errors
 from geoaim.bench.report import medians, peak_megabytes, save, table
-from geoaim.geometry import to_opencv
 from geoaim.simulation import Boxes, Ground, View, fit_ground, make_ground, render
-from geoaim.simulation.birdview import NOSE
 from geoaim.synthetic import draw_place, make_place
 
 SIDE, TEXTURE, AGENTS = 100.0, 1024, 20
-COARSE, FINE = (377, 233), (6765, 4181)  # points in a pixel: for pictures, for gradients
-SIZES = torch.tensor([[4.5, 1.9]]).expand(AGENTS, 2)
-STEP = 0.05  # px: of the central differences
+APART = 6.5  # m between the agents whose pictures are compared with the reference
 
 
 def picture_of_place() -> Float[Tensor, "3 h w"]:
@@ -56,7 +55,23 @@ def scene(views: int, seed: int, dtype: torch.dtype = torch.float32) -> tuple[Te
     cameras = torch.cat([random[:, 0, :2] * 60 - 30, random[:, 0, 2:3] * 6.28], 1)
     places = cameras[:, None, :2] + (random[:, 1:, :2] - 0.5) * 0.8 * SIDE
     poses = torch.cat([places, random[:, 1:, 2:3] * 6.28], 2)
-    return cameras, Boxes(poses, SIZES.to(dtype), random[:, 1:, 3:], noses=1 - random[:, 1:, 3:])
+    sizes = torch.tensor([CAR], dtype=dtype).expand(AGENTS, 2)
+    return cameras, Boxes(poses, sizes, random[:, 1:, 3:], noses=1 - random[:, 1:, 3:])
+
+
+def scenes_apart(count: int, dtype: torch.dtype) -> list[tuple[Tensor, Boxes]]:
+    """Single views without agents that would stand in others."""
+    found = []
+    for seed in range(count):
+        cameras, boxes = scene(1, seed, dtype)
+        gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
+        keep = [a for a in range(AGENTS) if not (gaps[a, :a] < APART).any()]
+        assert boxes.noses is not None
+        colours, noses = boxes.colours[:, keep], boxes.noses[:, keep]
+        found.append(
+            (cameras, Boxes(boxes.poses[:, keep], boxes.sizes[keep], colours, noses=noses))
+        )
+    return found
 
 
 def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
@@ -65,263 +80,160 @@ def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, An
     fitted = fit_ground(ground, view.resolution)
     cameras, boxes = scene(views, 1)
     texture = ground.image[None, :, 1:-1, 1:-1].contiguous()
-    grid = _grid(view, cameras, ground).requires_grad_()
+    grid = sampling_grid(view, cameras, ground).requires_grad_()
     weight = torch.rand(1, 3, views * pixels, pixels)
     own = weight.view(3, views, pixels, pixels).transpose(0, 1)
     given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
+    image = np.ascontiguousarray(texture[0].permute(1, 2, 0).numpy())
 
-    def forward() -> None:
-        with torch.no_grad():
-            render(view, cameras, fitted, [boxes])
+    def backward(draw: Callable[[], Tensor], weight: Tensor, leaves: list[Tensor]) -> None:
+        torch.autograd.grad((draw() * weight).sum(), leaves)
 
-    def sample() -> None:
-        with torch.no_grad():
-            F.grid_sample(texture, grid, align_corners=False)
+    def alone() -> Tensor:
+        return F.grid_sample(texture, grid, align_corners=False)
 
-    def both() -> None:
-        picture = render(view, given[0], fitted, [replace(boxes, poses=given[1])])
-        torch.autograd.grad((picture * own).sum(), given)
+    def ours(poses: Tensor, cameras: Tensor) -> Tensor:
+        return render(view, cameras, fitted, [replace(boxes, poses=poses)])
 
-    def sample_both() -> None:
-        torch.autograd.grad(
-            (F.grid_sample(texture, grid, align_corners=False) * weight).sum(), grid
-        )
+    def dense(poses: Tensor, cameras: Tensor) -> Tensor:
+        return by_dense_torch(view, cameras, texture, grid, replace(boxes, poses=poses))
 
-    image = np.ascontiguousarray(ground.image[:, 1:-1, 1:-1].permute(1, 2, 0).numpy())
-    ours, alone, ours_both, alone_both, opencv = medians(
+    quick, cv, plain, sample, quick_both, sample_both, plain_both = medians(
         [
-            forward,
-            sample,
-            both,
-            sample_both,
-            lambda: _by_opencv(view, cameras, ground, boxes, image),
+            torch.no_grad()(lambda: ours(boxes.poses, cameras)),
+            lambda: by_opencv(view, cameras, ground, boxes, image),
+            torch.no_grad()(lambda: dense(boxes.poses, cameras)),
+            torch.no_grad()(alone),
+            lambda: backward(lambda: ours(given[1], given[0]), own, given),
+            lambda: backward(alone, weight, [grid]),
+            lambda: backward(lambda: dense(given[1], given[0]), own, given),
         ],
         repeats,
     )
     return {
         "pixels": pixels,
         "views": views,
-        "ms a view": 1e3 * ours / views,
-        "times grid_sample": ours / alone,
-        "forward + backward, ms": 1e3 * ours_both / views,
-        "times grid_sample's": ours_both / alone_both,
-        "times OpenCV (no gradient)": ours / opencv,
+        "ms a view": 1e3 * quick / views,
+        "times grid_sample": quick / sample,
+        "forward + backward, ms": 1e3 * quick_both / views,
+        "times grid_sample's": quick_both / sample_both,
+        "times OpenCV (no gradient)": quick / cv,
+        "plain torch is slower by": plain / quick,
+        "with backward": plain_both / quick_both,
     }
 
 
-def memory(pixels: int, views: int) -> float:
-    """Megabytes a view that forward and backward add at most, in a process of its own."""
-    code = f"from geoaim.bench.birdview import _added; print(_added({pixels}, {views}))"
-    return float(subprocess.check_output([sys.executable, "-c", code])) / views
-
-
-def _added(pixels: int, views: int) -> float:
-    """Megabytes by which a batch raises the most memory that the process has held."""
-    torch.set_num_threads(1)
+def against_peers(ground: Ground, pixels: int, views: int, repeats: int) -> list[dict[str, Any]]:
+    """Speed and error of each way to draw the ground with boxes, none of them with triangles."""
     view = View(pixels, pixels, SIDE / pixels)
-    ground = fit_ground(on_map(torch.rand(3, TEXTURE, TEXTURE)), view.resolution)
+    fitted = fit_ground(ground, view.resolution)
+    texture = ground.image[None, :, 1:-1, 1:-1].contiguous()
+    image = np.ascontiguousarray(texture[0].permute(1, 2, 0).numpy())
 
-    def run(count: int) -> None:
-        cameras, boxes = scene(count, 1)
-        given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
-        picture = render(view, given[0], ground, [replace(boxes, poses=given[1])])
-        torch.autograd.grad(picture.sum(), given)
+    def opencv(view: View, cameras: Tensor, boxes: Boxes) -> Tensor:
+        pictures = by_opencv(view, cameras, ground, boxes, image)
+        return torch.tensor(np.stack(pictures)).permute(0, 3, 1, 2)
 
-    run(1)
-    before = peak_megabytes()
-    run(views)
-    return peak_megabytes() - before
+    def dense(view: View, cameras: Tensor, boxes: Boxes) -> Tensor:
+        grid = sampling_grid(view, cameras, ground)
+        return by_dense_torch(view, cameras, texture, grid, boxes)
 
-
-def picture_error(ground: Ground, pixels: int) -> dict[str, Any]:
-    """Grey levels between a picture and the reference."""
-    view = View(pixels, pixels, SIDE / pixels)
-    fitted, apart = fit_ground(ground, view.resolution), []
-    for seed in range(4):
-        cameras, boxes = _apart(*scene(1, seed, torch.float64))
-        wanted = supersampled(view, cameras, ground, boxes)
-        apart.append((render(view, cameras, fitted, [boxes]) - wanted).abs() * 255)
-    every = torch.cat(apart)
-    return {"pixels": pixels, "mean": float(every.mean()), "largest": float(every.max())}
-
-
-def gradient_errors(count: int) -> list[dict[str, Any]]:
-    """Relative errors against the reference's central differences, scene by scene."""
-    names = ("x", "y", "heading", "length", "width", "camera x", "camera y", "camera heading")
-    rows = np.array([_gradient_error(seed) for seed in range(count)])
+    ways: dict[str, Callable[[View, Tensor, Boxes], Tensor]] = {
+        "geoaim": lambda v, c, b: render(v, c, fitted, [b]),
+        "geoaim without fit_ground": lambda v, c, b: render(v, c, ground, [b]),
+        "OpenCV: warp, hard polygons": opencv,
+        "plain torch: soft boxes everywhere": dense,
+    }
+    cameras, boxes = scene(views, 1)
+    bare = replace(boxes, noses=None)
+    grid = sampling_grid(view, cameras, ground)
+    timed: list[Callable[[], Any]] = [
+        *(lambda draw=draw: draw(view, cameras, bare) for draw in ways.values()),
+        lambda: F.grid_sample(texture, grid, align_corners=False),
+    ]
+    with torch.no_grad():
+        *seconds, alone = medians(timed, repeats)
+    few = [(c, replace(b, noses=None)) for c, b in scenes_apart(4, torch.float32)]
     return [
-        {
-            "gradient by": name,
-            "median error, %": 100 * float(np.median(row)),
-            "worst error, %": 100 * float(np.max(row)),
-        }
-        for name, row in zip(names, rows.T, strict=True)
+        {"way": name, "times grid_sample": time / alone} | picture_errors(draw, view, ground, few)
+        for (name, draw), time in zip(ways.items(), seconds, strict=True)
     ]
 
 
-def _gradient_error(seed: int) -> list[float]:
-    """One agent on smooth ground: the error of each gradient, relative to the size of its kind.
-
-    Kinds are place, heading and size of the agent, place and heading of the camera; the size is at
-    least a twentieth of the largest gradient's.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    random = torch.rand(8, generator=generator, dtype=torch.float64)
-    view = View(24, 24, 0.5)
-    v, u = torch.meshgrid(torch.arange(80.0), torch.arange(80.0), indexing="ij")
-    image = (0.5 + 0.4 * torch.sin(u / 7 + 6 * random[0]) * torch.cos(v / 9)).double()[None]
-    ground = make_ground(image, torch.tensor([[2.0, 0, 40], [0, -2.0, 40]]).double())
-    across = torch.linspace(-1, 1, 24, dtype=torch.float64)
-    weight = (
-        across[:, None] * torch.cos(3 * across + 6 * random[1]) + torch.sin(5 * across)[:, None]
-    )
-    pose = torch.stack([6 * random[2] - 3, 6 * random[3] - 3, 6.28 * random[4]])
-    values = torch.cat([pose, SIZES[0].double(), random[5:8] * torch.tensor([2.0, 2.0, 6.28])])
-
+def errors_at(ground: Ground, pixels: int) -> dict[str, Any]:
+    """Grey levels between pictures of some scenes and the reference."""
+    view = View(pixels, pixels, SIDE / pixels)
     fitted = fit_ground(ground, view.resolution)
 
-    def loss(values: Tensor, draw: Callable[..., Tensor]) -> Tensor:
-        boxes = Boxes(values[None, None, :3], values[None, 3:5], torch.ones(1, 1).double())
-        return (draw(view, values[None, 5:], ground, boxes)[0, 0] * weight).sum()
+    def draw(view: View, cameras: Tensor, boxes: Boxes) -> Tensor:
+        return render(view, cameras, fitted, [boxes])
 
-    exact = values.clone().requires_grad_()
-    loss(exact, lambda v, c, _, b: render(v, c, fitted, [b])).backward()  # type: ignore[no-untyped-call]
-    assert exact.grad is not None
-    steps = (
-        torch.tensor([1.0, 1, 0.2, 1, 1, 1, 1, 0.05], dtype=torch.float64) * STEP * view.resolution
-    )
-    found = exact.grad * steps
-
-    finest = partial(supersampled, lattice=FINE)
-    wanted = torch.stack(
-        [(loss(values + m, finest) - loss(values - m, finest)) / 2 for m in torch.diag(steps)]
-    )
-    kinds = torch.tensor([0, 0, 1, 2, 2, 3, 3, 4])
-    size = torch.zeros(5, dtype=torch.float64).index_add(0, kinds, wanted**2).sqrt()[kinds]
-    least = wanted.abs().max() * 0.05
-    return ((found - wanted).abs() / torch.maximum(size, least)).tolist()
+    return {"pixels": pixels} | picture_errors(draw, view, ground, scenes_apart(4, torch.float64))
 
 
-def supersampled(
-    view: View,
-    cameras: Float[Tensor, "B 3"],
-    ground: Ground,
-    boxes: Boxes,
-    lattice: tuple[int, int] = COARSE,
-) -> Float[Tensor, "B C H W"]:
-    """Every pixel the mean over the points of a lattice in it, each in a box or not.
-
-    A Fibonacci lattice leaves no row or column of points along an edge, so that the share of a
-    pixel in a box comes out several times closer than with as many points on a grid.
-    """
-    number = torch.arange(lattice[0]).to(cameras) / lattice[0]
-    across = (number + 0.5 / lattice[0] - 0.5) * view.resolution
-    forward = ((number * lattice[1] + 0.5 / lattice[0]) % 1 - 0.5) * view.resolution
-    rows, columns = (torch.arange(n).to(cameras) - (n - 1) / 2 for n in (view.height, view.width))
-    ahead, right = -rows[:, None] * view.resolution, columns * view.resolution
-    pictures = []
-    for b, (x, y, heading) in enumerate(cameras):
-        c, s = heading.cos(), heading.sin()
-        moved = torch.stack([x + forward * c + across * s, y + forward * s - across * c], 1)
-        moved = F.pad(moved, (0, 1)) + F.pad(heading[None], (2, 0))
-        picture = render(view, moved, ground)
-        east = moved[:, 0, None, None] + ahead * c + right * s
-        north = moved[:, 1, None, None] + ahead * s - right * c
-        for a in range(boxes.poses.shape[1]):
-            picture = _painted(picture, east, north, boxes, b, a)
-        pictures.append(picture.mean(0))
-    return torch.stack(pictures)
+def memory(pixels: int, views: int) -> float:
+    """Megabytes a view that forward and backward take: of so many views more, in two processes."""
+    code = "from geoaim.bench.birdview import _held; print(_held({}, {}))"
+    held = [
+        float(subprocess.check_output([sys.executable, "-c", code.format(pixels, count)]))
+        for count in (views, 2 * views)
+    ]
+    return (held[1] - held[0]) / views
 
 
-def _painted(
-    picture: Tensor, east: Tensor, north: Tensor, boxes: Boxes, view: int, agent: int
-) -> Tensor:
-    """Points in a box in its colour, points in its triangle in that one's."""
-    x, y, heading = boxes.poses[view, agent]
-    length, width = boxes.sizes.expand(*boxes.poses.shape[:2], 2)[view, agent] / 2
-    along = (east - x) * heading.cos() + (north - y) * heading.sin()
-    aside = ((north - y) * heading.cos() - (east - x) * heading.sin()).abs()
-    inside = (along.abs() < length) & (aside < width)
-    tip = inside & (along > (1 - 2 * NOSE) * length)
-    tip &= aside / width < (length - along) / (2 * NOSE * length)
-    for where, colours in ((inside, boxes.colours), (tip, boxes.noses)):
-        if colours is not None:
-            colour = colours.expand(*boxes.poses.shape[:2], -1)[view, agent]
-            picture = torch.where(where[:, None], colour[:, None, None], picture)
-    return picture
+def _held(pixels: int, views: int) -> float:
+    """The most megabytes that this process has held, with one batch forward and backward."""
+    torch.set_num_threads(1)
+    view = View(pixels, pixels, SIDE / pixels)
+    ground = fit_ground(on_map(torch.rand(3, TEXTURE, TEXTURE)), view.resolution)
+    cameras, boxes = scene(views, 1)
+    given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
+    picture = render(view, given[0], ground, [replace(boxes, poses=given[1])])
+    torch.autograd.grad(picture.sum(), given)
+    return peak_megabytes()
 
 
-def _apart(cameras: Tensor, boxes: Boxes) -> tuple[Tensor, Boxes]:
-    """Without agents that would stand in others."""
-    gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
-    keep = [a for a in range(AGENTS) if not (gaps[a, :a] < 6.5).any()]
-    assert boxes.noses is not None
-    some = replace(boxes, poses=boxes.poses[:, keep], sizes=boxes.sizes[keep])
-    return cameras, replace(some, colours=boxes.colours[:, keep], noses=boxes.noses[:, keep])
-
-
-def _grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
-    """Where the pixels of all views lie in the texture, as `grid_sample` takes it."""
-    corners = torch.tensor([[-1.0, 1.0]]) * view.width * view.resolution / 2
-    c, s = cameras[:, 2].cos(), cameras[:, 2].sin()
-    turn = torch.stack([torch.stack([s, -c], 1), torch.stack([-c, -s], 1)], 2) * corners[0, 1]
-    matrix = ground.image_from_world - torch.tensor([0.0, 0, 1])  # without the ground's frame
-    theta = torch.cat(
-        [matrix[:, :2] @ turn, (cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2])[..., None]], 2
-    )
-    theta = theta * 2 / TEXTURE - torch.tensor([0.0, 0, 1])
-    grid = F.affine_grid(theta, [len(cameras), 1, view.height, view.width], align_corners=False)
-    return grid.view(1, -1, view.width, 2).contiguous()
-
-
-def _by_opencv(
-    view: View, cameras: Tensor, ground: Ground, boxes: Boxes, image: np.ndarray
-) -> list[np.ndarray]:
-    """What scripts do: a warp for each view and hard-edged polygons."""
-    pictures = []
-    half = np.array([view.width, view.height]) / 2
-    sides = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    for camera, poses, colours in zip(
-        cameras.numpy(), boxes.poses.numpy(), boxes.colours.numpy(), strict=True
-    ):
-        c, s = np.cos(camera[2]), np.sin(camera[2])
-        turn = np.array([[s, -c], [-c, -s]]) / view.resolution
-        view_from_world = np.eye(3)
-        view_from_world[:2] = np.column_stack([turn, half - turn @ camera[:2]])
-        image_from_world = np.eye(3)
-        image_from_world[:2] = ground.image_from_world.numpy() - [0, 0, 1]
-        matrix = to_opencv(view_from_world @ np.linalg.inv(image_from_world))
-        picture = cv2.warpAffine(image, matrix[:2], (view.width, view.height))
-        for (x, y, heading), colour in zip(poses, colours, strict=True):
-            axis = np.array(
-                [[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]
-            )
-            corners = [x, y] + (sides * SIZES[0].numpy() / 2) @ axis
-            ring = corners @ turn.T + view_from_world[:2, 2] - 0.5
-            cv2.fillConvexPoly(picture, np.rint(ring).astype(np.int32), colour.tolist())
-        pictures.append(picture)
-    return pictures
+def chart(rows: list[dict[str, Any]], path: Path) -> None:
+    """Time against error, for all pixels and for those at edges of boxes."""
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained", sharex=True)
+    for axis, column in zip(axes, ("mean", "mean at edges of boxes"), strict=True):
+        for row in rows:
+            x, y = row["times grid_sample"], row[column]
+            axis.loglog(x, y, "o", markersize=9)
+            axis.annotate(row["way"], (x, y), xytext=(8, 6), textcoords="offset points")
+        axis.axvline(1.0, color="grey", linestyle=":")
+        axis.set(xlabel="time, grid_sample alone = 1", ylabel=f"error, grey levels: {column}")
+        axis.grid(visible=True, which="both", alpha=0.3)
+        axis.set_xlim(0.8, max(row["times grid_sample"] for row in rows) * 12)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
 
 
 def main(
     json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    chart_path: Annotated[Path | None, typer.Option("--chart", help="speed against error")] = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 7,
     scenes: Annotated[int, typer.Option(help="for the gradients")] = 200,
 ) -> None:
-    """Measure speed, memory, pictures and gradients; print tables, and write JSON when asked."""
+    """Measure speed, memory, pictures and gradients; print tables, write JSON and a chart."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     texture = picture_of_place()
     ground, exact = on_map(texture), on_map(texture.double())
     rows = [speed(ground, pixels, views, repeats) for pixels in (256, 64) for views in (1, 16, 64)]
     print(table(rows), flush=True)
-    pictures = [picture_error(exact, pixels) for pixels in (256, 128)]
-    gradients = gradient_errors(scenes)
+    ways = against_peers(ground, 256, 16, repeats)
+    print(table(ways), flush=True)
+    if chart_path:
+        chart(ways, chart_path)
+    pictures = [errors_at(exact, pixels) for pixels in (512, 256, 128, 64)]
     megabytes = memory(256, 64)
-    print(table(pictures), table(gradients), f"{megabytes:.1f} MB a view", sep="\n\n")
+    print(table(pictures), f"{megabytes:.1f} MB a view", sep="\n\n", flush=True)
+    gradients = gradient_errors(scenes)
+    print(table(gradients))
     command = f"python -m geoaim.bench.birdview --scenes {scenes} --repeats {repeats}"
-    more = {"pictures": pictures, "gradients": gradients, "megabytes_a_view": megabytes}
-    save(rows, json, command=command, torch=torch.__version__, **more)
+    more = {"ways": ways, "pictures": pictures, "gradients": gradients}
+    save(rows, json, command=command, torch=torch.__version__, megabytes_a_view=megabytes, **more)
 
 
 if __name__ == "__main__":

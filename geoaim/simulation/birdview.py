@@ -119,14 +119,19 @@ def _paint(
     side = torch.stack([axis[:, 1], -axis[:, 0]], dim=1)
     ahead, aside = sizes[:, :1] / 2 * axis, sizes[:, 1:] / 2 * side
     ring = torch.stack([ahead + aside, ahead - aside, -ahead - aside, aside - ahead], 1)
-    alpha = _covered(middle[:, None] + ring, owner, place, rim, inside=1.0)
     colours = _by_agent(boxes.colours, views)
-    light = alpha * colours[:, owner]
-    if boxes.noses is not None:
+    if boxes.noses is None:
+        alpha = _covered(middle[:, None] + ring, owner, place, rim)
+        light = alpha * colours[:, owner]
+    else:  # boxes and triangles, the latter as squares with a corner twice, in one go
         base = (1 - 2 * NOSE) * ahead
-        tip = torch.stack([ahead, base - aside, base + aside], dim=1)
-        share = _covered(middle[:, None] + tip, owner, place, front, inside=0.0)
-        light = light + share * (_by_agent(boxes.noses, views) - colours)[:, owner]
+        tip = torch.stack([ahead, ahead, base - aside, base + aside], dim=1)
+        corners = torch.cat([middle[:, None] + ring, middle[:, None] + tip])
+        both = torch.cat([owner, owner + len(ring)]), torch.cat([place, place])
+        alpha, share = _covered(corners, *both, torch.cat([rim, front])).chunk(2)
+        share = torch.where(front, share, 0.0)
+        change = _by_agent(boxes.noses, views) - colours
+        light = alpha * colours[:, owner] + share * change[:, owner]
     return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
 
 
@@ -227,13 +232,11 @@ def _covered(
     owner: Int[Tensor, "n"],
     place: Float[Tensor, "n 2"],
     near: Bool[Tensor, "n"],
-    *,
-    inside: float,
 ) -> Float[Tensor, "n"]:
-    """The share of each pixel that its polygon covers; of those that are not near, as told."""
+    """The share of each pixel that its polygon covers: all of it where no edge is near."""
     which = near.nonzero()[:, 0]
     share = pixel_coverage(corners[owner[which]] - place[which, None])
-    return place.new_full((len(owner),), inside).index_copy(0, which, share)
+    return place.new_ones(len(owner)).index_copy(0, which, share)
 
 
 def _turns(pixel: Int[Tensor, "n"], pixels: int) -> Iterator[Int[Tensor, "m"]]:

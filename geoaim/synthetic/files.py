@@ -20,6 +20,7 @@ from shapely import Point, Polygon
 
 from geoaim.encode import write_video
 from geoaim.geometry import transform_points
+from geoaim.lights import STATES
 from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
 from geoaim.synthetic.imagery import (
     WEB,
@@ -36,7 +37,7 @@ from geoaim.synthetic.roads.lanelet import lanelet_map
 from geoaim.synthetic.roads.markings import landmarks
 from geoaim.synthetic.roads.paving import crossing_area
 from geoaim.synthetic.sample import Sample, tracks_of
-from geoaim.synthetic.traffic.signals import STATES, lights_at
+from geoaim.synthetic.traffic.signals import lights_at
 from geoaim.tracks import write_tracks
 from geoaim.world import lonlat_from_world
 

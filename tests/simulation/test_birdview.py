@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d, interpolate
 
-from geoaim.bench.birdview import supersampled
+from geoaim.bench.birdview_truth import supersampled
 from geoaim.simulation import Boxes, View, fit_ground, ground_share, make_ground, render
 
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)

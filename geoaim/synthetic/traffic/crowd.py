@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
 from numpy import ndarray as Array
 
+from geoaim.lights import GREEN
 from geoaim.synthetic.exact import settle
 from geoaim.synthetic.roads.curves import STEP
 from geoaim.synthetic.traffic.fleet import OnFoot, Rules, Vehicles
-from geoaim.synthetic.traffic.signals import GREEN
 
 RELAX = 0.5  # s in which one takes one's own speed again
 PUSH, RANGE = 2.2, 0.28  # m/s2 and m of the force between two people

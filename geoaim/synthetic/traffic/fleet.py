@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int8
 from numpy import ndarray as Array
 
+from geoaim.lights import RED, YELLOW
 from geoaim.synthetic.exact import settle
 from geoaim.synthetic.roads.curves import STEP
 from geoaim.synthetic.traffic.overlaps import COARSE, Meetings, Overlaps
-from geoaim.synthetic.traffic.signals import RED, YELLOW, Signals
+from geoaim.synthetic.traffic.signals import Signals
 from geoaim.synthetic.traffic.ways import Way
 
 NOSE, TAIL = 0.8, 0.2  # shares of the length before and behind the rear axle

@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
+from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.plan import Roads
 
-GREEN, YELLOW, RED = 0, 1, 2
-STATES = ("green", "yellow", "red")
 AMBER, CLEAR = 3.0, 2.0  # s of yellow, and of red for all
 STRIDE = 1.2  # m/s of those on foot for whom a crossing must be cleared
 

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from geoaim.lights import GREEN, RED
 from geoaim.synthetic.roads.plan import make_roads
 from geoaim.synthetic.traffic.comings import join, vehicle
 from geoaim.synthetic.traffic.demand import Driver
 from geoaim.synthetic.traffic.fleet import OnFoot, pair_up, reach_of, step
-from geoaim.synthetic.traffic.signals import GREEN, RED
 from geoaim.synthetic.traffic.simulate import INTERVAL, prepare_traffic
 
 NOBODY = OnFoot(np.empty(0, int), np.empty(0), np.empty(0), np.empty(0))

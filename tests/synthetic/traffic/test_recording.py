@@ -3,9 +3,10 @@ import pytest
 import shapely
 from shapely.affinity import affine_transform
 
+from geoaim.lights import RED
 from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.paving import crossing_area
-from geoaim.synthetic.traffic.signals import RED, lights_at
+from geoaim.synthetic.traffic.signals import lights_at
 
 VEHICLES = ("car", "van", "truck", "bus")
 WHEELBASE = 0.6  # share of the length

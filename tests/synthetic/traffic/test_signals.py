@@ -3,8 +3,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.plan import make_roads
-from geoaim.synthetic.traffic.signals import GREEN, RED, YELLOW, lights_at, plan_signals
+from geoaim.synthetic.traffic.signals import lights_at, plan_signals
 
 
 @pytest.fixture(scope="module")
