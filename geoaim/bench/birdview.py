@@ -5,7 +5,7 @@
 
 Speed: 20 agents, views of 100 m, a texture of 1024 x 1024 px over 200 m, one thread; the parts of
 a row are timed in turn, and medians compared. Accuracy: every pixel of the reference is the mean
-of 377 points; gradients are compared with central differences of one of 6765.
+of 377 points. Gradients are compared in `birdview_truth`.
 """
 
 import subprocess
@@ -25,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.bench.birdview_peers import by_dense_torch, by_opencv, sampling_grid
-from geoaim.bench.birdview_truth import CAR, gradient_errors, picture_errors
+from geoaim.bench.birdview_truth import CAR, picture_errors
 from geoaim.bench.report import medians, peak_megabytes, save, table
 from geoaim.simulation import Boxes, Ground, View, fit_ground, make_ground, render
 from geoaim.synthetic import draw_place, make_place
@@ -213,9 +213,8 @@ def main(
     json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
     chart_path: Annotated[Path | None, typer.Option("--chart", help="speed against error")] = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 7,
-    scenes: Annotated[int, typer.Option(help="for the gradients")] = 200,
 ) -> None:
-    """Measure speed, memory, pictures and gradients; print tables, write JSON and a chart."""
+    """Measure speed, memory and pictures; print tables, write JSON and a chart when asked."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     texture = picture_of_place()
@@ -229,11 +228,9 @@ def main(
     pictures = [errors_at(exact, pixels) for pixels in (512, 256, 128, 64)]
     megabytes = memory(256, 64)
     print(table(pictures), f"{megabytes:.1f} MB a view", sep="\n\n", flush=True)
-    gradients = gradient_errors(scenes)
-    print(table(gradients))
-    command = f"python -m geoaim.bench.birdview --scenes {scenes} --repeats {repeats}"
-    more = {"ways": ways, "pictures": pictures, "gradients": gradients}
-    save(rows, json, command=command, torch=torch.__version__, megabytes_a_view=megabytes, **more)
+    command = f"python -m geoaim.bench.birdview --repeats {repeats}"
+    more = {"ways": ways, "pictures": pictures, "megabytes_a_view": megabytes}
+    save(rows, json, command=command, torch=torch.__version__, **more)
 
 
 if __name__ == "__main__":

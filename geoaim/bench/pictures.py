@@ -11,20 +11,28 @@ import numpy as np
 import typer
 from matplotlib.axes import Axes
 
+from geoaim.aim import AIM
 from geoaim.geometry import transform_points
+from geoaim.lights import read_lights
 from geoaim.mapping import (
     build_aim,
     open_video,
     read_boxes,
     transform_boxes,
 )
+from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.registration import choose_reference, place_frames
 from geoaim.quicklook import write_quicklook
+from geoaim.simulation import View, make_scene
+from geoaim.simulation.pictures import film_agent
+from geoaim.simulation.scene import agent_number, step_at
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.roads.layouts import Kind
+from geoaim.tracks import read_tracks
 
 METRES = 0.1  # a pixel of the drawn places
 MOMENT = 6.0  # s of the frame that is shown
+VIEWS = {"12": 7.0, "14": 12.0, "45": 7.0, "63": 30.0}  # agents and seconds
 DAYS: dict[Kind, Day] = {
     "junction": Day(),
     "t": Day(season="autumn", azimuth=0.7, elevation=0.7, number=1),
@@ -53,6 +61,7 @@ def main(
         axes[1].fill(*box.T, facecolor="#ff6a0060", edgecolor="#ff6a00", linewidth=1.2)
     figure.savefig(output / "video_to_aim.png", dpi=85)
     _show_places(output / "made_places.jpg")
+    _show_views(aim, samples, output / "views.jpg")
 
 
 def _show_places(path: Path) -> None:
@@ -68,6 +77,21 @@ def _show_places(path: Path) -> None:
             u, v = transform_points(image_from_world, states[:, :2]).T
             on_foot = kind_of_agent in ("pedestrian", "cyclist")
             axis.plot(u, v, color="#ffd400" if on_foot else "#ff3c28", linewidth=1.0)
+    figure.savefig(path, dpi=85)
+
+
+def _show_views(aim: AIM, samples: Path, path: Path) -> None:
+    """What four agents of the sample have around them."""
+    tracks = read_tracks(samples / "tracks.csv")
+    hdmap = read_hdmap(samples / "map.osm", tracks.world)
+    lights = read_lights(samples / "lights.csv", hdmap.stop_lines, hdmap.world)
+    scene = make_scene(aim, tracks, lights)
+    figure, axes = plt.subplots(1, 4, figsize=(16, 4.3), layout="constrained")
+    for axis, (name, time) in zip(axes, VIEWS.items(), strict=True):
+        agent = agent_number(scene, name)
+        step = step_at(scene, agent, time)[None]
+        (picture,) = film_agent(scene, agent, View(400, 400, 0.15), step, trail=2.0)
+        _show(axis, picture, f"{scene.types[agent]} {name}, {time:.0f} s")
     figure.savefig(path, dpi=85)
 
 

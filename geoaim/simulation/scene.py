@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.aim import AIM
+from geoaim.aim import AIM, rectify
 from geoaim.errors import TracksError
 from geoaim.lights import Lights, states_at
 from geoaim.simulation.ground import Ground, make_ground
@@ -47,7 +47,6 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     """A map with tracks and lights, brought into the map's world; grey where it shows nothing.
 
     Raises:
-        ValueError: the map is not affine; `geoaim.aim.rectify` it.
         TracksError: not all have a place on the Earth, or no track touches the map.
     """
     poses = _poses_in(tracks, aim.world)
@@ -78,13 +77,9 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
 
 
 def ground_of(aim: AIM) -> Ground:
-    """The map's image as a texture.
-
-    Raises:
-        ValueError: the map is not affine; `geoaim.aim.rectify` it.
-    """
+    """The map's image as a texture; north up where a tilted camera saw it."""
     if not aim.is_affine:
-        raise ValueError("the map's transform is not affine; use geoaim.aim.rectify first")
+        aim = rectify(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
     image_from_world = torch.tensor(np.linalg.inv(aim.world_from_image)[:2], dtype=torch.float32)
     return make_ground(image, image_from_world, known=torch.tensor(aim.coverage > 0))

@@ -1,15 +1,18 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
 from geoaim.aim import AIM
 from geoaim.errors import TracksError
+from geoaim.geometry import to_opencv
 from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
 from geoaim.simulation import (
     View,
     agents_at,
+    fit_ground,
     ground_share,
     layers_at,
     lights_at,
@@ -20,7 +23,7 @@ from geoaim.simulation import (
 )
 from geoaim.simulation.layers import EGO
 from geoaim.simulation.pictures import film_agent
-from geoaim.simulation.scene import agent_number, step_at
+from geoaim.simulation.scene import agent_number, ground_of, step_at
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world
 
@@ -153,8 +156,15 @@ def test_tracks_of_another_place_are_refused():
         make_scene(_aim(), _tracks(), _lights(World(None)))
 
 
-def test_tilted_map_is_refused():
-    aim = _aim()
-    tilt = aim.world_from_image + np.array([[0, 0, 0], [0, 0, 0], [1e-4, 0, 0]])
-    with pytest.raises(ValueError, match="rectify"):
-        make_scene(replace(aim, world_from_image=tilt), _tracks())
+def test_tilted_map_shows_the_same_place():
+    aim, rng = _aim(), np.random.default_rng(0)
+    image = rng.integers(0, 255, (200, 300, 3), np.uint8)
+    image = cv2.normalize(cv2.GaussianBlur(image, (0, 0), 4), None, 0, 255, cv2.NORM_MINMAX)
+    straight = replace(aim, image=image)
+    tilt = np.array([[1.0, 0, 0], [0, 1, 0], [1e-4, 5e-5, 1]])
+    warped = cv2.warpPerspective(image, to_opencv(np.linalg.inv(tilt)), (300, 200))
+    tilted = replace(aim, image=warped, world_from_image=aim.world_from_image @ tilt)
+    view, camera = View(40, 40, 0.3), torch.tensor([[35.0, 22.0, 0.4]])
+    grounds = [fit_ground(ground_of(a), view.resolution) for a in (straight, tilted)]
+    one, two = (render(view, camera, ground) for ground in grounds)
+    assert (one - two).abs().mean() < 0.1 * one.std()
