@@ -8,9 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import shapely
+from affine import Affine
 from jaxtyping import Float
 from numpy import ndarray as Array
-from shapely import MultiPolygon, Polygon
+from rasterio.features import rasterize
+from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
@@ -22,8 +24,8 @@ from geoaim.world import World, lonlat_from_world, world_from_lonlat
 NOT_DRIVEN = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
 DRIVEN_AREAS = ("parking",)
 GAP = 0.3  # m: gaps between lanes that are narrower are driven over
-Colour = int | tuple[int, int, int]
 FINER = 4  # cells of the mask in one of the distance, each way
+SPACING = 1.0  # m between places along a lane
 MARGIN = 20.0  # m around the area in which distances are told
 
 
@@ -58,6 +60,28 @@ def drivable_area(hdmap: HDMap) -> MultiPolygon:
         kinds = sorted({lanelet.subtype for lanelet in hdmap.lanelets})
         raise MapError(f"the map has no lane for vehicles, only {', '.join(kinds)}")
     return _closed(shapely.union_all([shapely.make_valid(part) for part in lanes + parks]))
+
+
+def lane_directions(
+    hdmap: HDMap,
+) -> tuple[Float[Array, "m 2"], Float[Array, "m"], Float[Array, "m"]]:
+    """Places along one-way lanes, the directions there, and how far to the side the lane goes."""
+    places, directions, reaches = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
+    for lanelet in hdmap.lanelets:
+        if lanelet.one_way and lanelet.subtype not in NOT_DRIVEN:
+            left, right = LineString(lanelet.left), LineString(lanelet.right)
+            count = max(2, int(np.ceil(max(left.length, right.length) / SPACING)) + 1)
+            shares = np.linspace(0, 1, count)
+            sides = [
+                shapely.get_coordinates(shapely.line_interpolate_point(x, shares, normalized=True))
+                for x in (left, right)
+            ]
+            middle, half = (sides[0] + sides[1]) / 2, np.linalg.norm(sides[0] - sides[1], axis=1)
+            ahead = np.gradient(middle, axis=0)
+            places.append(middle)
+            directions.append(np.arctan2(ahead[:, 1], ahead[:, 0]))
+            reaches.append(np.hypot(half / 2, SPACING / 2))
+    return np.concatenate(places), np.concatenate(directions), np.concatenate(reaches)
 
 
 def write_area(area: MultiPolygon, world: World, path: str | os.PathLike[str]) -> None:
@@ -108,8 +132,8 @@ def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDis
     width, height = np.ceil((high - low) / resolution).astype(int)
     top = low[1] + height * resolution
     fine = resolution / FINER
-    mask = np.zeros((height * FINER, width * FINER), np.uint8)
-    fill_area(mask, area, np.array([[1 / fine, 0, -low[0] / fine], [0, -1 / fine, top / fine]]), 1)
+    placed = Affine(fine, 0, low[0], 0, -fine, top)
+    mask = rasterize([area], (height * FINER, width * FINER), transform=placed, dtype=np.uint8)
     inside, outside = (
         cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (mask, 1 - mask)
     )
@@ -126,7 +150,10 @@ def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDis
 
 
 def fill_area(
-    image: Array, area: BaseGeometry, image_from_world: Float[Array, "2 3"], colour: Colour
+    image: Array,
+    area: BaseGeometry,
+    image_from_world: Float[Array, "2 3"],
+    colour: tuple[int, int, int],
 ) -> None:
     """Fill polygons with their holes, to the 1/256 of a pixel."""
     rings = [
@@ -138,8 +165,7 @@ def fill_area(
     ]
     fixed = [np.rint(points * 256).astype(np.int32) for points in corners]
     if fixed:
-        whole = colour if isinstance(colour, tuple) else (colour,)
-        cv2.fillPoly(image, fixed, whole, lineType=cv2.LINE_AA if image.ndim == 3 else 8, shift=8)
+        cv2.fillPoly(image, fixed, colour, lineType=cv2.LINE_AA, shift=8)
 
 
 def _closed(area: BaseGeometry) -> MultiPolygon:

@@ -6,12 +6,16 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
+from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.aim import AIM, rectify
 from geoaim.errors import TracksError
 from geoaim.lights import Lights, states_at
+from geoaim.mapping.drivable import lane_directions, signed_distance
+from geoaim.mapping.hdmap import HDMap
 from geoaim.simulation.ground import Ground, make_ground
+from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
 
@@ -24,6 +28,7 @@ class Scene:
         ground: the map.
         times: (T,) seconds.
         poses: (N, T, 3) x, y and heading in the map's world; NaN while absent.
+        speeds: (N, T) m/s, negative in reverse; NaN while absent.
         present: (N, T) whether the agent is there.
         sizes: (N, 2) length and width, metres.
         types: what each agent is.
@@ -35,6 +40,7 @@ class Scene:
     ground: Ground
     times: Float[Tensor, "T"]
     poses: Float[Tensor, "N T 3"]
+    speeds: Float[Tensor, "N T"]
     present: Bool[Tensor, "N T"]
     sizes: Float[Tensor, "N 2"]
     types: tuple[str, ...]
@@ -67,6 +73,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
         ground=ground_of(aim),
         times=torch.tensor(tracks.times, dtype=torch.float32),
         poses=torch.tensor(poses, dtype=torch.float32),
+        speeds=torch.tensor(tracks.states[..., 3], dtype=torch.float32),
         present=torch.tensor(tracks.present),
         sizes=torch.tensor(tracks.sizes, dtype=torch.float32),
         types=tracks.types,
@@ -83,6 +90,37 @@ def ground_of(aim: AIM) -> Ground:
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
     image_from_world = torch.tensor(np.linalg.inv(aim.world_from_image)[:2], dtype=torch.float32)
     return make_ground(image, image_from_world, known=torch.tensor(aim.coverage > 0))
+
+
+def drivable_of(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
+    """How far points of the world are from the edge of where vehicles may drive."""
+    found = signed_distance(area, resolution=resolution)
+    matrix = torch.tensor(found.image_from_world[:2], dtype=torch.float32)
+    return Drivable(torch.tensor(found.metres), matrix)
+
+
+def lanes_of(hdmap: HDMap) -> Lanes:
+    """The directions of a map's one-way lanes, at places along their middles."""
+    places, directions, reaches = (
+        torch.tensor(x, dtype=torch.float32) for x in lane_directions(hdmap)
+    )
+    return Lanes(places, directions, reaches)
+
+
+def tracks_of(scene: Scene, world: World) -> Tracks:
+    """What happens in a scene, back as tracks; agents that are never there are left out."""
+    seen = scene.present.any(dim=1).nonzero()[:, 0]
+    states = torch.cat([scene.poses, scene.speeds[..., None]], dim=-1)[seen].double()
+    present = scene.present[seen]
+    return Tracks(
+        times=np.round(scene.times.double().cpu().numpy(), 6),
+        states=torch.where(present[..., None], states, torch.nan).cpu().numpy(),
+        present=present.cpu().numpy(),
+        sizes=scene.sizes[seen].double().cpu().numpy(),
+        types=tuple(scene.types[k] for k in seen.tolist()),
+        ids=tuple(scene.ids[k] for k in seen.tolist()),
+        world=world,
+    )
 
 
 def agent_number(scene: Scene, name: str) -> int:

@@ -1,0 +1,117 @@
+"""Policies that need no training: as it was, straight on, on the same curve, along a path."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from geoaim.simulation.kinematics import AXLES, agents_action
+from geoaim.simulation.simulator import Policy, Recording
+
+GAP = 2.0  # m that stay to the vehicle ahead at standstill
+HEADWAY = 1.5  # s
+STRONGEST, COMFORTABLE = 1.5, 2.0  # m/s² of acceleration, of braking
+LANE = 2.0  # m from a path within which somebody is in the way
+AHEAD = 4.0  # m along the path that is steered at, at least
+LOOK = 0.8  # s of the way ahead that is steered at
+
+
+def constant_velocity(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
+    """No acceleration and no turn."""
+    return torch.zeros_like(path[:, -1, :, :2])
+
+
+def constant_turn_rate(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
+    """No acceleration, and the curve of the last step; straight on for whom there is none."""
+    if path.shape[1] < 2:
+        return constant_velocity(recording, path)
+    number = path.shape[1] - 1
+    there = recording.present[:, number - 1] & recording.present[:, number]
+    before = torch.where(there[..., None], path[:, -2], path[:, -1])
+    actions = agents_action(
+        before, path[:, -1], recording.sizes[..., 0], recording.on_foot, recording.seconds
+    )
+    return torch.stack([torch.zeros_like(actions[..., 0]), actions[..., 1]], dim=-1)
+
+
+def replay(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
+    """The actions that give each one the recorded speed and heading of the next step."""
+    number = path.shape[1]
+    lengths, feet = recording.sizes[..., 0], recording.on_foot
+    return agents_action(path[:, -1], recording.states[:, number], lengths, feet, recording.seconds)
+
+
+def intelligent_driver(routes: Float[Tensor, "B A P 2"], speeds: Float[Tensor, "B A"]) -> Policy:
+    """Along routes at the wanted speeds, keeping distance: the intelligent driver model.
+
+    Treiber et al. 2000; steered at a point of the route ahead (pure pursuit, Coulter 1992).
+    Somebody is in the way whose middle is near the route, further along it.
+
+    Args:
+        routes: points along each agent's way, metres; its last way goes on beyond them.
+        speeds: wanted, m/s.
+    """
+
+    def policy(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
+        states, present = path[:, -1], recording.present[:, path.shape[1] - 1]
+        sizes = recording.sizes
+        along, off = _on_routes(routes, states[..., :2])
+        mine = along.diagonal(dim1=1, dim2=2)
+        gap = along - mine[..., None] - (sizes[:, :, None, 0] + sizes[:, None, :, 0]) / 2
+        ahead = (along > mine[..., None]) & (off < LANE) & present[:, None]
+        ahead &= ~torch.eye(ahead.shape[1], dtype=torch.bool, device=ahead.device)
+        gap, leader = torch.where(ahead, gap, torch.inf).min(dim=-1)
+        other = states[..., 3].gather(1, leader)
+        closing = torch.where(torch.isfinite(gap), states[..., 3] - other, 0.0)
+        push = _acceleration(states[..., 3], speeds, gap, closing)
+        push = torch.maximum(push, -states[..., 3].clamp_min(0) / recording.seconds)
+        return torch.stack([push, _steering(routes, mine, states, sizes[..., 0])], dim=-1)
+
+    return policy
+
+
+def _acceleration(speed: Tensor, wanted: Tensor, gap: Tensor, closing: Tensor) -> Tensor:
+    brake = speed * closing / (2 * math.sqrt(STRONGEST * COMFORTABLE))
+    desired = GAP + (speed * HEADWAY + brake).clamp_min(0)
+    near = (desired / gap.clamp_min(0.1)).square()
+    return STRONGEST * (1 - (speed / wanted.clamp_min(0.1)) ** 4 - near)
+
+
+def _on_routes(
+    routes: Float[Tensor, "B A P 2"], places: Float[Tensor, "B N 2"]
+) -> tuple[Float[Tensor, "B A N"], Float[Tensor, "B A N"]]:
+    """How far along each route everybody is, and how far off it."""
+    start, way = routes[:, :, None, :-1], routes.diff(dim=2)[:, :, None]
+    long = way.norm(dim=-1).clamp_min(1e-6)
+    apart = places[:, None, :, None] - start
+    share = ((apart * way).sum(-1) / long.square()).clamp(0, 1)
+    off = (apart - share[..., None] * way).norm(dim=-1)
+    off, which = off.min(dim=-1)
+    before = long.cumsum(-1) - long
+    along = before + share * long
+    return along.gather(-1, which[..., None])[..., 0], off
+
+
+def _steering(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
+    """The front wheel's angle of the arc from the rear axle through a point of the route ahead."""
+    axles = AXLES * lengths
+    heading = torch.stack([states[..., 2].cos(), states[..., 2].sin()], dim=-1)
+    rear = states[..., :2] - heading * axles[..., None] / 2
+    look = torch.maximum(LOOK * states[..., 3].abs(), torch.full_like(along, AHEAD))
+    target = _point_at(routes, along + look) - rear
+    left = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
+    curve = 2 * left / target.square().sum(-1).clamp_min(1.0)
+    return torch.atan(axles * curve).clamp(-0.6, 0.6)
+
+
+def _point_at(routes: Tensor, along: Tensor) -> Tensor:
+    """The point of each route at a way along it; beyond its end straight on."""
+    ways = routes.diff(dim=2)
+    long = ways.norm(dim=-1).clamp_min(1e-6)
+    ends = long.cumsum(-1)
+    which = (ends < along[..., None]).sum(-1).clamp_max(long.shape[-1] - 1)[..., None]
+    rest = along[..., None] - (ends - long).gather(-1, which)
+    pick = which[..., None].expand(*which.shape, 2)
+    start, way = (x.gather(2, pick)[:, :, 0] for x in (routes[:, :, :-1], ways))
+    return start + way * (rest / long.gather(-1, which))

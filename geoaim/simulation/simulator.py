@@ -1,0 +1,163 @@
+"""A simulator: states go in, states come out, for a batch of scenes at once, with gradients.
+
+Agents that are controlled move by the actions of a policy; all others replay what was recorded.
+Presence follows the recording: an agent enters where it was recorded to enter, and leaves when it
+was recorded to leave.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from geoaim.simulation.kinematics import agents_step
+from geoaim.simulation.scene import Scene
+
+ON_FOOT = ("pedestrian",)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What happened in a batch of scenes, T steps of them.
+
+    Attributes:
+        states: (B, T, A, 4) x, y, heading, speed; 0 while absent.
+        present: (B, T, A).
+        sizes: (B, A, 2) length and width, metres.
+        on_foot: (B, A) who moves as a unicycle instead of a bicycle.
+        seconds: of a step.
+    """
+
+    states: Float[Tensor, "B T A 4"]
+    present: Bool[Tensor, "B T A"]
+    sizes: Float[Tensor, "B A 2"]
+    on_foot: Bool[Tensor, "B A"]
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """What happened in a simulation: states, who was present, and the actions of all steps."""
+
+    states: Float[Tensor, "B T A 4"]
+    present: Bool[Tensor, "B T A"]
+    actions: Float[Tensor, "B S A 2"]
+
+
+Policy = Callable[[Recording, Float[Tensor, "B t A 4"]], Float[Tensor, "B A 2"]]
+
+
+def record(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Recording:
+    """Cut as many steps out of a scene from each start on.
+
+    Raises:
+        ValueError: a start leaves too few steps, or the steps are not evenly spaced.
+    """
+    if len(starts) == 0 or int(starts.min()) < 0 or int(starts.max()) + steps > len(scene.times):
+        raise ValueError(
+            f"{steps} steps from {starts.tolist()} are not all among the scene's {len(scene.times)}"
+        )
+    gaps = scene.times.double().diff()
+    if steps < 2 or (gaps - gaps.median()).abs().max() > 0.01 * gaps.median():
+        raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
+    when = starts[:, None] + torch.arange(steps, device=starts.device)
+    present = scene.present[:, when].permute(1, 2, 0)
+    states = torch.cat([scene.poses, scene.speeds[..., None]], dim=-1)[:, when].permute(1, 2, 0, 3)
+    states = torch.where(present[..., None], states, 0.0)
+    feet = torch.tensor([kind in ON_FOOT for kind in scene.types], device=starts.device)
+    count = len(starts)
+    return Recording(
+        states,
+        present,
+        scene.sizes.expand(count, -1, -1),
+        feet.expand(count, -1),
+        float(gaps.median()),
+    )
+
+
+def simulated(scene: Scene, found: Rollout, start: int, number: int = 0) -> Scene:
+    """One of the simulations as a scene, to be drawn or written; it began at that step."""
+    steps = slice(start, start + found.states.shape[1])
+    states = found.states[number].detach().transpose(0, 1)
+    return replace(
+        scene,
+        times=scene.times[steps],
+        poses=states[..., :3],
+        speeds=states[..., 3],
+        present=found.present[number].t(),
+        light_states=scene.light_states[steps],
+    )
+
+
+def routes_of(recording: Recording) -> Float[Tensor, "B A T 2"]:
+    """The ways that agents were recorded to go; where they are absent, the end of it."""
+    there = recording.present.transpose(1, 2)
+    numbers = torch.arange(there.shape[2], device=there.device).expand(there.shape)
+    before = torch.where(there, numbers, -1).cummax(dim=2).values
+    first = torch.where(there, numbers, there.shape[2] - 1).amin(dim=2, keepdim=True)
+    nearest = torch.where(before < 0, first, before)[..., None].expand(-1, -1, -1, 2)
+    return recording.states[..., :2].transpose(1, 2).gather(2, nearest)
+
+
+def step(
+    recording: Recording,
+    number: int,
+    states: Float[Tensor, "B A 4"],
+    actions: Float[Tensor, "B A 2"],
+    controlled: Bool[Tensor, "B A"],
+) -> Float[Tensor, "B A 4"]:
+    """The states after a step: controlled agents by their actions, others as recorded."""
+    both = recording.present[:, number] & recording.present[:, number + 1]
+    mine = (controlled & both)[..., None]
+    safe = torch.where(mine, actions, 0.0)
+    lengths = recording.sizes[..., 0]
+    moved = agents_step(states, safe, lengths, recording.on_foot, recording.seconds)
+    return torch.where(mine, moved, recording.states[:, number + 1])
+
+
+def rollout(
+    recording: Recording,
+    policy: Policy,
+    controlled: Bool[Tensor, "B A"],
+    *,
+    observed: int = 1,
+    lean: bool = False,
+) -> Rollout:
+    """Simulate the steps of a recording.
+
+    Args:
+        recording: whom to replay, and where everybody starts.
+        policy: from the recording's constants and the states so far, (B, t, A, 4), to the actions
+            of all agents; it must not look at later steps of the recording. Noise is its own, from
+            a generator that it holds.
+        controlled: whom the policy moves.
+        observed: so many first steps are replayed by all.
+        lean: keep states alone for the gradient and compute each step again on the way back.
+
+    Raises:
+        ValueError: nothing is left to simulate, or an action is not finite.
+    """
+    total = recording.states.shape[1]
+    if not 1 <= observed < total:
+        raise ValueError(f"{observed} of {total} steps are observed; from 1 to {total - 1} can be")
+    path = list(recording.states[:, :observed].unbind(1))
+    actions = []
+
+    def one(number: int, *path: Tensor) -> tuple[Tensor, Tensor]:
+        action = policy(recording, torch.stack(path, dim=1))
+        return step(recording, number, path[-1], action, controlled), action
+
+    for number in range(observed - 1, total - 1):
+        if lean:
+            after, action = checkpoint(one, number, *path, use_reentrant=False)
+        else:
+            after, action = one(number, *path)
+        moved = controlled & recording.present[:, number] & recording.present[:, number + 1]
+        if not torch.isfinite(action[moved]).all():
+            raise ValueError(f"at step {number} the policy gives an action that is not finite")
+        path.append(after)
+        actions.append(action)
+    return Rollout(torch.stack(path, dim=1), recording.present, torch.stack(actions, dim=1))

@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+import torch
+from shapely import MultiPolygon, Point, Polygon, box
+
+from geoaim.lights import GREEN, RED, UNKNOWN
+from geoaim.mapping.drivable import signed_distance
+from geoaim.simulation.infractions import (
+    Drivable,
+    Lanes,
+    collisions,
+    distance_at,
+    offroad_distance,
+    ran_red,
+    rate,
+    wrong_way,
+)
+
+AREA = MultiPolygon([Polygon(box(-40, -5, 40, 5).exterior, [box(-2, -2, 2, 2).exterior.coords])])
+CAR = torch.tensor([4.0, 2.0])
+
+
+def _drivable(resolution=0.2):
+    found = signed_distance(AREA, resolution=resolution)
+    matrix = torch.tensor(found.image_from_world[:2], dtype=torch.float32)
+    return Drivable(torch.tensor(found.metres), matrix)
+
+
+def test_distance_is_that_of_the_polygon():
+    generator = np.random.default_rng(0)
+    points = generator.uniform([-55, -20], [55, 20], (500, 2))
+    outline = AREA.boundary
+    wanted = [(-1) ** AREA.contains(Point(p)) * outline.distance(Point(p)) for p in points]
+    found = distance_at(_drivable(), torch.tensor(points, dtype=torch.float32))
+    assert np.abs(found.numpy() - wanted).max() < 0.15  # at the bends of the distance
+    assert np.abs(found.numpy() - wanted).mean() < 0.02
+
+
+def test_distance_goes_on_beyond_the_raster():
+    near, far = distance_at(_drivable(), torch.tensor([[0.0, 24.0], [0.0, 124.0]]))
+    assert float(far - near) == pytest.approx(100, abs=0.2)
+
+
+def test_corner_furthest_out_counts():
+    poses = torch.tensor([[20.0, 3.5, 0.0], [20.0, 4.5, 0.0], [torch.nan] * 3])
+    present = torch.tensor([True, True, False])
+    metres = offroad_distance(_drivable(), poses, CAR.expand(3, 2), present)
+    np.testing.assert_allclose(metres.numpy(), [0, 0.5, 0], atol=0.05)
+
+
+def test_gradient_leads_back_to_the_road():
+    poses = torch.tensor([[20.0, 8.0, 0.0], [200.0, 0.0, 0.0]], requires_grad=True)
+    metres = offroad_distance(_drivable(), poses, CAR.expand(2, 2), torch.ones(2).bool())
+    (gradient,) = torch.autograd.grad(metres.sum(), poses)
+    torch.testing.assert_close(gradient[0, :2], torch.tensor([0.0, 1.0]), atol=0.05, rtol=0)
+    torch.testing.assert_close(gradient[1, :2], torch.tensor([1.0, 0.0]), atol=0.05, rtol=0)
+
+
+def test_collision_is_the_largest_overlap():
+    poses = torch.tensor([[[0.0, 0, 0], [3.0, 0, 0], [3.5, 0, 0], [0.0, 30, 0]]])
+    found = collisions(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())[0]
+    wanted = torch.tensor([1 / 7, 3.5 / 4.5, 3.5 / 4.5, 0])
+    torch.testing.assert_close(found, wanted, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "state", "ran"),
+    [
+        (-3.0, -1.0, RED, True),
+        (-3.0, -1.0, GREEN, False),
+        (-3.0, -1.0, UNKNOWN, False),
+        (-5.0, -3.0, RED, False),  # still before the line
+        (1.0, 3.0, RED, False),  # long past it
+    ],
+)
+def test_red_light_counts_when_the_front_crosses_its_line(start, end, state, ran):
+    line = torch.tensor([[[0.0, -2.0], [0.0, 2.0]]])
+    before, after = torch.tensor([[[start, 0.0, 0.0]]]), torch.tensor([[[end, 0.0, 0.0]]])
+    lengths, there = torch.full((1, 1), 4.0), torch.ones(1, 1).bool()
+    states = torch.tensor([[state]])
+    assert bool(ran_red(before, after, lengths, there, line, states)) is ran
+    beside = torch.tensor([0.0, 4.0, 0.0])
+    assert not ran_red(before + beside, after + beside, lengths, there, line, states)
+
+
+def test_wrong_way_is_against_every_lane_below():
+    lanes = Lanes(
+        torch.tensor([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]]),
+        torch.tensor([0.0, 0.0, np.pi]),
+        torch.tensor([1.8, 1.8, 1.8]),
+    )
+    poses = torch.tensor(
+        [[0.5, 0, 0.2], [0.5, 0, np.pi], [0, 3, np.pi], [0, 1.5, np.pi], [30, 0, np.pi]]
+    )
+    there = torch.ones(5, dtype=torch.bool)
+    assert wrong_way(lanes, poses, there).tolist() == [False, True, False, False, False]
+    assert not wrong_way(lanes, poses, ~there).any()
+
+
+def test_rate_is_the_share_of_those_present():
+    wrong, present = (
+        torch.tensor([True, True, False, False]),
+        torch.tensor([True, False, True, True]),
+    )
+    assert float(rate(wrong, present)) == pytest.approx(1 / 3)
+    assert float(rate(wrong, torch.zeros(4).bool())) == 0

@@ -1,0 +1,54 @@
+import numpy as np
+import shapely
+import torch
+
+from geoaim.simulation.overlap import box_corners, box_iou, shared_area
+
+
+def _pairs(count=4000):
+    """Random ones, the same box twice, boxes in line and across."""
+    generator = torch.Generator().manual_seed(0)
+    poses = torch.rand(count, 2, 3, generator=generator, dtype=torch.float64) * 4
+    sizes = torch.rand(count, 2, 2, generator=generator, dtype=torch.float64) * 4 + 0.5
+    poses[:1000, 1] = poses[:1000, 0]
+    sizes[:500, 1] = sizes[:500, 0]
+    poses[1000:1500, 1, 2] = poses[1000:1500, 0, 2]
+    poses[1500:2000, 1, 2] = poses[1500:2000, 0, 2] + np.pi / 2
+    return poses, sizes
+
+
+def _by_shapely(poses, sizes):
+    polygons = shapely.polygons(box_corners(poses, sizes).numpy())
+    shared = shapely.area(shapely.intersection(polygons[:, 0], polygons[:, 1]))
+    return shared, shared / (sizes.prod(-1).sum(1).numpy() - shared)
+
+
+def test_overlap_is_shapelys():
+    poses, sizes = _pairs()
+    _, wanted = _by_shapely(poses, sizes)
+    for dtype in (torch.float64, torch.float32):
+        iou = box_iou(poses.to(dtype), sizes.to(dtype), torch.ones(len(poses), 2).bool())
+        assert np.abs(iou[:, 0, 1].double().numpy() - wanted).max() < 1e-5
+
+
+def test_overlap_does_not_depend_on_where_it_is():
+    poses, sizes = (x.float() for x in _pairs())
+    far = poses + torch.tensor([4000.0, -3000.0, 0.0])
+    apart = shared_area(far, sizes) - shared_area(poses, sizes)
+    assert apart.abs().max() < 0.01  # float32 places are half a millimetre apart there
+
+
+def test_overlap_has_right_gradients():
+    poses, sizes = (x[2000:2100].clone().requires_grad_() for x in _pairs())
+    assert torch.autograd.gradcheck(shared_area, (poses, sizes))
+
+
+def test_absent_and_distant_agents_hit_nobody():
+    poses = torch.tensor([[[0.0, 0, 0], [1.0, 0, 0], [torch.nan] * 3, [50.0, 0, 0]]])
+    sizes = torch.tensor([4.0, 2.0]).expand(1, 4, 2)
+    present = torch.tensor([[True, True, False, True]])
+    iou = box_iou(poses, sizes, present)[0]
+    assert torch.isfinite(iou).all()
+    torch.testing.assert_close(iou[0, 1], torch.tensor(6 / 10), atol=1e-5, rtol=0)
+    torch.testing.assert_close(iou, iou.t())
+    assert iou.count_nonzero() == 2

@@ -1,0 +1,147 @@
+import numpy as np
+import pytest
+import torch
+
+from geoaim.simulation import Boxes, View, make_ground, render
+from geoaim.simulation.kinematics import bicycle_step
+from geoaim.simulation.policies import (
+    constant_turn_rate,
+    constant_velocity,
+    intelligent_driver,
+    replay,
+)
+from geoaim.simulation.simulator import Recording, rollout
+
+DT = 0.1
+
+
+def _recording(steps=21, dtype=torch.float64):
+    """A car straight on, one on a circle, somebody on foot who comes late and goes early."""
+    time = torch.arange(steps, dtype=dtype) * DT
+    zero = torch.zeros_like(time)
+    straight = torch.stack([10 * time, zero, zero, zero + 10], -1)
+    circle = [torch.tensor([-30.0, 0, 0, 8], dtype=dtype)]
+    for _ in time[1:]:
+        turn = torch.tensor([0.0, 0.3], dtype=dtype)
+        circle.append(bicycle_step(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
+    walker = torch.stack([zero + 5, time - 6, zero + np.pi / 2, zero + 1], -1)
+    states = torch.stack([straight, torch.stack(circle), walker], 1)[None]
+    present = torch.ones(1, steps, 3, dtype=torch.bool)
+    present[0, :5, 2] = present[0, 15:, 2] = False
+    sizes = torch.tensor([[[4.5, 1.9], [4.5, 1.9], [0.5, 0.5]]], dtype=dtype)
+    states = torch.where(present[..., None], states, 0.0)
+    return Recording(states, present, sizes, torch.tensor([[False, False, True]]), DT)
+
+
+EVERYBODY = torch.ones(1, 3, dtype=torch.bool)
+
+
+def test_replayed_actions_are_the_recording():
+    recording = _recording()
+    found = rollout(recording, replay, EVERYBODY)
+    apart = (found.states - recording.states)[..., :2].norm(dim=-1)
+    assert apart[recording.present].max() < 1e-6
+    assert torch.equal(found.present, recording.present)
+    assert found.actions.shape == (1, 20, 3, 2)
+
+
+def test_uncontrolled_agents_do_what_was_recorded():
+    recording = _recording()
+
+    def wild(recording, path):
+        return torch.full_like(path[:, -1, :, :2], 0.5)
+
+    controlled = torch.tensor([[True, False, False]])
+    found = rollout(recording, wild, controlled)
+    torch.testing.assert_close(found.states[:, :, 1:], recording.states[:, :, 1:])
+    assert (found.states[0, -1, 0] - recording.states[0, -1, 0]).norm() > 1
+
+
+def test_agents_enter_where_they_were_recorded_to():
+    recording = _recording()
+    found = rollout(recording, constant_velocity, EVERYBODY)
+    torch.testing.assert_close(found.states[0, 5, 2], recording.states[0, 5, 2])
+    torch.testing.assert_close(found.states[0, 14, 2], recording.states[0, 14, 2])
+    assert not found.states[0, 15:, 2].any()
+
+
+def test_simple_policies_go_straight_on_and_round():
+    recording = _recording()
+    straight = rollout(recording, constant_velocity, EVERYBODY, observed=5)
+    round_on = rollout(recording, constant_turn_rate, EVERYBODY, observed=5)
+    torch.testing.assert_close(straight.states[:, :, 0], recording.states[:, :, 0])
+    assert (straight.states - recording.states)[0, -1, 1, :2].norm() > 0.5
+    assert (round_on.states - recording.states)[0, -1, 1, :2].norm() < 1e-6
+
+
+def test_intelligent_driver_follows_its_route_and_stops_behind_others():
+    steps = 300
+    still = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
+    still[:, :, 0, 3], still[:, :, 1, 0] = 8.0, 80.0
+    sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
+    there = torch.ones(1, steps, 2, dtype=torch.bool)
+    recording = Recording(still, there, sizes, torch.zeros(1, 2).bool(), DT)
+    bend = torch.linspace(0, 80, 81).double()
+    route = torch.stack([bend, 6 * torch.sin(bend / 80 * np.pi)], -1).expand(1, 2, 81, 2)
+    policy = intelligent_driver(route, torch.full((1, 2), 12.0).double())
+    found = rollout(recording, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    assert found[:, 3].max() > 9
+    assert found[-1, 3].abs() < 0.1
+    gap = 80 - float(found[-1, 0]) - 4.5
+    assert 1.5 < gap < 3.5
+    near = torch.cdist(found[:, :2], route[0, 0]).min(dim=1).values
+    assert near.max() < 1.0
+
+
+def test_gradients_through_ten_steps_of_looking_and_driving():
+    """Render, policy, kinematics, closed loop, against central differences."""
+    recording = _recording(steps=11)
+    v, u = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
+    image = (0.5 + 0.3 * torch.sin(u / 6) * torch.cos(v / 8)).double()[None]
+    ground = make_ground(image, torch.tensor([[1.0, 0, 32], [0, -1.0, 32]]).double())
+    view, colours = View(8, 8, 3.0), torch.ones(3, 1).double()
+    weights = torch.randn(64, 2, generator=torch.Generator().manual_seed(0)).double() * 0.05
+
+    def last(weights):
+        def policy(recording, path):
+            now = path[:, -1]
+            here = recording.present[:, path.shape[1] - 1]
+            everyone = Boxes(now[..., :3], recording.sizes[0], colours, here)
+            pictures = [render(view, now[:, a, :3], ground, [everyone]) for a in range(3)]
+            return torch.stack([picture.flatten(1) @ weights for picture in pictures], 1)
+
+        return rollout(recording, policy, EVERYBODY).states[:, -1, :2]
+
+    given = weights.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(last(given).sum(), given)
+    for row, column in ((3, 0), (20, 1), (36, 0), (50, 1)):
+        step = torch.zeros_like(weights)
+        step[row, column] = 1e-5
+        wanted = (last(weights + step).sum() - last(weights - step).sum()) / 2e-5
+        assert float(gradient[row, column]) == pytest.approx(float(wanted), rel=2e-3, abs=1e-4)
+
+
+def test_lean_rollout_has_the_same_gradients():
+    recording = _recording()
+    push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
+
+    def policy(recording, path):
+        return push * torch.ones_like(path[:, -1, :, :2])
+
+    full, lean = (
+        torch.autograd.grad(rollout(recording, policy, EVERYBODY, lean=lean).states.sum(), push)[0]
+        for lean in (False, True)
+    )
+    torch.testing.assert_close(full, lean)
+
+
+def test_what_cannot_be_simulated_is_refused():
+    recording = _recording()
+    with pytest.raises(ValueError, match="from 1 to 20 can be"):
+        rollout(recording, constant_velocity, EVERYBODY, observed=21)
+
+    def lost(recording, path):
+        return torch.full_like(path[:, -1, :, :2], torch.nan)
+
+    with pytest.raises(ValueError, match="at step 0 the policy gives an action"):
+        rollout(recording, lost, EVERYBODY)
