@@ -26,7 +26,12 @@ from rich.text import Text
 from geoaim.errors import GeoaimError, GeoaimWarning
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from geoaim.aim import AIM
+    from geoaim.mapping.hdmap import HDMap
+    from geoaim.simulation.scene import Scene
+    from geoaim.world import World
 
 app = typer.Typer(
     name="geoaim",
@@ -42,6 +47,7 @@ Points = Annotated[
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
 BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
+PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
 PlaceKind = Literal["junction", "t", "roundabout", "street"]
 VideoSize = Literal["none", "720p", "1080p", "4k"]
 AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build")]
@@ -181,34 +187,56 @@ def render(
 ) -> None:
     """Draw what an agent has around it: the map, heading up, with all agents on it.
 
-    Traffic lights are bars on their stop lines; they need both --lights and --hdmap.
+    Traffic lights are bars on their stop lines; --lights has states, --hdmap stop lines.
     """
-    from geoaim.aim import read_aim
-    from geoaim.lights import read_lights
-    from geoaim.mapping.hdmap import read_hdmap
-    from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import film_agent, write_pictures
-    from geoaim.simulation.scene import agent_number, make_scene, step_at
-    from geoaim.tracks import read_tracks
+    from geoaim.simulation.scene import agent_number, step_at
 
     with _stages() as progress, _plain_errors():
         _refuse_output(output)
-        if (lights is None) != (hdmap is None):
-            raise ValueError("--lights and --hdmap go together: one has states, one stop lines")
-        moved, signals = read_tracks(tracks), None
-        if lights is not None and hdmap is not None:
-            known = read_hdmap(hdmap, moved.world)
-            signals = read_lights(lights, known.stop_lines, known.world)
-        scene = make_scene(read_aim(aim), moved, signals)
+        scene, _, _ = _scene(aim, tracks, lights, hdmap)
         agent = agent_number(scene, ego)
-        steps = scene.present[agent].nonzero()[:, 0]
-        if output.suffix.lower() == ".png":
-            steps = step_at(scene, agent, time)[None]
-        view = View(size, size, metres / size)
-        rate = 1 / float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
-        frames = _counted(film_agent(scene, agent, view, steps, trail=trail), len(steps), progress)
-        write_pictures(frames, output, rate=rate)
-    console.print(f"{output}: {len(steps)} pictures of {size} x {size} px around agent {ego}")
+        step = step_at(scene, agent, time) if output.suffix.lower() == ".png" else None
+        count = _film(
+            scene, ego, output, progress, step=step, size=size, metres=metres, trail=trail
+        )
+    console.print(f"{output}: {count} pictures of {size} x {size} px around agent {ego}")
+
+
+@app.command()
+def simulate(
+    aim: AimFile,
+    tracks: Annotated[Path, typer.Option(help="tracks in the plain format, .csv or .parquet")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="tracks to write, .csv or .parquet")
+    ],
+    policy: Annotated[PolicyName, typer.Option(help="who drives")] = "idm",
+    ego: Annotated[str | None, typer.Option(help="id of who drives; all if left out")] = None,
+    start: Annotated[float, typer.Option(help="s of the tracks at which it begins")] = 0.0,
+    seconds: Annotated[float, typer.Option(help="to simulate", min=0.1)] = 6.0,
+    film: Annotated[Path | None, typer.Option(help=".mp4 or .gif around the ego to write")] = None,
+    lights: Annotated[Path | None, typer.Option(help="changes of traffic lights, .csv")] = None,
+    hdmap: Annotated[Path | None, typer.Option(help="lanelet2 map: lanes and stop lines")] = None,
+) -> None:
+    """Let agents drive by a policy among those who replay, and count what went wrong.
+
+    Those who are not controlled do what the tracks say. Policies: constant-velocity,
+    constant-turn-rate, idm (along the recorded way, keeping distance), replay.
+    """
+    from geoaim.simulation.episodes import simulate_scene
+    from geoaim.simulation.scene import tracks_of
+    from geoaim.tracks import write_tracks
+
+    with _stages() as progress, _plain_errors():
+        _refuse_output(output)
+        if film is not None and ego is None:
+            raise ValueError("--film needs --ego, in whose middle the film is")
+        scene, known, world = _scene(aim, tracks, lights, hdmap)
+        episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=seconds, hdmap=known)
+        write_tracks(tracks_of(episode.scene, world), output)
+        if film is not None and ego is not None:
+            _film(episode.scene, ego, film, progress)
+    rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
+    console.print(f"{output}: {int(episode.controlled.sum())} agents by {policy}. {rates}")
 
 
 @app.command()
@@ -243,6 +271,50 @@ def _counted(
     for number, frame in enumerate(frames, 1):
         progress("render", number, total)
         yield frame
+
+
+def _scene(
+    aim: Path, tracks: Path, lights: Path | None, hdmap: Path | None
+) -> tuple["Scene", "HDMap | None", "World"]:
+    """A scene of files, and its HD map and world."""
+    from geoaim.aim import read_aim
+    from geoaim.lights import read_lights
+    from geoaim.mapping.hdmap import read_hdmap
+    from geoaim.simulation.scene import make_scene
+    from geoaim.tracks import read_tracks
+
+    if lights is not None and hdmap is None:
+        raise ValueError("--lights needs --hdmap, where the stop lines are")
+    place = read_aim(aim)
+    known = None if hdmap is None else read_hdmap(hdmap, place.world)
+    signals = None
+    if lights is not None and known is not None:
+        signals = read_lights(lights, known.stop_lines, known.world)
+    return make_scene(place, read_tracks(tracks), signals), known, place.world
+
+
+def _film(
+    scene: "Scene",
+    ego: str,
+    path: Path,
+    progress: Callable[[str, float, float | None], None],
+    *,
+    step: "Tensor | None" = None,
+    size: int = 512,
+    metres: float = 80.0,
+    trail: float = 2.0,
+) -> int:
+    """Draw what an agent has around it at one step or at all of its steps; how many they were."""
+    from geoaim.simulation.ground import View
+    from geoaim.simulation.pictures import film_agent, write_pictures
+    from geoaim.simulation.scene import agent_number
+
+    agent = agent_number(scene, ego)
+    steps = scene.present[agent].nonzero()[:, 0] if step is None else step[None]
+    rate = 1 / float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
+    frames = film_agent(scene, agent, View(size, size, metres / size), steps, trail=trail)
+    write_pictures(_counted(frames, len(steps), progress), path, rate=rate)
+    return len(steps)
 
 
 @contextmanager

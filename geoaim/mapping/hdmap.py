@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from shapely import LineString
+from shapely.ops import polygonize
 
 from geoaim.errors import MapError
 from geoaim.world import LONLAT, World, choose_world, transform_crs, world_from_lonlat
@@ -111,8 +113,8 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
 
 def _parse(path: Path) -> ET.Element:
     content = path.read_bytes()
-    if any(section in content for section in SECTION):
-        raise MapError(f"{path} defines XML entities, which no map needs; it is not read")
+    if b"\0" in content or any(section in content for section in SECTION):
+        raise MapError(f"{path} defines XML entities, or is no UTF-8; no map needs that")
     try:
         root = ET.fromstring(content)
     except ET.ParseError as error:
@@ -187,18 +189,23 @@ def _members(relation: ET.Element, role: str) -> list[str | None]:
 def _areas(relations: list[ET.Element], ways: Mapping[str | None, MapLine]) -> Iterator[MapLine]:
     for relation in relations:
         if _tag(relation, "type") == "multipolygon":
-            rings = [ways[ref].points for ref in _members(relation, "outer") if ref in ways]
-            if rings:
-                yield MapLine("area", _tag(relation, "subtype"), np.concatenate(rings))
+            sides = [ways[ref].points for ref in _members(relation, "outer") if ref in ways]
+            if len(sides) == 1:  # whether or not the file repeats the first point
+                sides = [np.concatenate([sides[0], sides[0][:1]])]
+            for ring in polygonize([LineString(side) for side in sides if len(side) > 1]):
+                yield MapLine("area", _tag(relation, "subtype"), np.asarray(ring.exterior.coords))
 
 
 def _stop_lines(
     relations: list[ET.Element], ways: Mapping[str | None, MapLine]
 ) -> Iterator[tuple[str, Float[Array, "2 2"]]]:
-    """The lights' names, or their numbers where they have none, and the ends of their lines."""
+    """The lights' names and the ends of their lines; numbers for who has no name of its own."""
+    seen = {""}
     for relation in relations:
         if _tag(relation, "subtype") == "traffic_light":
             refs = [ref for ref in _members(relation, "ref_line") if ref in ways]
             if refs and len(ways[refs[0]].points) > 1:
-                name = _tag(relation, "name") or str(relation.get("id"))
-                yield name, ways[refs[0]].points[[0, -1]]
+                name, number = _tag(relation, "name"), str(relation.get("id"))
+                same = name in seen
+                seen.add(name)
+                yield f"{name} {number}".strip() if same else name, ways[refs[0]].points[[0, -1]]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from geoaim.simulation.coverage import pixel_coverage
 from geoaim.simulation.ground import Ground, View, ground_seen, unfolded
@@ -63,11 +64,12 @@ def render(
     >>> picture[0, 0, :, 1].tolist()
     [0.0, 0.5, 0.75, 0.5]
     """
-    _check(cameras, boxes)
+    _check(cameras, ground, boxes)
     for layer in boxes:
-        if layer.colours.shape[-1] != len(ground.image):
-            found = layer.colours.shape[-1]
-            raise ValueError(f"colours of {found} channels on a ground of {len(ground.image)}")
+        for colours in (layer.colours, layer.noses):
+            if colours is not None and colours.shape[-1] != len(ground.image):
+                found = colours.shape[-1]
+                raise ValueError(f"colours of {found} channels on a ground of {len(ground.image)}")
     flat = ground_seen(view, cameras, ground.image, ground.image_from_world)
     for layer in boxes:
         flat = _paint(flat, view, cameras, layer)
@@ -88,7 +90,7 @@ def render_layers(
     >>> render_layers(View(4, 4, 1.0), torch.zeros(1, 3), ground, [car, car]).shape
     torch.Size([1, 5, 4, 4])
     """
-    _check(cameras, boxes)
+    _check(cameras, ground, boxes)
     planes = [ground_seen(view, cameras, ground.image, ground.image_from_world)]
     for layer in boxes:
         one = torch.ones_like(layer.poses[..., :1])
@@ -103,17 +105,19 @@ def _paint(
 ) -> Float[Tensor, "C P"]:
     """The pictures with boxes laid over them, in place."""
     views, count = boxes.poses.shape[:2]
-    sizes = boxes.sizes.expand(views, count, 2).reshape(-1, 2) / view.resolution
-    present, poses = boxes.present, boxes.poses
+    present = boxes.present
     if present is None:
-        present = torch.ones_like(poses[..., 0], dtype=torch.bool)
-    else:  # whatever absent ones hold reaches no gradient
-        poses = torch.where(present[..., None], poses, 0.0)
+        present = torch.ones_like(boxes.poses[..., 0], dtype=torch.bool)
+    # whatever absent ones hold reaches no gradient
+    poses = torch.where(present[..., None], boxes.poses, 0.0)
+    sizes = torch.where(present[..., None], boxes.sizes, 1.0).reshape(-1, 2) / view.resolution
     middle, axis = _in_pixels(view, cameras, poses)
     with torch.no_grad():
-        owner, pixel, place = _bounds(view, middle, axis, sizes, present.reshape(-1), count)
-        touched, rim, front = _near_edges(owner, place, middle, axis, sizes)
-        owner, pixel, place = owner[touched], pixel[touched], place[touched]
+        owner, place = _touched(view, middle, axis, sizes, present.reshape(-1))
+        rim, front = _near_edges(owner, place, middle, axis, sizes)
+        column, row = place.unbind(1)
+        pixel = (owner // count * view.height + row) * view.width + column
+        place = place.to(middle)
     if len(owner) == 0:
         return flat
     side = torch.stack([axis[:, 1], -axis[:, 0]], dim=1)
@@ -151,6 +155,7 @@ class _Over(torch.autograd.Function):
         return flat
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, *grads):  # type: ignore[no-untyped-def]
         alpha, pixel, below, *turns = ctx.saved_tensors
         of_flat, of_light = grads[0].clone(), torch.empty_like(below)
@@ -181,50 +186,58 @@ def _in_pixels(
     return torch.stack([u, v], dim=-1).reshape(-1, 2), axis.reshape(-1, 2)
 
 
-def _bounds(
+def _touched(
     view: View,
     middle: Float[Tensor, "N 2"],
     axis: Float[Tensor, "N 2"],
     sizes: Float[Tensor, "N 2"],
     present: Bool[Tensor, "N"],
-    count: int,
-) -> tuple[Int[Tensor, "n"], Int[Tensor, "n"], Float[Tensor, "n 2"]]:
-    """Pixels within the bounds of each box: whose, their number among all, and their corner."""
-    reach = (axis.abs() * sizes[:, :1] + axis.flip(1).abs() * sizes[:, 1:]) / 2
-    limit = middle.new_tensor([view.width, view.height])
-    low = torch.minimum((middle - reach).floor().clamp_min(0), limit).nan_to_num(0).long()
-    high = torch.minimum((middle + reach).ceil().clamp_min(0), limit).nan_to_num(0).long()
-    wide, tall = ((high - low).clamp_min(0) * present[:, None]).unbind(1)
-    counts = wide * tall
-    start = counts.cumsum(0) - counts
-    above = torch.arange(len(middle), device=middle.device) // count * view.height
+) -> tuple[Int[Tensor, "n"], Int[Tensor, "n 2"]]:
+    """Pixels in or near each box, row by row: whose they are, and their columns and rows."""
+    half = sizes / 2 + RIM
+    v, reach = middle[:, 1], (axis.abs().flip(1) * half).sum(1)
+    top, bottom = _span(v - reach, v + reach, view.height)
+    box, row = _expanded((bottom - top).clamp_min(0) * present, top)
+    u, v, right, down, long, wide = torch.cat([middle, axis, half], dim=1)[box].unbind(1)
+    y = row + 0.5 - v
+    ends = []
+    for slope, shift, most in ((right, y * down, long), (down, -y * right, wide)):
+        safe = torch.where(slope.abs() < 1e-6, 1e-6, slope)  # |x * slope + shift| is at most `most`
+        ends.append(torch.stack([(-most - shift) / safe, (most - shift) / safe]).sort(0).values)
+    (low, high), (left, far) = ends
+    first, last = _span(u + torch.maximum(low, left), u + torch.minimum(high, far), view.width)
+    line, column = _expanded((last - first).clamp_min(0), first)
+    return box[line], torch.stack([column, row[line]], dim=1)
+
+
+def _span(low: Float[Tensor, "n"], high: Float[Tensor, "n"], count: int) -> tuple[Tensor, Tensor]:
+    """The first pixel whose middle lies between, and the one after the last."""
+    first, last = (low - 0.5).ceil().clamp(0, count), (high + 0.5).floor().clamp(0, count)
+    return first.long(), last.long()
+
+
+def _expanded(counts: Int[Tensor, "N"], first: Int[Tensor, "N"]) -> tuple[Tensor, Tensor]:
+    """So many numbers for each, from its first on; and whose they are."""
     owner = torch.repeat_interleave(counts)
-    table = torch.stack([start, wide, low[:, 0], low[:, 1], above], dim=1)
-    begin, step, left, top, shift = table[owner].unbind(1)
-    number = torch.arange(len(owner), device=owner.device) - begin
-    row = number // step
-    column = number - row * step + left
-    row = row + top
-    pixel = (shift + row) * view.width + column
-    return owner, pixel, torch.stack([column, row], dim=1).to(middle)
+    start = first - (counts.cumsum(0) - counts)
+    return owner, torch.arange(len(owner), device=owner.device) + start[owner]
 
 
 def _near_edges(
     owner: Int[Tensor, "n"],
-    place: Float[Tensor, "n 2"],
+    place: Int[Tensor, "n 2"],
     middle: Float[Tensor, "N 2"],
     axis: Float[Tensor, "N 2"],
     sizes: Float[Tensor, "N 2"],
-) -> tuple[Int[Tensor, "m"], Bool[Tensor, "m"], Bool[Tensor, "m"]]:
-    """Which pixels their box touches; of these, where an edge may pass, and where the triangle."""
-    table = torch.cat([middle - 0.5, axis, sizes / 2], dim=1)[owner]
-    x, y = place[:, 0] - table[:, 0], place[:, 1] - table[:, 1]
-    right, down, length, width = table[:, 2:].unbind(1)
+) -> tuple[Bool[Tensor, "n"], Bool[Tensor, "n"]]:
+    """In which pixels an edge of the box may pass, and in which the triangle may lie."""
+    u, v, right, down, length, width = torch.cat([middle - 0.5, axis, sizes / 2], 1)[owner].unbind(
+        1
+    )
+    x, y = place[:, 0] - u, place[:, 1] - v
     along = x * right + y * down
     inside = torch.minimum(length - along.abs(), width - (x * down - y * right).abs())
-    touched = (inside > -RIM).nonzero()[:, 0]
-    front = along > (1 - 2 * NOSE) * length - RIM
-    return touched, inside[touched] < RIM, front[touched]
+    return inside < RIM, along > (1 - 2 * NOSE) * length - RIM
 
 
 def _covered(
@@ -252,8 +265,14 @@ def _turns(pixel: Int[Tensor, "n"], pixels: int) -> Iterator[Int[Tensor, "m"]]:
         first[pixel[left]] = len(pixel)
 
 
-def _check(cameras: Float[Tensor, "B 3"], boxes: Sequence[Boxes]) -> None:
+def _check(cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[Boxes]) -> None:
     """Refuse what would give a wrong picture."""
+    kinds = {cameras.dtype, ground.image.dtype, ground.image_from_world.dtype}
+    for layer in boxes:
+        kinds |= {layer.poses.dtype, layer.sizes.dtype, layer.colours.dtype}
+    if len(kinds) > 1:
+        names = ", ".join(sorted(map(str, kinds)))
+        raise ValueError(f"numbers of {names} in one picture; bring all to one of them")
     if not torch.isfinite(cameras).all():
         raise ValueError("a camera's pose is not finite")
     for layer in boxes:
@@ -272,9 +291,11 @@ def _check(cameras: Float[Tensor, "B 3"], boxes: Sequence[Boxes]) -> None:
                     f"{name} for {tuple(shape)} boxes, where {views} views have {count} each"
                 )
         known = torch.isfinite(layer.poses).all(dim=-1)
-        right = (layer.sizes > 0).all(dim=-1).expand(known.shape) & known
+        right = ((layer.sizes > 0) & torch.isfinite(layer.sizes)).all(dim=-1).expand(
+            known.shape
+        ) & known
         if not (right if layer.present is None else right | ~layer.present).all():
             raise ValueError(
                 "a box that is present has a pose that is not finite, or a size that is not "
-                "positive; mask absent ones by `present`"
+                "a positive number; mask absent ones by `present`"
             )

@@ -3,6 +3,7 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 STEEP = 1e-3  # px: an edge that runs less far to the side is taken as straight down
 
@@ -27,15 +28,23 @@ def pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
 class _Coverage(torch.autograd.Function):
     @staticmethod
     def forward(ctx, corners):  # type: ignore[no-untyped-def]
-        area = _signed_area(corners)
-        ctx.save_for_backward(corners, area)
-        return area.abs()
+        sense = _sense(corners)
+        ctx.save_for_backward(corners, sense)
+        return _signed_area(corners) * sense
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, *grads):  # type: ignore[no-untyped-def]
-        corners, area = ctx.saved_tensors
+        corners, sense = ctx.saved_tensors
         (grad,) = grads
-        return _area_gradient(corners) * (grad * area.sign())[:, None, None]
+        return _area_gradient(corners) * (grad * sense)[:, None, None]
+
+
+def _sense(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
+    """Plus or minus one: which way round the corners go."""
+    arm = corners - corners[:, :1]
+    after = arm.roll(-1, 1)
+    return (arm[..., 0] * after[..., 1] - arm[..., 1] * after[..., 0]).sum(1).sign()
 
 
 def _signed_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:

@@ -1,6 +1,7 @@
 """The ground of bird's-eye views: a texture, looked up at the pixels of all views at once."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -19,11 +20,20 @@ class View:
         height: pixels.
         width: pixels.
         resolution: metres a pixel.
+
+    Raises:
+        ValueError: a side or the resolution is not positive.
     """
 
     height: int
     width: int
     resolution: float
+
+    def __post_init__(self) -> None:
+        if self.height < 1 or self.width < 1 or not 0 < self.resolution < math.inf:
+            raise ValueError(
+                f"{self}: sides of a pixel or more and a resolution above 0 are needed"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +71,8 @@ def make_ground(
     """
     if not torch.isfinite(image_from_world).all() or _metres_per_pixel(image_from_world) == 0:
         raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
+    if image.dtype not in (torch.float32, torch.float64):
+        raise ValueError(f"a texture of {image.dtype}; float32 or float64 is needed")
     if not torch.isfinite(image).all():
         raise ValueError("the texture has pixels that are not finite")
     if known is None:
@@ -78,6 +90,13 @@ def make_ground(
     return Ground(_framed(seen, outside), _framed(share, torch.zeros_like(share[:, 0, 0])), matrix)
 
 
+def on_device(ground: Ground, device: torch.device | str) -> Ground:
+    """The same ground on another device."""
+    return Ground(
+        ground.image.to(device), ground.known.to(device), ground.image_from_world.to(device)
+    )
+
+
 def fit_ground(ground: Ground, resolution: float) -> Ground:
     """The ground for views of so many metres a pixel: averaged beforehand over a view's pixel.
 
@@ -85,13 +104,15 @@ def fit_ground(ground: Ground, resolution: float) -> Ground:
     of the view's pixel, of the texture between its pixels by cubic convolution (Keys 1981), one
     linear lookup a pixel is close to the mean over that pixel, however the view is turned. Of what
     is then too fine, four pixels for each of the view's are kept, and the square is made smaller
-    by what looking up among fewer pixels blurs.
+    by what looking up among fewer pixels blurs. The texture's pixels should be about as wide as
+    high.
     """
     ratio = resolution / _metres_per_pixel(ground.image_from_world)
     step = max(1, int(ratio / 4 + 1e-3))
-    weights = _square_mean(math.sqrt(ratio**2 - 2 * (step**2 - 1))).to(ground.image)
-    matrix = _shifted(_shifted(ground.image_from_world, -1.5) / step, 0.5 + 1)
-    image, known = (_thinned(plane, weights, step) for plane in (ground.image, ground.known))
+    weights = _square_mean(math.sqrt(ratio**2 - 2 * (step**2 - 1)))
+    rim = math.ceil(len(weights) / 2 / step) * step  # what the mean spreads beyond the texture
+    matrix = _shifted(_shifted(ground.image_from_world, rim - 1.5) / step, 0.5 + 1)
+    image, known = (_averaged(plane, weights, step, rim) for plane in (ground.image, ground.known))
     return Ground(image, known, matrix)
 
 
@@ -115,43 +136,54 @@ def ground_seen(
     turn = matrix[:, :2] * image.new_tensor([[2 / width], [2 / height]])  # grid_sample: -1 to 1
     start = matrix[:, 2] * image.new_tensor([2 / width, 2 / height]) - 1
     cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
-    right, down = (
-        torch.stack([sine, -cosine], 1) @ turn.t(),
-        torch.stack([-cosine, -sine], 1) @ turn.t(),
+    right, down, middle = (  # sums, since products of matrices may be rounded to half floats
+        (turn * place[:, None]).sum(-1)
+        for place in (
+            torch.stack([sine, -cosine], 1),
+            torch.stack([-cosine, -sine], 1),
+            cameras[:, :2],
+        )
     )
     columns, rows = (
         (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
         for count in (view.width, view.height)
     )
-    middle = cameras[:, :2] @ turn.t() + start
-    across = (columns[:, None] * right[:, None] + middle[:, None]).flatten(1)
-    # one product adds what each row and each column contribute; a sum of both is ten times slower
-    both = torch.stack([down.repeat(1, view.width), across], dim=1)
-    grid = torch.stack([rows, torch.ones_like(rows)], dim=1) @ both
+    across = (columns[:, None] * right[:, None] + (middle + start)[:, None]).flatten(1)
+    ahead = down.repeat(1, view.width)  # rows of both coordinates in turn, as they lie in memory
+    grid = torch.addcmul(across[:, None], rows[None, :, None], ahead[:, None])
     grid = grid.view(1, len(cameras) * view.height, view.width, 2)
     seen = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)
-    return seen.view(len(image), -1)
+    return seen.view(len(image), len(cameras) * view.height * view.width)
 
 
 def unfolded(
     flat: Float[Tensor, "C P"], view: View, cameras: Float[Tensor, "B 3"]
 ) -> Float[Tensor, "B C H W"]:
     """Pictures of which all pixels stood in a row, one view after the other."""
-    return flat.view(-1, len(cameras), view.height, view.width).transpose(0, 1)
+    return flat.view(len(flat), len(cameras), view.height, view.width).transpose(0, 1)
 
 
-def _thinned(
-    image: Float[Tensor, "C h w"], weights: Float[Tensor, "n"], step: int
+def _averaged(
+    image: Float[Tensor, "C h w"], weights: list[float], step: int, rim: int
 ) -> Float[Tensor, "C H W"]:
-    """The image within its frame averaged by weights, at every so many pixels; framed again."""
+    """The image within its frame, and a rim, averaged at every so many pixels; framed again."""
     outside, reach = image[:, 0, 0], len(weights) // 2
-    small = (image[:, 1:-1, 1:-1] - outside[:, None, None])[:, None]
-    small = F.conv2d(small, weights[None, None, :, None], stride=(step, 1), padding=(reach, 0))
-    small = F.conv2d(small, weights[None, None, None], stride=(1, step), padding=(0, reach))
-    return _framed(small[:, 0] + outside[:, None, None], outside)
+    small = F.pad(image[:, 1:-1, 1:-1] - outside[:, None, None], (rim + reach,) * 4)
+    for _ in range(2):  # rows, then columns; a convolution takes many times the texture's memory
+        last = small.shape[1] - 2 * reach
+        small = _weighted_sum((small[:, k : k + last : step] for k in range(len(weights))), weights)
+        small = small.transpose(1, 2)
+    return _framed((small + outside[:, None, None]).contiguous(), outside)
 
 
-def _square_mean(side: float) -> Float[Tensor, "n"]:
+def _weighted_sum(parts: Iterator[Tensor], weights: list[float]) -> Tensor:
+    total = next(parts) * weights[0]
+    for part, weight in zip(parts, weights[1:], strict=True):
+        total = total + part * weight if part.requires_grad else total.add_(part, alpha=weight)
+    return total
+
+
+def _square_mean(side: float) -> list[float]:
     """Weights of pixels in the mean over so many pixels of what cubic convolution puts between."""
     reach = math.ceil(side / 2 + 1.5)
     ends = torch.arange(-reach, reach + 1)[:, None] + torch.tensor([-side, side]).double() / 2
@@ -159,7 +191,7 @@ def _square_mean(side: float) -> Float[Tensor, "n"]:
     near = x * (1 + x**2 * (3 / 8 * x - 5 / 6))
     far = 2 * x - 2 * x**2 + 5 / 6 * x**3 - x**4 / 8 - 1 / 6
     weights = (torch.where(x < 1, near, far) * ends.sign()).diff(dim=1)[:, 0]
-    return weights / weights.sum()
+    return (weights / weights.sum()).tolist()
 
 
 def _framed(image: Float[Tensor, "C h w"], colour: Float[Tensor, "C"]) -> Float[Tensor, "C H W"]:

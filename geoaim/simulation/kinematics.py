@@ -41,7 +41,7 @@ def bicycle_action(
     """The action whose step has the speed and the heading of the state after; undoes the step.
 
     Where the vehicle stands, no wheel's angle can be told, and it is zero. A turn that no bicycle
-    can make in that way gets the front wheel across.
+    can make in that way gets the front wheel across. Turns are taken as less than half of one.
     """
     way = (state[..., 3] + after[..., 3]) / 2 * seconds
     moves = way.abs() > STILL

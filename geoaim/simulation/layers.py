@@ -13,7 +13,7 @@ from geoaim.simulation.lines import light_boxes, path_boxes
 from geoaim.simulation.scene import Scene
 
 EGO = (1.0, 0.35, 0.0)
-NOSE = (1.0, 1.0, 1.0)
+POINTER = (1.0, 1.0, 1.0)
 OTHER = (0.55, 0.2, 0.75)
 COLOURS: Mapping[str, tuple[float, float, float]] = {
     "car": (0.1, 0.35, 0.9),
@@ -36,7 +36,7 @@ def agents_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> 
     table = [COLOURS.get(kind, OTHER) for kind in scene.types]
     colours = scene.sizes.new_tensor(table).repeat(len(steps), 1, 1)
     colours[torch.arange(len(steps)), egos] = colours.new_tensor(EGO)
-    noses = colours.new_tensor(NOSE).expand_as(colours)
+    noses = colours.new_tensor(POINTER).expand_as(colours)
     poses, present = _there(scene, steps)
     return Boxes(poses, scene.sizes, colours, present, noses)
 
@@ -49,8 +49,8 @@ def lights_at(scene: Scene, steps: Int[Tensor, "B"]) -> Boxes:
 def trails_at(scene: Scene, steps: Int[Tensor, "B"], *, seconds: float) -> Boxes:
     """Where the agents of each of B steps have been within so many seconds before."""
     spacing = float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
-    back = torch.arange(-round(seconds / spacing), 1, device=steps.device)
-    before = steps[:, None] + back
+    back = torch.arange(-round(seconds / spacing), 1, device=scene.poses.device)
+    before = steps[:, None].to(scene.poses.device) + back
     poses, present = _there(scene, before.clamp_min(0).flatten())
     shape = len(steps), len(back), len(scene.ids)
     present = present.view(shape)

@@ -1,5 +1,7 @@
 """Straight lines as boxes that the renderer paints: lights at stop lines, trails, routes."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -24,7 +26,7 @@ def line_boxes(
     tensor([[[5.0000, 0.5000]]])
     """
     start, end = ends.unbind(-2)
-    long = (end - start).abs().amax(dim=-1) > 0
+    long = (end - start).square().sum(dim=-1) != 0
     present = long if present is None else present & long
     along = torch.where(present[..., None], end - start, torch.ones_like(start))
     heading = torch.atan2(along[..., 1], along[..., 0])
@@ -47,7 +49,9 @@ def path_boxes(
         present = (present[:, :, :-1] & present[:, :, 1:]).flatten(1)
     ends = torch.stack([start, end], dim=-2).flatten(1, 2)
     every = colours.repeat_interleave(start.shape[2], dim=0)
-    return line_boxes(ends, every, width=width, present=present)
+    lines = line_boxes(ends, every, width=width, present=present)
+    longer = lines.sizes + lines.sizes.new_tensor([width, 0.0])  # no gap at bends
+    return replace(lines, sizes=longer)
 
 
 def light_boxes(lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "B L"]) -> Boxes:

@@ -1,6 +1,6 @@
 """A scene: a map, agents and lights as tensors; the one crossing from files to tensors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from geoaim.errors import TracksError
 from geoaim.lights import Lights, states_at
 from geoaim.mapping.drivable import lane_directions, signed_distance
 from geoaim.mapping.hdmap import HDMap
-from geoaim.simulation.ground import Ground, make_ground
+from geoaim.simulation.ground import Ground, make_ground, on_device
 from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
@@ -49,6 +49,13 @@ class Scene:
     light_states: Int[Tensor, "T L"]
 
 
+def scene_on(scene: Scene, device: torch.device | str) -> Scene:
+    """The same scene on another device."""
+    names = ("times", "poses", "speeds", "present", "sizes", "stop_lines", "light_states")
+    moved = {name: getattr(scene, name).to(device) for name in names}
+    return replace(scene, ground=on_device(scene.ground, device), **moved)
+
+
 def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     """A map with tracks and lights, brought into the map's world; grey where it shows nothing.
 
@@ -58,6 +65,8 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     poses = _poses_in(tracks, aim.world)
     low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
     places = poses[tracks.present][:, :2]
+    if len(places) == 0:
+        raise TracksError("nobody is present in the tracks")
     if not ((places > low) & (places < high)).all(axis=1).any():
         raise TracksError(
             f"no track touches the map: they lie between {_said(places.min(axis=0))} and "
@@ -71,7 +80,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
         states = states_at(lights, tracks.times)
     return Scene(
         ground=ground_of(aim),
-        times=torch.tensor(tracks.times, dtype=torch.float32),
+        times=torch.tensor(tracks.times),
         poses=torch.tensor(poses, dtype=torch.float32),
         speeds=torch.tensor(tracks.states[..., 3], dtype=torch.float32),
         present=torch.tensor(tracks.present),
@@ -142,6 +151,8 @@ def step_at(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
         TracksError: it is not there within a second of that time.
     """
     steps = scene.present[agent].nonzero()[:, 0]
+    if len(steps) == 0:
+        raise TracksError(f"agent {scene.ids[agent]} is never there")
     times = scene.times[steps]
     nearest = 0 if time is None else int((times - time).abs().argmin())
     if time is not None and abs(float(times[nearest]) - time) > 1:

@@ -18,7 +18,7 @@ from torchdrivesim.rendering.base import BirdviewRenderer, RendererConfig
 from torchdrivesim.utils import Resolution
 
 from geoaim.simulation.birdview import Boxes, render
-from geoaim.simulation.ground import Ground, View, fit_ground
+from geoaim.simulation.ground import Ground, View, fit_ground, on_device
 
 WAYPOINT = 2.0 * math.sqrt(math.pi)  # m: side of the square as large as torchdrivesim's disc
 
@@ -39,6 +39,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **more: Any) -> None:
         super().__init__(cfg or RendererConfig(), **{"device": ground.image.device, **more})
         self.ground = ground
+        self.fitted: dict[float, Ground] = {}  # by resolution
 
     def render_frame(
         self,
@@ -54,6 +55,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         waypoints_rendering_mask: Tensor | None = None,
     ) -> Tensor:
         """As torchdrivesim documents it: colours from 0 to 255, one camera an agent by default."""
+        _check_cameras(camera_xy, camera_sc)
         egocentric = camera_xy is None
         if camera_xy is None or camera_sc is None:
             poses = torch.cat([state[..., :3] for state in agent_state.values()], dim=-2)
@@ -80,6 +82,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         fov: float | None = None,
     ) -> Tensor:
         """The map alone, (Nc, H, W, C); north up around the world's centre by default."""
+        _check_cameras(camera_xy, camera_sc)
         if camera_xy is None or camera_sc is None:
             camera_xy = self.world_center
             turn = torch.full_like(camera_xy[..., 0], math.pi / 2)
@@ -99,10 +102,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     def to(self, device: torch.device) -> "ImageMapRenderer":
         """Move the renderer to another device in place."""
         super().to(device)
-        ground = self.ground
-        self.ground = Ground(
-            ground.image.to(device), ground.known.to(device), ground.image_from_world.to(device)
-        )
+        self.ground, self.fitted = on_device(self.ground, device), {}
         return self
 
     def expand(self, n: int) -> "ImageMapRenderer":
@@ -130,7 +130,9 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     ) -> Float[Tensor, "V 3 H W"]:
         size = res or self.res
         view = View(size.height, size.width, (fov or 2.0 / self.scale) / min(size))
-        pictures = 255 * render(view, cameras, fit_ground(self.ground, view.resolution), layers)
+        if view.resolution not in self.fitted or self.ground.image.requires_grad:
+            self.fitted = {view.resolution: fit_ground(self.ground, view.resolution)}
+        pictures = 255 * render(view, cameras, self.fitted[view.resolution], layers)
         return pictures.flip(-1) if self.cfg.left_handed_coordinates else pictures
 
     def _agents(
@@ -187,3 +189,8 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     def _colours(self, names: list[str]) -> Float[Tensor, "n 3"]:
         table = [self.color_map[name] for name in names]
         return self.ground.image.new_tensor(table) / 255
+
+
+def _check_cameras(xy: Tensor | None, sc: Tensor | None) -> None:
+    if (xy is None) != (sc is None):
+        raise ValueError("camera_xy and camera_sc go together; one of them is None")

@@ -8,7 +8,16 @@ import torch
 from torch.nn.functional import avg_pool2d, interpolate
 
 from geoaim.bench.birdview_truth import supersampled
-from geoaim.simulation import Boxes, View, fit_ground, ground_share, make_ground, render
+from geoaim.simulation import (
+    Boxes,
+    View,
+    fit_ground,
+    ground_share,
+    make_ground,
+    path_boxes,
+    render,
+)
+from geoaim.simulation.birdview import _touched
 
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
 
@@ -42,7 +51,7 @@ def _scene(seed=0, views=2, count=4):
 
 
 @pytest.mark.parametrize("resolution", [0.25, 0.5, 1.0])
-def test_picture_is_that_of_256_points_a_pixel(resolution):
+def test_picture_is_that_of_many_points_a_pixel(resolution):
     cameras, boxes = _scene()
     view = View(48, 40, resolution)
     plain = _ground(0.5)  # as grey as what is outside of it
@@ -164,14 +173,71 @@ def test_fitted_ground_stays_in_place():
 
 def test_absent_boxes_have_no_gradient_whatever_they_hold():
     cameras, boxes = _scene(views=1)
-    poses = boxes.poses.clone()
-    poses[0, 1] = torch.nan
+    poses, sizes, colours = boxes.poses.clone(), boxes.sizes.clone(), boxes.colours.clone()
+    poses[0, 1], sizes[3], colours[1] = torch.nan, torch.nan, torch.nan
     poses.requires_grad_()
-    some = replace(boxes, poses=poses, present=torch.tensor([[True, False, True, False]]))
-    render(View(16, 16, 1.0), cameras, _ground(), [some]).square().sum().backward()
+    cameras.requires_grad_()
+    present = torch.tensor([[True, False, True, False]])
+    some = Boxes(poses, sizes, colours, present, 1 - colours)
+    picture = render(View(16, 16, 1.0), cameras, _ground(), [some])
+    picture.square().sum().backward()
+    assert torch.isfinite(picture).all()
+    assert torch.isfinite(cameras.grad).all()
     assert torch.isfinite(poses.grad).all()
     assert not poses.grad[0, [1, 3]].any()
     assert poses.grad[0, 0].all()
+
+
+@pytest.mark.parametrize("size", [(4.0, 2.0), (4.5, 2.0), (3.0, 1.0)])
+def test_edges_on_the_borders_of_pixels_have_gradients(size):
+    """The ego in its own picture: whole numbers of pixels, and every edge on a border."""
+    pose = torch.tensor([[123.4, 56.7, 0.9]], dtype=torch.float64)
+    box = torch.tensor([size], dtype=torch.float64).requires_grad_()
+    place = pose[:, None].clone().requires_grad_()
+    dark = make_ground(torch.zeros(1, 1, 1).double(), NORTH_UP, outside=torch.zeros(1).double())
+    boxes = Boxes(place, box, torch.ones(1, 1).double())
+    area = render(View(64, 64, 0.5), pose, dark, [boxes]).sum() * 0.25
+    of_place, of_size = torch.autograd.grad(area, (place, box))
+    assert float(area.detach()) == pytest.approx(size[0] * size[1])
+    assert of_place.abs().max() < 1e-6
+    torch.testing.assert_close(of_size[0].flip(0), box[0].detach(), rtol=0.06, atol=0)
+
+
+def test_long_thin_box_costs_its_own_pixels_only():
+    with torch.no_grad():
+        axis = torch.tensor([[0.8, -0.6]])
+        view, middle = View(512, 512, 1.0), torch.tensor([[256.0, 256.0]])
+        owner, place = _touched(
+            view, middle, axis, torch.tensor([[400.0, 1.0]]), torch.ones(1).bool()
+        )
+    assert 400 < len(owner) < 400 * 3.5
+    assert len(torch.unique(place, dim=0)) == len(place)
+
+
+def test_path_has_no_gaps_where_its_lines_meet():
+    points = torch.tensor([[-9.0, 0.3], [-2.4, 0.3], [3.7, 0.3], [3.7, 6.9]])[None, None]
+    paths = path_boxes(points, torch.ones(1, 1), width=1.0)
+    dark = make_ground(torch.zeros(1, 1, 1), NORTH_UP.float(), outside=torch.zeros(1))
+    camera = torch.tensor([[0.2, 0.8, np.pi / 2]])  # so that the lines fill whole pixels
+    picture = render(View(16, 16, 1.0), camera, dark, [paths])[0, 0]
+    torch.testing.assert_close(picture[8, :12], torch.ones(12), atol=1e-4, rtol=0)
+    torch.testing.assert_close(picture[3:9, 11], torch.ones(6), atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("ratio", [2.0, 8.0, 60.0])
+def test_rim_of_a_fitted_ground_is_as_soft_as_a_pixel(ratio):
+    white = make_ground(
+        torch.ones(1, 50, 50).double(),
+        torch.tensor([[1.0, 0, 0], [0, -1.0, 50]]).double(),
+        outside=torch.zeros(1).double(),
+    )
+    view, camera = View(24, 24, ratio), torch.tensor([[1.0, 2.0, 0.4]]).double()
+    fine = View(24 * 24, 24 * 24, ratio / 24)
+    wanted = avg_pool2d(render(fine, camera, white), 24)
+    fitted = fit_ground(white, ratio)
+    assert (render(view, camera, fitted) - wanted).abs().max() < 0.16
+    assert float(render(view, camera, fitted).sum()) == pytest.approx(float(wanted.sum()), rel=0.03)
+    assert (ground_share(view, camera, fitted) - wanted).abs().max() < 0.16
 
 
 def test_no_map_is_a_plain_colour():
@@ -202,13 +268,16 @@ def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
     ("changed", "message"),
     [
         ({"poses": torch.full((2, 4, 3), torch.nan).double()}, "not finite"),
-        ({"sizes": torch.zeros(4, 2).double()}, "not positive|not \\npositive|size that is not"),
+        ({"sizes": torch.zeros(4, 2).double()}, "a size that is not"),
         ({"poses": torch.zeros(3, 4, 3).double()}, "boxes of 3 views for 2 cameras"),
         (
             {"sizes": torch.ones(3, 2).double()},
             r"sizes for \(3,\) boxes, where 2 views have 4 each",
         ),
         ({"colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
+        ({"noses": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
+        ({"sizes": torch.full((4, 2), torch.inf).double()}, "a size that is not"),
+        ({"sizes": torch.ones(4, 2)}, "numbers of torch.float32, torch.float64 in one picture"),
         ({"present": torch.ones(4).bool()}, r"present for \(4,\) boxes"),
     ],
 )
@@ -216,6 +285,36 @@ def test_what_would_give_a_wrong_picture_is_refused(changed, message, without_sh
     cameras, boxes = _scene()
     with pytest.raises(ValueError, match=message):
         render(View(8, 8, 1.0), cameras, _ground(), [replace(boxes, **changed)])
+
+
+def test_view_without_pixels_is_refused():
+    for given in ((0, 4, 1.0), (4, 4, 0.0), (4, 4, -1.0), (4, 4, float("nan"))):
+        with pytest.raises(ValueError, match="are needed"):
+            View(*given)
+
+
+def test_no_views_are_no_pictures():
+    none = render(View(4, 5, 1.0), torch.empty(0, 3), _single(0.0))
+    assert none.shape == (0, 3, 4, 5)
+
+
+def test_second_derivatives_are_refused():
+    cameras, boxes = _scene(views=1)
+    poses = boxes.poses.clone().requires_grad_()
+    picture = render(View(16, 16, 1.0), cameras, _ground(), [replace(boxes, poses=poses)])
+    (first,) = torch.autograd.grad(picture.square().sum(), poses, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        first.sum().backward()
+
+
+def test_pictures_do_not_depend_on_autocast():
+    cameras = _scene(views=1)[0].float()
+    waves = _ground()
+    ground = make_ground(waves.image[:, 1:-1, 1:-1].float(), NORTH_UP.float())
+    plain = render(View(16, 16, 1.0), cameras, fit_ground(ground, 1.0))
+    with torch.autocast("cpu", torch.bfloat16):
+        half = render(View(16, 16, 1.0), cameras, fit_ground(ground, 1.0))
+    assert torch.equal(half, plain)
 
 
 def test_camera_that_is_nowhere_is_refused():

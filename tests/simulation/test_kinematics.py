@@ -22,7 +22,7 @@ number = st.floats(-1, 1)
 
 
 def _state(x, y, heading, speed):
-    return torch.tensor([40 * x, 40 * y, 3.1 * heading, 20 * speed], dtype=torch.float64)
+    return torch.tensor([40 * x, 40 * y, 3.1 * heading, 8 * speed], dtype=torch.float64)
 
 
 @settings(deadline=None)

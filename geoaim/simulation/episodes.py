@@ -1,0 +1,128 @@
+"""One simulation of a scene, and what went wrong in it: what `geoaim simulate` does."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool
+from torch import Tensor
+
+from geoaim.errors import TracksError
+from geoaim.mapping.drivable import drivable_area
+from geoaim.mapping.hdmap import HDMap
+from geoaim.simulation.infractions import (
+    collisions,
+    offroad_distance,
+    ran_red,
+    rate,
+    wrong_way,
+)
+from geoaim.simulation.policies import (
+    constant_turn_rate,
+    constant_velocity,
+    intelligent_driver,
+    replay,
+)
+from geoaim.simulation.scene import Scene, agent_number, drivable_of, lanes_of
+from geoaim.simulation.simulator import Policy, Recording, record, rollout, routes_of, simulated
+
+POLICIES = ("constant-velocity", "constant-turn-rate", "idm", "replay")
+OBSERVED = 5  # steps that are replayed by all before policies act
+FAST = 1.0  # m/s, wanted at least by who follows a route
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """A simulated scene.
+
+    Attributes:
+        scene: what happened.
+        recording: what had been recorded.
+        controlled: (A,) whom the policy moved.
+        rates: the shares of controlled agents and simulated steps with something wrong, by name.
+    """
+
+    scene: Scene
+    recording: Recording
+    controlled: Bool[Tensor, "A"]
+    rates: Mapping[str, float]
+
+
+def simulate_scene(
+    scene: Scene,
+    policy: str,
+    *,
+    ego: str | None = None,
+    start: float = 0.0,
+    seconds: float = 6.0,
+    hdmap: HDMap | None = None,
+) -> Episode:
+    """Let one agent, or all, drive by one of `POLICIES` among those who replay.
+
+    Args:
+        scene: where and among whom.
+        policy: its name.
+        ego: name of who is controlled; all, if left out.
+        start: seconds of the scene at which the simulation begins.
+        seconds: how long it lasts, the first steps, which all replay, included.
+        hdmap: tells what is off the road and the wrong way, in the scene's world; without it
+            neither is counted.
+
+    Raises:
+        ValueError: there is no such policy, or that time is not in the scene.
+        TracksError: the ego is not among the agents, or not there at the start.
+    """
+    first = int((scene.times - start).abs().argmin())
+    spacing = float(scene.times.double().diff().median()) if len(scene.times) > 1 else 1.0
+    steps = round(seconds / spacing) + 1
+    recording = record(scene, torch.tensor([first]), steps)
+    controlled = torch.ones(len(scene.ids), dtype=torch.bool)
+    if ego is not None:
+        agent = agent_number(scene, ego)
+        if not bool(recording.present[0, OBSERVED - 1, agent]):
+            raise TracksError(f"agent {ego} is not there at {start:g} s")
+        controlled = torch.zeros_like(controlled)
+        controlled[agent] = True
+    rest = record(scene, torch.tensor([first]), len(scene.times) - first)
+    found = rollout(recording, _policy(policy, rest), controlled[None], observed=OBSERVED)
+    after = simulated(scene, found, first)
+    return Episode(after, recording, controlled, _rates(after, recording, controlled, hdmap))
+
+
+def _policy(name: str, rest: Recording) -> Policy:
+    """The policy of that name; the rest of the scene tells routes and wanted speeds."""
+    if name == "idm":
+        top = rest.states[..., 3].amax(dim=1).clamp_min(FAST)
+        return intelligent_driver(routes_of(rest), top)
+    known = {
+        "constant-velocity": constant_velocity,
+        "constant-turn-rate": constant_turn_rate,
+        "replay": replay,
+    }
+    if name not in known:
+        raise ValueError(f"there is no policy {name!r}; there are {', '.join(POLICIES)}")
+    return known[name]
+
+
+def _rates(
+    scene: Scene, recording: Recording, controlled: Bool[Tensor, "A"], hdmap: HDMap | None
+) -> dict[str, float]:
+    """Collisions of all; the rest of vehicles, which roads, lights and directions are for."""
+    poses = scene.poses.transpose(0, 1)[OBSERVED:]
+    there = scene.present.t()[OBSERVED:]
+    sizes = scene.sizes.expand(len(poses), -1, -1)
+    wheels = ~recording.on_foot[0]
+    mine = there & controlled
+    driven = mine & wheels
+    rates = {"collision": rate(collisions(poses, sizes, there) > 0, mine)}
+    if len(scene.stop_lines):
+        before = scene.poses.transpose(0, 1)[OBSERVED - 1 : -1]
+        both = driven & scene.present.t()[OBSERVED - 1 : -1]
+        lengths, states = sizes[..., 0], scene.light_states[OBSERVED:]
+        ran = ran_red(before, poses, lengths, both, scene.stop_lines, states)
+        rates["red light"] = rate(ran, driven)
+    if hdmap is not None:
+        drivable = drivable_of(drivable_area(hdmap))
+        rates["off road"] = rate(offroad_distance(drivable, poses, sizes, driven) > 0, driven)
+        rates["wrong way"] = rate(wrong_way(lanes_of(hdmap), poses, driven), driven)
+    return {name: float(share) for name, share in rates.items()}
