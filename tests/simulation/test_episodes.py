@@ -1,0 +1,60 @@
+import pytest
+import torch
+
+from geoaim.errors import TracksError
+from geoaim.lights import read_lights
+from geoaim.mapping.hdmap import read_hdmap
+from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.simulation.episodes import POLICIES, simulate_scene
+from geoaim.simulation.scene import make_scene, tracks_of
+from geoaim.tracks import read_tracks, write_tracks
+
+
+@pytest.fixture(scope="module")
+def hdmap():
+    return read_hdmap("samples/map_full.osm", read_tracks("samples/tracks.csv").world)
+
+
+@pytest.fixture(scope="module")
+def scene(hdmap):
+    """The bundled tracks on their HD map, which is read as any other map."""
+    tracks = read_tracks("samples/tracks.csv")
+    lights = read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
+    return make_scene(draw_hdmap(hdmap, resolution=0.5), tracks, lights)
+
+
+def test_replayed_traffic_breaks_no_rules(scene, hdmap):
+    episode = simulate_scene(scene, "replay", start=5.0, seconds=20.0, hdmap=hdmap)
+    assert episode.rates["red light"] < 0.001
+    assert episode.rates["wrong way"] < 0.01
+    assert episode.rates["collision"] < 0.02  # a step of replayed actions may touch in a queue
+
+
+def test_ego_stays_the_only_one_that_departs_from_the_recording(scene):
+    episode = simulate_scene(scene, "constant-velocity", ego="12", start=4.0, seconds=6.0)
+    agent = scene.ids.index("12")
+    recorded = episode.recording.states[0].transpose(0, 1)
+    apart = (episode.scene.poses - recorded[..., :3]).abs().amax(dim=(1, 2))
+    assert apart[agent] > 1
+    assert apart.sum() == apart[agent]
+    assert episode.controlled.sum() == 1
+    assert "off road" not in episode.rates
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_simulation_is_written_as_tracks(scene, hdmap, policy, tmp_path):
+    episode = simulate_scene(scene, policy, start=2.0, seconds=3.0)
+    assert torch.isfinite(episode.scene.poses).all()
+    write_tracks(tracks_of(episode.scene, hdmap.world), tmp_path / "a.csv")
+    again = read_tracks(tmp_path / "a.csv")
+    assert len(again.times) == 31
+    assert again.times[0] == pytest.approx(2.0)
+
+
+def test_what_cannot_be_simulated_is_refused(scene):
+    with pytest.raises(ValueError, match="no policy 'best'"):
+        simulate_scene(scene, "best")
+    with pytest.raises(TracksError, match="agent 29 is not there at 2 s"):
+        simulate_scene(scene, "replay", ego="29", start=2.0)
+    with pytest.raises(ValueError, match="are not all among"):
+        simulate_scene(scene, "replay", start=58.0, seconds=9.0)
