@@ -4,8 +4,12 @@ import rasterio
 from PIL import Image
 from typer.testing import CliRunner
 
+from geoaim.aim import write_aim
 from geoaim.cli import app
+from geoaim.mapping.hdmap import read_hdmap
+from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.synthetic.camera import render_frame
+from geoaim.tracks import read_tracks
 
 run = CliRunner().invoke
 
@@ -101,6 +105,32 @@ def test_render_draws_the_map_around_an_agent(folder, tmp_path):
     assert result.exit_code == 1
     assert "there is no agent '8' among 1: 7" in " ".join(result.output.split())
     assert not (tmp_path / "other.png").exists()
+
+
+def test_simulate_writes_tracks_and_a_film_and_counts(tmp_path):
+    hdmap = read_hdmap("samples/map.osm")
+    write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "aim.tif")
+    given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
+    given += ["--hdmap", "samples/map.osm", "--seconds", "2", "-o", f"{tmp_path}/out.csv"]
+    lights = ["--lights", "samples/lights.csv"]
+    result = run(app, [*given, *lights, "--ego", "12", "--film", f"{tmp_path}/a.gif"])
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.output.split())
+    assert "1 agents by idm" in said
+    assert all(name in said for name in ("collision", "red light", "off road", "wrong way"))
+    assert len(read_tracks(tmp_path / "out.csv").times) == 21
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.n_frames == 21
+    result = run(app, [*given, "--film", f"{tmp_path}/b.gif"])
+    assert result.exit_code == 1
+    assert "--film needs --ego" in result.output
+
+
+def test_lights_need_the_map_with_their_lines(tmp_path):
+    given = ["render", str(tmp_path / "aim.tif"), "--tracks", "t.csv", "--ego", "1"]
+    result = run(app, [*given, "--lights", "lights.csv", "-o", str(tmp_path / "a.png")])
+    assert result.exit_code == 1
+    assert "--lights needs --hdmap" in result.output
 
 
 def test_sample_is_not_written_among_other_files(tmp_path):
