@@ -214,13 +214,12 @@ def chart(rows: list[dict[str, Any]], path: Path) -> None:
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained", sharex=True)
     for axis, column in zip(axes, ("mean", "mean at edges of boxes"), strict=True):
         for row in rows:
-            x, y = row["times grid_sample"], row[column]
-            axis.loglog(x, y, "o", markersize=9)
-            axis.annotate(row["way"], (x, y), xytext=(8, 6), textcoords="offset points")
+            axis.semilogy(row["times grid_sample"], row[column], "o", ms=10, label=row["way"])
         axis.axvline(1.0, color="grey", linestyle=":")
         axis.set(xlabel="time, grid_sample alone = 1", ylabel=f"error, grey levels: {column}")
         axis.grid(visible=True, which="both", alpha=0.3)
-        axis.set_xlim(0.8, max(row["times grid_sample"] for row in rows) * 12)
+        axis.set_xlim(left=0)
+    axes[0].legend(loc="center right")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
