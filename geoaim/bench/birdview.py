@@ -240,7 +240,7 @@ def main(
     print(table(ways), flush=True)
     if chart_path:
         chart(ways, chart_path)
-    pictures = [errors_at(exact, pixels) for pixels in (512, 256, 128, 64)]
+    pictures = [errors_at(exact, pixels) for pixels in (256, 128, 64)]
     megabytes = memory(256, 64)
     print(table(pictures), f"{megabytes:.1f} MB a view", sep="\n\n", flush=True)
     command = f"python -m geoaim.bench.birdview --repeats {repeats}"

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from geoaim.errors import TracksError
@@ -28,7 +28,7 @@ from geoaim.simulation.simulator import Policy, Recording, record, rollout, rout
 
 POLICIES = ("constant-velocity", "constant-turn-rate", "idm", "replay")
 OBSERVED = 5  # steps that are replayed by all before policies act
-FAST = 1.0  # m/s, wanted at least by who follows a route
+REVERSE = -0.1  # m/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +57,12 @@ def simulate_scene(
     seconds: float = 6.0,
     hdmap: HDMap | None = None,
 ) -> Episode:
-    """Let one agent, or all, drive by one of `POLICIES` among those who replay.
+    """Let one agent, or all who never reverse, drive by one of `POLICIES` among those who replay.
 
     Args:
         scene: where and among whom.
         policy: its name.
-        ego: name of who is controlled; all, if left out.
+        ego: name of who is controlled; if left out all but those who reverse at some time.
         start: seconds of the scene at which the simulation begins.
         seconds: how long it lasts, the first steps, which all replay, included.
         hdmap: tells what is off the road and the wrong way, in the scene's world; without it
@@ -76,24 +76,27 @@ def simulate_scene(
     spacing = float(scene.times.double().diff().median()) if len(scene.times) > 1 else 1.0
     steps = round(seconds / spacing) + 1
     recording = record(scene, torch.tensor([first]), steps)
-    controlled = torch.ones(len(scene.ids), dtype=torch.bool)
+    rest = record(scene, torch.tensor([first]), len(scene.times) - first)
+    controlled = (rest.states[0, ..., 3] > REVERSE).all(dim=0)
     if ego is not None:
         agent = agent_number(scene, ego)
         if not bool(recording.present[0, OBSERVED - 1, agent]):
             raise TracksError(f"agent {ego} is not there at {start:g} s")
         controlled = torch.zeros_like(controlled)
         controlled[agent] = True
-    rest = record(scene, torch.tensor([first]), len(scene.times) - first)
-    found = rollout(recording, _policy(policy, rest), controlled[None], observed=OBSERVED)
+    drive = _policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
+    found = rollout(recording, drive, controlled[None], observed=OBSERVED)
     after = simulated(scene, found, first)
     return Episode(after, recording, controlled, _rates(after, recording, controlled, hdmap))
 
 
-def _policy(name: str, rest: Recording) -> Policy:
+def _policy(
+    name: str, rest: Recording, lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "1 T L"]
+) -> Policy:
     """The policy of that name; the rest of the scene tells routes and wanted speeds."""
     if name == "idm":
-        top = rest.states[..., 3].amax(dim=1).clamp_min(FAST)
-        return intelligent_driver(routes_of(rest), top)
+        top = rest.states[..., 3].amax(dim=1)
+        return intelligent_driver(routes_of(rest), top, lines, states)
     known = {
         "constant-velocity": constant_velocity,
         "constant-turn-rate": constant_turn_rate,

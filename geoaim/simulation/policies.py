@@ -3,9 +3,10 @@
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
+from geoaim.lights import RED, YELLOW
 from geoaim.simulation.kinematics import AXLES, agents_action
 from geoaim.simulation.simulator import Policy, Recording
 
@@ -14,6 +15,8 @@ HEADWAY = 1.5  # s
 STRONGEST, COMFORTABLE = 1.5, 2.0  # m/s² of acceleration, of braking
 LANE = 2.0  # m from a path within which somebody is in the way
 AHEAD = 4.0  # m along the path that is steered at, at least
+SHORT = 0.5  # m before its line that one stops
+HARD = 4.0  # m/s² of braking that one can still do for a light
 LOOK = 0.8  # s of the way ahead that is steered at
 
 
@@ -42,40 +45,70 @@ def replay(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
     return agents_action(path[:, -1], recording.states[:, number], lengths, feet, recording.seconds)
 
 
-def intelligent_driver(routes: Float[Tensor, "B A P 2"], speeds: Float[Tensor, "B A"]) -> Policy:
+def intelligent_driver(
+    routes: Float[Tensor, "B A P 2"],
+    speeds: Float[Tensor, "B A"],
+    stop_lines: Float[Tensor, "L 2 2"] | None = None,
+    light_states: Int[Tensor, "B T L"] | None = None,
+) -> Policy:
     """Along routes at the wanted speeds, keeping distance: the intelligent driver model.
 
     Treiber et al. 2000; steered at a point of the route ahead (pure pursuit, Coulter 1992).
-    Somebody is in the way whose middle is near the route, further along it.
+    Somebody is in the way whose middle is near the route, further along it; so is a line whose
+    light is not green, for vehicles that can still stop there.
 
     Args:
         routes: points along each agent's way, metres; its last way goes on beyond them.
-        speeds: wanted, m/s.
+        speeds: wanted, m/s; who wants none stays where it is.
+        stop_lines: both ends of each light's line.
+        light_states: at all steps of the recording, as in `geoaim.lights`.
     """
 
     def policy(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
-        states, present = path[:, -1], recording.present[:, path.shape[1] - 1]
-        sizes = recording.sizes
+        number = path.shape[1] - 1
+        states, present, sizes = path[:, -1], recording.present[:, number], recording.sizes
+        speed, long = states[..., 3], sizes[..., 0]
         along, off = _on_routes(routes, states[..., :2])
         mine = along.diagonal(dim1=1, dim2=2)
-        gap = along - mine[..., None] - (sizes[:, :, None, 0] + sizes[:, None, :, 0]) / 2
+        gap = along - mine[..., None] - (long[:, :, None] + long[:, None]) / 2
         ahead = (along > mine[..., None]) & (off < LANE) & present[:, None]
         ahead &= ~torch.eye(ahead.shape[1], dtype=torch.bool, device=ahead.device)
         gap, leader = torch.where(ahead, gap, torch.inf).min(dim=-1)
-        other = states[..., 3].gather(1, leader)
-        closing = torch.where(torch.isfinite(gap), states[..., 3] - other, 0.0)
-        push = _acceleration(states[..., 3], speeds, gap, closing)
-        push = torch.maximum(push, -states[..., 3].clamp_min(0) / recording.seconds)
-        return torch.stack([push, _steering(routes, mine, states, sizes[..., 0])], dim=-1)
+        closing = torch.where(torch.isfinite(gap), speed - speed.gather(1, leader), 0.0)
+        push = _acceleration(speed, speeds, gap, closing)
+        if stop_lines is not None and light_states is not None and len(stop_lines):
+            way = (
+                _way_to_lights(routes, mine, speed, stop_lines, light_states[:, number]) - long / 2
+            )
+            way = torch.where(recording.on_foot, torch.inf, way)
+            push = torch.minimum(push, _acceleration(speed, speeds, way + GAP - SHORT, speed))
+        push = torch.maximum(push, -speed.clamp_min(0) / recording.seconds)
+        curve = _curve(routes, mine, states, long)
+        wheel = torch.atan(AXLES * long * curve).clamp(-0.6, 0.6)
+        return torch.stack([push, torch.where(recording.on_foot, curve * speed, wheel)], dim=-1)
 
     return policy
+
+
+def _way_to_lights(
+    routes: Tensor, mine: Tensor, speed: Tensor, lines: Tensor, states: Tensor
+) -> Float[Tensor, "B A"]:
+    """The way of each middle to the next line at which it must and can stop; infinite for none."""
+    middles = lines.mean(dim=1).expand(len(routes), -1, -1)
+    along, off = _on_routes(routes, middles)
+    reach = (lines[:, 1] - lines[:, 0]).norm(dim=-1) / 2
+    way = along - mine[..., None]
+    needed = speed[..., None].square() / (2 * HARD)
+    stops = ((states == RED) | (states == YELLOW))[:, None] & (off < reach) & (way > needed)
+    return torch.where(stops, way, torch.inf).amin(dim=-1)
 
 
 def _acceleration(speed: Tensor, wanted: Tensor, gap: Tensor, closing: Tensor) -> Tensor:
     brake = speed * closing / (2 * math.sqrt(STRONGEST * COMFORTABLE))
     desired = GAP + (speed * HEADWAY + brake).clamp_min(0)
     near = (desired / gap.clamp_min(0.1)).square()
-    return STRONGEST * (1 - (speed / wanted.clamp_min(0.1)) ** 4 - near)
+    free = torch.where(wanted > 0.1, 1 - (speed / wanted.clamp_min(0.1)) ** 4, -1.0)  # or parked
+    return STRONGEST * (free - near)
 
 
 def _on_routes(
@@ -93,16 +126,14 @@ def _on_routes(
     return along.gather(-1, which[..., None])[..., 0], off
 
 
-def _steering(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
-    """The front wheel's angle of the arc from the rear axle through a point of the route ahead."""
-    axles = AXLES * lengths
+def _curve(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
+    """One over the radius of the arc from the rear axle through a point of the route ahead."""
     heading = torch.stack([states[..., 2].cos(), states[..., 2].sin()], dim=-1)
-    rear = states[..., :2] - heading * axles[..., None] / 2
+    rear = states[..., :2] - heading * AXLES * lengths[..., None] / 2
     look = torch.maximum(LOOK * states[..., 3].abs(), torch.full_like(along, AHEAD))
     target = _point_at(routes, along + look) - rear
     left = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
-    curve = 2 * left / target.square().sum(-1).clamp_min(1.0)
-    return torch.atan(axles * curve).clamp(-0.6, 0.6)
+    return 2 * left / target.square().sum(-1).clamp_min(1.0)
 
 
 def _point_at(routes: Tensor, along: Tensor) -> Tensor:

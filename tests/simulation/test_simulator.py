@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from geoaim.lights import GREEN, RED
 from geoaim.simulation import Boxes, View, make_ground, render
 from geoaim.simulation.kinematics import bicycle_step
 from geoaim.simulation.policies import (
@@ -91,6 +92,29 @@ def test_intelligent_driver_follows_its_route_and_stops_behind_others():
     assert 1.5 < gap < 3.5
     near = torch.cdist(found[:, :2], route[0, 0]).min(dim=1).values
     assert near.max() < 1.0
+
+
+def test_intelligent_driver_waits_for_green():
+    steps = 200
+    states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
+    states[:, :, :, 3] = 8.0
+    states[:, :, 1, 1] = 20.0  # the other one has no light
+    sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
+    there = torch.ones(1, steps, 2, dtype=torch.bool)
+    recording = Recording(states, there, sizes, torch.zeros(1, 2).bool(), DT)
+    x = torch.linspace(0, 90, 91).double()
+    route = torch.stack([x, torch.zeros_like(x)], -1).expand(1, 2, 91, 2)
+    route = torch.stack([route[:, 0], route[:, 1] + torch.tensor([0.0, 20.0])], 1)
+    line = torch.tensor([[[40.0, -2.0], [40.0, 2.0]]]).double()
+    light = torch.full((1, steps, 1), RED)
+    light[:, 120:] = GREEN
+    policy = intelligent_driver(route, torch.full((1, 2), 8.0).double(), line, light)
+    found = rollout(recording, policy, torch.ones(1, 2).bool()).states[0]
+    front = found[:, 0, 0] + 4.5 / 2
+    assert front[:120].max() < 40
+    assert front[119] > 37
+    assert found[-1, 0, 0] > 60
+    assert found[119, 1, 0] > 80
 
 
 def test_gradients_through_ten_steps_of_looking_and_driving():
