@@ -29,6 +29,7 @@ from geoaim.simulation.simulator import Policy, Recording, record, rollout, rout
 POLICIES = ("constant-velocity", "constant-turn-rate", "idm", "replay")
 OBSERVED = 5  # steps that are replayed by all before policies act
 REVERSE = -0.1  # m/s
+SPARSE = 5  # steps between the points of a route
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ def _policy(
     """The policy of that name; the rest of the scene tells routes and wanted speeds."""
     if name == "idm":
         top = rest.states[..., 3].amax(dim=1)
-        return intelligent_driver(routes_of(rest), top, lines, states)
+        return intelligent_driver(routes_of(rest)[:, :, ::SPARSE], top, lines, states)
     known = {
         "constant-velocity": constant_velocity,
         "constant-turn-rate": constant_turn_rate,

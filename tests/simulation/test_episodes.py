@@ -24,7 +24,7 @@ def scene(hdmap):
 
 
 def test_replayed_traffic_breaks_no_rules(scene, hdmap):
-    episode = simulate_scene(scene, "replay", start=5.0, seconds=20.0, hdmap=hdmap)
+    episode = simulate_scene(scene, "replay", start=5.0, seconds=8.0, hdmap=hdmap)
     assert episode.rates["red light"] < 0.001
     assert episode.rates["wrong way"] < 0.01
     assert episode.rates["collision"] < 0.02  # a step of replayed actions may touch in a queue
