@@ -136,14 +136,9 @@ def ground_seen(
     turn = matrix[:, :2] * image.new_tensor([[2 / width], [2 / height]])  # grid_sample: -1 to 1
     start = matrix[:, 2] * image.new_tensor([2 / width, 2 / height]) - 1
     cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
-    right, down, middle = (  # sums, since products of matrices may be rounded to half floats
-        (turn * place[:, None]).sum(-1)
-        for place in (
-            torch.stack([sine, -cosine], 1),
-            torch.stack([-cosine, -sine], 1),
-            cameras[:, :2],
-        )
-    )
+    right = applied(turn, torch.stack([sine, -cosine], dim=1))
+    down = applied(turn, torch.stack([-cosine, -sine], dim=1))
+    middle = applied(turn, cameras[:, :2])
     columns, rows = (
         (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
         for count in (view.width, view.height)
@@ -154,6 +149,13 @@ def ground_seen(
     grid = grid.view(1, len(cameras) * view.height, view.width, 2)
     seen = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)
     return seen.view(len(image), len(cameras) * view.height * view.width)
+
+
+def applied(
+    matrix: Float[Tensor, "2 2"], vectors: Float[Tensor, "... 2"]
+) -> Float[Tensor, "... 2"]:
+    """The matrix times each vector, by sums: products of matrices may be rounded to half floats."""
+    return (matrix * vectors[..., None, :]).sum(-1)
 
 
 def unfolded(

@@ -4,6 +4,7 @@ States are (..., A, 4) x, y, heading and speed of A agents in some scenes and st
 (..., A, 2), and `present` says who is there: absent agents do nothing wrong.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -12,7 +13,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from geoaim.lights import RED
-from geoaim.simulation.overlap import box_corners, box_iou
+from geoaim.simulation.ground import applied
+from geoaim.simulation.overlap import box_corners, box_iou, cross
 
 WRONG = 2.0  # radians: a heading further from every lane's direction is the wrong way
 
@@ -66,7 +68,7 @@ def distance_at(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Ten
     """The signed distance at points, linear between the cells."""
     height, width = drivable.metres.shape
     matrix = drivable.image_from_world
-    pixels = points @ matrix[:, :2].t() + matrix[:, 2]
+    pixels = applied(matrix[:, :2], points) + matrix[:, 2]
     size = pixels.new_tensor([width, height])
     grid = (pixels * (2 / size) - 1).reshape(1, 1, -1, 2)
     raster = drivable.metres[None, None]
@@ -105,11 +107,11 @@ def ran_red(
     """
     start, end = _front(before, lengths)[:, :, None], _front(after, lengths)[:, :, None]
     one, two = stop_lines[:, 0], stop_lines[:, 1]
-    sides = _cross(two - one, start - one) * _cross(two - one, end - one) <= 0
-    moved = _cross(two - one, start - one) != _cross(two - one, end - one)
-    between = _cross(end - start, one - start) * _cross(end - start, two - start) <= 0
+    was, now = cross(two - one, start - one), cross(two - one, end - one)
+    crossed = (was * now <= 0) & (was != now)
+    between = cross(end - start, one - start) * cross(end - start, two - start) <= 0
     red = (states == RED)[:, None]
-    return (sides & moved & between & red).any(-1) & present
+    return (crossed & between & red).any(-1) & present
 
 
 def wrong_way(
@@ -120,7 +122,7 @@ def wrong_way(
     flat = safe.reshape(-1, 3)
     on = torch.cdist(flat[:, :2], lanes.places) < lanes.reaches
     apart = flat[:, 2:] - lanes.directions
-    along = torch.cos(apart) > torch.cos(torch.tensor(WRONG))
+    along = torch.cos(apart) > math.cos(WRONG)
     wrong = on.any(dim=1) & ~(on & along).any(dim=1)
     return wrong.view(present.shape) & present
 
@@ -133,7 +135,3 @@ def rate(wrong: Bool[Tensor, "..."], present: Bool[Tensor, "..."]) -> Float[Tens
 def _front(poses: Float[Tensor, "... 3"], lengths: Float[Tensor, "..."]) -> Float[Tensor, "... 2"]:
     ahead = torch.stack([poses[..., 2].cos(), poses[..., 2].sin()], dim=-1)
     return poses[..., :2] + ahead * lengths[..., None] / 2
-
-
-def _cross(a: Float[Tensor, "... 2"], b: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -43,9 +43,8 @@ def shared_area(poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]) ->
     other = near.flip(1), sizes.flip(1)
     start, end = corners, corners.roll(-1, dims=2)
     first, last = _inside(start, end, *other)
-    edge = end - start
-    cross = start[..., 0] * edge[..., 1] - start[..., 1] * edge[..., 0]
-    return (cross * (last - first)).sum((1, 2)).clamp_min(0) / 2
+    twice = cross(start, end - start) * (last - first)
+    return twice.sum((1, 2)).clamp_min(0) / 2
 
 
 def box_iou(
@@ -72,6 +71,11 @@ def box_iou(
     return iou + iou.transpose(1, 2)
 
 
+def cross(a: Float[Tensor, "... 2"], b: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
+    """The cross product in the plane: positive where b points to the left of a."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
 def _inside(
     start: Float[Tensor, "n 2 4 2"],
     end: Float[Tensor, "n 2 4 2"],
@@ -79,10 +83,11 @@ def _inside(
     sizes: Float[Tensor, "n 2 2"],
 ) -> tuple[Float[Tensor, "n 2 4"], Float[Tensor, "n 2 4"]]:
     """From which to which share of itself each edge lies in a box (Liang and Barsky 1984)."""
-    cosine, sine = poses[..., 2].cos(), poses[..., 2].sin()
-    turn = torch.stack([torch.stack([cosine, sine], -1), torch.stack([-sine, cosine], -1)], -1)
-    begin = (start - poses[..., None, :2]) @ turn
-    edge = (end - start) @ turn
+    ahead = torch.stack([poses[..., 2:].cos(), poses[..., 2:].sin()], dim=-1)
+    apart, way = start - poses[..., None, :2], end - start
+    begin, edge = (
+        torch.stack([(ahead * line).sum(-1), cross(ahead, line)], dim=-1) for line in (apart, way)
+    )
     half = sizes[..., None, :] / 2
     still = edge.abs() < 1e-9
     safe = torch.where(still, 1.0, edge)

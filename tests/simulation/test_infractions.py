@@ -97,6 +97,22 @@ def test_wrong_way_is_against_every_lane_below():
     assert not wrong_way(lanes, poses, ~there).any()
 
 
+def test_half_floats_around_it_change_nothing():
+    poses = torch.tensor([[[20.3, 4.7, 0.4], [21.9, 5.1, 0.1], [-31.7, -6.2, 2.0]]])
+    sizes, there = CAR.expand(1, 3, 2), torch.ones(1, 3, dtype=torch.bool)
+    drivable = _drivable()
+
+    def both():
+        return offroad_distance(drivable, poses, sizes, there), collisions(poses, sizes, there)
+
+    plain = both()
+    with torch.autocast("cpu", torch.bfloat16):
+        half = both()
+    assert plain[0].any()
+    assert plain[1].any()
+    assert all(torch.equal(one, two) for one, two in zip(plain, half, strict=True))
+
+
 def test_rate_is_the_share_of_those_present():
     wrong, present = (
         torch.tensor([True, True, False, False]),
