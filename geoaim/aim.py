@@ -166,7 +166,7 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
     sides = _pixel_sides(aim)
     if resolution is None:
         resolution = float(f"{np.median(np.sqrt(sides.prod(axis=1))):.2g}")
-    world_from_grid, height, width = _north_up_grid(aim.corners, resolution)
+    world_from_grid, height, width = north_up_grid(aim.corners, resolution)
     image_from_grid = np.linalg.inv(aim.world_from_image) @ world_from_grid
     oversampling = int(np.clip(round(resolution / sides.min()), 1, BLOCK))
     coverage = _nearest(aim.coverage, image_from_grid, height, width)
@@ -284,9 +284,15 @@ def _pixel_sides(aim: AIM) -> Float[Array, "m 2"]:
     return np.linalg.norm(steps, axis=-1).T
 
 
-def _north_up_grid(
-    corners: Float[Array, "4 2"], resolution: float
+def north_up_grid(
+    corners: Float[Array, "n 2"], resolution: float
 ) -> tuple[Float[Array, "3 3"], int, int]:
+    """world_from_grid, height and width of a grid over points, on whole multiples of its pixels.
+
+    Raises:
+        ValueError: the resolution is not a positive number.
+        AimError: it would have more than 30,000 pixels a side.
+    """
     if not (np.isfinite(resolution) and resolution > 0):
         raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
     low = np.floor(corners.min(axis=0) / resolution + 1e-6)  # a corner on a line adds no row

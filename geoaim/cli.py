@@ -197,7 +197,7 @@ def render(
         agent = agent_number(scene, ego)
         step = step_at(scene, agent, time) if output.suffix.lower() == ".png" else None
         count = _film(
-            scene, ego, output, progress, step=step, size=size, metres=metres, trail=trail
+            scene, agent, output, progress, step=step, size=size, metres=metres, trail=trail
         )
     console.print(f"{output}: {count} pictures of {size} x {size} px around agent {ego}")
 
@@ -223,7 +223,7 @@ def simulate(
     constant-turn-rate, idm (along the recorded way, keeping distance), replay.
     """
     from geoaim.simulation.episodes import simulate_scene
-    from geoaim.simulation.scene import tracks_of
+    from geoaim.simulation.scene import agent_number, tracks_of
     from geoaim.tracks import write_tracks
 
     with _stages() as progress, _plain_errors():
@@ -234,7 +234,7 @@ def simulate(
         episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=seconds, hdmap=known)
         write_tracks(tracks_of(episode.scene, world), output)
         if film is not None and ego is not None:
-            _film(episode.scene, ego, film, progress)
+            _film(episode.scene, agent_number(scene, ego), film, progress)
     rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
     console.print(f"{output}: {int(episode.controlled.sum())} agents by {policy}. {rates}")
 
@@ -295,7 +295,7 @@ def _scene(
 
 def _film(
     scene: "Scene",
-    ego: str,
+    agent: int,
     path: Path,
     progress: Callable[[str, float, float | None], None],
     *,
@@ -307,13 +307,11 @@ def _film(
     """Draw what an agent has around it at one step or at all of its steps; how many they were."""
     from geoaim.simulation.ground import View
     from geoaim.simulation.pictures import film_agent, write_pictures
-    from geoaim.simulation.scene import agent_number
+    from geoaim.simulation.scene import step_seconds
 
-    agent = agent_number(scene, ego)
     steps = scene.present[agent].nonzero()[:, 0] if step is None else step[None]
-    rate = 1 / float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
     frames = film_agent(scene, agent, View(size, size, metres / size), steps, trail=trail)
-    write_pictures(_counted(frames, len(steps), progress), path, rate=rate)
+    write_pictures(_counted(frames, len(steps), progress), path, rate=1 / step_seconds(scene))
     return len(steps)
 
 

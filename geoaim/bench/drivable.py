@@ -21,19 +21,19 @@ from geoaim.bench.data import data_folder
 from geoaim.bench.report import save, table
 from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import read_hdmap
+from geoaim.simulation.layers import KINDS
 from geoaim.track_formats import read_interaction
 from geoaim.tracks import Tracks, read_tracks
 from geoaim.world import LONLAT, World, transform_crs
 
 JUNCTIONS = ("k729_2022-03-16", "k733_2018-05-02")
 CRS = "EPSG:32632"
-WHEELS = ("car", "van", "truck", "bus")
 NEAR = 0.7  # m
 
 
 def places_of(tracks: Tracks) -> Float[Array, "m 2"]:
     """Where vehicles were."""
-    wheels = np.array([kind in WHEELS for kind in tracks.types])
+    wheels = np.array([kind in KINDS["vehicle"] for kind in tracks.types])
     return tracks.states[wheels][tracks.present[wheels]][:, :2]
 
 

@@ -3,7 +3,7 @@
     python -m geoaim.bench.simulator --json docs/bench/simulator.json
 
 Each is set beside `agents * 4` sines, a yardstick of the machine, and beside shapely for overlaps.
-With torchdrivesim installed its kinematics, collisions and off-road are timed in the same run.
+With torchdrivesim installed its collisions and off-road distance are timed in the same run.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,9 @@ import numpy as np
 import shapely
 import torch
 import typer
-from shapely import LineString
 
 from geoaim.bench.report import medians, save, table
-from geoaim.mapping.drivable import drivable_area
+from geoaim.mapping.drivable import drivable_area, points_along
 from geoaim.mapping.hdmap import HDMap, read_hdmap
 from geoaim.simulation.infractions import offroad_distance
 from geoaim.simulation.overlap import box_corners, box_iou
@@ -102,15 +101,9 @@ def _triangles(hdmap: HDMap) -> tuple[torch.Tensor, torch.Tensor]:
     corners: list[np.ndarray] = []
     faces: list[np.ndarray] = []
     for lanelet in hdmap.lanelets:
-        shares = np.linspace(0, 1, STATIONS)
-        sides = [
-            shapely.get_coordinates(
-                shapely.line_interpolate_point(LineString(side), shares, normalized=True)
-            )
-            for side in (lanelet.left, lanelet.right)
-        ]
+        sides = points_along(lanelet, np.linspace(0, 1, STATIONS))
         start = 2 * STATIONS * len(corners)
-        corners.append(np.stack(sides, axis=1).reshape(-1, 2))
+        corners.append(sides.swapaxes(0, 1).reshape(-1, 2))
         faces.append(start + two.reshape(-1, 3))
     return (
         torch.tensor(np.concatenate(corners), dtype=torch.float32)[None],

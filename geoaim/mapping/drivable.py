@@ -16,6 +16,7 @@ from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
+from geoaim.aim import north_up_grid
 from geoaim.errors import MapError
 from geoaim.files import replacing
 from geoaim.mapping.hdmap import HDMap, Lanelet
@@ -48,6 +49,15 @@ def outline(lanelet: Lanelet) -> Polygon:
     return ring if ring.is_valid else shapely.make_valid(ring)
 
 
+def points_along(lanelet: Lanelet, shares: Float[Array, "n"]) -> Float[Array, "2 n 2"]:
+    """Points of the left and of the right line at shares of their lengths."""
+    sides = (
+        shapely.line_interpolate_point(LineString(line), shares, normalized=True)
+        for line in (lanelet.left, lanelet.right)
+    )
+    return np.stack([shapely.get_coordinates(points) for points in sides])
+
+
 def drivable_area(hdmap: HDMap) -> MultiPolygon:
     """Lanes and car parks of the map as one area, without the gaps between lanes.
 
@@ -69,18 +79,14 @@ def lane_directions(
     places, directions, reaches = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for lanelet in hdmap.lanelets:
         if lanelet.one_way and lanelet.subtype not in NOT_DRIVEN:
-            left, right = LineString(lanelet.left), LineString(lanelet.right)
-            count = max(2, int(np.ceil(max(left.length, right.length) / SPACING)) + 1)
-            shares = np.linspace(0, 1, count)
-            sides = [
-                shapely.get_coordinates(shapely.line_interpolate_point(x, shares, normalized=True))
-                for x in (left, right)
-            ]
-            middle, half = (sides[0] + sides[1]) / 2, np.linalg.norm(sides[0] - sides[1], axis=1)
+            long = max(LineString(line).length for line in (lanelet.left, lanelet.right))
+            shares = np.linspace(0, 1, max(2, int(np.ceil(long / SPACING)) + 1))
+            left, right = points_along(lanelet, shares)
+            middle, wide = (left + right) / 2, np.linalg.norm(left - right, axis=1)
             ahead = np.gradient(middle, axis=0)
             places.append(middle)
             directions.append(np.arctan2(ahead[:, 1], ahead[:, 0]))
-            reaches.append(np.hypot(half / 2, SPACING / 2))
+            reaches.append(np.hypot(wide / 2, SPACING / 2))
     return np.concatenate(places), np.concatenate(directions), np.concatenate(reaches)
 
 
@@ -118,7 +124,7 @@ def read_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
     whole = shapely.union_all([shapely.make_valid(part) for part in flat])
     if world.crs is not None:
         whole = shapely.transform(whole, lambda points: world_from_lonlat(world, points))
-    return _polygons(whole)
+    return polygons_of(whole)
 
 
 def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDistance:
@@ -127,52 +133,28 @@ def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDis
     They are those to the nearest cell of a mask `FINER` times as fine, which is half a cell of
     the mask from the edge on average.
     """
-    low = np.floor((np.array(area.bounds[:2]) - MARGIN) / resolution) * resolution
-    high = np.array(area.bounds[2:]) + MARGIN
-    width, height = np.ceil((high - low) / resolution).astype(int)
-    top = low[1] + height * resolution
+    low, high = np.array(area.bounds).reshape(2, 2)
+    world_from_grid, height, width = north_up_grid(
+        np.stack([low - MARGIN, high + MARGIN]), resolution
+    )
     fine = resolution / FINER
-    placed = Affine(fine, 0, low[0], 0, -fine, top)
+    placed = Affine(*world_from_grid[:2].ravel()) * Affine.scale(1 / FINER)
     mask = rasterize([area], (height * FINER, width * FINER), transform=placed, dtype=np.uint8)
     inside, outside = (
         cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (mask, 1 - mask)
     )
     signed = np.where(mask > 0, 0.5 - inside, outside - 0.5) * fine
     metres = cv2.resize(signed.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    image_from_world = np.array(
-        [
-            [1 / resolution, 0, -low[0] / resolution],
-            [0, -1 / resolution, top / resolution],
-            [0, 0, 1],
-        ]
-    )
-    return SignedDistance(metres, image_from_world)
-
-
-def fill_area(
-    image: Array,
-    area: BaseGeometry,
-    image_from_world: Float[Array, "2 3"],
-    colour: tuple[int, int, int],
-) -> None:
-    """Fill polygons with their holes, to the 1/256 of a pixel."""
-    rings = [
-        ring for polygon in _polygons(area).geoms for ring in (polygon.exterior, *polygon.interiors)
-    ]
-    matrix = image_from_world
-    corners = [
-        np.asarray(ring.coords)[:, :2] @ matrix[:2, :2].T + matrix[:2, 2] - 0.5 for ring in rings
-    ]
-    fixed = [np.rint(points * 256).astype(np.int32) for points in corners]
-    if fixed:
-        cv2.fillPoly(image, fixed, colour, lineType=cv2.LINE_AA, shift=8)
+    return SignedDistance(metres, np.linalg.inv(world_from_grid))
 
 
 def _closed(area: BaseGeometry) -> MultiPolygon:
-    return _polygons(area.buffer(GAP / 2, join_style="mitre").buffer(-GAP / 2, join_style="mitre"))
+    return polygons_of(
+        area.buffer(GAP / 2, join_style="mitre").buffer(-GAP / 2, join_style="mitre")
+    )
 
 
-def _polygons(area: BaseGeometry) -> MultiPolygon:
+def polygons_of(area: BaseGeometry) -> MultiPolygon:
     """The polygons of any geometry."""
     parts = shapely.get_parts(shapely.get_parts(np.atleast_1d(area)))
     return MultiPolygon([part for part in parts if isinstance(part, Polygon) and not part.is_empty])

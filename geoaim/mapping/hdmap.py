@@ -168,18 +168,16 @@ def _lanelet(path: Path, relation: ET.Element, ways: Mapping[str | None, MapLine
             )
         sides[role] = ways[refs[0]].points
     left, right = sides["left"], sides["right"]
-    apart = [np.linalg.norm(left[[0, -1]] - ends, axis=1).sum() for ends in _both_ways(right)]
-    if apart[1] < apart[0]:
+    as_is, turned = (
+        np.linalg.norm(left[[0, -1]] - line[[0, -1]], axis=1).sum() for line in (right, right[::-1])
+    )
+    if turned < as_is:
         right = right[::-1]
     x, y = np.concatenate([left, right[::-1]]).T
     if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0:  # the left line lies on the right
         left, right = left[::-1], right[::-1]
     one_way = _tag(relation, "one_way") != "no"
     return Lanelet(_tag(relation, "subtype") or "road", one_way, left, right)
-
-
-def _both_ways(line: Float[Array, "n 2"]) -> tuple[Float[Array, "2 2"], Float[Array, "2 2"]]:
-    return line[[0, -1]], line[[-1, 0]]
 
 
 def _members(relation: ET.Element, role: str) -> list[str | None]:

@@ -4,11 +4,14 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.aim import AIM
-from geoaim.mapping.drivable import NOT_DRIVEN, fill_area, outline
+from geoaim.aim import AIM, north_up_grid
+from geoaim.geometry import transform_points
+from geoaim.mapping.drivable import NOT_DRIVEN, outline, points_along, polygons_of
 from geoaim.mapping.hdmap import HDMap, Lanelet, MapLine
 
 Colour = tuple[int, int, int]
@@ -53,20 +56,18 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
         ValueError: the resolution is not positive, or the image would be absurdly large.
     """
     points = np.concatenate([line.points for line in hdmap.lines])
-    low = np.floor((points.min(axis=0) - MARGIN) / resolution) * resolution
-    size = np.ceil((points.max(axis=0) + MARGIN - low) / resolution)
-    if not resolution > 0 or size.prod() * FINER**2 > LARGEST:
+    corners = np.stack([points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN])
+    wide, high = corners[1] - corners[0]
+    if resolution > 0 and wide * high / resolution**2 > LARGEST / FINER**2:
         raise ValueError(
-            f"at {resolution} m a pixel the image would have {size.prod():.3g} pixels; the map is "
-            f"{size[0] * resolution:.0f} by {size[1] * resolution:.0f} m"
+            f"at {resolution} m a pixel the image would have {wide * high / resolution**2:.3g} "
+            f"pixels; the map is {wide:.0f} by {high:.0f} m"
         )
-    width, height = size.astype(int)
-    top = low[1] + height * resolution
-    world_from_image = np.array([[resolution, 0, low[0]], [0, -resolution, top], [0, 0, 1]])
-    fine_from_world = np.linalg.inv(world_from_image)[:2] * FINER
+    world_from_image, height, width = north_up_grid(corners, resolution)
+    fine_from_world = np.diag([FINER, FINER, 1.0]) @ np.linalg.inv(world_from_image)
     fine = np.full((height * FINER, width * FINER, 3), GROUND, np.uint8)
     for shape, colour in _drawn(hdmap):
-        fill_area(fine, shape, fine_from_world, colour)
+        _fill(fine, shape, fine_from_world, colour)
     image = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
     return AIM(
         image,
@@ -76,6 +77,24 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
         contested=np.zeros((height, width), bool),
         report={"source": "HD map"},
     )
+
+
+def _fill(
+    image: UInt8[Array, "H W 3"],
+    area: BaseGeometry,
+    image_from_world: Float[Array, "3 3"],
+    colour: Colour,
+) -> None:
+    """Fill polygons with their holes, to the 1/256 of a pixel."""
+    rings = [
+        np.asarray(ring.coords)[:, :2]
+        for polygon in polygons_of(area).geoms
+        for ring in (polygon.exterior, *polygon.interiors)
+    ]
+    corners = [transform_points(image_from_world, ring) - 0.5 for ring in rings]
+    fixed = [np.rint(points * 256).astype(np.int32) for points in corners]
+    if fixed:
+        cv2.fillPoly(image, fixed, colour, lineType=cv2.LINE_AA, shift=8)
 
 
 def _drawn(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
@@ -91,10 +110,10 @@ def _drawn(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
     for lanelet in hdmap.lanelets:
         if lanelet.subtype in NOT_DRIVEN and lanelet.subtype != "walkway":
             yield outline(lanelet), SURFACES.get(lanelet.subtype, SURFACES["walkway"])
-    known = [line for line in hdmap.lines if _style(line) is not None]
-    for line in sorted(known, key=lambda line: list(LINES).index(_style(line) or "")):
-        colour, wide = LINES[_style(line) or ""]
-        yield LineString(line.points).buffer(wide / 2, cap_style="flat"), colour
+    for style, (colour, wide) in LINES.items():
+        for line in hdmap.lines:
+            if _style(line) == style:
+                yield LineString(line.points).buffer(wide / 2, cap_style="flat"), colour
     for lanelet in lanes:
         if lanelet.one_way:
             yield from ((arrow, ARROW) for arrow in _arrows(lanelet))
@@ -107,13 +126,13 @@ def _style(line: MapLine) -> str | None:
 
 def _arrows(lanelet: Lanelet) -> Iterator[Polygon]:
     """Heads of arrows along the middle of a lane."""
-    left, right = LineString(lanelet.left), LineString(lanelet.right)
-    count = max(1, round((left.length + right.length) / 2 / SPACING))
-    for share in (np.arange(count) + 0.5) / count:
-        here, ahead = (
-            np.mean([side.interpolate(x, normalized=True).coords[0] for side in (left, right)], 0)
-            for x in (share, min(share + 0.02, 1.0))
-        )
+    long = sum(LineString(line).length for line in (lanelet.left, lanelet.right)) / 2
+    count = max(1, round(long / SPACING))
+    shares = (np.arange(count) + 0.5) / count
+    starts, ends = (
+        points_along(lanelet, at).mean(axis=0) for at in (shares, np.minimum(shares + 0.02, 1.0))
+    )
+    for here, ahead in zip(starts, ends, strict=True):
         along = (ahead - here) / max(np.linalg.norm(ahead - here), 1e-9) * HEAD
         aside = np.array([-along[1], along[0]]) * 0.35
         yield Polygon([here + along / 2, here - along / 2 + aside, here - along / 2 - aside])

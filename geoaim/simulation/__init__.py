@@ -1,4 +1,4 @@
-"""Pictures of a map as models see it, from tensors to tensors; by and by a simulator around them.
+"""Pictures of a map as models see it, from tensors to tensors, and a simulator around them.
 
 view = View(256, 256, 0.4)
 pictures = render(view, cameras, fit_ground(ground, view.resolution), [boxes])

@@ -231,9 +231,8 @@ def _near_edges(
     sizes: Float[Tensor, "N 2"],
 ) -> tuple[Bool[Tensor, "n"], Bool[Tensor, "n"]]:
     """In which pixels an edge of the box may pass, and in which the triangle may lie."""
-    u, v, right, down, length, width = torch.cat([middle - 0.5, axis, sizes / 2], 1)[owner].unbind(
-        1
-    )
+    table = torch.cat([middle - 0.5, axis, sizes / 2], dim=1)[owner]
+    u, v, right, down, length, width = table.unbind(1)
     x, y = place[:, 0] - u, place[:, 1] - v
     along = x * right + y * down
     inside = torch.minimum(length - along.abs(), width - (x * down - y * right).abs())
@@ -291,9 +290,8 @@ def _check(cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[Boxes]
                     f"{name} for {tuple(shape)} boxes, where {views} views have {count} each"
                 )
         known = torch.isfinite(layer.poses).all(dim=-1)
-        right = ((layer.sizes > 0) & torch.isfinite(layer.sizes)).all(dim=-1).expand(
-            known.shape
-        ) & known
+        real = (layer.sizes > 0) & torch.isfinite(layer.sizes)
+        right = real.all(dim=-1).expand(known.shape) & known
         if not (right if layer.present is None else right | ~layer.present).all():
             raise ValueError(
                 "a box that is present has a pose that is not finite, or a size that is not "

@@ -23,10 +23,15 @@ from geoaim.simulation.policies import (
     intelligent_driver,
     replay,
 )
-from geoaim.simulation.scene import Scene, agent_number, drivable_of, lanes_of
+from geoaim.simulation.scene import Scene, agent_number, drivable_of, lanes_of, step_seconds
 from geoaim.simulation.simulator import Policy, Recording, record, rollout, routes_of, simulated
 
-POLICIES = ("constant-velocity", "constant-turn-rate", "idm", "replay")
+PLAIN: Mapping[str, Policy] = {
+    "constant-velocity": constant_velocity,
+    "constant-turn-rate": constant_turn_rate,
+    "replay": replay,
+}
+POLICIES = ("idm", *PLAIN)
 OBSERVED = 5  # steps that are replayed by all before policies act
 REVERSE = -0.1  # m/s
 SPARSE = 5  # steps between the points of a route
@@ -74,8 +79,7 @@ def simulate_scene(
         TracksError: the ego is not among the agents, or not there at the start.
     """
     first = int((scene.times - start).abs().argmin())
-    spacing = float(scene.times.double().diff().median()) if len(scene.times) > 1 else 1.0
-    steps = round(seconds / spacing) + 1
+    steps = round(seconds / step_seconds(scene)) + 1
     recording = record(scene, torch.tensor([first]), steps)
     rest = record(scene, torch.tensor([first]), len(scene.times) - first)
     controlled = (rest.states[0, ..., 3] > REVERSE).all(dim=0)
@@ -98,32 +102,25 @@ def _policy(
     if name == "idm":
         top = rest.states[..., 3].amax(dim=1)
         return intelligent_driver(routes_of(rest)[:, :, ::SPARSE], top, lines, states)
-    known = {
-        "constant-velocity": constant_velocity,
-        "constant-turn-rate": constant_turn_rate,
-        "replay": replay,
-    }
-    if name not in known:
+    if name not in PLAIN:
         raise ValueError(f"there is no policy {name!r}; there are {', '.join(POLICIES)}")
-    return known[name]
+    return PLAIN[name]
 
 
 def _rates(
     scene: Scene, recording: Recording, controlled: Bool[Tensor, "A"], hdmap: HDMap | None
 ) -> dict[str, float]:
     """Collisions of all; the rest of vehicles, which roads, lights and directions are for."""
-    poses = scene.poses.transpose(0, 1)[OBSERVED:]
-    there = scene.present.t()[OBSERVED:]
+    before, poses = (scene.poses.transpose(0, 1)[k:] for k in (OBSERVED - 1, OBSERVED))
+    was, there = (scene.present.t()[k:] for k in (OBSERVED - 1, OBSERVED))
     sizes = scene.sizes.expand(len(poses), -1, -1)
     wheels = ~recording.on_foot[0]
     mine = there & controlled
     driven = mine & wheels
     rates = {"collision": rate(collisions(poses, sizes, there) > 0, mine)}
     if len(scene.stop_lines):
-        before = scene.poses.transpose(0, 1)[OBSERVED - 1 : -1]
-        both = driven & scene.present.t()[OBSERVED - 1 : -1]
         lengths, states = sizes[..., 0], scene.light_states[OBSERVED:]
-        ran = ran_red(before, poses, lengths, both, scene.stop_lines, states)
+        ran = ran_red(before[:-1], poses, lengths, driven & was[:-1], scene.stop_lines, states)
         rates["red light"] = rate(ran, driven)
     if hdmap is not None:
         drivable = drivable_of(drivable_area(hdmap))

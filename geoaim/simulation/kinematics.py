@@ -32,7 +32,8 @@ def bicycle_step(
     """
     slip = torch.atan(torch.tan(action[..., 1]) / 2)
     turn_per_metre = torch.sin(slip) / (AXLES / 2 * length)
-    return _along_arc(state, action[..., 0], slip, turn_per_metre, seconds)
+    speed, way = _pushed(state, action, seconds)
+    return _moved(state, way, state[..., 2] + slip, turn_per_metre * way, speed)
 
 
 def bicycle_action(
@@ -54,10 +55,8 @@ def bicycle_action(
 
 def unicycle_step(state: State, action: Action, seconds: float) -> State:
     """Somebody on foot: action is acceleration, m/s², and turn, radians a second."""
-    turn = action[..., 1] * seconds
-    speed = state[..., 3] + action[..., 0] * seconds
-    way = (state[..., 3] + speed) / 2 * seconds
-    return _moved(state, way, state[..., 2], turn, speed)
+    speed, way = _pushed(state, action, seconds)
+    return _moved(state, way, state[..., 2], action[..., 1] * seconds, speed)
 
 
 def unicycle_action(state: State, after: State, seconds: float) -> Action:
@@ -121,16 +120,12 @@ def limit_smoothly(action: Action, most: Float[Tensor, "... 2"]) -> Action:
     return most * torch.tanh(action / most)
 
 
-def _along_arc(
-    state: State,
-    acceleration: Float[Tensor, "..."],
-    slip: Float[Tensor, "..."],
-    turn_per_metre: Float[Tensor, "..."],
-    seconds: float,
-) -> State:
-    speed = state[..., 3] + acceleration * seconds
-    way = (state[..., 3] + speed) / 2 * seconds
-    return _moved(state, way, state[..., 2] + slip, turn_per_metre * way, speed)
+def _pushed(
+    state: State, action: Action, seconds: float
+) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."]]:
+    """The speed after a step's acceleration, and the way in it."""
+    speed = state[..., 3] + action[..., 0] * seconds
+    return speed, (state[..., 3] + speed) / 2 * seconds
 
 
 def _moved(

@@ -7,10 +7,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.lights import STATES
+from geoaim.lights import STATES, UNKNOWN
 from geoaim.simulation.birdview import Boxes
 from geoaim.simulation.lines import light_boxes, path_boxes
-from geoaim.simulation.scene import Scene
+from geoaim.simulation.scene import Scene, step_seconds
 
 EGO = (1.0, 0.35, 0.0)
 POINTER = (1.0, 1.0, 1.0)
@@ -33,8 +33,7 @@ TRAIL = 0.4  # m that a trail is wide
 
 def agents_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> Boxes:
     """All agents at each of B steps in their types' colours, one of them in the ego's."""
-    table = [COLOURS.get(kind, OTHER) for kind in scene.types]
-    colours = scene.sizes.new_tensor(table).repeat(len(steps), 1, 1)
+    colours = _colours(scene).repeat(len(steps), 1, 1)
     colours[torch.arange(len(steps)), egos] = colours.new_tensor(EGO)
     noses = colours.new_tensor(POINTER).expand_as(colours)
     poses, present = _there(scene, steps)
@@ -48,17 +47,15 @@ def lights_at(scene: Scene, steps: Int[Tensor, "B"]) -> Boxes:
 
 def trails_at(scene: Scene, steps: Int[Tensor, "B"], *, seconds: float) -> Boxes:
     """Where the agents of each of B steps have been within so many seconds before."""
-    spacing = float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
-    back = torch.arange(-round(seconds / spacing), 1, device=scene.poses.device)
+    count = round(seconds / step_seconds(scene))
+    back = torch.arange(-count, 1, device=scene.poses.device)
     before = steps[:, None].to(scene.poses.device) + back
     poses, present = _there(scene, before.clamp_min(0).flatten())
     shape = len(steps), len(back), len(scene.ids)
     present = present.view(shape)
     present = present & present[:, -1:] & (before >= 0)[..., None]
     points = poses[..., :2].reshape(*shape, 2).transpose(1, 2)
-    table = [COLOURS.get(kind, OTHER) for kind in scene.types]
-    colours = scene.sizes.new_tensor(table)
-    return path_boxes(points, colours, width=TRAIL, present=present.transpose(1, 2))
+    return path_boxes(points, _colours(scene), width=TRAIL, present=present.transpose(1, 2))
 
 
 def layers_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> dict[str, Boxes]:
@@ -74,9 +71,13 @@ def layers_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> 
         masks[name] = ~ego & ego.new_tensor([other == name for other in names])
     layers = {name: replace(everyone, present=present & mask) for name, mask in masks.items()}
     for number, state in enumerate(STATES):
-        only = torch.where(states == number, states, -1)
+        only = torch.where(states == number, states, UNKNOWN)
         layers[state] = light_boxes(scene.stop_lines, only)
     return layers
+
+
+def _colours(scene: Scene) -> Float[Tensor, "N 3"]:
+    return scene.sizes.new_tensor([COLOURS.get(kind, OTHER) for kind in scene.types])
 
 
 def _there(

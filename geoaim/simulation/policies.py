@@ -8,6 +8,7 @@ from torch import Tensor
 
 from geoaim.lights import RED, YELLOW
 from geoaim.simulation.kinematics import AXLES, agents_action
+from geoaim.simulation.overlap import cross
 from geoaim.simulation.simulator import Policy, Recording
 
 GAP = 2.0  # m that stay to the vehicle ahead at standstill
@@ -77,10 +78,8 @@ def intelligent_driver(
         closing = torch.where(torch.isfinite(gap), speed - speed.gather(1, leader), 0.0)
         push = _acceleration(speed, speeds, gap, closing)
         if stop_lines is not None and light_states is not None and len(stop_lines):
-            way = (
-                _way_to_lights(routes, mine, speed, stop_lines, light_states[:, number]) - long / 2
-            )
-            way = torch.where(recording.on_foot, torch.inf, way)
+            way = _way_to_lights(routes, mine, speed, stop_lines, light_states[:, number])
+            way = torch.where(recording.on_foot, torch.inf, way - long / 2)
             push = torch.minimum(push, _acceleration(speed, speeds, way + GAP - SHORT, speed))
         push = torch.maximum(push, -speed.clamp_min(0) / recording.seconds)
         curve = _curve(routes, mine, states, long)
@@ -132,8 +131,7 @@ def _curve(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Te
     rear = states[..., :2] - heading * AXLES * lengths[..., None] / 2
     look = torch.maximum(LOOK * states[..., 3].abs(), torch.full_like(along, AHEAD))
     target = _point_at(routes, along + look) - rear
-    left = heading[..., 0] * target[..., 1] - heading[..., 1] * target[..., 0]
-    return 2 * left / target.square().sum(-1).clamp_min(1.0)
+    return 2 * cross(heading, target) / target.square().sum(-1).clamp_min(1.0)
 
 
 def _point_at(routes: Tensor, along: Tensor) -> Tensor:

@@ -116,10 +116,20 @@ def lanes_of(hdmap: HDMap) -> Lanes:
     return Lanes(places, directions, reaches)
 
 
+def states_of(scene: Scene) -> Float[Tensor, "N T 4"]:
+    """x, y, heading and speed of all agents at all steps."""
+    return torch.cat([scene.poses, scene.speeds[..., None]], dim=-1)
+
+
+def step_seconds(scene: Scene) -> float:
+    """The usual time between two steps; a second where there is but one."""
+    return float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
+
+
 def tracks_of(scene: Scene, world: World) -> Tracks:
     """What happens in a scene, back as tracks; agents that are never there are left out."""
     seen = scene.present.any(dim=1).nonzero()[:, 0]
-    states = torch.cat([scene.poses, scene.speeds[..., None]], dim=-1)[seen].double()
+    states = states_of(scene)[seen].double()
     present = scene.present[seen]
     return Tracks(
         times=np.round(scene.times.double().cpu().numpy(), 6),

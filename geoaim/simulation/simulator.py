@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from geoaim.simulation.kinematics import agents_step
-from geoaim.simulation.scene import Scene
+from geoaim.simulation.scene import Scene, states_of, step_seconds
 
 ON_FOOT = ("pedestrian",)
 
@@ -60,22 +60,17 @@ def record(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Recording:
         raise ValueError(
             f"{steps} steps from {starts.tolist()} are not all among the scene's {len(scene.times)}"
         )
-    gaps = scene.times.double().diff()
-    if steps < 2 or (gaps - gaps.median()).abs().max() > 0.01 * gaps.median():
+    seconds = step_seconds(scene)
+    if steps < 2 or (scene.times.diff() - seconds).abs().max() > 0.01 * seconds:
         raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
     when = starts[:, None] + torch.arange(steps, device=starts.device)
     present = scene.present[:, when].permute(1, 2, 0)
-    states = torch.cat([scene.poses, scene.speeds[..., None]], dim=-1)[:, when].permute(1, 2, 0, 3)
+    states = states_of(scene)[:, when].permute(1, 2, 0, 3)
     states = torch.where(present[..., None], states, 0.0)
     feet = torch.tensor([kind in ON_FOOT for kind in scene.types], device=starts.device)
     count = len(starts)
-    return Recording(
-        states,
-        present,
-        scene.sizes.expand(count, -1, -1),
-        feet.expand(count, -1),
-        float(gaps.median()),
-    )
+    sizes = scene.sizes.expand(count, -1, -1)
+    return Recording(states, present, sizes, feet.expand(count, -1), seconds)
 
 
 def simulated(scene: Scene, found: Rollout, start: int, number: int = 0) -> Scene:
