@@ -5,24 +5,43 @@ The plain table has a row for each change, and each light keeps its state until 
     time,signal,state
     0.0,east,green
     24.5,east,yellow
+
+SinD's tables (github.com/SOTIF-AVLab/SinD) have a row for each time at which any light changes and
+a column for each light; its name there is the signal's.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
-from geoaim.errors import TracksError
+from geoaim.errors import MapError, TracksError
+from geoaim.geojson import read_features
 from geoaim.world import World
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 GREEN, YELLOW, RED = 0, 1, 2
 STATES = ("green", "yellow", "red")
 UNKNOWN = -1
-COLUMNS = ("time", "signal", "state")
+COLUMNS = ["time", "signal", "state"]
+SIND_TIME = "timestamp(ms)"
+SIND_LIGHT = "traffic light"
+SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
+
+
+@dataclass(frozen=True, eq=False)
+class StopLine:
+    """Where a signal stops traffic: both ends of the line, metres. A signal may have several."""
+
+    signal: str
+    ends: Float[Array, "2 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +49,7 @@ class Lights:
     """Traffic lights.
 
     Attributes:
-        names: of the lights.
+        names: of the signals.
         lines: (L, 2, 2) both ends of each one's stop line, metres in the world.
         times: (K,) seconds at which states begin, increasing.
         states: (K, L) from each of the times until the next one: `GREEN`, `YELLOW`, `RED`, or
@@ -52,33 +71,42 @@ def states_at(lights: Lights, times: Float[Array, "T"]) -> Int8[Array, "T L"]:
     return np.where(last[:, None] < 0, UNKNOWN, states).astype(np.int8)
 
 
-def read_lights(
-    path: str | os.PathLike[str], lines: Mapping[str, Float[Array, "2 2"]], world: World
-) -> Lights:
-    """Read the plain table, of the lights whose stop lines are given.
+def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLine, ...]:
+    """Read hand-drawn stop lines, GeoJSON: lines with the property `signal`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        MapError: it is no GeoJSON, or holds no line with a signal's name.
+    """
+    features = read_features(path, world)
+    named = [
+        f for f in features if f.geometry.geom_type == "LineString" and "signal" in f.properties
+    ]
+    if not named:
+        kinds = ", ".join(sorted({f.geometry.geom_type for f in features})) or "nothing"
+        raise MapError(f"{path} holds {kinds}; a LineString with the property 'signal' is needed")
+    return tuple(
+        StopLine(str(f.properties["signal"]), np.array(f.geometry.coords)[[0, -1], :2])
+        for f in named
+    )
+
+
+def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: World) -> Lights:
+    """Read a plain table or one of SinD's, of the signals whose stop lines are given.
 
     Args:
-        path: the table of changes, CSV.
-        lines: both ends of the stop line of each light by name, metres in the world; lights of
-            the table without one are left out.
+        path: the table, CSV.
+        lines: where the signals stop traffic, metres in the world; signals of the table without a
+            line are left out.
         world: the plane of the lines.
 
     Raises:
         FileNotFoundError: there is no such file.
-        TracksError: it is not such a table, a state is none of `STATES`, or no light has a line.
+        TracksError: it is no such table, a state is none of `STATES`, or no signal has a line.
     """
-    import pandas as pd
-
     path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
-    try:
-        rows = pd.read_csv(path, dtype={"signal": str, "state": str})
-    except (ValueError, OSError) as error:
-        raise TracksError(f"{path} is no table of lights: {error}") from error
-    if not set(COLUMNS) <= set(rows.columns):
-        raise TracksError(f"{path} has the columns {', '.join(rows.columns)}; {COLUMNS} are needed")
-    moments = pd.to_numeric(rows["time"], errors="coerce").to_numpy(np.float64)
+    rows = _changes(path)
+    moments = rows["time"].to_numpy(np.float64)
     strange = ~rows["state"].isin(STATES).to_numpy() | ~np.isfinite(moments)
     if strange.any():
         row = rows.iloc[int(strange.argmax())].to_dict()
@@ -86,18 +114,43 @@ def read_lights(
             f"{path}: {strange.sum()} rows have no time in seconds or a state other than "
             f"{', '.join(STATES)}; the first is {row}"
         )
-    names = tuple(name for name in pd.unique(rows["signal"]) if name in lines)
-    if not names:
+    signals = list(dict.fromkeys(rows["signal"]))
+    mine = [line for signal in signals for line in lines if line.signal == signal]
+    if not mine:
+        there = ", ".join(line.signal for line in lines) or "none"
         raise TracksError(
-            f"{path}: none of the lights {', '.join(map(str, pd.unique(rows['signal'])))} has a "
-            f"stop line; there are lines of {', '.join(lines) or 'none'}"
+            f"{path}: none of the lights {', '.join(map(str, signals))} has a stop line; there are "
+            f"lines of {there}"
         )
     times, step = np.unique(moments, return_inverse=True)
-    states = np.full((len(times), len(names)), UNKNOWN, np.int8)
-    for light, name in enumerate(names):
-        mine = (rows["signal"] == name).to_numpy()
-        states[step[mine], light] = [STATES.index(state) for state in rows["state"][mine]]
+    states = np.full((len(times), len(mine)), UNKNOWN, np.int8)
+    for light, line in enumerate(mine):
+        its = (rows["signal"] == line.signal).to_numpy()
+        states[step[its], light] = [STATES.index(state) for state in rows["state"][its]]
         told = np.maximum.accumulate(np.where(states[:, light] >= 0, np.arange(len(times)), -1))
         states[:, light] = np.where(told >= 0, states[told, light], UNKNOWN)
-    ends = np.array([lines[name] for name in names], np.float64)
-    return Lights(names, ends, times, states, world)
+    ends = np.array([line.ends for line in mine], np.float64)
+    return Lights(tuple(line.signal for line in mine), ends, times, states, world)
+
+
+def _changes(path: Path) -> "pd.DataFrame":
+    """The table's `COLUMNS`, whichever form it has; times are NaN that are no numbers."""
+    import pandas as pd
+
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    try:
+        rows = pd.read_csv(path, dtype=str)
+    except (ValueError, OSError) as error:
+        raise TracksError(f"{path} is no table of lights: {error}") from error
+    lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]
+    if SIND_TIME in rows.columns and lights:
+        rows["time"] = pd.to_numeric(rows[SIND_TIME], errors="coerce") / 1000
+        rows = rows.melt("time", lights, "signal", "state").dropna(subset="state")
+        rows["state"] = rows["state"].replace(SIND_STATES)
+    if not set(COLUMNS) <= set(rows.columns):
+        raise TracksError(
+            f"{path} has the columns {', '.join(rows.columns)}; {', '.join(COLUMNS)} are needed, "
+            f"or SinD's {SIND_TIME} and lights"
+        )
+    return rows[COLUMNS].assign(time=pd.to_numeric(rows["time"], errors="coerce"))

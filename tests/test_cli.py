@@ -2,10 +2,13 @@ import numpy as np
 import pytest
 import rasterio
 from PIL import Image
+from shapely import LineString, MultiPolygon, box
 from typer.testing import CliRunner
 
 from geoaim.aim import write_aim
 from geoaim.cli import app
+from geoaim.geojson import Feature, write_features
+from geoaim.mapping.drivable import write_area
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.synthetic.camera import render_frame
@@ -108,8 +111,10 @@ def test_render_draws_the_map_around_an_agent(folder, tmp_path):
 
 
 def test_simulate_writes_tracks_and_a_film_and_counts(tmp_path):
-    hdmap = read_hdmap("samples/map.osm")
-    write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "aim.tif")
+    result = run(
+        app, ["draw", "samples/map.osm", "--resolution", "0.5", "-o", f"{tmp_path}/aim.tif"]
+    )
+    assert result.exit_code == 0, result.output
     given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
     given += ["--hdmap", "samples/map.osm", "--seconds", "2", "-o", f"{tmp_path}/out.csv"]
     lights = ["--lights", "samples/lights.csv"]
@@ -124,6 +129,24 @@ def test_simulate_writes_tracks_and_a_film_and_counts(tmp_path):
     result = run(app, [*given, "--film", f"{tmp_path}/b.gif"])
     assert result.exit_code == 1
     assert "--film needs --ego" in result.output
+
+
+def test_simulate_counts_by_what_is_drawn_by_hand(tmp_path):
+    hdmap = read_hdmap("samples/map.osm")
+    write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "aim.tif")
+    lines = [Feature(LineString(s.ends), {"signal": s.signal}) for s in hdmap.stop_lines]
+    write_features(lines, hdmap.world, tmp_path / "lines.geojson")
+    nowhere = MultiPolygon([box(0, 0, 1, 1)])
+    write_area(nowhere, hdmap.world, tmp_path / "area.geojson")
+    given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
+    given += ["--stop-lines", f"{tmp_path}/lines.geojson", "--lights", "samples/lights.csv"]
+    given += ["--drivable", f"{tmp_path}/area.geojson", "--policy", "replay"]
+    result = run(app, [*given, "--seconds", "2", "-o", f"{tmp_path}/out.csv"])
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.output.split())
+    assert "off road 100.00 %" in said
+    assert "red light" in said
+    assert "wrong way" not in said
 
 
 def test_lights_need_the_map_with_their_lines(tmp_path):

@@ -1,11 +1,25 @@
 import numpy as np
 import pytest
+from shapely import LineString
 
-from geoaim.errors import TracksError
-from geoaim.lights import GREEN, RED, UNKNOWN, YELLOW, read_lights, states_at
+from geoaim.errors import MapError, TracksError
+from geoaim.geojson import Feature, write_features
+from geoaim.lights import (
+    GREEN,
+    RED,
+    UNKNOWN,
+    YELLOW,
+    StopLine,
+    read_lights,
+    read_stop_lines,
+    states_at,
+)
 from geoaim.world import World
 
-LINES = {"a": np.array([[0.0, 0], [3, 0]]), "b": np.array([[0.0, 9], [3, 9]])}
+LINES = (
+    StopLine("a", np.array([[0.0, 0], [3, 0]])),
+    StopLine("b", np.array([[0.0, 9], [3, 9]])),
+)
 WORLD = World(None)
 TABLE = "time,signal,state\n0,a,green\n2,b,red\n24.5,a,yellow\n27,a,red\n0,walk,green\n"
 
@@ -22,6 +36,56 @@ def test_state_lasts_until_its_next_change(tmp_path):
     states = states_at(lights, np.array([-1.0, 0.0, 1.9, 24.4, 24.5, 100.0]))
     assert states[:, 0].tolist() == [UNKNOWN, GREEN, GREEN, GREEN, YELLOW, RED]
     assert states[:, 1].tolist() == [UNKNOWN, UNKNOWN, UNKNOWN, RED, RED, RED]
+
+
+SIND = """RawFrameID,timestamp(ms),Vehicle Traffic light 1,Vehicle Traffic light 2
+1737,27927.9,0,3
+1827,30930.9,1,0
+3000,70070.0,3,
+"""
+
+
+def test_sinds_table_has_a_column_for_each_light(tmp_path):
+    north, south = (StopLine("Vehicle Traffic light 1", line.ends) for line in LINES)
+    east = StopLine("Vehicle Traffic light 2", LINES[0].ends)
+    lights = _read(tmp_path, SIND, (north, south, east))
+    states = states_at(lights, np.array([0.0, 28.0, 30.95, 80.0]))
+    assert states[:, 0].tolist() == [UNKNOWN, RED, GREEN, YELLOW]
+    assert (states[:, 0] == states[:, 1]).all()  # one signal at two lines
+    assert states[:, 2].tolist() == [UNKNOWN, YELLOW, RED, RED]  # and what is not told stays
+
+
+@pytest.mark.parametrize(
+    ("table", "count"),
+    [
+        ("Changchun/changchun_pudong_507_009/Traffic_Lights.csv", 2),
+        ("Chongqing/6_22_NR_1/TrafficLight_06_22_NR1_add_plight.csv", 4),
+    ],
+)
+def test_sinds_recordings_have_three_seconds_of_yellow(data_folder, table, count):
+    lines = [StopLine(f"Vehicle Traffic light {n}", LINES[0].ends) for n in range(1, count + 1)]
+    lights = read_lights(data_folder / "tracks" / "sind" / table, lines, WORLD)
+    assert len(lights.names) == count
+    yellow = np.diff(lights.times)[(lights.states[:-1] == YELLOW).any(axis=1)]
+    assert abs(np.median(yellow) - 3) < 0.1
+    assert not (lights.states == GREEN).all(axis=1).any()
+
+
+def test_stop_lines_are_drawn_by_hand(tmp_path):
+    world, path = World("EPSG:32635", (500000.0, 5900000.0)), tmp_path / "lines.geojson"
+    lines = [Feature(LineString(line.ends), {"signal": "east"}) for line in LINES]
+    write_features([*lines, Feature(LineString([[0, 0], [9, 9]]), {"name": "kerb"})], world, path)
+    found = read_stop_lines(path, world)
+    assert [line.signal for line in found] == ["east", "east"]
+    for line, drawn in zip(found, LINES, strict=True):
+        np.testing.assert_allclose(line.ends, drawn.ends, atol=1e-6)
+
+
+def test_drawing_without_signals_is_refused(tmp_path):
+    path = tmp_path / "lines.geojson"
+    write_features([Feature(LineString([[0, 0], [9, 9]]))], WORLD, path)
+    with pytest.raises(MapError, match=r"holds LineString.*'signal' is needed"):
+        read_stop_lines(path, WORLD)
 
 
 def test_bundled_lights_stop_traffic_at_the_maps_lines():

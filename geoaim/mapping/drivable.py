@@ -1,9 +1,7 @@
 """Where vehicles may drive, by an HD map or a drawn polygon, and how far from its edge one is."""
 
-import json
 import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,14 +11,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from rasterio.features import rasterize
 from shapely import LineString, MultiPolygon, Polygon
-from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from geoaim.aim import north_up_grid
 from geoaim.errors import MapError
-from geoaim.files import replacing
+from geoaim.geojson import Feature, read_features, write_features
 from geoaim.mapping.hdmap import HDMap, Lanelet
-from geoaim.world import World, lonlat_from_world, world_from_lonlat
+from geoaim.world import World
 
 NOT_DRIVEN = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
 DRIVEN_AREAS = ("parking",)
@@ -92,13 +89,7 @@ def lane_directions(
 
 def write_area(area: MultiPolygon, world: World, path: str | os.PathLike[str]) -> None:
     """Write an area as GeoJSON, in longitude and latitude, or in metres of a plane of its own."""
-    moved = shapely.transform(
-        area, lambda points: points if world.crs is None else lonlat_from_world(world, points)
-    )
-    feature = {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(moved)}
-    with replacing(Path(path)) as temporary:
-        collection = {"type": "FeatureCollection", "features": [feature]}
-        Path(temporary).write_text(json.dumps(collection), encoding="utf-8")
+    write_features([Feature(area)], world, path)
 
 
 def read_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
@@ -108,23 +99,12 @@ def read_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
         FileNotFoundError: there is no such file.
         MapError: it is no GeoJSON with polygons.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        features = content.get("features", [content])
-        parts = [shape(feature.get("geometry", feature)) for feature in features]
-    except (ValueError, TypeError, KeyError, AttributeError, shapely.errors.ShapelyError) as error:
-        raise MapError(f"{path} is no GeoJSON: {error}") from error
+    parts = [feature.geometry for feature in read_features(path, world)]
     flat = [part for part in parts if isinstance(part, Polygon | MultiPolygon)]
     if not flat:
         kinds = ", ".join(sorted({part.geom_type for part in parts})) or "nothing"
         raise MapError(f"{path} holds {kinds}; polygons are needed")
-    whole = shapely.union_all([shapely.make_valid(part) for part in flat])
-    if world.crs is not None:
-        whole = shapely.transform(whole, lambda points: world_from_lonlat(world, points))
-    return polygons_of(whole)
+    return polygons_of(shapely.union_all([shapely.make_valid(part) for part in flat]))
 
 
 def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDistance:

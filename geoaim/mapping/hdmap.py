@@ -18,6 +18,7 @@ from shapely import LineString
 from shapely.ops import polygonize
 
 from geoaim.errors import MapError
+from geoaim.lights import StopLine
 from geoaim.world import LONLAT, World, choose_world, transform_crs, world_from_lonlat
 
 NOWHERE = 0.1  # degrees about (0, 0) within which a map is not on the Earth but in metres
@@ -59,14 +60,14 @@ class HDMap:
         lines: all that is drawn: boundaries, markings, stop lines.
         lanelets: lanes, walkways and crossings.
         areas: the outlines of areas, by subtype ("parking", ...).
-        stop_lines: both ends of the line at which each traffic light stops traffic, by its name.
+        stop_lines: where traffic lights stop traffic.
         world: the plane that the metres lie in.
     """
 
     lines: tuple[MapLine, ...]
     lanelets: tuple[Lanelet, ...]
     areas: tuple[MapLine, ...]
-    stop_lines: Mapping[str, Float[Array, "2 2"]]
+    stop_lines: tuple[StopLine, ...]
     world: World
 
 
@@ -108,7 +109,7 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
         )
     lines = tuple(line for line in ways.values() if len(line.points) > 1)
     areas = tuple(_areas(relations, ways))
-    return HDMap(lines, lanelets, areas, dict(_stop_lines(relations, ways)), world)
+    return HDMap(lines, lanelets, areas, tuple(_stop_lines(relations, ways)), world)
 
 
 def _parse(path: Path) -> ET.Element:
@@ -196,14 +197,11 @@ def _areas(relations: list[ET.Element], ways: Mapping[str | None, MapLine]) -> I
 
 def _stop_lines(
     relations: list[ET.Element], ways: Mapping[str | None, MapLine]
-) -> Iterator[tuple[str, Float[Array, "2 2"]]]:
-    """The lights' names and the ends of their lines; numbers for who has no name of its own."""
-    seen = {""}
+) -> Iterator[StopLine]:
+    """The traffic lights' lines; one without a name has its number for it."""
     for relation in relations:
         if _tag(relation, "subtype") == "traffic_light":
-            refs = [ref for ref in _members(relation, "ref_line") if ref in ways]
-            if refs and len(ways[refs[0]].points) > 1:
-                name, number = _tag(relation, "name"), str(relation.get("id"))
-                same = name in seen
-                seen.add(name)
-                yield f"{name} {number}".strip() if same else name, ways[refs[0]].points[[0, -1]]
+            signal = _tag(relation, "name") or str(relation.get("id"))
+            for ref in _members(relation, "ref_line"):
+                if ref in ways and len(ways[ref].points) > 1:
+                    yield StopLine(signal, ways[ref].points[[0, -1]])

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
+from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.errors import TracksError
 from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import HDMap
 from geoaim.simulation.infractions import (
+    Drivable,
+    Lanes,
     collisions,
     offroad_distance,
     ran_red,
@@ -38,6 +41,17 @@ SPARSE = 5  # steps between the points of a route
 
 
 @dataclass(frozen=True, eq=False)
+class Rules:
+    """What a map says: where one may drive, and which way; None where it says nothing."""
+
+    drivable: Drivable | None = None
+    lanes: Lanes | None = None
+
+
+NO_RULES = Rules()
+
+
+@dataclass(frozen=True, eq=False)
 class Episode:
     """A simulated scene.
 
@@ -61,7 +75,7 @@ def simulate_scene(
     ego: str | None = None,
     start: float = 0.0,
     seconds: float = 6.0,
-    hdmap: HDMap | None = None,
+    rules: Rules = NO_RULES,
 ) -> Episode:
     """Let one agent, or all who never reverse, drive by one of `POLICIES` among those who replay.
 
@@ -71,8 +85,7 @@ def simulate_scene(
         ego: name of who is controlled; if left out all but those who reverse at some time.
         start: seconds of the scene at which the simulation begins.
         seconds: how long it lasts, the first steps, which all replay, included.
-        hdmap: tells what is off the road and the wrong way, in the scene's world; without it
-            neither is counted.
+        rules: what is off the road and the wrong way; what it is silent on is not counted.
 
     Raises:
         ValueError: there is no such policy, or that time is not in the scene.
@@ -92,7 +105,15 @@ def simulate_scene(
     drive = _policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
     found = rollout(recording, drive, controlled[None], observed=OBSERVED)
     after = simulated(scene, found, first)
-    return Episode(after, recording, controlled, _rates(after, recording, controlled, hdmap))
+    return Episode(after, recording, controlled, _rates(after, recording, controlled, rules))
+
+
+def rules_of(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Rules:
+    """The rules of an HD map, or of an area drawn by hand, in whose place or beside it."""
+    if area is None and hdmap is not None:
+        area = drivable_area(hdmap)
+    drivable = None if area is None else drivable_of(area)
+    return Rules(drivable, None if hdmap is None else lanes_of(hdmap))
 
 
 def _policy(
@@ -108,7 +129,7 @@ def _policy(
 
 
 def _rates(
-    scene: Scene, recording: Recording, controlled: Bool[Tensor, "A"], hdmap: HDMap | None
+    scene: Scene, recording: Recording, controlled: Bool[Tensor, "A"], rules: Rules
 ) -> dict[str, float]:
     """Collisions of all; the rest of vehicles, which roads, lights and directions are for."""
     before, poses = (scene.poses.transpose(0, 1)[k:] for k in (OBSERVED - 1, OBSERVED))
@@ -122,8 +143,9 @@ def _rates(
         lengths, states = sizes[..., 0], scene.light_states[OBSERVED:]
         ran = ran_red(before[:-1], poses, lengths, driven & was[:-1], scene.stop_lines, states)
         rates["red light"] = rate(ran, driven)
-    if hdmap is not None:
-        drivable = drivable_of(drivable_area(hdmap))
-        rates["off road"] = rate(offroad_distance(drivable, poses, sizes, driven) > 0, driven)
-        rates["wrong way"] = rate(wrong_way(lanes_of(hdmap), poses, driven), driven)
+    if rules.drivable is not None:
+        off = offroad_distance(rules.drivable, poses, sizes, driven) > 0
+        rates["off road"] = rate(off, driven)
+    if rules.lanes is not None:
+        rates["wrong way"] = rate(wrong_way(rules.lanes, poses, driven), driven)
     return {name: float(share) for name, share in rates.items()}

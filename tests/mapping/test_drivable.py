@@ -27,7 +27,7 @@ WALK = Lanelet("walkway", False, np.array([[0.0, 9], [30, 9]]), np.array([[0.0, 
 
 def _map(*lanelets):
     lines = tuple(MapLine("curbstone", "low", side) for x in lanelets for side in (x.left, x.right))
-    return HDMap(lines, lanelets, (), {}, World(None))
+    return HDMap(lines, lanelets, (), (), World(None))
 
 
 def test_lanes_are_driven_and_narrow_gaps_between_them():
@@ -96,7 +96,7 @@ def test_drawn_map_lies_where_its_lines_are():
     red = (np.abs(aim.image.astype(int) - LINES["stop_line"][0]).sum(axis=2) < 90).astype(float)
     v, u = np.nonzero(red)
     places = transform_points(aim.world_from_image, np.column_stack([u, v]) + 0.5)
-    for line in hdmap.stop_lines.values():
+    for line in (stop.ends for stop in hdmap.stop_lines):
         along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
         apart = places - line.mean(axis=0)
         near = apart[np.linalg.norm(apart, axis=1) < np.linalg.norm(line[1] - line[0])]

@@ -49,15 +49,17 @@ def test_lines_of_a_lanelet_run_along_with_it(tmp_path, left, right):
 def test_light_stops_traffic_at_its_line(tmp_path):
     hdmap = read_hdmap(_osm(tmp_path / "a.osm"))
     assert hdmap.world == World(None)
-    np.testing.assert_allclose(hdmap.stop_lines["21"], [[20, 0], [20, 4]], atol=0.1)
+    (line,) = hdmap.stop_lines
+    assert line.signal == "21"
+    np.testing.assert_allclose(line.ends, [[20, 0], [20, 4]], atol=0.1)
 
 
 def test_map_on_the_earth_lies_where_the_samples_truth_says():
     truth = json.loads(Path("samples/truth.json").read_text())
     hdmap = read_hdmap("samples/map.osm", World(truth["crs"], tuple(truth["origin"])))
-    for name, line in hdmap.stop_lines.items():
-        place = np.array(truth["landmarks"][f"stop line {name}"])
-        (dx, dy), apart = line[1] - line[0], place - line[0]
+    for line in hdmap.stop_lines:
+        place = np.array(truth["landmarks"][f"stop line {line.signal}"])
+        (dx, dy), apart = line.ends[1] - line.ends[0], place - line.ends[0]
         assert abs(dx * apart[1] - dy * apart[0]) / np.hypot(dx, dy) < 0.5
     assert len(hdmap.lanelets) == 26
     assert read_hdmap("samples/map_full.osm").areas[0].subtype == "parking"

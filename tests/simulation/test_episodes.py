@@ -5,7 +5,7 @@ from geoaim.errors import TracksError
 from geoaim.lights import read_lights
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
-from geoaim.simulation.episodes import POLICIES, simulate_scene
+from geoaim.simulation.episodes import POLICIES, rules_of, simulate_scene
 from geoaim.simulation.scene import make_scene, tracks_of
 from geoaim.tracks import read_tracks, write_tracks
 
@@ -24,7 +24,7 @@ def scene(hdmap):
 
 
 def test_replayed_traffic_breaks_no_rules(scene, hdmap):
-    episode = simulate_scene(scene, "replay", start=5.0, seconds=8.0, hdmap=hdmap)
+    episode = simulate_scene(scene, "replay", start=5.0, seconds=8.0, rules=rules_of(hdmap))
     assert episode.rates["red light"] < 0.001
     assert episode.rates["wrong way"] < 0.01
     assert episode.rates["collision"] < 0.02  # a step of replayed actions may touch in a queue

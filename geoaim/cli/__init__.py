@@ -1,0 +1,18 @@
+"""The command line: flags in, one call of the library, a table and files out."""
+
+import typer
+
+from geoaim.cli.driving import render, simulate
+from geoaim.cli.made import sample
+from geoaim.cli.maps import build, draw, info, register, texture
+
+COMMANDS = (build, register, texture, info, draw, render, simulate, sample)
+
+app = typer.Typer(
+    name="geoaim",
+    help="Aerial image-based maps (AIM) from drone video: build, draw, render, simulate.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+for command in COMMANDS:
+    app.command()(command)

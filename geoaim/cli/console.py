@@ -1,0 +1,90 @@
+"""What all commands share: progress bars, plain errors, options."""
+
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from geoaim.errors import GeoaimError, GeoaimWarning
+
+console = Console(stderr=True)
+
+AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build")]
+TracksFile = Annotated[Path, typer.Option(help="tracks in the plain format, .csv or .parquet")]
+
+
+class Rate(ProgressColumn):
+    """Frames a second."""
+
+    def render(self, task: Task) -> Text:
+        """Draw the rate once there is one."""
+        return Text(f"{task.speed:.1f} frames/s" if task.speed else "", style="progress.data.speed")
+
+
+@contextmanager
+def stages() -> Iterator[Callable[[str, float, float | None], None]]:
+    """A progress bar a stage; the yielded function takes stage, done and total."""
+    columns = (
+        TextColumn("{task.description:<12}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    tasks: dict[str, TaskID] = {}
+    with Progress(*columns, console=console) as bars:
+
+        def progress(stage: str, done: float, total: float | None) -> None:
+            if stage not in tasks:
+                for task in bars.task_ids:
+                    bars.update(task, completed=bars.tasks[task].total or 1, total=1)
+                tasks[stage] = bars.add_task(stage, total=total)
+            bars.update(tasks[stage], completed=done, total=total)
+
+        yield progress
+
+
+@contextmanager
+def plain_errors() -> Iterator[None]:
+    """Warnings as yellow lines; an error of the data as one red line and exit code 1."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", GeoaimWarning)
+        warnings.showwarning = _show_warning
+        try:
+            yield
+        except (GeoaimError, OSError, ValueError) as error:
+            console.print(Text.assemble((type(error).__name__, "bold red"), f": {error}"))
+            sys.exit(1)
+
+
+def refuse_output(output: Path) -> None:
+    """Find out before the work whether its result can be written."""
+    if output.is_dir():
+        raise ValueError(f"{output} is a folder; the name of a file is needed")
+    folder = next(parent for parent in output.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file; a folder is needed to write {output.name} into")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"{folder} cannot be written to; choose another folder for {output.name}")
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    console.print(Text.assemble(("warning", "yellow"), f": {message}"))

@@ -1,0 +1,169 @@
+"""Commands that make maps and look at them."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from geoaim.cli.console import AimFile, console, plain_errors, refuse_output, stages
+
+if TYPE_CHECKING:
+    from geoaim.aim import AIM
+
+Source = Annotated[str, typer.Argument(help="a video file, or a folder or glob of images")]
+Points = Annotated[
+    Path | None,
+    typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
+]
+BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
+
+
+def build(
+    video: Source,
+    output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
+    gcps: Points = None,
+    boxes: BoxFolder = None,
+    frames: Annotated[str, typer.Option(help="auto, all, or how many")] = "auto",
+    crs: Annotated[str | None, typer.Option(help="of the map, e.g. EPSG:32635")] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(help="metres a pixel, north up; as filmed if left out"),
+    ] = None,
+    pixel_size: Annotated[
+        float | None, typer.Option(help="metres a pixel, for a local map without control points")
+    ] = None,
+) -> None:
+    """Build a georeferenced AIM from a hovering drone's video, and a quick look beside it.
+
+    Control points are picked on the first frame unless their file says on which. Without them the
+    telemetry beside the video gives an approximate place, or --pixel-size a local one.
+    """
+    from geoaim.aim import rectify, write_aim
+    from geoaim.mapping.approximate import local_georeference
+    from geoaim.mapping.pipeline import build_aim
+    from geoaim.mapping.video import open_video
+    from geoaim.quicklook import write_quicklook
+
+    with stages() as progress, plain_errors():
+        if output.suffix.lower() not in (".tif", ".tiff"):
+            raise ValueError(f"{output}: the map is a GeoTIFF; give a name that ends in .tif")
+        if pixel_size is not None and gcps is not None:
+            raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
+        refuse_output(output)
+        opened = open_video(video)
+        size = opened.height, opened.width
+        place = gcps if pixel_size is None else local_georeference(pixel_size=pixel_size, size=size)
+        aim = build_aim(
+            opened,
+            place,
+            boxes=boxes,
+            frames=_count(frames),
+            crs=crs,
+            progress=progress,
+        )
+        progress("write", 0, 2)
+        if resolution is not None or not aim.is_affine:
+            aim = rectify(aim, resolution)
+        write_aim(aim, output)
+        progress("write", 1, 2)
+        write_quicklook(aim, output.with_suffix(".png"))
+        progress("write", 2, 2)
+    _show(aim, f"{output} and {output.with_suffix('.png')}")
+
+
+def register(
+    video: Source,
+    output: Annotated[Path, typer.Option("--output", "-o", help=".csv or .parquet to write")],
+    boxes: BoxFolder = None,
+    reference: Annotated[
+        float | None, typer.Option(help="seconds of the reference; chosen by the data if left out")
+    ] = None,
+) -> None:
+    """Lay every frame of a video on one reference frame: a table of matrices, a row a frame.
+
+    m00 to m22 map a frame's pixels to the reference's. With --reference 0 these are the pixels of
+    a map built with control points on the first frame.
+    """
+    from geoaim.mapping.registration import register as register_frames
+    from geoaim.mapping.registration import tally, write_registration
+
+    with stages() as progress, plain_errors():
+        if output.suffix not in (".csv", ".parquet"):
+            raise ValueError(f"{output}: the name must end in .csv or .parquet")
+        refuse_output(output)
+        result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
+        write_registration(result, output)
+    table = Table(title=Text(str(output)), show_header=False)
+    table.add_row("motion model", result.reference.model)
+    table.add_row("reference", f"frame {result.reference.index}, {result.reference.time:.2f} s")
+    table.add_row("frames laid", f"{result.valid.sum()} of {len(result.valid)}")
+    for reason, count in tally(result.reason).items():
+        table.add_row("refused", f"{count}: {reason}")
+    console.print(table)
+
+
+def texture(
+    aim: AimFile,
+    folder: Annotated[Path, typer.Argument(help="where texture.png and texture.json go")],
+    resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
+) -> None:
+    """Export an AIM as a texture and its corner frame, for a renderer."""
+    from geoaim.aim import read_aim
+    from geoaim.mapping.texture import export_texture
+
+    with plain_errors():
+        export_texture(read_aim(aim), folder, resolution=resolution)
+    console.print(f"{folder / 'texture.png'}, {folder / 'texture.json'}")
+
+
+def draw(
+    hdmap: Annotated[Path, typer.Argument(help="a lanelet2 map, .osm")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".tif to write")],
+    resolution: Annotated[float, typer.Option(help="metres a pixel", min=0.001)] = 0.2,
+    aim: Annotated[Path | None, typer.Option(help="AIM in whose world to draw it")] = None,
+) -> None:
+    """Draw an HD map as an AIM, so that every command and model reads it as one.
+
+    A map of metres about (0, 0), as INTERACTION's and SinD's, needs no --aim.
+    """
+    from geoaim.aim import read_aim, write_aim
+    from geoaim.mapping.hdmap import read_hdmap
+    from geoaim.mapping.hdmap_image import draw_hdmap
+
+    with plain_errors():
+        refuse_output(output)
+        world = None if aim is None else read_aim(aim).world
+        drawn = draw_hdmap(read_hdmap(hdmap, world), resolution=resolution)
+        write_aim(drawn, output)
+    height, width = drawn.image.shape[:2]
+    console.print(f"{output}: {height} x {width} px of {resolution} m")
+
+
+def info(aim: AimFile) -> None:
+    """Say what an AIM is, where it lies and how far to trust it."""
+    from geoaim.aim import read_aim
+
+    with plain_errors():
+        found = read_aim(aim)
+    _show(found, str(aim))
+
+
+def _count(text: str) -> int | Literal["auto", "all"]:
+    if text == "auto":
+        return "auto"
+    if text == "all":
+        return "all"
+    if not text.isdigit() or int(text) < 1:
+        raise typer.BadParameter(f"{text!r} is not auto, all or a number", param_hint="--frames")
+    return int(text)
+
+
+def _show(aim: "AIM", title: str) -> None:
+    from geoaim.quicklook import summary
+
+    table = Table(title=Text(title), show_header=False)
+    for name, value in summary(aim).items():
+        table.add_row(name, value)
+    console.print(table)
