@@ -149,6 +149,30 @@ def test_simulate_counts_by_what_is_drawn_by_hand(tmp_path):
     assert "wrong way" not in said
 
 
+def test_render_reads_tracks_of_other_forms(tmp_path):
+    result = run(
+        app, ["draw", "samples/map.osm", "--resolution", "0.5", "-o", f"{tmp_path}/aim.tif"]
+    )
+    assert result.exit_code == 0, result.output
+    origin = read_hdmap("samples/map.osm").world.origin
+    rows = [f"7,{k},{100 * k},car,{k},0,10,0,0,4.5,1.8" for k in range(4)]
+    names = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width"
+    (tmp_path / "t.csv").write_text("\n".join([names, *rows]))
+    given = ["render", f"{tmp_path}/aim.tif", "--tracks", f"{tmp_path}/t.csv", "--size", "64"]
+    given += ["--ego", "7", "-o", f"{tmp_path}/a.png"]
+    for world, said in (
+        ([], "give both a place on the Earth"),
+        (["--tracks-world", "EPSG:32635 1"], "is not a CRS and two numbers"),
+        (["--metres-per-pixel", "0.1"], "in metres; give no metres_per_pixel"),
+    ):
+        result = run(app, [*given, *world])
+        assert result.exit_code == 1
+        assert said in " ".join(result.output.split())
+    result = run(app, [*given, "--tracks-world", f"EPSG:32635 {origin[0]} {origin[1]}"])
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "a.png").exists()
+
+
 def test_lights_need_the_map_with_their_lines(tmp_path):
     given = ["render", str(tmp_path / "aim.tif"), "--tracks", "t.csv", "--ego", "1"]
     result = run(app, [*given, "--lights", "lights.csv", "-o", str(tmp_path / "a.png")])

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -24,10 +24,26 @@ from rich.text import Text
 
 from geoaim.errors import GeoaimError, GeoaimWarning
 
+if TYPE_CHECKING:
+    from geoaim.tracks import Tracks
+
 console = Console(stderr=True)
 
 AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build")]
-TracksFile = Annotated[Path, typer.Option(help="tracks in the plain format, .csv or .parquet")]
+TracksFile = Annotated[
+    Path,
+    typer.Option(help="tracks: geoaim's, INTERACTION, SinD, inD, highD, geo-trax, Stanford Drone"),
+]
+TracksWorld = Annotated[
+    str | None,
+    typer.Option(
+        help="CRS, easting and northing of (0, 0) of tracks that do not say it: "
+        "'EPSG:32632 459000 5428000'"
+    ),
+]
+TracksPixel = Annotated[
+    float | None, typer.Option("--metres-per-pixel", help="of tracks in an image's pixels")
+]
 
 
 class Rate(ProgressColumn):
@@ -73,6 +89,25 @@ def plain_errors() -> Iterator[None]:
         except (GeoaimError, OSError, ValueError) as error:
             console.print(Text.assemble((type(error).__name__, "bold red"), f": {error}"))
             sys.exit(1)
+
+
+def read_any_tracks(path: Path, place: str | None, metres_per_pixel: float | None) -> "Tracks":
+    """Tracks of any known form, in the world that --tracks-world names."""
+    from geoaim.track_formats import read_any
+    from geoaim.world import World
+
+    world = None
+    if place is not None:
+        try:
+            crs, *numbers = place.split()
+            east, north = map(float, numbers or ("0", "0"))
+        except ValueError as error:
+            raise ValueError(
+                f"--tracks-world {place!r} is not a CRS and two numbers, such as "
+                "'EPSG:32632 459000 5428000'"
+            ) from error
+        world = World(crs, (east, north))
+    return read_any(path, world=world, metres_per_pixel=metres_per_pixel)
 
 
 def refuse_output(output: Path) -> None:

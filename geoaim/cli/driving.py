@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from geoaim.cli.console import AimFile, TracksFile, console, plain_errors, refuse_output, stages
+from geoaim.cli.console import (
+    AimFile,
+    TracksFile,
+    TracksPixel,
+    TracksWorld,
+    console,
+    plain_errors,
+    read_any_tracks,
+    refuse_output,
+    stages,
+)
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -34,6 +44,8 @@ def render(
     hdmap: Annotated[Path | None, typer.Option(help="lanelet2 map with their stop lines")] = None,
     stop_lines: StopLinesFile = None,
     trail: Annotated[float, typer.Option(help="s of everybody's way to draw", min=0)] = 0.0,
+    tracks_world: TracksWorld = None,
+    metres_per_pixel: TracksPixel = None,
 ) -> None:
     """Draw what an agent has around it: the map, heading up, with all agents on it.
 
@@ -43,7 +55,8 @@ def render(
 
     with stages() as progress, plain_errors():
         refuse_output(output)
-        scene, _, _ = _scene(aim, tracks, lights, hdmap, stop_lines)
+        agents = (tracks, tracks_world, metres_per_pixel)
+        scene, _, _ = _scene(aim, agents, lights, hdmap, stop_lines)
         agent = agent_number(scene, ego)
         step = step_at(scene, agent, time) if output.suffix.lower() == ".png" else None
         count = _film(
@@ -69,6 +82,8 @@ def simulate(
     drivable: Annotated[
         Path | None, typer.Option(help="polygons in which vehicles may drive, GeoJSON")
     ] = None,
+    tracks_world: TracksWorld = None,
+    metres_per_pixel: TracksPixel = None,
 ) -> None:
     """Let agents drive by a policy among those who replay, and count what went wrong.
 
@@ -85,7 +100,8 @@ def simulate(
         refuse_output(output)
         if film is not None and ego is None:
             raise ValueError("--film needs --ego, in whose middle the film is")
-        scene, known, world = _scene(aim, tracks, lights, hdmap, stop_lines)
+        agents = (tracks, tracks_world, metres_per_pixel)
+        scene, known, world = _scene(aim, agents, lights, hdmap, stop_lines)
         area = None if drivable is None else read_area(drivable, world)
         rules = rules_of(known, area)
         episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=seconds, rules=rules)
@@ -97,14 +113,17 @@ def simulate(
 
 
 def _scene(
-    aim: Path, tracks: Path, lights: Path | None, hdmap: Path | None, stop_lines: Path | None
+    aim: Path,
+    tracks: tuple[Path, str | None, float | None],
+    lights: Path | None,
+    hdmap: Path | None,
+    stop_lines: Path | None,
 ) -> tuple["Scene", "HDMap | None", "World"]:
-    """A scene of files, and its HD map and world."""
+    """A scene of files, and its HD map and world; tracks with their world and metres per pixel."""
     from geoaim.aim import read_aim
     from geoaim.lights import read_lights, read_stop_lines
     from geoaim.mapping.hdmap import read_hdmap
     from geoaim.simulation.scene import make_scene
-    from geoaim.tracks import read_tracks
 
     if lights is not None and hdmap is None and stop_lines is None:
         raise ValueError("--lights needs --hdmap or --stop-lines: where they stop traffic")
@@ -114,7 +133,7 @@ def _scene(
     if stop_lines is not None:
         lines = read_stop_lines(stop_lines, place.world)
     signals = None if lights is None else read_lights(lights, lines, place.world)
-    return make_scene(place, read_tracks(tracks), signals), known, place.world
+    return make_scene(place, read_any_tracks(*tracks), signals), known, place.world
 
 
 def _film(
