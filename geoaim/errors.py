@@ -5,6 +5,7 @@ GeoaimError
 ├── RegistrationError   too few frames agree with the reference
 ├── BackgroundError     the registered frames do not give a background
 ├── GeoreferenceError   the control points or the telemetry do not fix a place
+├── AlignmentError      imagery cannot be laid on what it should lie on
 ├── AimError            a file is not an AIM, or an AIM cannot be written as asked
 ├── TracksError         a file holds no tracks or lights, or such as contradict themselves
 └── MapError            a file is no HD map, or does not lie where it is needed
@@ -31,6 +32,10 @@ class BackgroundError(GeoaimError):
 
 class GeoreferenceError(GeoaimError):
     """The control points or the telemetry do not fix a place."""
+
+
+class AlignmentError(GeoaimError):
+    """Imagery cannot be laid on what it should lie on: too little in common, or in two ways."""
 
 
 class AimError(GeoaimError):

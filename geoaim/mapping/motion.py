@@ -1,13 +1,13 @@
-"""Motion between two pictures of the ground: translation, similarity, affine, homography.
+"""Motion between two pictures of the ground: from a translation to a homography.
 
 A small motion moves the point p by d(p) = B(p) theta, linear in its k parameters, in
-coordinates normalised to the picture. One weighted least-squares fit serves all four models,
-and larger motions are composed of small ones (all four are groups).
+coordinates normalised to the picture. One weighted least-squares fit serves all models,
+and larger motions are composed of small ones (all are groups).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -15,13 +15,19 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
 
-Model = Literal["translation", "similarity", "affine", "homography"]
-MATERIAL = 0.01  # px: a smaller gain in accuracy is not worth two parameters
-MODELS: tuple[Model, ...] = get_args(Model)
+Model = Literal["translation", "rigid", "similarity", "affine", "homography"]
+MATERIAL = 0.01  # px: a smaller gain in accuracy is not worth more parameters
+MODELS: tuple[Model, ...] = ("translation", "similarity", "affine", "homography")
+CURVED = ("rigid", "homography")  # not linear in their parameters: fitted step by step
 
 # Columns: how the matrix I + Theta depends on theta. Rows of Theta in order.
 _GENERATORS: dict[Model, list[list[float]]] = {
     "translation": [[0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1, 0, 0]],
+    "rigid": [
+        [0, 0, 1, 0, 0, 0, 0, 0],
+        [0, 0, 0, 0, 0, 1, 0, 0],
+        [0, -1, 0, 1, 0, 0, 0, 0],
+    ],
     "similarity": [
         [0, 0, 1, 0, 0, 0, 0, 0],
         [0, 0, 0, 0, 0, 1, 0, 0],
@@ -91,9 +97,11 @@ def small_motion(
     parameters: Float[Array, " k"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
     """The pixel transform I + Theta of the given parameters."""
-    theta = np.append(parameters @ np.array(_GENERATORS[model]), 0.0).reshape(3, 3)
+    small = np.eye(3) + np.append(parameters @ np.array(_GENERATORS[model]), 0.0).reshape(3, 3)
+    if model == "rigid":
+        small[:2, :2] /= np.hypot(*small[:2, 0])
     scale = normalisation(size)
-    matrix = np.linalg.inv(scale) @ (np.eye(3) + theta) @ scale
+    matrix = np.linalg.inv(scale) @ small @ scale
     return matrix / matrix[2, 2]
 
 
@@ -160,6 +168,9 @@ def choose_model(
     matches: Sequence[Match],
     *,
     size: tuple[int, int],
+    models: Sequence[Model] = MODELS,
+    repeats: float = 1.0,
+    material: float = MATERIAL,
 ) -> ModelChoice:
     """Choose by the smallest predicted error over the image: squared bias plus variance.
 
@@ -172,37 +183,40 @@ def choose_model(
     Args:
         matches: one for each picture.
         size: height and width of the reference, pixels.
+        models: from the simplest to the homography.
+        repeats: how many points say the same, as those of windows that overlap do.
+        material: pixels; a smaller gain in accuracy is not worth more parameters.
     """
-    risks = np.array([_risks(*match, size=size) for match in matches])
+    risks = np.array([_risks(match, models, repeats, size=size) for match in matches])
     errors = np.sqrt(risks.mean(0))
-    simplest = int(np.argmax(errors < errors.min() + MATERIAL))
-    return ModelChoice(MODELS[simplest], dict(zip(MODELS, errors.tolist(), strict=True)))
+    simplest = int(np.argmax(errors < errors.min() + material))
+    return ModelChoice(models[simplest], dict(zip(models, errors.tolist(), strict=True)))
+
+
+def fit_match(match: Match, model: Model, *, size: tuple[int, int]) -> Motion:
+    """The motion from a match's points to their places, small or not."""
+    matrix = np.eye(3) if model != "homography" else fit_match(match, "affine", size=size).matrix
+    for _ in range(4 if model in CURVED else 1):
+        moved = transform_points(matrix, match.source)
+        motion = fit_motion(moved, match.target - moved, match.information, model, size=size)
+        matrix = motion.matrix @ matrix
+    return replace(motion, matrix=matrix)
 
 
 def _risks(
-    source: Float[Array, "M 2"],
-    target: Float[Array, "M 2"],
-    information: Float[Array, "M 2 2"],
-    *,
-    size: tuple[int, int],
+    match: Match, models: Sequence[Model], repeats: float, *, size: tuple[int, int]
 ) -> list[float]:
     """Mean squared error over the image, predicted for each model."""
     height, width = size
     grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
     grid = grid.reshape(-1, 2)
     places, variances = [], []
-    matrix = np.eye(3)
-    for model in MODELS:
-        # The first three are linear: one step each. The homography goes on from the affine.
-        if model != "homography":
-            matrix = np.eye(3)
-        for _ in range(4 if model == "homography" else 1):
-            moved = transform_points(matrix, source)
-            motion = fit_motion(moved, target - moved, information, model, size=size)
-            matrix = motion.matrix @ matrix
+    for model in models:
+        motion = fit_match(match, model, size=size)
         columns = basis(grid, model, size=size)
-        variances.append(np.einsum("mik,kl,mil->m", columns, motion.covariance, columns).mean())
-        places.append(transform_points(matrix, grid))
+        spread = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns)
+        variances.append(repeats * spread.mean())
+        places.append(transform_points(motion.matrix, grid))
     truth, least = places[-1], variances[-1]
     distance = [((place - truth) ** 2).sum(-1).mean() for place in places]
     return [

@@ -1,0 +1,148 @@
+"""Comparing pictures of one ground by different sensors on different days.
+
+Brightness changes with sensor, season and sun; where edges run does not. Each pixel gets the
+direction of its edge as a doubled angle, so that dark beside bright reads as bright beside dark
+does, and windows are compared by normalised correlation. Shadows do move: what is darker than its
+surroundings is flattened beforehand, since a shadow is, and paint, kerbs and roofs are not.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from numpy import ndarray as Array
+
+from geoaim.geometry import to_opencv
+
+SURROUNDINGS = 6.0  # m: what is darker than the mean this far around is flattened
+SMOOTH = 0.7  # px, before edges are taken
+RIM = 5  # px beside the unknown that are unknown
+LEAST_KNOWN = 0.6  # of a window
+FLAT = 1e-4  # curvature of a correlation's peak below which it has no place
+
+
+class Grid(NamedTuple):
+    """A north-up grid in the world: pixels to metres, and how many there are."""
+
+    world_from_grid: Float[Array, "3 3"]
+    height: int
+    width: int
+
+    @property
+    def resolution(self) -> float:
+        """Metres a pixel."""
+        return float(self.world_from_grid[0, 0])
+
+
+class Shifts(NamedTuple):
+    """Where windows of one picture were found in another.
+
+    Attributes:
+        middles: (M, 2) of the windows, pixels of the grid.
+        shifts: (M, 2) to where they are found, pixels; NaN where at no place in particular.
+        information: (M, 2, 2) how sharp the peaks are: little along a straight edge.
+    """
+
+    middles: Float[Array, "M 2"]
+    shifts: Float[Array, "M 2"]
+    information: Float[Array, "M 2 2"]
+
+
+def grey_on(
+    image: UInt8[Array, "H W 3"],
+    known: Bool[Array, "H W"],
+    image_from_grid: Float[Array, "3 3"],
+    size: tuple[int, int],
+) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
+    """Brightness on a grid, smoothed before where the grid is coarser, and where it is known."""
+    grey: Array = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    step = float(np.sqrt(abs(np.linalg.det(image_from_grid[:2, :2]))))
+    if step > 1:
+        grey = cv2.GaussianBlur(grey, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
+    matrix, (height, width) = to_opencv(image_from_grid), size
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    found = cv2.warpPerspective(
+        grey, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE
+    )
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    share = cv2.warpPerspective(known.astype(np.float32), matrix, (width, height), flags=flags)
+    return found.astype(np.float32), share > 0.99
+
+
+def orientation(
+    grey: Float32[Array, "H W"], known: Bool[Array, "H W"], resolution: float
+) -> Float32[Array, "H W 2"]:
+    """Doubled direction of the gradient, weighted by its strength up to the median's; 0: unknown.
+
+    Args:
+        grey: brightness.
+        known: where it is.
+        resolution: metres a pixel.
+    """
+    smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH)
+    around = cv2.GaussianBlur(grey, (0, 0), SURROUNDINGS / resolution)
+    bright = np.maximum(smooth, around)
+    x, y = (cv2.Sobel(bright, cv2.CV_32F, *axis, ksize=3) for axis in ((1, 0), (0, 1)))
+    size = np.hypot(x, y) + 1e-6
+    inner = cv2.erode(known.astype(np.uint8), np.ones((RIM, RIM), np.uint8), borderValue=0) > 0
+    middle = float(np.median(size[inner])) if inner.any() else 1.0
+    weight = np.where(inner, 1 / (size + middle) / size, 0).astype(np.float32)
+    return np.stack([(x * x - y * y) * weight, 2 * x * y * weight], axis=-1)
+
+
+def correlation(
+    one: Float32[Array, "h w 2"], two: Float32[Array, "H W 2"]
+) -> Float32[Array, "_ _"]:
+    """Normalised correlation of a picture with all places of a larger one."""
+    return cv2.matchTemplate(two, one, cv2.TM_CCORR_NORMED)
+
+
+def window_shifts(
+    one: Float32[Array, "H W 2"],
+    two: Float32[Array, "H W 2"],
+    *,
+    side: int,
+    search: int,
+    stride: int,
+) -> Shifts:
+    """Find windows of one picture in the other, each within `search` pixels of its place.
+
+    Windows that are mostly unknown in either are left out. Peaks are refined by a parabola; a
+    window whose best place is at the end of the search or on a ridge has NaN for its shift.
+    """
+    height, width = one.shape[:2]
+    there = (one.any(axis=-1) & two.any(axis=-1)).astype(np.float32)
+    share = cv2.blur(there, (side, side), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    padded = np.pad(two, ((search, search), (search, search), (0, 0)))
+    rows = []
+    for top in range(0, height - side + 1, stride):
+        for left in range(0, width - side + 1, stride):
+            if share[top, left] < LEAST_KNOWN:
+                continue
+            reach = side + 2 * search
+            region = padded[top : top + reach, left : left + reach]
+            scores = correlation(one[top : top + side, left : left + side], region)
+            place, sharpness = _peak(scores)
+            rows.append([left + side / 2, top + side / 2, *(place - search), *sharpness.flat])
+    found = np.array(rows, np.float64).reshape(-1, 8)
+    return Shifts(found[:, :2], found[:, 2:4], found[:, 4:].reshape(-1, 2, 2))
+
+
+def _peak(scores: Float32[Array, "h w"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
+    """Where the highest score is, and its curvature as information; NaN at a border or ridge."""
+    nowhere = np.full(2, np.nan), np.zeros((2, 2))
+    row, column = (int(n) for n in np.unravel_index(scores.argmax(), scores.shape))
+    if not (0 < row < scores.shape[0] - 1 and 0 < column < scores.shape[1] - 1):
+        return nowhere
+    near = scores[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64)
+    slope = np.array([near[1, 2] - near[1, 0], near[2, 1] - near[0, 1]]) / 2
+    mixed = (near[2, 2] - near[2, 0] - near[0, 2] + near[0, 0]) / 4
+    across, down = (side.sum() - 2 * near[1, 1] for side in (near[1, ::2], near[::2, 1]))
+    bend = np.array([[across, mixed], [mixed, down]])
+    if np.linalg.eigvalsh(bend)[1] > -FLAT:
+        return nowhere
+    offset = -np.linalg.solve(bend, slope)
+    if np.abs(offset).max() > 1:
+        return nowhere
+    return np.array([column, row]) + offset, -bend / (1 - min(near[1, 1], 0.95))
