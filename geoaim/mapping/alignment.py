@@ -40,10 +40,11 @@ STEP = 1.5  # px of the coarsest grid between turns and zooms, at the ends of th
 NARROW = 6  # px in which windows are looked for on finer grids
 CHI2 = 5.99  # 95 % of two squared normal variables' sum
 MATERIAL = 0.05  # px of the finest grid: a smaller gain is not worth a richer model
+COHERENT = 3.0  # windows that shadows and changes move alike
 TRIED = 5.0  # log10 of the places that are tried
 AGREE = 1.5  # px of the finest grid within which a window is where it should be
 WIDE = 10  # px in which windows are looked for at last
-CHANCE = -6.0  # log10 of the number of such agreements by chance that is too many
+CHANCE = -2.0  # log10 of the number of such agreements by chance that is too many
 EDGE = 1.15  # times the prior's range at which an answer is out of it
 
 
@@ -230,7 +231,8 @@ def _judged(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid) -> Alignmen
     agreeing = len(match.source)
     if agreeing < FEWEST:
         return None
-    size, repeats = grid[1:], max((SIDE / _stride(grid)) ** 2, 1.0)
+    size, overlap = grid[1:], max((SIDE / _stride(grid)) ** 2, 1.0)
+    repeats = COHERENT * overlap
     model = choose_model(
         [match], size=size, models=ALIGNED, repeats=repeats, material=MATERIAL
     ).model
@@ -242,7 +244,7 @@ def _judged(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid) -> Alignmen
         uncertainty=_uncertainty(motion, size, repeats) * grid.resolution,
         windows=windows,
         agreeing=agreeing,
-        chance=_chance(windows / repeats, agreeing / repeats),
+        chance=_chance(windows / overlap, agreeing / overlap),
     )
 
 

@@ -112,7 +112,7 @@ def window_shifts(
     window whose best place is at the end of the search or on a ridge has NaN for its shift.
     """
     height, width = one.shape[:2]
-    there = (one.any(axis=-1) & two.any(axis=-1)).astype(np.float32)
+    there: Array = (one.any(axis=-1) & two.any(axis=-1)).astype(np.float32)
     share = cv2.blur(there, (side, side), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
     padded = np.pad(two, ((search, search), (search, search), (0, 0)))
     rows = []
