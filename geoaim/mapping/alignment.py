@@ -37,9 +37,10 @@ FEWEST = 8  # windows that must be comparable
 CANDIDATES = 4
 RIVAL = 0.6  # of the best candidate's windows that another may not reach
 STEP = 1.5  # px of the coarsest grid between turns and zooms, at the ends of the longer side
+ROUNDS = 2  # of mending on the finest grid
 NARROW = 6  # px in which windows are looked for on finer grids
 CHI2 = 5.99  # 95 % of two squared normal variables' sum
-MATERIAL = 0.05  # px of the finest grid: a smaller gain is not worth a richer model
+MATERIAL = 0.1  # px of the finest grid: a smaller gain is not worth a richer model
 COHERENT = 3.0  # windows that shadows and changes move alike
 TRIED = 5.0  # log10 of the places that are tried
 AGREE = 1.5  # px of the finest grid within which a window is where it should be
@@ -98,11 +99,16 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = PRIOR) -> Alignment:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
     grids = _grids(imagery, aim, prior)
     ground = [_edges(aim, np.eye(3), grid) for grid in grids]
+    starts = _coarse(imagery, ground[0], grids[0], prior)
+    for level in range(1, len(grids) - 1):
+        starts = _followed(imagery, ground[level], grids[level], starts)
     found = []
-    for start in _coarse(imagery, ground[0], grids[0], prior):
-        refined = _refined(imagery, ground, grids, start)
-        if refined is not None:
-            found.append(refined)
+    for start in starts:
+        last = [start]
+        for _ in range(ROUNDS):
+            last = _followed(imagery, ground[-1], grids[-1], last)
+        judged = [_judged(imagery, ground[-1], grids[-1], matrix) for matrix in last]
+        found += [alignment for alignment in judged if alignment is not None]
     found.sort(key=lambda one: -one.agreeing)
     _refuse(found, grids, prior)
     return found[0]
@@ -178,23 +184,20 @@ def _apart(
     return kept[:CANDIDATES]
 
 
-def _refined(
-    imagery: AIM,
-    ground: list[Float32[Array, "H W 2"]],
-    grids: list[Grid],
-    matrix: Float[Array, "3 3"],
-) -> Alignment | None:
-    """Follow a candidate from grid to grid; None where too few windows can be compared."""
-    last = len(grids) - 1
-    for level in [*range(1, last), last, last, last]:
-        grid = grids[level]
-        shifts = _compare(imagery, ground[level], grid, matrix, NARROW)
-        if np.isfinite(shifts.shifts[:, 0]).sum() < FEWEST:
-            return None
-        whole = _match(shifts, matrix, grid, np.inf)
-        motion = fit_match(whole, "similarity", size=grid[1:])
-        matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
-    return _judged(_compare(imagery, ground[-1], grids[-1], matrix, WIDE), matrix, grids[-1])
+def _followed(
+    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, starts: list[Float[Array, "3 3"]]
+) -> list[Float[Array, "3 3"]]:
+    """Candidates mended on a grid, without those with which far fewer windows agree."""
+    mended = []
+    for start in starts:
+        match = _match(_compare(imagery, ground, grid, start, NARROW), start, grid, np.inf)
+        if len(match.source) >= FEWEST:
+            motion = fit_match(match, "similarity", size=grid[1:])
+            matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
+            agreeing = (np.linalg.norm(motion.residuals, axis=1) < AGREE).sum()
+            mended.append((int(agreeing), matrix))
+    most = max((agreeing for agreeing, _ in mended), default=0)
+    return [matrix for agreeing, matrix in mended if agreeing >= RIVAL * most]
 
 
 def _compare(
@@ -224,8 +227,11 @@ def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float
     return Match(source, target, shifts.information[near])
 
 
-def _judged(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid) -> Alignment | None:
+def _judged(
+    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, matrix: Float[Array, "3 3"]
+) -> Alignment | None:
     """The least model of the windows that agree, and how likely so many are by chance."""
+    shifts = _compare(imagery, ground, grid, matrix, WIDE)
     windows = len(shifts.middles)
     match = _match(shifts, matrix, grid, AGREE)
     agreeing = len(match.source)
@@ -234,7 +240,7 @@ def _judged(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid) -> Alignmen
     size, overlap = grid[1:], max((SIDE / _stride(grid)) ** 2, 1.0)
     repeats = COHERENT * overlap
     model = choose_model(
-        [match], size=size, models=ALIGNED, repeats=repeats, material=MATERIAL
+        [match], size=size, models=ALIGNED, repeats=overlap, material=MATERIAL
     ).model
     motion = fit_match(match, model, size=size)
     stated_from_true = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)

@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import to_opencv
 
-SURROUNDINGS = 6.0  # m: what is darker than the mean this far around is flattened
+SURROUNDINGS = 10.0  # m: what is darker than the mean this far around is flattened
 SMOOTH = 0.7  # px, before edges are taken
 RIM = 5  # px beside the unknown that are unknown
 LEAST_KNOWN = 0.6  # of a window
@@ -81,7 +81,8 @@ def orientation(
         resolution: metres a pixel.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH)
-    around = cv2.GaussianBlur(grey, (0, 0), SURROUNDINGS / resolution)
+    side = 2 * round(SURROUNDINGS / resolution) + 1
+    around = cv2.blur(grey, (side, side))
     bright = np.maximum(smooth, around)
     x, y = (cv2.Sobel(bright, cv2.CV_32F, *axis, ksize=3) for axis in ((1, 0), (0, 1)))
     size = np.hypot(x, y) + 1e-6
@@ -112,37 +113,53 @@ def window_shifts(
     window whose best place is at the end of the search or on a ridge has NaN for its shift.
     """
     height, width = one.shape[:2]
-    there: Array = (one.any(axis=-1) & two.any(axis=-1)).astype(np.float32)
+    there = np.asarray(one.any(axis=-1) & two.any(axis=-1), np.float32)
     share = cv2.blur(there, (side, side), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
     padded = np.pad(two, ((search, search), (search, search), (0, 0)))
-    rows = []
-    for top in range(0, height - side + 1, stride):
-        for left in range(0, width - side + 1, stride):
-            if share[top, left] < LEAST_KNOWN:
-                continue
-            reach = side + 2 * search
-            region = padded[top : top + reach, left : left + reach]
-            scores = correlation(one[top : top + side, left : left + side], region)
-            place, sharpness = _peak(scores)
-            rows.append([left + side / 2, top + side / 2, *(place - search), *sharpness.flat])
-    found = np.array(rows, np.float64).reshape(-1, 8)
-    return Shifts(found[:, :2], found[:, 2:4], found[:, 4:].reshape(-1, 2, 2))
+    reach = side + 2 * search
+    corners = [
+        (top, left)
+        for top in range(0, height - side + 1, stride)
+        for left in range(0, width - side + 1, stride)
+        if share[top, left] >= LEAST_KNOWN
+    ]
+    scores = [
+        correlation(
+            one[top : top + side, left : left + side],
+            padded[top : top + reach, left : left + reach],
+        )
+        for top, left in corners
+    ]
+    middles = np.array(corners, np.float64).reshape(-1, 2)[:, ::-1] + side / 2
+    every = np.array(scores, np.float64).reshape(-1, 2 * search + 1, 2 * search + 1)
+    places, information = _peaks(every)
+    return Shifts(middles, places - search, information)
 
 
-def _peak(scores: Float32[Array, "h w"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
-    """Where the highest score is, and its curvature as information; NaN at a border or ridge."""
-    nowhere = np.full(2, np.nan), np.zeros((2, 2))
-    row, column = (int(n) for n in np.unravel_index(scores.argmax(), scores.shape))
-    if not (0 < row < scores.shape[0] - 1 and 0 < column < scores.shape[1] - 1):
-        return nowhere
-    near = scores[row - 1 : row + 2, column - 1 : column + 2].astype(np.float64)
-    slope = np.array([near[1, 2] - near[1, 0], near[2, 1] - near[0, 1]]) / 2
-    mixed = (near[2, 2] - near[2, 0] - near[0, 2] + near[0, 0]) / 4
-    across, down = (side.sum() - 2 * near[1, 1] for side in (near[1, ::2], near[::2, 1]))
-    bend = np.array([[across, mixed], [mixed, down]])
-    if np.linalg.eigvalsh(bend)[1] > -FLAT:
-        return nowhere
-    offset = -np.linalg.solve(bend, slope)
-    if np.abs(offset).max() > 1:
-        return nowhere
-    return np.array([column, row]) + offset, -bend / (1 - min(near[1, 1], 0.95))
+def _peaks(
+    scores: Float[Array, "M h w"],
+) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 2"]]:
+    """Where the highest scores are, and their curvature as information; NaN at border or ridge."""
+    count, height, width = scores.shape
+    rows, columns = np.unravel_index(scores.reshape(count, -1).argmax(axis=1), (height, width))
+    inner = (rows > 0) & (rows < height - 1) & (columns > 0) & (columns < width - 1)
+    middle = np.clip(rows, 1, height - 2), np.clip(columns, 1, width - 2)
+    around = np.arange(-1, 2)
+    near = scores[
+        np.arange(count)[:, None, None],
+        middle[0][:, None, None] + around[:, None],
+        middle[1][:, None, None] + around,
+    ]
+    top = near[:, 1, 1]
+    slope = np.stack([near[:, 1, 2] - near[:, 1, 0], near[:, 2, 1] - near[:, 0, 1]], axis=1) / 2
+    mixed = (near[:, 2, 2] - near[:, 2, 0] - near[:, 0, 2] + near[:, 0, 0]) / 4
+    across = near[:, 1, 0] + near[:, 1, 2] - 2 * top
+    down = near[:, 0, 1] + near[:, 2, 1] - 2 * top
+    bend = np.stack([across, mixed, mixed, down], axis=1).reshape(-1, 2, 2)
+    inner &= np.linalg.eigvalsh(bend)[:, 1] < -FLAT
+    safe = np.where(inner[:, None, None], bend, -np.eye(2))
+    offset = -np.linalg.solve(safe, slope[..., None])[..., 0]
+    inner &= np.abs(offset).max(axis=1) <= 1
+    places = np.stack([columns, rows], axis=1) + offset
+    information = -safe / (1 - np.minimum(top, 0.95))[:, None, None]
+    return np.where(inner[:, None], places, np.nan), information
