@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 from rasterio import Affine
 from rasterio._err import CPLE_BaseError
-from rasterio.enums import ColorInterp, Resampling
+from rasterio.enums import ColorInterp, MaskFlags, Resampling
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.warp import reproject
 from rasterio.windows import Window
@@ -257,7 +257,7 @@ def _read_window(
     if dataset.colorinterp[bands[0] - 1] == ColorInterp.palette:
         method = Resampling.nearest  # the mean of two places in a palette is a third colour
     values = dataset.read(bands, **part, resampling=method, out_dtype="float32")
-    weights = dataset.read_masks(bands, **part, resampling=method).max(axis=0) / np.float32(255)
+    weights = _weigh(dataset, values, bands, part, method)
     if dataset.colorinterp[bands[0] - 1] == ColorInterp.palette:
         colours = np.zeros((256, 4), np.float32)
         for index, colour in dataset.colormap(bands[0]).items():
@@ -268,6 +268,24 @@ def _read_window(
     return np.where(bad, np.float32(0), values), np.where(bad, np.float32(0), weights)
 
 
+def _weigh(
+    dataset: Any,
+    values: Float32[Array, "C h w"],
+    bands: Sequence[int],
+    part: Mapping[str, Any],
+    method: Resampling,
+) -> Float32[Array, "h w"]:
+    """Alpha in [0, 1]; of nodata and of nothing without GDAL's masks, which it makes at length."""
+    flags = {flag for band in bands for flag in dataset.mask_flag_enums[band - 1]}
+    if flags == {MaskFlags.all_valid}:
+        return np.ones(values.shape[1:], np.float32)
+    if flags == {MaskFlags.nodata}:
+        nodata = np.array([dataset.nodatavals[band - 1] for band in bands], np.float32)
+        return (values != nodata[:, None, None]).any(axis=0).astype(np.float32)
+    masks = dataset.read_masks(list(bands), **part, resampling=method)
+    return masks.max(axis=0) / np.float32(255)
+
+
 @contextmanager
 def _opened(path: str, name: str, options: Mapping[str, Any]) -> Iterator[Any]:
     try:
@@ -276,11 +294,20 @@ def _opened(path: str, name: str, options: Mapping[str, Any]) -> Iterator[Any]:
             with rasterio.open(path, sharing=False, **options) as dataset:
                 yield dataset
     except (RasterioError, CPLE_BaseError) as error:
-        reason = re.sub(r"\?\S*", "?...", str(error.__cause__ or error))  # keys stand behind "?"
         raise ImageryError(
-            f"{name} cannot be read as imagery: {reason}. Needed is a whole file, or a service, "
-            "that GDAL opens"
+            f"{name} cannot be read as imagery: {_reasons(error)}. Needed is a whole file that "
+            "GDAL opens, or a service that answers, with tiles of its tile_size"
         ) from error
+
+
+def _reasons(error: BaseException | None) -> str:
+    """All that GDAL said, once; without what stands behind "?", where keys are."""
+    said = []
+    while error is not None:
+        said.append(re.sub(r"\?\S*", "?...", str(error)).strip().rstrip("."))
+        error = error.__cause__ or error.__context__
+    said = list(dict.fromkeys(said))[said[0].startswith("Read failed") :]
+    return "; ".join(one for one in said if sum(one in other for other in set(said)) == 1)
 
 
 def _refuse_bombs(dataset: Any, name: str) -> None:

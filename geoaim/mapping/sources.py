@@ -295,7 +295,7 @@ def _service(tiles: Tiles, address: str, area: Area | None, resolution: float | 
         height=(high - low)[1] * tiles.tile_size,
         zoom=zoom,
         x=low[0],
-        y=low[1],
+        y=0 if upside_down else low[1],
         origin="bottom" if upside_down else "top",
     )
     raster = replace(describe_raster(xml), name=name, retries=tiles.retries)

@@ -75,8 +75,9 @@ def read_imagery(
     layers = _those_there(layers, area)
     sizes = [min(_pixel_size(raster, area) for raster in layer.rasters) for layer in layers]
     pixel = resolution or float(f"{min(sizes):.4g}")
+    aim = _mosaic(layers, area, pixel, sizes)
     _warn_of_coarse(layers, sizes, pixel)
-    return _mosaic(layers, area, pixel, sizes)
+    return aim
 
 
 def _check_call(

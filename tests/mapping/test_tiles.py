@@ -1,3 +1,4 @@
+import contextlib
 import http.server
 import threading
 import time
@@ -9,16 +10,17 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.transform import Affine, from_origin
 
 from geoaim.aim import AIM, read_aim, write_aim
 from geoaim.errors import AimError, GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
-from geoaim.mapping.rasters import place_raster
+from geoaim.mapping import rasters
 from geoaim.mapping.sources import HALF_WORLD, Tiles
 from geoaim.mapping.tiles import read_imagery
-from geoaim.world import World, choose_world, lonlat_from_world, transform_crs
+from geoaim.world import World, choose_world, lonlat_from_world, transform_crs, world_from_crs
 
 WORLD = World("EPSG:32633", (600_000.0, 5_340_000.0))  # Vienna
 HERE = np.array(WORLD.origin)
@@ -44,7 +46,7 @@ def painted(crs: str, place: np.ndarray, shape: tuple[int, int], wave: float) ->
 
 def place_around(crs: str, pixel: float, shape: tuple[int, int], turn: float = 0.0) -> np.ndarray:
     """crs_from_raster of a raster amid HERE with pixels of about so many metres."""
-    around = transform_crs(WORLD.crs, crs, HERE + [[0, 0], [pixel, 0], [0, pixel]])
+    around = transform_crs(WORLD.crs, crs, HERE + np.array([[0, 0], [pixel, 0], [0, pixel]]))
     sizes = np.linalg.norm(around[1:] - around[0], axis=1)
     cos, sin = np.cos(turn), np.sin(turn)
     matrix = np.array([[sizes[0] * cos, sizes[0] * sin], [sizes[1] * sin, -sizes[1] * cos]])
@@ -158,7 +160,7 @@ def test_whole_imagery_lies_in_the_utm_world_around_it(tmp_path):
 
 def test_corners_outside_the_imagery_are_covered_by_nothing(tmp_path):
     path = ortho(tmp_path / "a.tif")
-    aim = read_imagery(path, world=WORLD, corners=BOX + [70.0, 0.0], resolution=1.0)
+    aim = read_imagery(path, world=WORLD, corners=BOX + np.array([70.0, 0.0]), resolution=1.0)
     east = 80.0 - 10.0  # the imagery's edge, in pixels of the image
     assert aim.coverage[:, : int(east) - 1].all()
     assert not aim.coverage[:, int(east) + 1 :].any()
@@ -178,9 +180,7 @@ def tile_place(zoom: int, x: int, y: int, side: int = 256) -> np.ndarray:
 def tiles_here(zoom: int) -> list[tuple[int, int, int]]:
     mercator = transform_crs(WORLD.crs, "EPSG:3857", HERE + BOX * 1.2)
     x, y = ((mercator * [1, -1] + HALF_WORLD) / (2 * HALF_WORLD) * 2**zoom).astype(int).T
-    return [
-        (zoom, i, j) for i in range(x.min(), x.max() + 1) for j in range(y.min(), y.max() + 1)
-    ]
+    return [(zoom, i, j) for i in range(x.min(), x.max() + 1) for j in range(y.min(), y.max() + 1)]
 
 
 def tile_png(zoom: int, x: int, y: int, side: int = 256, alpha: int | None = None) -> bytes:
@@ -298,7 +298,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.send_response(status)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
-        self.wfile.write(body)
+        with contextlib.suppress(OSError):  # who does not wait has gone
+            self.wfile.write(body)
 
     def log_message(self, *_):
         pass
@@ -392,8 +393,8 @@ def test_failed_requests_are_tried_again(tmp_path, service):
     [
         ((500, b"", 0.0), "500"),
         ((403, b"", 0.0), "403"),
-        ((200, b"<html>sorry</html>", 0.0), "block"),
-        ((200, tile_png(18, 0, 0, 512), 0.0), "512.*tile_size"),
+        ((200, b"<html>sorry</html>", 0.0), "not recognized"),
+        ((200, tile_png(18, 0, 0, 512), 0.0), "size 512 x 512.*tile_size"),
         ((200, tile_png(18, 0, 0), 1.6), "imed out"),
     ],
     ids=["fails", "forbids", "page", "size", "slow"],
@@ -419,3 +420,391 @@ def test_larger_tiles_of_a_service_are_read_when_their_size_is_told(tmp_path, se
     aim = read_imagery(Tiles(address, cache=tmp_path, tile_size=512), **AREA)
     assert aim.report["imagery"][0]["zoom"] == 17
     assert misplaced(aim, 15.0) < 0.02
+
+
+# bands, masks and depths
+
+
+def flat(tmp_path: Path, bands: np.ndarray, name: str = "a.tif", **profile) -> Path:
+    """A raster of 0.5 m pixels amid BOX."""
+    height, width = bands.shape[1:]
+    place = np.array(from_origin(*(HERE - [width / 4, -height / 4]), 0.5, 0.5)).reshape(3, 3)
+    return write(tmp_path / name, bands, "EPSG:32633", place, **profile)
+
+
+def constant(*values: float, dtype: str = "uint8", side: int = 80) -> np.ndarray:
+    return np.stack([np.full((side, side), value, dtype) for value in values])
+
+
+def test_one_band_is_grey(tmp_path):
+    aim = read_imagery(flat(tmp_path, constant(77)), world=WORLD)
+    assert (aim.image == 77).all()
+
+
+def test_fourth_band_that_is_not_alpha_is_ignored(tmp_path):
+    path = flat(tmp_path, constant(10, 20, 30, 0), photometric="rgb", alpha="no")
+    with rasterio.open(path) as dataset:
+        assert dataset.colorinterp[3] != ColorInterp.alpha
+    aim = read_imagery(path, world=WORLD)
+    assert (aim.image == [10, 20, 30]).all()
+    assert aim.coverage.all()
+
+
+def test_bands_are_found_by_their_colours_or_as_told(tmp_path):
+    path = flat(tmp_path, constant(10, 20, 30, 40))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.colorinterp = [
+            ColorInterp.blue,
+            ColorInterp.green,
+            ColorInterp.red,
+            ColorInterp.undefined,
+        ]
+    assert (read_imagery(path, world=WORLD).image == [30, 20, 10]).all()
+    assert (read_imagery(path, world=WORLD, bands=[4, 3, 2]).image == [40, 30, 20]).all()
+    assert (read_imagery(path, world=WORLD, bands=[2]).image == 20).all()
+    with pytest.raises(ImageryError, match=r"has 4 band\(s\), and bands \[5\] were wanted"):
+        read_imagery(path, world=WORLD, bands=[5])
+    with pytest.raises(ValueError, match="one for grey or three"):
+        read_imagery(path, world=WORLD, bands=[1, 2])
+
+
+@pytest.mark.parametrize("resolution", [0.23, 0.5, 0.7, 1.9])
+@pytest.mark.parametrize("kind", ["alpha", "grey alpha", "nodata", "mask"])
+def test_holes_stay_holes_and_do_not_darken_their_rims(tmp_path, kind, resolution):
+    hole = np.zeros((80, 80), bool)
+    hole[:, 50:] = True
+    hole[20:28, 20:28] = True
+    bands = constant(*{"alpha": (200, 150, 100, 255), "grey alpha": (180, 255)}.get(kind, (180,)))
+    bands[:, hole] = 0
+    path = flat(tmp_path, bands, nodata=0 if kind == "nodata" else None)
+    with rasterio.open(path, "r+") as dataset:
+        if "alpha" in kind:
+            dataset.colorinterp = [*dataset.colorinterp[:-1], ColorInterp.alpha]
+        if kind == "mask":
+            dataset.write_mask(~hole)
+    aim = read_imagery(path, world=WORLD, corners=BOX / 10, resolution=resolution)
+    size = aim.coverage.shape[::-1]
+    truth = cv2.resize((~hole[32:48, 28:52]).astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    assert (aim.coverage[truth > 0.99] == 1).mean() > 0.97
+    seen = read_imagery(path, world=WORLD, resolution=resolution)
+    colours = [200, 150, 100] if kind == "alpha" else [180] * 3
+    assert np.abs(seen.image[seen.coverage > 0].astype(int) - colours).max() <= 1
+    assert seen.coverage.sum() * resolution**2 == pytest.approx(
+        (~hole).sum() / 4, rel=0.05 if resolution < 1 else 0.12
+    )
+
+
+def test_palette_is_expanded_and_its_transparency_kept(tmp_path):
+    bands = constant(1)
+    bands[0, :, 40:] = 2
+    bands[0, 40:] = 3
+    path = flat(tmp_path, bands, photometric="palette")
+    with rasterio.open(path, "r+") as dataset:
+        dataset.write_colormap(1, {1: (250, 10, 20, 255), 2: (0, 200, 9, 255), 3: (7, 7, 7, 255)})
+    aim = read_imagery(path, world=WORLD)
+    assert (aim.image[:40, :40] == [250, 10, 20]).all()
+    assert (aim.image[:40, 40:] == [0, 200, 9]).all()
+    assert (aim.image[40:] == 7).all()
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "int16", "float32", "float64"])
+def test_deep_values_are_stretched_jointly_over_bands(tmp_path, dtype):
+    ramp = np.linspace(300, 1300, 80 * 80).reshape(80, 80)
+    path = flat(tmp_path, np.stack([ramp, ramp / 2, ramp]).astype(dtype))
+    aim = read_imagery(path, world=WORLD)
+    low, high = aim.report["imagery"][0]["stretch"]
+    assert (low, high) == pytest.approx(np.percentile([ramp, ramp / 2, ramp], [1, 99]), rel=0.01)
+    wanted = np.clip((ramp - low) / (high - low) * 255, 0, 255)
+    assert np.abs(aim.image[..., 0] - wanted).max() <= 1
+    wanted = np.clip((ramp / 2 - low) / (high - low) * 255, 0, 255)
+    assert np.abs(aim.image[..., 1] - wanted).max() <= 1
+
+
+def test_values_that_are_no_numbers_are_holes(tmp_path):
+    bands = np.linspace(0, 1, 6400, dtype=np.float32).reshape(1, 80, 80)
+    bands[0, 10:20, 30:50] = np.nan
+    bands[0, 60, 60] = np.inf
+    aim = read_imagery(flat(tmp_path, bands), world=WORLD)
+    assert (aim.coverage == 0).sum() == 201
+    assert (aim.coverage[10:20, 30:50] == 0).all()
+
+
+def test_deep_constant_has_a_colour(tmp_path):
+    aim = read_imagery(flat(tmp_path, constant(500, dtype="uint16")), world=WORLD)
+    assert len(np.unique(aim.image)) == 1
+    mostly = constant(0, dtype="uint16")
+    mostly[0, :3, :3] = 9
+    image = read_imagery(flat(tmp_path, mostly, "b.tif"), world=WORLD).image
+    assert image[0, 0, 0] == 255
+    assert image[-1, -1, 0] == 0
+
+
+def test_alpha_of_16_bits_is_understood(tmp_path):
+    bands = constant(1000, 2000, 3000, 65535, dtype="uint16")
+    bands[0, :40] = 500
+    bands[3, :, :40] = 0
+    path = flat(tmp_path, bands, photometric="rgb", alpha="yes")
+    aim = read_imagery(path, world=WORLD)
+    assert not aim.coverage[:, :40].any()
+    assert aim.coverage[:, 40:].all()
+    assert aim.report["imagery"][0]["stretch"] == [500.0, 3000.0]
+
+
+# mosaics
+
+
+def test_earlier_sources_lie_on_top(tmp_path):
+    small = constant(50, side=40)
+    small[0, 10:20, 10:20] = 0
+    over = flat(tmp_path, small, "over.tif", nodata=0)
+    under = flat(tmp_path, constant(150), "under.tif")
+    aim = read_imagery([over, under], world=WORLD)
+    middle = aim.image[20:60, 20:60, 0]
+    assert (middle[10:20, 10:20] == 150).all()
+    assert (middle[:10] == 50).all()
+    assert (aim.image[:20] == 150).all()
+    shares = [row["share"] for row in aim.report["imagery"]]
+    assert shares == pytest.approx([1500 / 6400, 4900 / 6400])
+    assert (read_imagery([under, over], world=WORLD).image == 150).all()
+
+
+@pytest.mark.parametrize("resolution", [0.21, 0.5, 0.9, 2.3])
+def test_rasters_that_abut_leave_no_seam(tmp_path, resolution):
+    place = place_around("EPSG:4326", 0.5, (300, 300))
+    bands = painted("EPSG:4326", place, (300, 300), 15.0)
+    whole = write(tmp_path / "whole.tif", bands, "EPSG:4326", place)
+    (tmp_path / "parts").mkdir()
+    for row in range(0, 300, 100):
+        for column in range(0, 300, 100):
+            part = bands[:, row : row + 100, column : column + 100]
+            shifted = place @ np.array([[1, 0, column], [0, 1, row], [0, 0, 1]])
+            write(tmp_path / "parts" / f"{row}_{column}.tif", part, "EPSG:4326", shifted)
+    area = {"world": WORLD, "corners": BOX * 0.8, "resolution": resolution}
+    one = read_imagery(whole, **area)
+    for many in (tmp_path / "parts", f"{tmp_path}/parts/*_*.tif"):
+        other = read_imagery(many, **area)
+        assert other.coverage.all()
+        assert np.abs(one.image.astype(int) - other.image).max() <= (1 if resolution < 1 else 6)
+
+
+def test_sources_in_several_systems_are_one_image(tmp_path):
+    first = ortho(tmp_path / "a.tif", "EPSG:31256", 0.5, 150)
+    second = ortho(tmp_path / "b.tif", "EPSG:3857", 0.7, 300)
+    aim = read_imagery([first, second], world=WORLD, corners=BOX, resolution=0.5)
+    assert aim.coverage.all()
+    assert misplaced(aim, 15.0) < 0.02
+    assert [row["crs"] for row in aim.report["imagery"]] == [["EPSG:31256"], ["EPSG:3857"]]
+
+
+def test_source_that_lies_elsewhere_is_left_out_with_a_warning(tmp_path):
+    near, far = ortho(tmp_path / "near.tif"), tmp_path / "far.tif"
+    write(far, constant(9), "EPSG:32635", np.array([[1.0, 0, 6e5], [0, -1, 0], [0, 0, 1]]))
+    with pytest.warns(GeoaimWarning, match=r"far\.tif covers longitude 27\.89.* is needed in lon"):
+        aim = read_imagery([far, near], world=WORLD, corners=BOX)
+    assert aim.coverage.all()
+    with pytest.raises(ImageryError, match=r"far\.tif covers longitude 27\.89.* is needed in lon"):
+        read_imagery(far, world=WORLD, corners=BOX)
+
+
+# other formats
+
+
+def test_image_with_a_world_file_needs_a_crs(tmp_path):
+    image = np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8)
+    for name, world_file in (("a.png", "a.pgw"), ("b.png", "b.wld"), ("c.jpg", "c.jgw")):
+        cv2.imwrite(str(tmp_path / name), image[..., ::-1])
+        # a world file gives the first pixel's centre
+        text = f"0.5\n0\n0\n-0.5\n{HERE[0] + 0.25}\n{HERE[1] - 0.25}\n"
+        (tmp_path / world_file).write_text(text)
+        with pytest.raises(ImageryError, match=r"names no coordinate.* crs='EPSG:"):
+            read_imagery(tmp_path / name)
+        aim = read_imagery(tmp_path / name, world=WORLD, crs="EPSG:32633")
+        np.testing.assert_allclose(aim.corners[0], [0, 0], atol=1e-6)
+        if name.endswith("png"):
+            np.testing.assert_array_equal(aim.image, image)
+
+
+def test_virtual_rasters_and_gdal_strings_are_read(tmp_path):
+    path = ortho(tmp_path / "a.tif", "EPSG:3857", 0.5)
+    rasterio.shutil.copy(path, tmp_path / "a.vrt", driver="VRT")
+    aim = read_imagery(path, world=WORLD, corners=BOX)
+    for source in (tmp_path / "a.vrt", f"GTIFF_DIR:1:{path}"):
+        other = read_imagery(source, world=WORLD, corners=BOX)
+        np.testing.assert_array_equal(aim.image, other.image)
+    with pytest.raises(ImageryError, match="no tiles by zoom"):
+        read_imagery(Tiles(path, zoom=3))
+
+
+@pytest.mark.parametrize("zoom", [None, 17, 16])
+def test_mbtiles_are_read_at_any_zoom(tmp_path, zoom):
+    place = tile_place(*tiles_here(16)[0], 1024)
+    bands = painted("EPSG:3857", place, (1024, 1024), 15.0)
+    write(tmp_path / "a.mbtiles", bands, "EPSG:3857", place, driver="MBTILES", TILE_FORMAT="PNG")
+    with rasterio.open(tmp_path / "a.mbtiles", "r+") as dataset:
+        dataset.build_overviews([2, 4], Resampling.average)
+    corners = transform_crs(
+        "EPSG:3857", WORLD.crs, place[:2, :2] @ [300.0, 700.0] + place[None, :2, 2]
+    )
+    corners = corners - HERE + BOX
+    tiles = Tiles(tmp_path / "a.mbtiles", zoom=zoom)
+    aim = read_imagery(tiles, world=WORLD, corners=corners, resolution=0.6)
+    assert aim.coverage.all()
+    assert misplaced(aim, 15.0) < 0.05
+
+
+# size
+
+
+def test_huge_raster_is_cut_without_reading_it(tmp_path):
+    side = 60_000
+    place = np.array(from_origin(*(HERE - [side / 20, -side / 20]), 0.1, 0.1)).reshape(3, 3)
+    path = tmp_path / "a.tif"
+    profile = {"driver": "GTiff", "height": side, "width": side, "count": 3, "dtype": "uint8"}
+    options = {"tiled": True, "SPARSE_OK": "TRUE", "compress": "deflate", "BIGTIFF": "YES"}
+    transform = Affine(*place[:2].flat)
+    with rasterio.open(
+        path, "w", **profile, **options, crs="EPSG:32633", transform=transform
+    ) as dataset:
+        middle = painted("EPSG:32633", place @ [[1, 0, 29488], [0, 1, 29488], [0, 0, 1]], *WIDE)
+        dataset.write(middle, window=rasterio.windows.Window(29488, 29488, 1024, 1024))
+    coarse = np.zeros((3, 938, 938), np.uint8)
+    coarse[:, 400:500, 400:500] = 70  # what only overviews hold tells that they were read
+    write(f"{path}.ovr", coarse, None, None)
+    start = time.perf_counter()
+    assert misplaced(read_imagery(path, world=WORLD, corners=BOX / 2), 15.0) < 0.02
+    assert read_imagery(path, world=WORLD, resolution=20.0).image[143, 143, 0] == 70
+    assert time.perf_counter() - start < 3.0
+
+
+WIDE = (1024, 1024), 15.0
+
+
+def test_blocks_meet_without_a_seam(tmp_path, monkeypatch):
+    path = ortho(tmp_path / "a.tif", "EPSG:4326")
+    for resolution in (0.3, 1.3):
+        whole = read_imagery(path, world=WORLD, resolution=resolution)
+        with monkeypatch.context() as small:
+            small.setattr("geoaim.mapping.tiles.BLOCK", 64)
+            parts = read_imagery(path, world=WORLD, resolution=resolution)
+        both = (whole.coverage > 0) & (parts.coverage > 0)
+        assert both.sum() > whole.coverage.sum() - 9  # on the very edge either may be right
+        assert np.abs(whole.image[both].astype(int) - parts.image[both]).max() <= 2
+
+
+def test_more_is_not_read_than_the_image_needs(tmp_path, monkeypatch):
+    read = []
+
+    def noted(source, *rest):
+        read.append(source.size)
+        return resample(source, *rest)
+
+    resample = rasters._resample
+    monkeypatch.setattr(rasters, "_resample", noted)
+    aim = read_imagery(ortho(tmp_path / "a.tif", pixel=0.1, side=1500), world=WORLD, resolution=1.3)
+    assert max(read) < 4 * 4 * aim.coverage.size
+
+
+# refusals
+
+
+@pytest.mark.parametrize("source", ["nowhere.tif", "nowhere/*.tif", "empty"])
+def test_missing_files_are_named(tmp_path, source):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match=source.replace("*", r"\*")):
+        read_imagery(tmp_path / source)
+
+
+def test_file_that_is_no_image_is_refused(tmp_path):
+    (tmp_path / "a.tif").write_text("not a picture")
+    with pytest.raises(ImageryError, match=r"a\.tif cannot be read as imagery: .*not recognized"):
+        read_imagery(tmp_path / "a.tif")
+    with pytest.raises(ImageryError, match=r"none of the 1 file\(s\) of .* can be read"):
+        read_imagery(tmp_path)
+
+
+def test_cut_geotiff_is_refused(tmp_path):
+    path = flat(tmp_path, np.random.default_rng(0).integers(1, 255, (3, 300, 300), dtype=np.uint8))
+    path.write_bytes(path.read_bytes()[:50_000])
+    with pytest.raises(ImageryError, match=r"a\.tif cannot be read"):
+        read_imagery(path, world=WORLD)
+
+
+def test_image_without_a_place_is_refused(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((8, 8, 3), np.uint8))
+    with pytest.raises(ImageryError, match=r"no transform.* lay a world file beside it"):
+        read_imagery(tmp_path / "a.png", crs="EPSG:32633")
+
+
+def test_nodata_alone_is_refused(tmp_path):
+    path = flat(tmp_path, constant(0, 0, 0), nodata=0)
+    with pytest.raises(ImageryError, match="nothing but nodata"):
+        read_imagery(path, world=WORLD)
+
+
+def test_world_without_a_place_on_earth_is_refused(tmp_path):
+    with pytest.raises(ImageryError, match="the world has no CRS"):
+        read_imagery(ortho(tmp_path / "a.tif"), world=World(None), corners=BOX)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1.0, np.nan, np.inf])
+def test_resolution_that_is_no_length_is_refused(resolution):
+    with pytest.raises(ValueError, match="positive number of metres"):
+        read_imagery("a.tif", resolution=resolution)
+
+
+def test_calls_that_say_too_little_are_refused():
+    with pytest.raises(ValueError, match="no source"):
+        read_imagery([])
+    with pytest.raises(ValueError, match="give the world"):
+        read_imagery("a.tif", corners=BOX)
+    with pytest.raises(ValueError, match="span an area"):
+        read_imagery("a.tif", world=WORLD, corners=BOX[:1])
+
+
+def test_too_many_pixels_are_refused(tmp_path):
+    path = ortho(tmp_path / "a.tif")
+    with pytest.raises(AimError, match="use a resolution of"):
+        read_imagery(path, world=WORLD, resolution=0.001)
+
+
+def test_half_the_world_is_not_read_as_a_whole(tmp_path):
+    place = np.array(from_origin(0, 60, 0.1, 0.1)).reshape(3, 3)
+    path = write(tmp_path / "a.tif", constant(9, side=100), "EPSG:4326", place)
+    with pytest.raises(ImageryError, match="10 by 10 degrees"):
+        read_imagery(path)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_compressed_images_of_gigapixels_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("geoaim.mapping.rasters.MOST_PIXELS", 1000)
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 40, 3), np.uint8))
+    with pytest.raises(ImageryError, match="40 x 40 pixels in one piece"):
+        read_imagery(tmp_path / "a.png")
+    path = flat(tmp_path, constant(9), tiled=True, blockxsize=16, blockysize=16)
+    assert read_imagery(path, world=WORLD).coverage.all()
+
+
+def test_coarse_source_is_upsampled_with_a_warning(tmp_path):
+    path = ortho(tmp_path / "a.tif", pixel=2.0, side=90)
+    with pytest.warns(GeoaimWarning, match="pixels of 2 m, and 0.5 m were wanted"):
+        aim = read_imagery(path, world=WORLD, corners=BOX, resolution=0.5)
+    assert aim.coverage.all()
+
+
+# real data
+
+
+def test_zooms_of_real_tiles_agree(data_folder):
+    place = tile_place(20, 619227, 523264)
+    mercator = transform_points(place, np.array([[20.0, 20.0], [480.0, 480.0]]))
+    world = choose_world(transform_crs("EPSG:3857", "EPSG:4326", mercator))
+    area = {"world": world, "corners": world_from_crs(world, mercator, "EPSG:3857")}
+    grey = []
+    for zoom in (20, 21):
+        tiles = Tiles(data_folder / "tiles" / "kampala_xyz", zoom=zoom)
+        aim = read_imagery(tiles, **area, resolution=0.15)
+        assert aim.coverage.all()
+        grey.append(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)[:400, :400].astype(float))
+    shift, response = cv2.phaseCorrelate(*grey, cv2.createHanningWindow((400, 400), cv2.CV_64F))
+    assert response > 0.5
+    assert np.abs(shift).max() < 0.3
