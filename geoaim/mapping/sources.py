@@ -23,6 +23,7 @@ DEEPEST = 30  # zoom level
 TILE = r"(\d+){0}(\d+){0}(\d+)\.(?:png|jpe?g|webp)$"
 TREE = re.compile("(?:^|/)" + TILE.format("/"), re.IGNORECASE)  # z/x/y.png
 FLAT = re.compile("(?:^|[^0-9])" + TILE.format("-"), re.IGNORECASE)  # NAME-x-y-z.png
+ADDRESS = re.compile("<|://|^/vsi|^[A-Z0-9_]{2,}:")  # what GDAL opens and is no file's path
 SERVICE = """<GDAL_WMS>
 <Service name="TMS"><ServerUrl>{url}</ServerUrl></Service>
 <DataWindow>
@@ -130,7 +131,7 @@ def find_layer(
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
     path = os.fspath(tiles.path)
-    if all(part in path for part in ("{z}", "{x}", "y}")):
+    if "{z}" in path and "{x}" in path and "y}" in path:
         return _service(tiles, path, area, resolution)
     describe = _describer(crs, bands)
     if Path(path).is_dir():
@@ -139,10 +140,10 @@ def find_layer(
             return _tile_layer(tiles, numbered, area, resolution, describe)
         files = [f for f in sorted(Path(path).rglob("*")) if f.suffix.lower() in {".tif", ".tiff"}]
         return _file_layer(path, [str(file) for file in files], describe)
-    if not os.path.exists(path) and any(sign in path for sign in "*?[") and "://" not in path:
+    if not os.path.exists(path) and not ADDRESS.search(path):
+        if not any(sign in path for sign in "*?["):
+            raise FileNotFoundError(f"{path}: no such file")
         return _file_layer(path, sorted(glob.glob(path, recursive=True)), describe)
-    if not os.path.exists(path) and not re.search(r"[:<]|^/vsi", path):
-        raise FileNotFoundError(f"{path}: no such file")
     return _single(tiles, path, crs, bands)
 
 
@@ -273,6 +274,8 @@ def _choose_zoom(tiles: Tiles, levels: Array, area: Area | None, resolution: flo
 
 def _service(tiles: Tiles, address: str, area: Area | None, resolution: float | None) -> Layer:
     name = _shown(address)
+    if "://" not in address:
+        raise ImageryError(f"{name} is no service's address, and of files the folder is needed")
     if area is None or (resolution is None and tiles.zoom is None):
         raise ImageryError(
             f"{name} is a service for all of the world, and does not say how fine it is: give the "

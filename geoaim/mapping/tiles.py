@@ -1,4 +1,9 @@
-"""Third-party imagery to an AIM: orthophotos, tiles and tile services, north up in a world."""
+"""Third-party imagery to an AIM: orthophotos, tiles and tile services, north up in a world.
+
+aim = read_imagery("ortho.tif")
+service = Tiles("https://host/{z}/{x}/{y}.png", zoom=19)
+aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
+"""
 
 import os
 import warnings
@@ -258,8 +263,10 @@ def _lay_under(
     broken: dict[str, ImageryError],
 ) -> None:
     """Add a layer where alpha still lacks; sums that alpha limits leave no seam between tiles."""
+    if np.abs(total[3] - 1.0).max() < 0.001:
+        return
     for raster in layer.rasters:
-        if raster.name in broken or total[3].min() > 0.999:
+        if raster.name in broken:
             continue
         raster_from_block = np.linalg.inv(raster.crs_from_raster) @ crs_from_block[raster.crs]
         own = None if raster.dtype == "uint8" else stretch

