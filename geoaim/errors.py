@@ -8,7 +8,8 @@ GeoaimError
 ├── AlignmentError      imagery cannot be laid on what it should lie on
 ├── AimError            a file is not an AIM, or an AIM cannot be written as asked
 ├── TracksError         a file holds no tracks or lights, or such as contradict themselves
-└── MapError            a file is no HD map, or does not lie where it is needed
+├── MapError            a file is no HD map, or does not lie where it is needed
+└── ImageryError        imagery cannot be read, or does not lie where it is needed
 
 GeoaimWarning           the work went on, with less than was asked for
 """
@@ -48,6 +49,10 @@ class TracksError(GeoaimError):
 
 class MapError(GeoaimError):
     """A file is no HD map, or does not lie where it is needed."""
+
+
+class ImageryError(GeoaimError):
+    """Imagery cannot be read, or does not lie where it is needed."""
 
 
 class GeoaimWarning(UserWarning):
