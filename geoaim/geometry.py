@@ -57,3 +57,12 @@ def wrap_angle(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
     array([ 0.5  , -1.571])
     """
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def about(middle: Float[Array, "2"], turn: float, zoom: float) -> Float[Array, "3 3"]:
+    """A turn (radians, counter-clockwise) and a zoom about a place, as a matrix."""
+    cosine, sine = zoom * np.cos(turn), zoom * np.sin(turn)
+    turned = np.array([[cosine, -sine], [sine, cosine]])
+    matrix = np.eye(3)
+    matrix[:2, :2], matrix[:2, 2] = turned, middle - turned @ middle
+    return matrix

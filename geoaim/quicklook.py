@@ -1,16 +1,22 @@
 """A picture of an AIM and of its report, for people: what to trust, at a glance."""
 
 import os
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy import ndarray as Array
 
-from geoaim.aim import AIM
+from geoaim.aim import AIM, north_up_grid
 from geoaim.files import replacing
 from geoaim.geometry import transform_points
+from geoaim.tracks import Tracks
 
+LOOK = 900  # px of the longer side of a drawn alignment
+SQUARES = 10  # along it
 ACCENT, BAD = "#ff6a00", "#c1121f"
 
 
@@ -30,6 +36,76 @@ def write_quicklook(aim: AIM, path: str | os.PathLike[str]) -> None:
     figure = draw_quicklook(aim)
     with replacing(path) as part:
         figure.savefig(part, dpi=100, format="png")
+
+
+def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | None = None) -> Figure:
+    """Draw imagery before and after it was moved, beside an AIM's squares and under tracks.
+
+    Args:
+        imagery: what `align_tiles` gave.
+        aim: drawn in every other square.
+        tracks: in the same world.
+    """
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    stated = _as_stated(imagery)
+    corners = (imagery if aim is None else aim).corners
+    for axes, shown, title in zip(
+        figure.subplots(1, 2), (stated, imagery), ("as stated", "aligned"), strict=True
+    ):
+        view, extent = _squares(shown, aim, corners)
+        axes.imshow(view, extent=extent)
+        if tracks is not None:
+            for states, there in zip(tracks.states, tracks.present, strict=True):
+                axes.plot(*states[there, :2].T, "-", color=ACCENT, linewidth=0.7, alpha=0.8)
+        axes.set(title=title, xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
+    return figure
+
+
+def write_alignment(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write `draw_alignment` as a PNG."""
+    with replacing(path) as part:
+        figure.savefig(part, dpi=100, format="png")
+
+
+def _as_stated(imagery: AIM) -> AIM:
+    """The imagery where it lay before evidence moved it."""
+    report: Any = imagery.report.get("alignment", {})
+    for said in report.values():
+        if "checked" not in said:
+            back = np.linalg.inv(np.array(said["true_from_stated"]))
+            return replace(imagery, world_from_image=back @ imagery.world_from_image)
+    return imagery
+
+
+def _squares(
+    shown: AIM, aim: AIM | None, corners: Float[Array, "4 2"]
+) -> tuple[UInt8[Array, "H W 3"], tuple[float, float, float, float]]:
+    """The imagery on a grid over the corners, with the AIM in every other square."""
+    wide, high = np.ptp(corners, axis=0)
+    matrix, height, width = north_up_grid(corners, float(max(wide, high)) / LOOK)
+    view = _on_grid(shown, matrix, height, width)
+    if aim is not None:
+        rows, columns = np.indices((height, width)) * SQUARES // LOOK
+        view = np.where(
+            ((rows + columns) % 2 == 0)[..., None], _on_grid(aim, matrix, height, width), view
+        )
+    (left, top), (right, low) = transform_points(
+        matrix, np.array([[0.0, 0.0], [float(width), float(height)]])
+    )
+    return view, (left, right, low, top)
+
+
+def _on_grid(
+    aim: AIM, world_from_grid: Float[Array, "3 3"], height: int, width: int
+) -> UInt8[Array, "H W 3"]:
+    image_from_grid = np.linalg.inv(aim.world_from_image) @ world_from_grid
+    rows, columns = np.indices((height, width)) + 0.5
+    places = transform_points(image_from_grid, np.stack([columns, rows], -1).reshape(-1, 2))
+    u, v = np.floor(places).astype(int).T
+    inside = (u >= 0) & (v >= 0) & (u < aim.image.shape[1]) & (v < aim.image.shape[0])
+    view = np.zeros((height * width, 3), np.uint8)
+    view[inside] = aim.image[v[inside], u[inside]]
+    return view.reshape(height, width, 3)
 
 
 def summary(aim: AIM) -> dict[str, str]:
@@ -62,6 +138,15 @@ def summary(aim: AIM) -> dict[str, str]:
             errors = [p["leave_one_out_m"] for p in place["points"] if p["used"]]
             rms = np.sqrt(np.mean(np.square(errors)))
             lines["leave-one-out"] = f"{rms:.4f} m (rms of {len(errors)} points)"
+    for name, said in report.get("alignment", {}).items():
+        if "uncertainty_m" in said:
+            east, north = said["shift_m"]
+            lines[f"by {name}"] = (
+                f"{said['model']}, {east:+.2f} m east, {north:+.2f} m north, "
+                f"{said['turn_degrees']:+.2f} degrees; {said['uncertainty_m']:.2f} m (95 %)"
+            )
+            if said["undetermined_degrees"] is not None:
+                lines["undetermined"] = f"along {said['undetermined_degrees'] % 180:.0f} degrees"
     return lines
 
 

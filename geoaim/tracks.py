@@ -16,7 +16,7 @@ radians counter-clockwise from +x; speed in m/s, negative in reverse; length and
 import json
 import os
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -223,65 +223,6 @@ def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
         ids=tuple(names[order].tolist()),
         world=world,
     )
-
-
-def resample(tracks: Tracks, rate: float, *, gap: float = 0.5) -> Tracks:
-    """The same tracks at an even rate, from their first time on.
-
-    Between two recorded states positions and speeds are linear in time and headings turn the
-    shorter way; at a recorded time the state is the recorded one. Nothing is extrapolated. Agents
-    keep their order, also one who is there only between two of the new times, and so never.
-
-    Args:
-        tracks: at any times.
-        rate: in Hz.
-        gap: the longest time between two recorded states, in seconds, over which an agent is taken
-            to be there; a longer absence stays one.
-
-    Raises:
-        ValueError: the rate is not positive or asks for too much, or the agents' usual step is
-            longer than the gap, so that hardly anybody would be left.
-    """
-    if not 0 < rate < np.inf:
-        raise ValueError(f"rate is {rate}; a positive number of Hz is needed")
-    if len(tracks.times) == 0:
-        return tracks
-    steps = [np.diff(tracks.times[there]) for there in tracks.present]
-    usual = float(np.median(np.concatenate([[], *steps]))) if any(map(len, steps)) else 0.0
-    if not gap >= usual - 1 / TICKS:
-        raise ValueError(f"gap is {gap} s, less than the usual step of {usual:g} s; give more")
-    count = int((tracks.times[-1] - tracks.times[0]) * rate + rate / TICKS) + 1
-    if count * max(len(tracks.ids), 1) > MOST:
-        raise ValueError(
-            f"{len(tracks.ids)} agents times {count} times are too many; lower the rate of {rate} "
-            "Hz or cut the tracks"
-        )
-    times = tracks.times[0] + np.arange(count) / rate
-    states = np.full((len(tracks.ids), count, 4), np.nan)
-    for agent, there in enumerate(tracks.present):
-        states[agent] = _between(tracks.times[there], tracks.states[agent, there], times, gap)
-    return replace(tracks, times=times, states=states, present=np.isfinite(states[..., 0]))
-
-
-def _between(
-    times: Float[Array, "M"], states: Float[Array, "M 4"], wanted: Float[Array, "T"], gap: float
-) -> Float[Array, "T 4"]:
-    """An agent's states at other times; NaN where it is not known to be there."""
-    found = np.full((len(wanted), 4), np.nan)
-    before = np.searchsorted(times, wanted + 1 / TICKS, side="right") - 1
-    after = np.searchsorted(times, wanted - 1 / TICKS)
-    inside = np.flatnonzero((before >= 0) & (after < len(times)))
-    before, after = before[inside], np.maximum(before, after)[inside]  # one, at a recorded time
-    near = times[after] - times[before] <= gap + 1 / TICKS
-    inside, before, after = inside[near], before[near], after[near]
-    apart = np.where(after > before, times[after] - times[before], 1.0)
-    share = np.where(after > before, (wanted[inside] - times[before]) / apart, 0.0)[:, None]
-    change = states[after] - states[before]
-    change[:, 2] = wrap_angle(change[:, 2])
-    found[inside] = states[before] + share * change
-    turned = np.abs(found[:, 2]) >= np.pi
-    found[turned, 2] = wrap_angle(found[turned, 2])
-    return found
 
 
 def heading_of_motion(

@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from geoaim import GeoaimError, Tracks, World, read_tracks, write_tracks
 from geoaim.errors import TracksError
-from geoaim.tracks import COLUMNS, heading_of_motion, resample, tracks_of_rows
+from geoaim.tracks import COLUMNS, heading_of_motion, tracks_of_rows
 
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 
@@ -204,98 +204,3 @@ def test_agents_of_one_name_are_refused():
     tracks = _tracks()
     with pytest.raises(ValueError, match="name of another"):
         replace(tracks, ids=("7", "7"))
-
-
-def _straight(times, present=None, heading=0.0, speed=2.0):
-    times = np.asarray(times, float)
-    present = np.ones((1, len(times)), bool) if present is None else np.array([present], bool)
-    direction = np.array([np.cos(heading), np.sin(heading)])
-    states = np.empty((1, len(times), 4))
-    states[0, :, :2] = 5.0 + speed * times[:, None] * direction
-    states[0, :, 2:] = heading, speed
-    states[~present] = np.nan
-    return Tracks(times, states, present, np.array([[4.5, 1.8]]), ("car",), ("1",), World(None))
-
-
-def test_resampling_is_linear_between_states_and_exact_at_them():
-    tracks = _straight([0.0, 0.1, 0.3])
-    states = tracks.states.copy()
-    states[0, :, 3] = 1.0, 2.0, 4.0
-    again = resample(replace(tracks, states=states), 20)
-    np.testing.assert_allclose(again.times, np.arange(7) / 20)
-    np.testing.assert_allclose(again.states[0, :, 3], [1, 1.5, 2, 2.5, 3, 3.5, 4])
-    np.testing.assert_array_equal(again.states[0, [0, 2, 6]], states[0])
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    steps=st.lists(st.floats(0.01, 0.4), min_size=2, max_size=12),
-    start=st.floats(-1e5, 1e5),
-    rate=st.floats(0.5, 60),
-    heading=st.floats(-3.1, 3.1),
-)
-def test_resampled_straight_motion_is_the_motion(steps, start, rate, heading):
-    offsets = np.concatenate([[0.0], np.cumsum(steps)])
-    tracks = _straight(offsets, heading=heading)
-    tracks = replace(tracks, times=offsets + start)
-    again = resample(tracks, rate)
-    assert again.present.all()
-    assert again.times[-1] <= tracks.times[-1] + 1e-6 < again.times[-1] + 1 / rate + 1e-6
-    wanted = _straight(again.times - start, heading=heading)
-    np.testing.assert_allclose(again.states, wanted.states, atol=1e-5)
-
-
-def test_resampled_heading_turns_the_shorter_way():
-    tracks = _straight([0.0, 0.4])
-    states = tracks.states.copy()
-    states[0, :, 2] = 3.0, -3.0
-    found = resample(replace(tracks, states=states), 10).states[0, :, 2]
-    assert (found >= -np.pi).all()
-    assert (found < np.pi).all()
-    turn = 2 * np.pi - 6
-    np.testing.assert_allclose(
-        np.exp(1j * found), np.exp(1j * (3 + turn * np.arange(5) / 4)), atol=1e-12
-    )
-
-
-def test_resampling_fills_a_missing_row_and_keeps_an_absence():
-    present = np.ones(20, bool)
-    present[3] = present[8:14] = False  # 0.2 s and 0.7 s between the rows beside
-    tracks = _straight(np.arange(20) / 10, present)
-    again = resample(tracks, 10)
-    wanted = present.copy()
-    wanted[3] = True
-    np.testing.assert_array_equal(again.present[0], wanted)
-    assert np.isnan(again.states[~again.present]).all()
-    assert resample(tracks, 10, gap=0.7).present.all()
-
-
-def test_resampling_extrapolates_nobody():
-    present = [False, True, True, False]
-    again = resample(_straight([0.0, 0.2, 0.4, 0.6], present), 10)
-    np.testing.assert_array_equal(again.present[0], [0, 0, 1, 1, 1, 0, 0])
-
-
-def test_resampling_downwards_and_back_up_keeps_ids_types_and_world():
-    again = resample(resample(_tracks(), 5), 10)
-    assert (again.ids, again.types, again.world) == (("7", "b"), ("car", "pedestrian"), WORLD)
-    np.testing.assert_allclose(np.diff(again.times), 0.1)
-
-
-@pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
-def test_rate_that_is_none_is_refused(rate):
-    with pytest.raises(ValueError, match="positive number of Hz"):
-        resample(_straight([0.0, 0.1]), rate)
-
-
-def test_resampling_that_cannot_be_meant_is_refused():
-    with pytest.raises(ValueError, match="are too many; lower the rate"):
-        resample(_straight(np.arange(10)), 1e9, gap=2)
-    with pytest.raises(ValueError, match="usual step of 1 s"):
-        resample(_straight(np.arange(10)), 10)
-
-
-def test_resampling_nobody_gives_nobody():
-    nobody = resample(_straight([0.0, 0.1], [False, False]), 20)
-    assert not nobody.present.any()
-    assert len(nobody.times) == 3

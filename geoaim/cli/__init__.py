@@ -4,9 +4,9 @@ import typer
 
 from geoaim.cli.driving import render, simulate
 from geoaim.cli.made import sample
-from geoaim.cli.maps import build, draw, info, register, texture
+from geoaim.cli.maps import align, build, draw, info, register, texture
 
-COMMANDS = (build, register, texture, info, draw, render, simulate, sample)
+COMMANDS = (build, align, register, texture, info, draw, render, simulate, sample)
 
 app = typer.Typer(
     name="geoaim",

@@ -3,11 +3,21 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from geoaim.cli.console import AimFile, console, plain_errors, refuse_output, stages
+from geoaim.cli.console import (
+    AimFile,
+    TracksPixel,
+    TracksWorld,
+    console,
+    plain_errors,
+    read_any_tracks,
+    refuse_output,
+    stages,
+)
 
 if TYPE_CHECKING:
     from geoaim.aim import AIM
@@ -47,8 +57,7 @@ def build(
     from geoaim.quicklook import write_quicklook
 
     with stages() as progress, plain_errors():
-        if output.suffix.lower() not in (".tif", ".tiff"):
-            raise ValueError(f"{output}: the map is a GeoTIFF; give a name that ends in .tif")
+        _refuse_no_tiff(output)
         if pixel_size is not None and gcps is not None:
             raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
         refuse_output(output)
@@ -71,6 +80,58 @@ def build(
         write_quicklook(aim, output.with_suffix(".png"))
         progress("write", 2, 2)
     _show(aim, f"{output} and {output.with_suffix('.png')}")
+
+
+def align(
+    tiles: Annotated[
+        list[str],
+        typer.Argument(help="orthophotos, folders of tiles, MBTiles, addresses of tile services"),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
+    tracks: Annotated[Path | None, typer.Option(help="of vehicles, in any known form")] = None,
+    tracks_world: TracksWorld = None,
+    metres_per_pixel: TracksPixel = None,
+    aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
+    gcps: Points = None,
+    resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
+    crs: Annotated[str | None, typer.Option(help="of imagery that names none")] = None,
+    reach: Annotated[float, typer.Option(help="m by which imagery may be off", min=1)] = 15.0,
+    turn: Annotated[float, typer.Option(help="degrees by which it may be", min=0, max=45)] = 5.0,
+    zoom: Annotated[float, typer.Option(help="percent of its size by which", min=0, max=30)] = 5.0,
+) -> None:
+    """Lay imagery of others where it belongs: by control points, an AIM, or tracks alone.
+
+    The first of these that is given places it, the others check. A quick look beside the map shows
+    it before and after. Without any of them the imagery stays where it says to lie.
+    """
+    from geoaim.aim import read_aim, rectify, write_aim
+    from geoaim.mapping.aligning import align_tiles
+    from geoaim.mapping.alignment import Prior
+    from geoaim.quicklook import draw_alignment, write_alignment
+    from geoaim.track_changes import tracks_in
+
+    with plain_errors():
+        _refuse_no_tiff(output)
+        refuse_output(output)
+        place = None if aim is None else read_aim(aim)
+        way = None
+        if tracks is not None:
+            way = read_any_tracks(tracks, tracks_world, metres_per_pixel)
+        found = align_tiles(
+            tiles[0] if len(tiles) == 1 else tiles,
+            tracks=way,
+            aim=place,
+            gcps=gcps,
+            resolution=resolution,
+            crs=crs,
+            prior=Prior(reach, float(np.radians(turn)), zoom / 100),
+        )
+        write_aim(found if found.is_affine else rectify(found), output)
+        look = output.with_suffix(".png")
+        if way is not None:
+            way = tracks_in(way, found.world)
+        write_alignment(draw_alignment(found, aim=place, tracks=way), look)
+    _show(found, f"{output} and {look}")
 
 
 def register(
@@ -148,6 +209,11 @@ def info(aim: AimFile) -> None:
     with plain_errors():
         found = read_aim(aim)
     _show(found, str(aim))
+
+
+def _refuse_no_tiff(output: Path) -> None:
+    if output.suffix.lower() not in (".tif", ".tiff"):
+        raise ValueError(f"{output}: the map is a GeoTIFF; give a name that ends in .tif")
 
 
 def _count(text: str) -> int | Literal["auto", "all"]:

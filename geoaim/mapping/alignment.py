@@ -1,52 +1,19 @@
-"""Where imagery of others truly lies, by an AIM of the same place.
+"""How imagery has to be moved to lie where it should, and how well that is known."""
 
-Coarse: all turns and zooms of the prior's range, each at all shifts, on a small grid. Fine: windows
-of the imagery are looked for on ever finer grids, and the least motion model that they support is
-fitted robustly. Last: windows are looked for once more in a wide circle, and are counted that are
-found where the model says. So many would not be found there by chance, and no other
-candidate may do nearly as well.
-"""
-
-from dataclasses import dataclass
-from math import comb, log10
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, north_up_grid
-from geoaim.errors import AlignmentError
-from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.correlation import (
-    Grid,
-    Shifts,
-    correlation,
-    grey_on,
-    orientation,
-    window_shifts,
-)
-from geoaim.mapping.motion import Match, Model, Motion, basis, choose_model, fit_match
+from geoaim.aim import AIM
+from geoaim.geometry import transform_points
+from geoaim.mapping.motion import Model
 
-ALIGNED: tuple[Model, ...] = ("translation", "rigid", "similarity", "affine", "homography")
-
-SIDE = 64  # px of a window
-COARSE = 128  # px of the longer side of the coarsest grid
-FINE = 0.7  # of the coarser picture's pixel: the finest grid
-MOST = 300  # windows of one grid
-FEWEST = 8  # windows that must be comparable
-CANDIDATES = 4
-RIVAL = 0.6  # of the best candidate's windows that another may not reach
-STEP = 1.5  # px of the coarsest grid between turns and zooms, at the ends of the longer side
-ROUNDS = 2  # of mending on the finest grid
-NARROW = 6  # px in which windows are looked for on finer grids
-CHI2 = 5.99  # 95 % of two squared normal variables' sum
-MATERIAL = 0.1  # px of the finest grid: a smaller gain is not worth a richer model
-COHERENT = 3.0  # windows that shadows and changes move alike
-TRIED = 5.0  # log10 of the places that are tried
-AGREE = 1.5  # px of the finest grid within which a window is where it should be
-WIDE = 10  # px in which windows are looked for at last
-CHANCE = -2.0  # log10 of the number of such agreements by chance that is too many
-EDGE = 1.15  # times the prior's range at which an answer is out of it
+CHI2 = 5.99  # 95 % of the sum of two squared normal variables
+LOOSE = 1.0  # m of standard deviation at which a direction counts as not determined
 
 
 @dataclass(frozen=True)
@@ -66,277 +33,56 @@ class Alignment:
     """How imagery has to be moved.
 
     Attributes:
-        true_from_stated: (3, 3) metres where it says to lie -> where it lies, in the same world.
+        true_from_stated: (3, 3) metres where it says to lie -> where it lies, in one world.
         model: the least motion that the evidence supports.
-        uncertainty: metres within which a place is with 95 % probability, root mean square over
-            the place.
-        windows: how many could be compared.
-        agreeing: how many of these are found where the model says.
-        chance: log10 of the expected number of so many by chance.
+        covariance: (2, 2) of a place in square metres.
+        middle: (2,) of the ground that the evidence comes from, metres.
+        evidence: what it rests on, for the report.
     """
 
     true_from_stated: Float[Array, "3 3"]
     model: Model
-    uncertainty: float
-    windows: int
-    agreeing: int
-    chance: float
+    covariance: Float[Array, "2 2"]
+    middle: Float[Array, "2"]
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def uncertainty(self) -> float:
+        """Metres within which a place is with about 95 % probability."""
+        return float(np.sqrt(CHI2 * np.trace(self.covariance) / 2))
+
+    @property
+    def undetermined(self) -> float | None:
+        """Radians from east of the direction along which the place is not known; None if it is."""
+        variances, directions = np.linalg.eigh(self.covariance)
+        if variances[1] < LOOSE**2:
+            return None
+        return float(np.arctan2(*directions[::-1, 1]))
+
+    @property
+    def shift(self) -> Float[Array, "2"]:
+        """Metres east and north by which the imagery is moved in the middle."""
+        return transform_points(self.true_from_stated, self.middle[None])[0] - self.middle
 
 
-def align_image(imagery: AIM, aim: AIM, *, prior: Prior = PRIOR) -> Alignment:
-    """Find how imagery has to be moved to lie on an AIM of the same place.
-
-    Args:
-        imagery: where it says to lie; of any sensor, day and resolution.
-        aim: where the ground truly lies, in the same world.
-        prior: how far off the imagery may be.
-
-    Raises:
-        AlignmentError: both hardly overlap, have too little in common, or fit in two ways.
-        ValueError: they lie in different worlds.
-    """
-    if imagery.world != aim.world:
-        raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
-    grids = _grids(imagery, aim, prior)
-    ground = [_edges(aim, np.eye(3), grid) for grid in grids]
-    starts = _coarse(imagery, ground[0], grids[0], prior)
-    for level in range(1, len(grids) - 1):
-        starts = _followed(imagery, ground[level], grids[level], starts)
-    found = []
-    for start in starts:
-        last = [start]
-        for _ in range(ROUNDS):
-            last = _followed(imagery, ground[-1], grids[-1], last)
-        judged = [_judged(imagery, ground[-1], grids[-1], matrix) for matrix in last]
-        found += [alignment for alignment in judged if alignment is not None]
-    found.sort(key=lambda one: -one.agreeing)
-    _refuse(found, grids, prior)
-    return found[0]
+def moved(imagery: AIM, alignment: Alignment) -> AIM:
+    """The imagery where it lies."""
+    return replace(imagery, world_from_image=alignment.true_from_stated @ imagery.world_from_image)
 
 
-def pixel_size(aim: AIM) -> float:
-    """Metres of a pixel's side in the middle of an image."""
-    height, width = aim.image.shape[:2]
-    middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-    origin, right, down = transform_points(aim.world_from_image, middle)
-    (a, b), (c, d) = right - origin, down - origin
-    return float(np.sqrt(abs(a * d - b * c)))
-
-
-def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
-    """Grids over what both show, from coarse to fine."""
-    low = np.maximum(aim.corners.min(axis=0), imagery.corners.min(axis=0) - prior.reach)
-    high = np.minimum(aim.corners.max(axis=0), imagery.corners.max(axis=0) + prior.reach)
-    finest = FINE * max(pixel_size(imagery), pixel_size(aim))
-    if (high - low < SIDE * finest).any():
-        raise AlignmentError(
-            f"the imagery lies {_extent(imagery)}, the AIM {_extent(aim)}; with {prior.reach:g} m "
-            f"to search, both must share {SIDE * finest:.0f} m each way or more"
-        )
-    halvings = max(int(np.ceil(np.log2((high - low).max() / COARSE / finest))), 1)
-    return [
-        Grid(*north_up_grid(np.stack([low, high]), finest * 2**k)) for k in range(halvings, -1, -1)
-    ]
-
-
-def _edges(aim: AIM, stated_from_true: Float[Array, "3 3"], grid: Grid) -> Float32[Array, "H W 2"]:
-    """Directions of an image's edges on a grid, if it were moved."""
-    image_from_grid = np.linalg.inv(aim.world_from_image) @ stated_from_true @ grid.world_from_grid
-    size = grid.height, grid.width
-    grey, known = grey_on(aim.image, aim.coverage > 0, image_from_grid, size)
-    return orientation(grey, known, grid.resolution)
-
-
-def _coarse(
-    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, prior: Prior
-) -> list[Float[Array, "3 3"]]:
-    """The best places of the prior's range that are not beside a better one, stated from true."""
-    metres, reach = grid.resolution, int(np.ceil(prior.reach / grid.resolution))
-    wider = Grid(
-        grid.world_from_grid @ _shift(-reach, -reach),
-        grid.height + 2 * reach,
-        grid.width + 2 * reach,
-    )
-    middle = transform_points(grid.world_from_grid, np.array([[grid.width, grid.height]]) / 2)[0]
-    step = 2 * STEP / max(grid.height, grid.width)
-    found = []
-    for turn in _range(prior.turn, step):
-        for zoom in _range(float(np.log1p(prior.zoom)), step):
-            moved = about(middle, turn, float(np.exp(zoom)))
-            scores = correlation(ground, _edges(imagery, moved, wider))
-            row, column = np.unravel_index(scores.argmax(), scores.shape)
-            shift = _shift((column - reach) * metres, (reach - row) * metres)
-            found.append((float(scores.max()), moved @ shift))
-    corners = transform_points(grid.world_from_grid, image_corners(grid.height, grid.width))
-    return _apart(found, corners, 4 * metres)
-
-
-def _apart(
-    found: list[tuple[float, Float[Array, "3 3"]]], corners: Float[Array, "4 2"], metres: float
-) -> list[Float[Array, "3 3"]]:
-    """The best few that move the corners differently by so many metres."""
-    kept: list[Float[Array, "3 3"]] = []
-    for _, matrix in sorted(found, key=lambda one: -one[0]):
-        moved = transform_points(matrix, corners)
-        others = [transform_points(other, corners) for other in kept]
-        if all(np.linalg.norm(moved - other, axis=1).mean() > metres for other in others):
-            kept.append(matrix)
-    return kept[:CANDIDATES]
-
-
-def _followed(
-    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, starts: list[Float[Array, "3 3"]]
-) -> list[Float[Array, "3 3"]]:
-    """Candidates mended on a grid, without those with which far fewer windows agree."""
-    mended = []
-    for start in starts:
-        match = _match(_compare(imagery, ground, grid, start, NARROW), start, grid, np.inf)
-        if len(match.source) >= FEWEST:
-            motion = fit_match(match, "similarity", size=grid[1:])
-            matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
-            agreeing = (np.linalg.norm(motion.residuals, axis=1) < AGREE).sum()
-            mended.append((int(agreeing), matrix))
-    most = max((agreeing for agreeing, _ in mended), default=0)
-    return [matrix for agreeing, matrix in mended if agreeing >= RIVAL * most]
-
-
-def _compare(
-    imagery: AIM,
-    ground: Float32[Array, "H W 2"],
-    grid: Grid,
-    matrix: Float[Array, "3 3"],
-    search: int,
-) -> Shifts:
-    """Windows of the ground, looked for in the imagery as moved."""
-    stride = _stride(grid)
-    return window_shifts(
-        ground, _edges(imagery, matrix, grid), side=SIDE, search=search, stride=stride
-    )
-
-
-def _stride(grid: Grid) -> int:
-    return max(int(np.sqrt(grid.height * grid.width / MOST)), SIDE // 4)
-
-
-def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float) -> Match:
-    """Pixels where the ground is, and where the imagery says to show it; of the near ones."""
-    near = np.linalg.norm(shifts.shifts, axis=1) < reach
-    total = np.linalg.inv(grid.world_from_grid) @ matrix @ grid.world_from_grid
-    source = shifts.middles[near]
-    target = transform_points(total, source + shifts.shifts[near])
-    return Match(source, target, shifts.information[near])
-
-
-def _judged(
-    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, matrix: Float[Array, "3 3"]
-) -> Alignment | None:
-    """The least model of the windows that agree, and how likely so many are by chance."""
-    shifts = _compare(imagery, ground, grid, matrix, WIDE)
-    windows = len(shifts.middles)
-    match = _match(shifts, matrix, grid, AGREE)
-    agreeing = len(match.source)
-    if agreeing < FEWEST:
-        return None
-    size, overlap = grid[1:], max((SIDE / _stride(grid)) ** 2, 1.0)
-    repeats = COHERENT * overlap
-    model = choose_model(
-        [match], size=size, models=ALIGNED, repeats=overlap, material=MATERIAL
-    ).model
-    motion = fit_match(match, model, size=size)
-    stated_from_true = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
-    return Alignment(
-        true_from_stated=np.linalg.inv(stated_from_true),
-        model=model,
-        uncertainty=_uncertainty(motion, size, repeats) * grid.resolution,
-        windows=windows,
-        agreeing=agreeing,
-        chance=_chance(windows / overlap, agreeing / overlap),
-    )
-
-
-def _uncertainty(motion: Motion, size: tuple[int, int], repeats: float) -> float:
-    """Pixels within which a place lies with 95 %, where so many windows say the same."""
-    height, width = size
-    grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
-    columns = basis(grid.reshape(-1, 2), motion.model, size=size)
-    variance = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns).mean()
-    return float(np.sqrt(repeats * variance / 2 * CHI2))
-
-
-def _chance(windows: float, agreeing: float) -> float:
-    """log10 of how often so many windows agree by chance, in all places that were tried.
-
-    A contrario (Desolneux, Moisan and Morel 2000): windows of unrelated pictures are found
-    anywhere in the circle that is searched. Two of them are what a similarity fits by itself.
-    """
-    trials, hits = round(windows), int(agreeing) - 2
-    share = np.pi * AGREE**2 / (2 * WIDE + 1) ** 2
-    if hits <= 0:
-        return TRIED
-    tail = sum(
-        comb(trials, k) * share**k * (1 - share) ** (trials - k) for k in range(hits, trials + 1)
-    )
-    return TRIED + log10(max(tail, 1e-300))
-
-
-def _refuse(found: list[Alignment], grids: list[Grid], prior: Prior) -> None:
-    """Refuse what may be chance, what fits in two ways, and what is at the end of the range."""
-    if not found or found[0].chance > CHANCE:
-        said = f"{found[0].agreeing} of {found[0].windows}" if found else f"fewer than {FEWEST}"
-        raise AlignmentError(
-            f"{said} windows of the imagery are where they should be on the AIM, which may be "
-            f"chance. Is it the same place, within {prior.reach:g} m, {np.degrees(prior.turn):.0f} "
-            f"degrees and {100 * prior.zoom:.0f} % of where it says to be?"
-        )
-    grid = grids[-1]
-    corners = transform_points(grid.world_from_grid, image_corners(grid.height, grid.width))
-    best = found[0]
-    for other in found[1:]:
-        apart = np.linalg.norm(
-            transform_points(best.true_from_stated, corners)
-            - transform_points(other.true_from_stated, corners),
-            axis=1,
-        ).mean()
-        if apart > 3 * AGREE * grid.resolution and other.agreeing > RIVAL * best.agreeing:
-            raise AlignmentError(
-                f"the imagery fits in two ways, {apart:.1f} m apart: {best.agreeing} and "
-                f"{other.agreeing} of {best.windows} windows agree. Name a smaller range, or give "
-                "control points"
-            )
-    _refuse_far(best.true_from_stated, corners.mean(axis=0), prior)
-
-
-def _refuse_far(matrix: Float[Array, "3 3"], middle: Float[Array, "2"], prior: Prior) -> None:
-    origin, east = transform_points(matrix, middle + np.array([[0.0, 0.0], [1.0, 0.0]]))
-    shift = float(np.linalg.norm(origin - middle))
-    turn, zoom = np.arctan2(*(east - origin)[::-1]), np.linalg.norm(east - origin)
-    if (
-        shift > EDGE * np.sqrt(2) * prior.reach
-        or abs(turn) > EDGE * prior.turn + 0.01
-        or abs(np.log(zoom)) > EDGE * prior.zoom + 0.01
-    ):
-        raise AlignmentError(
-            f"the best place is {shift:.1f} m, {np.degrees(turn):.1f} degrees and "
-            f"{100 * (zoom - 1):.1f} % off, beyond the range that was searched. Name a wider one"
-        )
-
-
-def about(middle: Float[Array, "2"], turn: float, zoom: float) -> Float[Array, "3 3"]:
-    """A turn (radians, counter-clockwise) and zoom about a place."""
-    cosine, sine = zoom * np.cos(turn), zoom * np.sin(turn)
-    turned = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]])
-    return _shift(*middle) @ turned @ _shift(*-np.asarray(middle))
-
-
-def _range(end: float, step: float) -> Float[Array, "n"]:
-    count = int(np.ceil(end / step))
-    return np.arange(-count, count + 1) * step
-
-
-def _shift(x: float, y: float) -> Float[Array, "3 3"]:
-    return np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]])
-
-
-def _extent(aim: AIM) -> str:
-    (left, low), (right, high) = aim.corners.min(axis=0), aim.corners.max(axis=0)
-    return f"from ({left:.0f}, {low:.0f}) to ({right:.0f}, {high:.0f}) m"
+def report_alignment(alignment: Alignment) -> dict[str, Any]:
+    """What was found, in metres and degrees, for an AIM's report."""
+    matrix, direction = alignment.true_from_stated, alignment.undetermined
+    east = np.array([[0.0, 0.0], [1.0, 0.0]]) + alignment.middle
+    start, end = transform_points(matrix, east)
+    return {
+        "model": alignment.model,
+        "shift_m": alignment.shift,
+        "turn_degrees": float(np.degrees(np.arctan2(*(end - start)[::-1]))),
+        "zoom": float(np.linalg.norm(end - start)),
+        "uncertainty_m": alignment.uncertainty,
+        "covariance_m2": alignment.covariance,
+        "undetermined_degrees": None if direction is None else float(np.degrees(direction)),
+        "true_from_stated": matrix,
+        **alignment.evidence,
+    }
