@@ -108,7 +108,7 @@ def step(
     both = recording.present[:, number] & recording.present[:, number + 1]
     mine = (controlled & both)[..., None]
     safe = torch.where(mine, actions, 0.0)
-    lengths = recording.sizes[..., 0]
+    lengths = torch.where(mine[..., 0], recording.sizes[..., 0], 1.0)  # padding may have none
     moved = agents_step(states, safe, lengths, recording.on_foot, recording.seconds)
     return torch.where(mine, moved, recording.states[:, number + 1])
 

@@ -169,3 +169,15 @@ def test_what_cannot_be_simulated_is_refused():
 
     with pytest.raises(ValueError, match="at step 0 the policy gives an action"):
         rollout(recording, lost, EVERYBODY)
+
+
+def test_padding_without_sizes_has_gradients():
+    recording = _recording()
+    present = recording.present.clone()
+    present[..., 2] = False
+    sizes = recording.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
+    states = recording.states.clone().requires_grad_()
+    padded = Recording(states, present, sizes, torch.zeros_like(recording.on_foot), DT)
+    found = rollout(padded, constant_velocity, EVERYBODY).states
+    (gradient,) = torch.autograd.grad(found.sum(), states)
+    assert torch.isfinite(gradient).all()
