@@ -37,7 +37,6 @@ PLAIN: Mapping[str, Policy] = {
 POLICIES = ("idm", *PLAIN)
 OBSERVED = 5  # steps that are replayed by all before policies act
 REVERSE = -0.1  # m/s
-SPARSE = 5  # steps between the points of a route
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +121,7 @@ def _policy(
     """The policy of that name; the rest of the scene tells routes and wanted speeds."""
     if name == "idm":
         top = rest.states[..., 3].amax(dim=1)
-        return intelligent_driver(routes_of(rest)[:, :, ::SPARSE], top, lines, states)
+        return intelligent_driver(routes_of(rest), top, lines, states)
     if name not in PLAIN:
         raise ValueError(f"there is no policy {name!r}; there are {', '.join(POLICIES)}")
     return PLAIN[name]
