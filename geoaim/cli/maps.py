@@ -17,6 +17,7 @@ Points = Annotated[
     Path | None,
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
+GEOTIFF = (".tif", ".tiff")
 BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
 
 
@@ -47,11 +48,9 @@ def build(
     from geoaim.quicklook import write_quicklook
 
     with stages() as progress, plain_errors():
-        if output.suffix.lower() not in (".tif", ".tiff"):
-            raise ValueError(f"{output}: the map is a GeoTIFF; give a name that ends in .tif")
         if pixel_size is not None and gcps is not None:
             raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
-        refuse_output(output)
+        refuse_output(output, GEOTIFF)
         opened = open_video(video)
         size = opened.height, opened.width
         place = gcps if pixel_size is None else local_georeference(pixel_size=pixel_size, size=size)
@@ -90,9 +89,7 @@ def register(
     from geoaim.mapping.registration import tally, write_registration
 
     with stages() as progress, plain_errors():
-        if output.suffix not in (".csv", ".parquet"):
-            raise ValueError(f"{output}: the name must end in .csv or .parquet")
-        refuse_output(output)
+        refuse_output(output, (".csv", ".parquet"))
         result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
         write_registration(result, output)
     table = Table(title=Text(str(output)), show_header=False)
@@ -133,7 +130,7 @@ def draw(
     from geoaim.mapping.hdmap_image import draw_hdmap
 
     with plain_errors():
-        refuse_output(output)
+        refuse_output(output, GEOTIFF, [hdmap, aim])
         world = None if aim is None else read_aim(aim).world
         drawn = draw_hdmap(read_hdmap(hdmap, world), resolution=resolution)
         write_aim(drawn, output)

@@ -139,7 +139,10 @@ def on_lanes(
 
 
 def rate(wrong: Bool[Tensor, "..."], present: Bool[Tensor, "..."]) -> Float[Tensor, ""]:
-    """The share of agents, samples and steps in which something was wrong, of those present."""
+    """The share of agents, samples and steps in which something was wrong, of those present.
+
+    Where nobody is present it is 0, and says nothing.
+    """
     return (wrong & present).sum() / present.sum().clamp_min(1)
 
 
