@@ -123,8 +123,8 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
             f"{path}: {strange.sum()} rows have no time in seconds or a state other than "
             f"{', '.join(STATES)}; the first is {row}"
         )
-    told = rows.drop_duplicates()
-    twice = told[told.duplicated(["time", "signal"], keep=False)].sort_values(["time", "signal"])
+    once = rows.drop_duplicates()
+    twice = once[once.duplicated(["time", "signal"], keep=False)].sort_values(["time", "signal"])
     if len(twice):
         raise TracksError(
             f"{path}: a signal has two states at one time: {twice[:2].to_dict('records')}; keep one"
