@@ -35,7 +35,7 @@ def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
         parts = [
             (shape(part.get("geometry", part)), part.get("properties") or {})
             for part in content.get("features", [content])

@@ -11,6 +11,7 @@ a column for each light; its name there is the signal's.
 """
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,7 @@ GREEN, YELLOW, RED = 0, 1, 2
 STATES = ("green", "yellow", "red")
 UNKNOWN = -1
 COLUMNS = ["time", "signal", "state"]
+SHORTEST = 0.1  # m of a stop line: degrees taken for metres are shorter
 SIND_TIME = "timestamp(ms)"
 SIND_LIGHT = "traffic light"
 SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
@@ -76,19 +78,25 @@ def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLin
 
     Raises:
         FileNotFoundError: there is no such file.
-        MapError: it is no GeoJSON, or holds no line with a signal's name.
+        MapError: it is no GeoJSON, holds no line with a signal's name, or one without a length.
     """
     features = read_features(path, world)
     named = [
-        f for f in features if f.geometry.geom_type == "LineString" and "signal" in f.properties
+        (str(f.properties["signal"]), line)
+        for f in features
+        for line in getattr(f.geometry, "geoms", [f.geometry])  # the parts of several lines
+        if line.geom_type == "LineString" and f.properties.get("signal") is not None
     ]
     if not named:
         kinds = ", ".join(sorted({f.geometry.geom_type for f in features})) or "nothing"
         raise MapError(f"{path} holds {kinds}; a LineString with the property 'signal' is needed")
-    return tuple(
-        StopLine(str(f.properties["signal"]), np.array(f.geometry.coords)[[0, -1], :2])
-        for f in named
-    )
+    short = [signal for signal, line in named if not line.length > SHORTEST]
+    if short:
+        raise MapError(
+            f"{path}: a line of signal {short[0]!r} is shorter than {SHORTEST} m; its numbers are "
+            f"taken for {'metres' if world.crs is None else 'longitude and latitude'}"
+        )
+    return tuple(StopLine(name, np.array(line.coords)[[0, -1], :2]) for name, line in named)
 
 
 def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: World) -> Lights:
@@ -102,7 +110,8 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
 
     Raises:
         FileNotFoundError: there is no such file.
-        TracksError: it is no such table, a state is none of `STATES`, or no signal has a line.
+        TracksError: it is no such table, a state is none of `STATES`, a signal has two at one
+            time, or no signal has a line.
     """
     path = Path(path)
     rows = _changes(path)
@@ -113,6 +122,12 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
         raise TracksError(
             f"{path}: {strange.sum()} rows have no time in seconds or a state other than "
             f"{', '.join(STATES)}; the first is {row}"
+        )
+    once = rows.drop_duplicates()
+    twice = once[once.duplicated(["time", "signal"], keep=False)].sort_values(["time", "signal"])
+    if len(twice):
+        raise TracksError(
+            f"{path}: a signal has two states at one time: {twice[:2].to_dict('records')}; keep one"
         )
     signals = list(dict.fromkeys(rows["signal"]))
     mine = [line for signal in signals for line in lines if line.signal == signal]
@@ -140,8 +155,12 @@ def _changes(path: Path) -> "pd.DataFrame":
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        rows = pd.read_csv(path, dtype=str)
-    except (ValueError, OSError) as error:
+        with warnings.catch_warnings():  # a row may end in a comma, but not in another field
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            rows = pd.read_csv(  # a signal may be called NA
+                path, dtype=str, index_col=False, keep_default_na=False, na_values=[""]
+            )
+    except (ValueError, OSError, pd.errors.ParserWarning) as error:
         raise TracksError(f"{path} is no table of lights: {error}") from error
     lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]
     if SIND_TIME in rows.columns and lights:

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
@@ -83,12 +83,12 @@ def _squares(
     """The imagery on a grid over the corners, with the AIM in every other square."""
     wide, high = np.ptp(corners, axis=0)
     matrix, height, width = north_up_grid(corners, float(max(wide, high)) / LOOK)
-    view = _on_grid(shown, matrix, height, width)
+    view, _ = _on_grid(shown, matrix, height, width)
     if aim is not None:
+        other, there = _on_grid(aim, matrix, height, width)
         rows, columns = np.indices((height, width)) * SQUARES // LOOK
-        view = np.where(
-            ((rows + columns) % 2 == 0)[..., None], _on_grid(aim, matrix, height, width), view
-        )
+        swapped = there & ((rows + columns) % 2 == 0)
+        view = np.where(swapped[..., None], other, view)
     (left, top), (right, low) = transform_points(
         matrix, np.array([[0.0, 0.0], [float(width), float(height)]])
     )
@@ -97,15 +97,17 @@ def _squares(
 
 def _on_grid(
     aim: AIM, world_from_grid: Float[Array, "3 3"], height: int, width: int
-) -> UInt8[Array, "H W 3"]:
-    image_from_grid = np.linalg.inv(aim.world_from_image) @ world_from_grid
+) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """The nearest pixels, and where there are any; white where none."""
     rows, columns = np.indices((height, width)) + 0.5
+    image_from_grid = np.linalg.inv(aim.world_from_image) @ world_from_grid
     places = transform_points(image_from_grid, np.stack([columns, rows], -1).reshape(-1, 2))
     u, v = np.floor(places).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < aim.image.shape[1]) & (v < aim.image.shape[0])
-    view = np.zeros((height * width, 3), np.uint8)
+    inside[inside] = aim.coverage[v[inside], u[inside]] > 0
+    view = np.full((height * width, 3), 255, np.uint8)
     view[inside] = aim.image[v[inside], u[inside]]
-    return view.reshape(height, width, 3)
+    return view.reshape(height, width, 3), inside.reshape(height, width)
 
 
 def summary(aim: AIM) -> dict[str, str]:

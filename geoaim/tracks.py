@@ -116,16 +116,16 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         ValueError: the name ends otherwise, nobody is present, or times are too close for the form.
     """
     path = Path(path)
-    if path.suffix not in (".csv", ".parquet"):
+    if path.suffix.lower() not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv or .parquet")
     if not tracks.present.any():
         raise ValueError(f"nobody is present in the tracks; {path} would have no rows")
     closest = np.diff(tracks.times).min(initial=np.inf)
-    if closest < (1e-3 if path.suffix == ".csv" else 1 / TICKS):
+    if closest < (1e-3 if path.suffix.lower() == ".csv" else 1 / TICKS):
         raise ValueError(f"{path}: times are {closest:.1g} s apart, too close for the form")
     frame, world = tracks.to_frame(), tracks.world
     with replacing(path) as temporary:
-        if path.suffix == ".parquet":
+        if path.suffix.lower() == ".parquet":
             _write_parquet(frame, world, temporary)
             return
         with open(temporary, "w", encoding="utf-8", newline="") as file:

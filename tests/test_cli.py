@@ -131,6 +131,31 @@ def test_simulate_writes_tracks_and_a_film_and_counts(tmp_path):
     assert "--film needs --ego" in result.output
 
 
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["draw", "samples/map.osm", "-o", "a.png"], "ends in .tif or .tiff"),
+        (["draw", "a.tif", "-o", "a.tif"], "is read as well"),
+        (["draw", "samples/map.osm", "--aim", "a.tif", "-o", "./a.tif"], "is read as well"),
+        (["render", "a.tif", "--tracks", "t", "--ego", "1", "-o", "a.avi"], "ends in .mp4"),
+        (["simulate", "a.tif", "--tracks", "t", "-o", "a.txt"], "ends in .csv or .parquet"),
+        (["simulate", "a.tif", "--tracks", "t.csv", "-o", "t.csv"], "is read as well"),
+        (
+            ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--film", "f.png"],
+            "ends in .mp4 or .gif",
+        ),
+        (
+            ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--stop-lines", "l.geojson"],
+            "--stop-lines needs --lights",
+        ),
+    ],
+)
+def test_what_would_be_lost_or_ignored_is_refused_before_the_work(options, said):
+    result = run(app, options)
+    assert result.exit_code == 1
+    assert said in " ".join(result.output.split())
+
+
 def test_simulate_counts_by_what_is_drawn_by_hand(tmp_path):
     hdmap = read_hdmap("samples/map.osm")
     write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "aim.tif")

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from shapely import LineString
+from shapely import LineString, MultiLineString
 
 from geoaim.errors import MapError, TracksError
 from geoaim.geojson import Feature, write_features
@@ -38,6 +38,11 @@ def test_state_lasts_until_its_next_change(tmp_path):
     assert states[:, 1].tolist() == [UNKNOWN, UNKNOWN, UNKNOWN, RED, RED, RED]
 
 
+def test_signal_may_be_called_na(tmp_path):
+    lines = (StopLine("NA", LINES[0].ends),)
+    assert _read(tmp_path, "time,signal,state\n0,NA,red\n0,NA,red\n", lines).names == ("NA",)
+
+
 SIND = """RawFrameID,timestamp(ms),Vehicle Traffic light 1,Vehicle Traffic light 2
 1737,27927.9,0,3
 1827,30930.9,1,0
@@ -53,6 +58,9 @@ def test_sinds_table_has_a_column_for_each_light(tmp_path):
     assert states[:, 0].tolist() == [UNKNOWN, RED, GREEN, YELLOW]
     assert (states[:, 0] == states[:, 1]).all()  # one signal at two lines
     assert states[:, 2].tolist() == [UNKNOWN, YELLOW, RED, RED]  # and what is not told stays
+    names, rows = SIND.split("\n", 1)
+    again = _read(tmp_path, names + "\n" + rows.replace("\n", ",\n"), (north, south, east))
+    assert (again.states == lights.states).all()
 
 
 @pytest.mark.parametrize(
@@ -81,6 +89,25 @@ def test_stop_lines_are_drawn_by_hand(tmp_path):
         np.testing.assert_allclose(line.ends, drawn.ends, atol=1e-6)
 
 
+def test_lines_in_parts_of_several_editors(tmp_path):
+    """Several lines of one signal, none of another one's, and a mark of byte order."""
+    path, parts = tmp_path / "lines.geojson", [line.ends for line in LINES]
+    named = Feature(MultiLineString(parts), {"signal": "a"})
+    write_features([named, Feature(LineString(parts[0]), {"signal": None})], WORLD, path)
+    path.write_text("\ufeff" + path.read_text(), encoding="utf-8")
+    found = read_stop_lines(path, WORLD)
+    assert [line.signal for line in found] == ["a", "a"]
+    np.testing.assert_allclose([line.ends for line in found], parts)
+
+
+@pytest.mark.parametrize("line", [[], [[27.5, 53.9], [27.50003, 53.90001]]])
+def test_lines_without_a_length_are_refused(tmp_path, line):
+    path = tmp_path / "lines.geojson"
+    write_features([Feature(LineString(line), {"signal": "a"})], WORLD, path)
+    with pytest.raises(MapError, match=r"signal 'a' is shorter than 0\.1 m.*for metres"):
+        read_stop_lines(path, WORLD)
+
+
 def test_drawing_without_signals_is_refused(tmp_path):
     path = tmp_path / "lines.geojson"
     write_features([Feature(LineString([[0, 0], [9, 9]]))], WORLD, path)
@@ -106,6 +133,8 @@ def test_bundled_lights_stop_traffic_at_the_maps_lines():
         ("a,b\n1,2\n", "has the columns a, b"),
         ("time,signal,state\n0,a,blue\n", r"1 rows have no time.*blue"),
         ("time,signal,state\nnoon,a,red\n", "1 rows have no time"),
+        ("time,signal,state\n0,a,red\n0,a,green\n", "two states at one time.*red.*green"),
+        ("time,signal,state\n0,a,red,9\n", "is no table of lights"),
         ("time,signal,state\n0,c,red\n", "none of the lights c has a stop line.*a, b"),
         ("", "is no table of lights"),
     ],

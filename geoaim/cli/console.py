@@ -3,7 +3,7 @@
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -110,8 +110,14 @@ def read_any_tracks(path: Path, place: str | None, metres_per_pixel: float | Non
     return read_any(path, world=world, metres_per_pixel=metres_per_pixel)
 
 
-def refuse_output(output: Path) -> None:
-    """Find out before the work whether its result can be written."""
+def refuse_output(
+    output: Path, endings: tuple[str, ...] = (), inputs: Iterable[Path | None] = ()
+) -> None:
+    """Find out before the work whether its result can be written, over none of the inputs."""
+    if endings and output.suffix.lower() not in endings:
+        raise ValueError(f"{output}: give a name that ends in {' or '.join(endings)}")
+    if output.resolve() in [path.resolve() for path in inputs if path is not None]:
+        raise ValueError(f"{output} is read as well; give another name to write")
     if output.is_dir():
         raise ValueError(f"{output} is a folder; the name of a file is needed")
     folder = next(parent for parent in output.absolute().parents if parent.exists())

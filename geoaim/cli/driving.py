@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
 LightsFile = Annotated[Path | None, typer.Option(help="changes of traffic lights, .csv")]
+EGO = "id of who drives; if left out all but those who ever reverse, who replay"
 StopLinesFile = Annotated[
     Path | None, typer.Option(help="stop lines drawn by hand, GeoJSON lines with a 'signal' each")
 ]
@@ -54,7 +55,7 @@ def render(
     from geoaim.simulation.scene import agent_number, step_at
 
     with stages() as progress, plain_errors():
-        refuse_output(output)
+        refuse_output(output, (".mp4", ".gif", ".png"))
         agents = (tracks, tracks_world, metres_per_pixel)
         scene, _, _ = _scene(aim, agents, lights, hdmap, stop_lines)
         agent = agent_number(scene, ego)
@@ -72,8 +73,10 @@ def simulate(
         Path, typer.Option("--output", "-o", help="tracks to write, .csv or .parquet")
     ],
     policy: Annotated[PolicyName, typer.Option(help="who drives")] = "idm",
-    ego: Annotated[str | None, typer.Option(help="id of who drives; all if left out")] = None,
-    start: Annotated[float, typer.Option(help="s of the tracks at which it begins")] = 0.0,
+    ego: Annotated[str | None, typer.Option(help=EGO)] = None,
+    start: Annotated[
+        float | None, typer.Option(help="s of the tracks at which it begins; the first if left out")
+    ] = None,
     seconds: Annotated[float, typer.Option(help="to simulate", min=0.1)] = 6.0,
     film: Annotated[Path | None, typer.Option(help=".mp4 or .gif around the ego to write")] = None,
     lights: LightsFile = None,
@@ -97,9 +100,11 @@ def simulate(
     from geoaim.tracks import write_tracks
 
     with stages() as progress, plain_errors():
-        refuse_output(output)
-        if film is not None and ego is None:
-            raise ValueError("--film needs --ego, in whose middle the film is")
+        refuse_output(output, (".csv", ".parquet"), [aim, tracks, lights])
+        if film is not None:
+            refuse_output(film, (".mp4", ".gif"), [aim])
+            if ego is None:
+                raise ValueError("--film needs --ego, in whose middle the film is")
         agents = (tracks, tracks_world, metres_per_pixel)
         scene, known, world = _scene(aim, agents, lights, hdmap, stop_lines)
         area = None if drivable is None else read_area(drivable, world)
@@ -109,6 +114,7 @@ def simulate(
         if film is not None and ego is not None:
             _film(episode.scene, agent_number(scene, ego), film, progress)
     rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
+    rates = rates or "nothing could be counted"
     console.print(f"{output}: {int(episode.controlled.sum())} agents by {policy}. {rates}")
 
 
@@ -127,6 +133,8 @@ def _scene(
 
     if lights is not None and hdmap is None and stop_lines is None:
         raise ValueError("--lights needs --hdmap or --stop-lines: where they stop traffic")
+    if stop_lines is not None and lights is None:
+        raise ValueError("--stop-lines needs --lights: which state they show")
     place = read_aim(aim)
     known = None if hdmap is None else read_hdmap(hdmap, place.world)
     lines = () if known is None else known.stop_lines

@@ -27,6 +27,7 @@ Points = Annotated[
     Path | None,
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
+GEOTIFF = (".tif", ".tiff")
 BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
 
 
@@ -57,10 +58,9 @@ def build(
     from geoaim.quicklook import write_quicklook
 
     with stages() as progress, plain_errors():
-        _refuse_no_tiff(output)
         if pixel_size is not None and gcps is not None:
             raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
-        refuse_output(output)
+        refuse_output(output, GEOTIFF)
         opened = open_video(video)
         size = opened.height, opened.width
         place = gcps if pixel_size is None else local_georeference(pixel_size=pixel_size, size=size)
@@ -111,8 +111,7 @@ def align(
     from geoaim.track_changes import tracks_in
 
     with plain_errors():
-        _refuse_no_tiff(output)
-        refuse_output(output)
+        refuse_output(output, GEOTIFF, (aim, tracks, *map(Path, tiles)))
         place = None if aim is None else read_aim(aim)
         way = None
         if tracks is not None:
@@ -151,9 +150,7 @@ def register(
     from geoaim.mapping.registration import tally, write_registration
 
     with stages() as progress, plain_errors():
-        if output.suffix not in (".csv", ".parquet"):
-            raise ValueError(f"{output}: the name must end in .csv or .parquet")
-        refuse_output(output)
+        refuse_output(output, (".csv", ".parquet"))
         result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
         write_registration(result, output)
     table = Table(title=Text(str(output)), show_header=False)
@@ -194,7 +191,7 @@ def draw(
     from geoaim.mapping.hdmap_image import draw_hdmap
 
     with plain_errors():
-        refuse_output(output)
+        refuse_output(output, GEOTIFF, [hdmap, aim])
         world = None if aim is None else read_aim(aim).world
         drawn = draw_hdmap(read_hdmap(hdmap, world), resolution=resolution)
         write_aim(drawn, output)
@@ -209,11 +206,6 @@ def info(aim: AimFile) -> None:
     with plain_errors():
         found = read_aim(aim)
     _show(found, str(aim))
-
-
-def _refuse_no_tiff(output: Path) -> None:
-    if output.suffix.lower() not in (".tif", ".tiff"):
-        raise ValueError(f"{output}: the map is a GeoTIFF; give a name that ends in .tif")
 
 
 def _count(text: str) -> int | Literal["auto", "all"]:

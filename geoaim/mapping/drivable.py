@@ -1,20 +1,21 @@
 """Where vehicles may drive, by an HD map or a drawn polygon, and how far from its edge one is."""
 
 import os
+import warnings
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import shapely
 from affine import Affine
-from jaxtyping import Float
+from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 from rasterio.features import rasterize
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geoaim.aim import north_up_grid
-from geoaim.errors import MapError
+from geoaim.errors import GeoaimWarning, MapError
 from geoaim.geojson import Feature, read_features, write_features
 from geoaim.mapping.hdmap import HDMap, Lanelet
 from geoaim.world import World
@@ -25,6 +26,8 @@ GAP = 0.3  # m: gaps between lanes that are narrower are driven over
 FINER = 4  # cells of the mask in one of the distance, each way
 SPACING = 1.0  # m between places along a lane
 MARGIN = 20.0  # m around the area in which distances are told
+SMALLEST = 0.1  # m² of a drawn area: degrees taken for metres enclose less
+MOST = 9_000_000  # cells of the distance: about a gigabyte while it is made
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +65,7 @@ def drivable_area(hdmap: HDMap) -> MultiPolygon:
         MapError: the map has no lane for vehicles.
     """
     lanes = [outline(x) for x in hdmap.lanelets if x.subtype not in NOT_DRIVEN]
-    parks = [Polygon(a.points) for a in hdmap.areas if a.subtype in DRIVEN_AREAS]
+    parks = [a.shape for a in hdmap.areas if a.subtype in DRIVEN_AREAS]
     if not lanes:
         kinds = sorted({lanelet.subtype for lanelet in hdmap.lanelets})
         raise MapError(f"the map has no lane for vehicles, only {', '.join(kinds)}")
@@ -97,35 +100,66 @@ def read_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
 
     Raises:
         FileNotFoundError: there is no such file.
-        MapError: it is no GeoJSON with polygons.
+        MapError: it is no GeoJSON with polygons, or they enclose nothing.
     """
     parts = [feature.geometry for feature in read_features(path, world)]
     flat = [part for part in parts if isinstance(part, Polygon | MultiPolygon)]
     if not flat:
         kinds = ", ".join(sorted({part.geom_type for part in parts})) or "nothing"
         raise MapError(f"{path} holds {kinds}; polygons are needed")
-    return polygons_of(shapely.union_all([shapely.make_valid(part) for part in flat]))
+    area = polygons_of(shapely.union_all([shapely.make_valid(part) for part in flat]))
+    if not area.area > SMALLEST:
+        raise MapError(
+            f"{path} encloses {area.area:.1g} m², and more than {SMALLEST} m² are needed; its "
+            f"numbers are taken for {'metres' if world.crs is None else 'longitude and latitude'}"
+        )
+    return area
 
 
 def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDistance:
     """Distances on a grid of so many metres a cell, within `MARGIN` around the area.
 
     They are those to the nearest cell of a mask `FINER` times as fine, which is half a cell of
-    the mask from the edge on average.
+    the mask from the edge on average. Where they would be more than `MOST`, cells are coarser.
+
+    Raises:
+        MapError: the area is empty, or too narrow for a cell of the mask.
     """
+    if area.is_empty:
+        raise MapError("the area is empty; polygons are needed")
     low, high = np.array(area.bounds).reshape(2, 2)
+    resolution = _affordable(high - low + 2 * MARGIN, resolution)
     world_from_grid, height, width = north_up_grid(
         np.stack([low - MARGIN, high + MARGIN]), resolution
     )
     fine = resolution / FINER
     placed = Affine(*world_from_grid[:2].ravel()) * Affine.scale(1 / FINER)
     mask = rasterize([area], (height * FINER, width * FINER), transform=placed, dtype=np.uint8)
-    inside, outside = (
-        cv2.distanceTransform(part, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for part in (mask, 1 - mask)
+    if not mask.any():
+        raise MapError(f"the area is narrower than {fine:g} m; draw it wider, or take finer cells")
+    outside, inside = (_distance(part, height, width) for part in (1 - mask, mask))
+    return SignedDistance((outside - inside) * np.float32(fine), np.linalg.inv(world_from_grid))
+
+
+def _affordable(size: Float[Array, "2"], resolution: float) -> float:
+    least = float(np.sqrt(size.prod() / MOST))
+    if not 0 < resolution < least:
+        return resolution
+    warnings.warn(
+        f"{size[0]:.0f} x {size[1]:.0f} m are too large for distances every {resolution:g} m; "
+        f"they are told every {least:.2g} m. Cut the area to what the tracks need",
+        GeoaimWarning,
+        stacklevel=3,
     )
-    signed = np.where(mask > 0, 0.5 - inside, outside - 0.5) * fine
-    metres = cv2.resize(signed.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-    return SignedDistance(metres, np.linalg.inv(world_from_grid))
+    return least
+
+
+def _distance(mask: UInt8[Array, "h w"], height: int, width: int) -> Float32[Array, "H W"]:
+    """Cells of the mask to its edge, 0 beyond it, averaged over a coarser grid's cells."""
+    found = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    np.subtract(found, 0.5, out=found, where=mask > 0)
+    coarse = cv2.resize(found, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(coarse, np.float32)
 
 
 def _closed(area: BaseGeometry) -> MultiPolygon:

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from shapely import LineString
+from shapely import LineString, union_all
+from shapely.geometry.base import BaseGeometry
 from shapely.ops import polygonize
 
 from geoaim.errors import MapError
@@ -53,20 +54,28 @@ class Lanelet:
 
 
 @dataclass(frozen=True, eq=False)
+class Area:
+    """An area of the map, "parking" for instance, without its holes; metres in the world."""
+
+    subtype: str
+    shape: BaseGeometry
+
+
+@dataclass(frozen=True, eq=False)
 class HDMap:
     """An HD map.
 
     Attributes:
         lines: all that is drawn: boundaries, markings, stop lines.
         lanelets: lanes, walkways and crossings.
-        areas: the outlines of areas, by subtype ("parking", ...).
+        areas: car parks, for instance.
         stop_lines: where traffic lights stop traffic.
         world: the plane that the metres lie in.
     """
 
     lines: tuple[MapLine, ...]
     lanelets: tuple[Lanelet, ...]
-    areas: tuple[MapLine, ...]
+    areas: tuple[Area, ...]
     stop_lines: tuple[StopLine, ...]
     world: World
 
@@ -108,7 +117,11 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
             "OpenStreetMap has no lanes' outlines)"
         )
     lines = tuple(line for line in ways.values() if len(line.points) > 1)
-    areas = tuple(_areas(relations, ways))
+    areas = tuple(
+        _area(path, relation, ways)
+        for relation in relations
+        if _tag(relation, "type") == "multipolygon"
+    )
     return HDMap(lines, lanelets, areas, tuple(_stop_lines(relations, ways)), world)
 
 
@@ -122,6 +135,8 @@ def _parse(path: Path) -> ET.Element:
         raise MapError(f"{path} is no XML: {error}") from error
     if root.tag != "osm":
         raise MapError(f"{path} is XML of {root.tag!r}; OpenStreetMap's, 'osm', is needed")
+    for deleted in root.findall("*[@action='delete']"):  # editors keep what they have deleted
+        root.remove(deleted)
     return root
 
 
@@ -185,14 +200,28 @@ def _members(relation: ET.Element, role: str) -> list[str | None]:
     return [m.get("ref") for m in relation.iter("member") if m.get("role") == role]
 
 
-def _areas(relations: list[ET.Element], ways: Mapping[str | None, MapLine]) -> Iterator[MapLine]:
-    for relation in relations:
-        if _tag(relation, "type") == "multipolygon":
-            sides = [ways[ref].points for ref in _members(relation, "outer") if ref in ways]
-            if len(sides) == 1:  # whether or not the file repeats the first point
-                sides = [np.concatenate([sides[0], sides[0][:1]])]
-            for ring in polygonize([LineString(side) for side in sides if len(side) > 1]):
-                yield MapLine("area", _tag(relation, "subtype"), np.asarray(ring.exterior.coords))
+def _area(path: Path, relation: ET.Element, ways: Mapping[str | None, MapLine]) -> Area:
+    outer, inner = (_within(path, relation, role, ways) for role in ("outer", "inner"))
+    return Area(_tag(relation, "subtype"), outer - inner)
+
+
+def _within(
+    path: Path, relation: ET.Element, role: str, ways: Mapping[str | None, MapLine]
+) -> BaseGeometry:
+    """What the lines of a role enclose."""
+    refs, area = _members(relation, role), f"{path}: area {relation.get('id')}"
+    missing = [ref for ref in refs if ref not in ways]
+    if missing:
+        raise MapError(f"{area} goes along way {missing[0]}, not there")
+    sides = [ways[ref].points for ref in refs]
+    if len(sides) == 1:  # whether or not the file repeats the first point
+        sides = [np.concatenate([sides[0], sides[0][:1]])]
+    found = union_all(list(polygonize([LineString(side) for side in sides if len(side) > 1])))
+    if found.is_empty and (refs or role == "outer"):
+        raise MapError(
+            f"{area} has {len(refs)} {role} lines that close no ring, or cross themselves; draw one"
+        )
+    return found
 
 
 def _stop_lines(

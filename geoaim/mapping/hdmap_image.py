@@ -101,7 +101,7 @@ def _drawn(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
     """What is drawn, the lowest first."""
     lanes = [lanelet for lanelet in hdmap.lanelets if lanelet.subtype not in NOT_DRIVEN]
     for area in hdmap.areas:
-        yield Polygon(area.points), SURFACES.get(area.subtype, ROAD)
+        yield area.shape, SURFACES.get(area.subtype, ROAD)
     for lanelet in hdmap.lanelets:
         if lanelet.subtype == "walkway":
             yield outline(lanelet), SURFACES["walkway"]

@@ -140,11 +140,11 @@ def write_registration(registration: Registration, path: str | os.PathLike[str])
         ValueError: the name ends otherwise.
     """
     path = Path(path)
-    if path.suffix not in (".csv", ".parquet"):
+    if path.suffix.lower() not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv or .parquet")
     table = registration.to_frame()
     with replacing(path) as part:
-        if path.suffix == ".csv":
+        if path.suffix.lower() == ".csv":
             table.to_csv(part, index=False)
         else:
             table.to_parquet(part, index=False)

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
 from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.errors import TracksError
+from geoaim.lights import UNKNOWN
 from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import HDMap
 from geoaim.simulation.infractions import (
@@ -16,6 +18,7 @@ from geoaim.simulation.infractions import (
     Lanes,
     collisions,
     offroad_distance,
+    on_lanes,
     ran_red,
     rate,
     wrong_way,
@@ -26,7 +29,14 @@ from geoaim.simulation.policies import (
     intelligent_driver,
     replay,
 )
-from geoaim.simulation.scene import Scene, agent_number, drivable_of, lanes_of, step_seconds
+from geoaim.simulation.scene import (
+    Scene,
+    agent_number,
+    check_touches,
+    drivable_of,
+    lanes_of,
+    step_seconds,
+)
 from geoaim.simulation.simulator import Policy, Recording, record, rollout, routes_of, simulated
 
 PLAIN: Mapping[str, Policy] = {
@@ -37,7 +47,6 @@ PLAIN: Mapping[str, Policy] = {
 POLICIES = ("idm", *PLAIN)
 OBSERVED = 5  # steps that are replayed by all before policies act
 REVERSE = -0.1  # m/s
-SPARSE = 5  # steps between the points of a route
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +68,8 @@ class Episode:
         scene: what happened.
         recording: what had been recorded.
         controlled: (A,) whom the policy moved.
-        rates: the shares of controlled agents and simulated steps with something wrong, by name.
+        rates: the shares of controlled agents and simulated steps with something wrong, by name;
+            what could not be counted is not among them.
     """
 
     scene: Scene
@@ -73,7 +83,7 @@ def simulate_scene(
     policy: str,
     *,
     ego: str | None = None,
-    start: float = 0.0,
+    start: float | None = None,
     seconds: float = 6.0,
     rules: Rules = NO_RULES,
 ) -> Episode:
@@ -83,25 +93,20 @@ def simulate_scene(
         scene: where and among whom.
         policy: its name.
         ego: name of who is controlled; if left out all but those who reverse at some time.
-        start: seconds of the scene at which the simulation begins.
+        start: seconds of the scene at which the simulation begins; its first if left out.
         seconds: how long it lasts, the first steps, which all replay, included.
         rules: what is off the road and the wrong way; what it is silent on is not counted.
 
     Raises:
         ValueError: there is no such policy, or that time is not in the scene.
-        TracksError: the ego is not among the agents, or not there at the start.
+        TracksError: the ego is not among the agents, nobody to be controlled is there, or the
+            rules are of another place.
     """
-    first = int((scene.times - start).abs().argmin())
-    steps = round(seconds / step_seconds(scene)) + 1
+    _check_place(scene, rules)
+    first, steps = _steps(scene, start, seconds)
     recording = record(scene, torch.tensor([first]), steps)
     rest = record(scene, torch.tensor([first]), len(scene.times) - first)
-    controlled = (rest.states[0, ..., 3] > REVERSE).all(dim=0)
-    if ego is not None:
-        agent = agent_number(scene, ego)
-        if not bool(recording.present[0, OBSERVED - 1, agent]):
-            raise TracksError(f"agent {ego} is not there at {start:g} s")
-        controlled = torch.zeros_like(controlled)
-        controlled[agent] = True
+    controlled = _controlled(scene, first, steps, ego)
     drive = _policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
     found = rollout(recording, drive, controlled[None], observed=OBSERVED)
     after = simulated(scene, found, first)
@@ -116,13 +121,67 @@ def rules_of(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Rules:
     return Rules(drivable, None if hdmap is None else lanes_of(hdmap))
 
 
+def _check_place(scene: Scene, rules: Rules) -> None:
+    """Refuse rules of another place, which would be broken always or never."""
+    height, width = scene.ground.image.shape[1:]
+    pixels = torch.tensor([[0, 0], [width, 0], [width, height], [0, height]])
+    corners = _in_world(scene.ground.image_from_world, pixels)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if rules.lanes is not None and len(rules.lanes.places):
+        check_touches("lane", rules.lanes.places.double().cpu().numpy(), low, high)
+    if rules.drivable is not None:
+        cells = (rules.drivable.metres < 0).nonzero().flip(1) + 0.5
+        places = _in_world(rules.drivable.image_from_world, cells)
+        check_touches("drivable area", places, low, high)
+
+
+def _in_world(matrix: Float[Tensor, "2 3"], pixels: Tensor) -> Float[Array, "n 2"]:
+    exact = matrix.double()
+    return torch.linalg.solve(exact[:, :2], (pixels.to(exact) - exact[:, 2]).t()).t().cpu().numpy()
+
+
+def _steps(scene: Scene, start: float | None, seconds: float) -> tuple[int, int]:
+    """The first step of a simulation, and how many they are."""
+    begin, end, step = float(scene.times[0]), float(scene.times[-1]), step_seconds(scene)
+    start = begin if start is None else start
+    if not begin <= start <= end:
+        raise ValueError(f"start {start:g} s is not in the scene, from {begin:g} to {end:g} s")
+    if not start + seconds < end + step:
+        raise ValueError(
+            f"{seconds:g} seconds from start {start:g} s on are not all in the scene, from "
+            f"{begin:g} to {end:g} s"
+        )
+    steps = round(seconds / step) + 1
+    if steps <= OBSERVED:
+        raise ValueError(
+            f"{seconds:g} seconds are {steps} steps, and the first {OBSERVED} are replayed; give "
+            f"seconds of {OBSERVED * step:g} or more"
+        )
+    return int((scene.times - start).abs().argmin()), steps
+
+
+def _controlled(scene: Scene, first: int, steps: int, ego: str | None) -> Bool[Tensor, "A"]:
+    """The ego, or all who never reverse, of those whom a policy can move in these steps."""
+    there = scene.present[:, first + OBSERVED - 1 : first + steps]
+    moved = there[:, :-1] & there[:, 1:]
+    if ego is None:
+        controlled = moved.any(dim=1) & ~(scene.speeds[:, first:] <= REVERSE).any(dim=1)
+        if not controlled.any():
+            raise TracksError("in these steps nobody is there who never reverses; begin elsewhere")
+        return controlled
+    agent = agent_number(scene, ego)
+    if not bool(moved[agent, 0]):
+        raise TracksError(f"agent {ego} is not there at {float(scene.times[first]):g} s")
+    return torch.arange(len(moved), device=moved.device) == agent
+
+
 def _policy(
     name: str, rest: Recording, lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "1 T L"]
 ) -> Policy:
     """The policy of that name; the rest of the scene tells routes and wanted speeds."""
     if name == "idm":
         top = rest.states[..., 3].amax(dim=1)
-        return intelligent_driver(routes_of(rest)[:, :, ::SPARSE], top, lines, states)
+        return intelligent_driver(routes_of(rest), top, lines, states)
     if name not in PLAIN:
         raise ValueError(f"there is no policy {name!r}; there are {', '.join(POLICIES)}")
     return PLAIN[name]
@@ -131,21 +190,25 @@ def _policy(
 def _rates(
     scene: Scene, recording: Recording, controlled: Bool[Tensor, "A"], rules: Rules
 ) -> dict[str, float]:
-    """Collisions of all; the rest of vehicles, which roads, lights and directions are for."""
+    """Collisions of all; the rest of vehicles, which roads, lights and directions are for.
+
+    What was wrong, and who could do it: nothing is said where nobody could.
+    """
     before, poses = (scene.poses.transpose(0, 1)[k:] for k in (OBSERVED - 1, OBSERVED))
     was, there = (scene.present.t()[k:] for k in (OBSERVED - 1, OBSERVED))
     sizes = scene.sizes.expand(len(poses), -1, -1)
     wheels = ~recording.on_foot[0]
     mine = there & controlled
     driven = mine & wheels
-    rates = {"collision": rate(collisions(poses, sizes, there) > 0, mine)}
-    if len(scene.stop_lines):
-        lengths, states = sizes[..., 0], scene.light_states[OBSERVED:]
-        ran = ran_red(before[:-1], poses, lengths, driven & was[:-1], scene.stop_lines, states)
-        rates["red light"] = rate(ran, driven)
+    counts = {"collision": (collisions(poses, sizes, there) > 0, mine)}
+    states = scene.light_states[OBSERVED:]
+    told = (states != UNKNOWN).any(dim=1)
+    if told.any():
+        crossing = driven & was[:-1]
+        ran = ran_red(before[:-1], poses, sizes[..., 0], crossing, scene.stop_lines, states)
+        counts["red light"] = ran, driven & told[:, None]
     if rules.drivable is not None:
-        off = offroad_distance(rules.drivable, poses, sizes, driven) > 0
-        rates["off road"] = rate(off, driven)
-    if rules.lanes is not None:
-        rates["wrong way"] = rate(wrong_way(rules.lanes, poses, driven), driven)
-    return {name: float(share) for name, share in rates.items()}
+        counts["off road"] = offroad_distance(rules.drivable, poses, sizes, driven) > 0, driven
+    if rules.lanes is not None and on_lanes(rules.lanes, poses, driven).any():
+        counts["wrong way"] = wrong_way(rules.lanes, poses, driven), driven
+    return {name: float(rate(wrong, who)) for name, (wrong, who) in counts.items() if who.any()}

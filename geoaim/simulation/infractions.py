@@ -68,22 +68,24 @@ def distance_at(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Ten
     """The signed distance at points, linear between the cells."""
     height, width = drivable.metres.shape
     matrix = drivable.image_from_world
-    pixels = applied(matrix[:, :2], points) + matrix[:, 2]
+    pixels = applied(matrix[:, :2].to(points), points) + matrix[:, 2].to(points)
     size = pixels.new_tensor([width, height])
     grid = (pixels * (2 / size) - 1).reshape(1, 1, -1, 2)
     raster = drivable.metres[None, None]
-    found = F.grid_sample(raster, grid, padding_mode="border", align_corners=False)
+    found = F.grid_sample(raster, grid.to(raster), padding_mode="border", align_corners=False)
     held = torch.minimum(pixels.clamp_min(0), size)
     scale = torch.linalg.det(matrix[:, :2].double()).abs().sqrt().to(points)
     beyond = (pixels - held).abs().sum(-1) > 0
     away = torch.where(beyond[..., None], pixels - held, 1.0).norm(dim=-1) / scale
-    return found.view(points.shape[:-1]) + torch.where(beyond, away, 0.0)
+    return found.to(points).view(points.shape[:-1]) + torch.where(beyond, away, 0.0)
 
 
 def collisions(
     poses: Float[Tensor, "B A 3"], sizes: Float[Tensor, "B A 2"], present: Bool[Tensor, "B A"]
 ) -> Float[Tensor, "B A"]:
     """The largest intersection over union of each agent's box with another's; 0: it hits nobody."""
+    if poses.shape[1] == 0:
+        return poses.new_zeros(poses.shape[:2])
     return box_iou(poses, sizes, present).amax(dim=-1)
 
 
@@ -120,16 +122,34 @@ def wrong_way(
     """Who is on one-way lanes and heads along none of them."""
     safe = torch.where(present[..., None], poses, 0.0)
     flat = safe.reshape(-1, 3)
-    on = torch.cdist(flat[:, :2], lanes.places) < lanes.reaches
+    on = _on_lanes(lanes, flat[:, :2])
     apart = flat[:, 2:] - lanes.directions
     along = torch.cos(apart) > math.cos(WRONG)
     wrong = on.any(dim=1) & ~(on & along).any(dim=1)
     return wrong.view(present.shape) & present
 
 
+def on_lanes(
+    lanes: Lanes, poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
+) -> Bool[Tensor, "..."]:
+    """Who is on one-way lanes, and can go the wrong way."""
+    safe = torch.where(present[..., None], poses, 0.0)
+    on = _on_lanes(lanes, safe.reshape(-1, 3)[:, :2]).any(dim=1)
+    return on.view(present.shape) & present
+
+
 def rate(wrong: Bool[Tensor, "..."], present: Bool[Tensor, "..."]) -> Float[Tensor, ""]:
-    """The share of agents, samples and steps in which something was wrong, of those present."""
+    """The share of agents, samples and steps in which something was wrong, of those present.
+
+    Where nobody is present it is 0, and says nothing.
+    """
     return (wrong & present).sum() / present.sum().clamp_min(1)
+
+
+def _on_lanes(lanes: Lanes, points: Float[Tensor, "n 2"]) -> Bool[Tensor, "n M"]:
+    """Which places of lanes speak for each point; not by products, which are inexact far away."""
+    exact = "donot_use_mm_for_euclid_dist"
+    return torch.cdist(points, lanes.places.to(points), compute_mode=exact) < lanes.reaches
 
 
 def _front(poses: Float[Tensor, "... 3"], lengths: Float[Tensor, "..."]) -> Float[Tensor, "... 2"]:

@@ -75,7 +75,10 @@ def displacement_step(state: State, action: Action, seconds: float) -> State:
     safe = torch.where(moves, ahead, 1.0), torch.where(moves, left, 0.0)
     turn = torch.where(moves, torch.atan2(safe[1], safe[0]), 0.0)
     way = torch.where(moves, torch.sqrt(safe[0] ** 2 + safe[1] ** 2), 0.0)
-    return _moved(state, way, state[..., 2] + turn, torch.zeros_like(turn), way / seconds, turn)
+    cosine, sine = state[..., 2].cos(), state[..., 2].sin()
+    x = state[..., 0] + ahead * cosine - left * sine
+    y = state[..., 1] + ahead * sine + left * cosine
+    return torch.stack([x, y, _wrapped(state[..., 2] + turn), way / seconds], dim=-1)
 
 
 def displacement_action(state: State, after: State) -> Action:
@@ -94,7 +97,8 @@ def agents_step(
 ) -> State:
     """Vehicles by `bicycle_step`, those on foot by `unicycle_step`, in one batch."""
     wheels = torch.where(on_foot[..., None], 0.0, action)  # a turn a second is no wheel's angle
-    driven = bicycle_step(state, wheels, length, seconds)
+    axles = torch.where(on_foot, 1.0, length)  # who has no length has gradients all the same
+    driven = bicycle_step(state, wheels, axles, seconds)
     return torch.where(on_foot[..., None], unicycle_step(state, action, seconds), driven)
 
 
@@ -116,8 +120,8 @@ def limit(action: Action, most: Float[Tensor, "... 2"]) -> Action:
 
 
 def limit_smoothly(action: Action, most: Float[Tensor, "... 2"]) -> Action:
-    """Held below the most by a hyperbolic tangent, with a gradient everywhere."""
-    return most * torch.tanh(action / most)
+    """Held below the most by a hyperbolic tangent; far beyond it the gradient fades to zero."""
+    return most * torch.tanh(action / torch.where(most > 0, most, 1.0))
 
 
 def _pushed(
@@ -134,15 +138,13 @@ def _moved(
     course: Float[Tensor, "..."],
     turn: Float[Tensor, "..."],
     speed: Float[Tensor, "..."],
-    heading: Float[Tensor, "..."] | None = None,
 ) -> State:
     """Along an arc that sets out on a course; the chord of an arc points along its middle."""
     chord = way * torch.sinc(turn / (2 * torch.pi))
     middle = course + turn / 2
     x = state[..., 0] + chord * middle.cos()
     y = state[..., 1] + chord * middle.sin()
-    turned = state[..., 2] + (turn if heading is None else heading)
-    return torch.stack([x, y, _wrapped(turned), speed], dim=-1)
+    return torch.stack([x, y, _wrapped(state[..., 2] + turn), speed], dim=-1)
 
 
 def _wrapped(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:

@@ -30,12 +30,14 @@ def shared_area(poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]) ->
     """The area that both boxes of each pair share, m².
 
     Its outline is what of either box's edges lies in the other, so that the area is half the sum
-    of the cross products of these pieces' ends (Green's theorem).
+    of the cross products of these pieces' ends (Green's theorem). Edges that nearly lie on each
+    other cancel only in float64, in which it is computed.
 
     >>> poses = torch.tensor([[[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]])
     >>> round(float(shared_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)
     1.5
     """
+    dtype, poses, sizes = poses.dtype, poses.double(), sizes.double()
     sizes = sizes * sizes.new_tensor([[1.0], [1.0 - SHRINK]])
     middle = poses[:, :1, :2]  # near the origin, where cross products are small
     near = torch.cat([poses[..., :2] - middle, poses[..., 2:]], dim=-1)
@@ -44,7 +46,7 @@ def shared_area(poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]) ->
     start, end = corners, corners.roll(-1, dims=2)
     first, last = _inside(start, end, *other)
     twice = cross(start, end - start) * (last - first)
-    return twice.sum((1, 2)).clamp_min(0) / 2
+    return (twice.sum((1, 2)).clamp_min(0) / 2).to(dtype)
 
 
 def box_iou(

@@ -18,6 +18,8 @@ LANE = 2.0  # m from a path within which somebody is in the way
 AHEAD = 4.0  # m along the path that is steered at, at least
 SHORT = 0.5  # m before its line that one stops
 HARD = 4.0  # m/s² of braking that one can still do for a light
+BRAKES = 8.0  # m/s² of braking at most
+TOUCH = 1e-4  # share by which ways of a route overlap, lest a line slips between two
 LOOK = 0.8  # s of the way ahead that is steered at
 
 
@@ -55,8 +57,9 @@ def intelligent_driver(
     """Along routes at the wanted speeds, keeping distance: the intelligent driver model.
 
     Treiber et al. 2000; steered at a point of the route ahead (pure pursuit, Coulter 1992).
-    Somebody is in the way whose middle is near the route, further along it; so is a line whose
-    light is not green, for vehicles that can still stop there.
+    Somebody is in the way whose middle is near the route, further along it; so is a line that
+    crosses the route and whose light is not green, for vehicles whose front can still stop there.
+    Nobody brakes harder than `BRAKES`.
 
     Args:
         routes: points along each agent's way, metres; its last way goes on beyond them.
@@ -64,6 +67,8 @@ def intelligent_driver(
         stop_lines: both ends of each light's line.
         light_states: at all steps of the recording, as in `geoaim.lights`.
     """
+
+    lines = None if stop_lines is None or light_states is None else _crossings(routes, stop_lines)
 
     def policy(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
         number = path.shape[1] - 1
@@ -77,11 +82,11 @@ def intelligent_driver(
         gap, leader = torch.where(ahead, gap, torch.inf).min(dim=-1)
         closing = torch.where(torch.isfinite(gap), speed - speed.gather(1, leader), 0.0)
         push = _acceleration(speed, speeds, gap, closing)
-        if stop_lines is not None and light_states is not None and len(stop_lines):
-            way = _way_to_lights(routes, mine, speed, stop_lines, light_states[:, number])
-            way = torch.where(recording.on_foot, torch.inf, way - long / 2)
+        if lines is not None and light_states is not None and lines.shape[-1]:
+            way = _way_to_lights(lines, mine + long / 2, speed, light_states[:, number])
+            way = torch.where(recording.on_foot, torch.inf, way)
             push = torch.minimum(push, _acceleration(speed, speeds, way + GAP - SHORT, speed))
-        push = torch.maximum(push, -speed.clamp_min(0) / recording.seconds)
+        push = torch.maximum(push.clamp_min(-BRAKES), -speed.clamp_min(0) / recording.seconds)
         curve = _curve(routes, mine, states, long)
         wheel = torch.atan(AXLES * long * curve).clamp(-0.6, 0.6)
         return torch.stack([push, torch.where(recording.on_foot, curve * speed, wheel)], dim=-1)
@@ -89,17 +94,29 @@ def intelligent_driver(
     return policy
 
 
+def _crossings(
+    routes: Float[Tensor, "B A P 2"], lines: Float[Tensor, "L 2 2"]
+) -> Float[Tensor, "B A P-1 L"]:
+    """How far along a route each of its straight ways crosses each line; infinite where not."""
+    start, way = routes[:, :, :-1, None], routes.diff(dim=2)[:, :, :, None]
+    long, side = way.norm(dim=-1), lines[:, 1] - lines[:, 0]
+    apart, across = lines[:, 0] - start, cross(way, side)
+    safe = torch.where(across == 0, torch.nan, across)
+    share, aside = cross(apart, side) / safe, cross(apart, way) / safe
+    crosses = (share >= -TOUCH) & (share <= _shares(routes)[:, None] + TOUCH)
+    crosses &= (aside >= 0) & (aside <= 1)
+    before = long.cumsum(2) - long
+    return torch.where(crosses, before + share * long, torch.inf)
+
+
 def _way_to_lights(
-    routes: Tensor, mine: Tensor, speed: Tensor, lines: Tensor, states: Tensor
+    lines: Tensor, fronts: Tensor, speed: Tensor, states: Tensor
 ) -> Float[Tensor, "B A"]:
-    """The way of each middle to the next line at which it must and can stop; infinite for none."""
-    middles = lines.mean(dim=1).expand(len(routes), -1, -1)
-    along, off = _on_routes(routes, middles)
-    reach = (lines[:, 1] - lines[:, 0]).norm(dim=-1) / 2
-    way = along - mine[..., None]
-    needed = speed[..., None].square() / (2 * HARD)
-    stops = ((states == RED) | (states == YELLOW))[:, None] & (off < reach) & (way > needed)
-    return torch.where(stops, way, torch.inf).amin(dim=-1)
+    """The way of each front to the next line at which it must and can stop; infinite for none."""
+    way = lines - fronts[..., None, None]
+    needed = speed[..., None, None].square() / (2 * HARD)
+    stops = ((states == RED) | (states == YELLOW))[:, None, None] & (way > needed)
+    return torch.where(stops, way, torch.inf).amin(dim=(2, 3))
 
 
 def _acceleration(speed: Tensor, wanted: Tensor, gap: Tensor, closing: Tensor) -> Tensor:
@@ -113,16 +130,23 @@ def _acceleration(speed: Tensor, wanted: Tensor, gap: Tensor, closing: Tensor) -
 def _on_routes(
     routes: Float[Tensor, "B A P 2"], places: Float[Tensor, "B N 2"]
 ) -> tuple[Float[Tensor, "B A N"], Float[Tensor, "B A N"]]:
-    """How far along each route everybody is, and how far off it."""
+    """How far along each route everybody is, beyond its end too, and how far off it."""
     start, way = routes[:, :, None, :-1], routes.diff(dim=2)[:, :, None]
     long = way.norm(dim=-1).clamp_min(1e-6)
     apart = places[:, None, :, None] - start
-    share = ((apart * way).sum(-1) / long.square()).clamp(0, 1)
+    share = ((apart * way).sum(-1) / long.square()).clamp_min(0).minimum(_shares(routes))
     off = (apart - share[..., None] * way).norm(dim=-1)
     off, which = off.min(dim=-1)
     before = long.cumsum(-1) - long
     along = before + share * long
     return along.gather(-1, which[..., None])[..., 0], off
+
+
+def _shares(routes: Float[Tensor, "B A P 2"]) -> Float[Tensor, "P-1"]:
+    """How much of each straight way belongs to a route: all, and of the last one what follows."""
+    shares = routes.new_ones(routes.shape[2] - 1)
+    shares[-1] = torch.inf
+    return shares
 
 
 def _curve(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:

@@ -10,14 +10,17 @@ from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.aim import AIM, rectify
-from geoaim.errors import TracksError
-from geoaim.lights import Lights, states_at
+from geoaim.errors import MapError, TracksError
+from geoaim.lights import UNKNOWN, Lights, states_at
 from geoaim.mapping.drivable import lane_directions, signed_distance
 from geoaim.mapping.hdmap import HDMap
 from geoaim.simulation.ground import Ground, make_ground, on_device
 from geoaim.simulation.infractions import Drivable, Lanes
+from geoaim.track_changes import tracks_in
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
+
+FURTHEST = 10_000.0  # m from the world's origin at which float32 still tells millimetres
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,24 +63,32 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     """A map with tracks and lights, brought into the map's world; grey where it shows nothing.
 
     Raises:
-        TracksError: not all have a place on the Earth, or no track touches the map.
+        TracksError: not all have a place on the Earth, no track or no stop line touches the map,
+            or the lights' states are told for other times only.
+        MapError: the map lies too far from its world's origin.
     """
-    poses = _poses_in(tracks, aim.world)
+    tracks = tracks_in(tracks, aim.world)
+    poses = tracks.states[..., :3]
+    _check_near("map", aim.corners)
     low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
-    places = poses[tracks.present][:, :2]
-    if len(places) == 0:
+    if not tracks.present.any():
         raise TracksError("nobody is present in the tracks")
-    if not ((places > low) & (places < high)).all(axis=1).any():
-        raise TracksError(
-            f"no track touches the map: they lie between {_said(places.min(axis=0))} and "
-            f"{_said(places.max(axis=0))} m, the map between {_said(low)} and {_said(high)} m. "
-            "Are both of one place?"
-        )
+    check_touches("track", poses[tracks.present][:, :2], low, high)
     lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
     if lights is not None:
-        _check_planes("lights", lights.world, aim.world)
+        if (lights.world.crs is None) != (aim.world.crs is None):
+            raise TracksError(
+                f"the map lies in {aim.world.crs or 'a plane of its own'} and the lights in "
+                f"{lights.world.crs or 'a plane of their own'}; give both a place on the Earth"
+            )
         lines = _moved(lights.lines.reshape(-1, 2), lights.world, aim.world).reshape(-1, 2, 2)
         states = states_at(lights, tracks.times)
+        check_touches("stop line", lines.reshape(-1, 2), low, high)
+        if (states == UNKNOWN).all():
+            raise TracksError(
+                f"the lights' states are told from {lights.times[0]:g} s on, the tracks end at "
+                f"{tracks.times[-1]:g} s. Are both of one recording?"
+            )
     return Scene(
         ground=ground_of(aim),
         times=torch.tensor(tracks.times),
@@ -102,17 +113,26 @@ def ground_of(aim: AIM) -> Ground:
 
 
 def drivable_of(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
-    """How far points of the world are from the edge of where vehicles may drive."""
+    """How far points of the world are from the edge of where vehicles may drive.
+
+    Raises:
+        MapError: the area lies too far from the world's origin.
+    """
+    _check_near("drivable area", np.array(area.bounds).reshape(2, 2))
     found = signed_distance(area, resolution=resolution)
     matrix = torch.tensor(found.image_from_world[:2], dtype=torch.float32)
     return Drivable(torch.tensor(found.metres), matrix)
 
 
 def lanes_of(hdmap: HDMap) -> Lanes:
-    """The directions of a map's one-way lanes, at places along their middles."""
-    places, directions, reaches = (
-        torch.tensor(x, dtype=torch.float32) for x in lane_directions(hdmap)
-    )
+    """The directions of a map's one-way lanes, at places along their middles.
+
+    Raises:
+        MapError: the lanes lie too far from the world's origin.
+    """
+    found = lane_directions(hdmap)
+    _check_near("HD map", found[0])
+    places, directions, reaches = (torch.tensor(x, dtype=torch.float32) for x in found)
     return Lanes(places, directions, reaches)
 
 
@@ -173,24 +193,29 @@ def step_at(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
     return steps[nearest]
 
 
-def _poses_in(tracks: Tracks, world: World) -> Float[Array, "N T 3"]:
-    """x, y and heading in another world."""
-    poses, there = tracks.states[..., :3].copy(), tracks.present
-    _check_planes("tracks", tracks.world, world)
-    heading = poses[there, 2]
-    here = poses[there, :2]
-    ahead = here + np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    here, ahead = (_moved(points, tracks.world, world) for points in (here, ahead))
-    poses[there, :2] = here
-    poses[there, 2] = np.arctan2(*(ahead - here).T[::-1])
-    return poses
+def check_touches(
+    what: str, places: Float[Array, "n 2"], low: Float[Array, "2"], high: Float[Array, "2"]
+) -> None:
+    """Refuse what is of another place than the map, which lies between two corners.
 
-
-def _check_planes(what: str, theirs: World, maps: World) -> None:
-    if (theirs.crs is None) != (maps.crs is None):
+    Raises:
+        TracksError: none of the places is on the map.
+    """
+    if not ((places > low) & (places < high)).all(axis=1).any():
         raise TracksError(
-            f"the map lies in {maps.crs or 'a plane of its own'} and the {what} in "
-            f"{theirs.crs or 'a plane of their own'}; give both a place on the Earth, or none"
+            f"no {what} touches the map: they lie between {_said(places.min(axis=0))} and "
+            f"{_said(places.max(axis=0))} m, the map between {_said(low)} and {_said(high)} m. "
+            "Are both of one place?"
+        )
+
+
+def _check_near(what: str, places: Float[Array, "n 2"]) -> None:
+    away = np.abs(places).max(initial=0)
+    if away > FURTHEST:
+        raise MapError(
+            f"the {what} lies {away / 1000:,.0f} km from its world's origin, where tensors are "
+            f"inexact; at most {FURTHEST / 1000:g} km will do. Give a World whose origin is near, "
+            "as geoaim.world.choose_world does"
         )
 
 

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 import shapely
 from shapely import MultiPolygon, Polygon, box
+from shapely.geometry import mapping
 
-from geoaim.errors import MapError
+from geoaim.errors import GeoaimWarning, MapError
 from geoaim.geometry import transform_points
+from geoaim.mapping import drivable
 from geoaim.mapping.drivable import (
     drivable_area,
     lane_directions,
@@ -56,6 +58,19 @@ def test_distance_is_negative_on_the_road():
     assert found.metres.max() > 18
 
 
+def test_distance_of_nothing_is_refused():
+    for nothing in (MultiPolygon(), MultiPolygon([box(0.01, 0, 0.02, 30)])):
+        with pytest.raises(MapError, match=r"is empty|narrower than 0\.05 m"):
+            signed_distance(nothing)
+
+
+def test_distance_of_a_large_area_is_coarser(monkeypatch):
+    monkeypatch.setattr(drivable, "MOST", 1000)
+    with pytest.warns(GeoaimWarning, match=r"70 x 46 m are too large.*told every 1\.8 m"):
+        found = signed_distance(MultiPolygon([box(0, 0, 30, 6)]))
+    assert found.metres.size < 1200
+
+
 @pytest.mark.parametrize("world", [World(None), World("EPSG:32635", (583200.0, 6062200.0))])
 def test_drawn_area_comes_back(tmp_path, world):
     hole = box(4, 4, 6, 6).exterior.coords
@@ -71,6 +86,8 @@ def test_drawn_area_comes_back(tmp_path, world):
         ("nonsense", "is no GeoJSON"),
         (json.dumps({"type": "Point", "coordinates": [1, 2]}), "holds Point; polygons are needed"),
         (json.dumps({"type": "FeatureCollection", "features": []}), "holds nothing"),
+        (json.dumps(mapping(Polygon())), "encloses 0 m².*for metres"),
+        (json.dumps(mapping(box(27.5, 53.9, 27.502, 53.901))), "encloses 2e-06 m².*for metres"),
     ],
 )
 def test_what_is_no_area_is_refused(tmp_path, content, message):

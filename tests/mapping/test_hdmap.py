@@ -65,10 +65,48 @@ def test_map_on_the_earth_lies_where_the_samples_truth_says():
     assert read_hdmap("samples/map_full.osm").areas[0].subtype == "parking"
 
 
+def _park(outer, inner=""):
+    """A car park of 20 by 20 m with a hole of 4 by 4 m."""
+    corners = {
+        30: ((0, 20), (20, 20), (20, 40), (0, 40)),
+        31: ((8, 28), (12, 28), (12, 32), (8, 32)),
+    }
+    drawn = ""
+    for way, places in corners.items():
+        refs = [10 * way + k for k in range(4)]
+        for ref, (x, y) in zip(refs, places, strict=True):
+            drawn += f"<node id='{ref}' lon='{x * METRE:.9f}' lat='{y * METRE:.9f}'/>"
+        nodes = "".join(f"<nd ref='{ref}'/>" for ref in refs)
+        drawn += f"<way id='{way}'>{nodes}</way>"
+    members = f"<member type='way' ref='{outer}' role='outer'/>"
+    members += f"<member type='way' ref='{inner}' role='inner'/>" if inner else ""
+    tags = "<tag k='type' v='multipolygon'/><tag k='subtype' v='parking'/>"
+    return f"{drawn}<relation id='40'>{members}{tags}</relation>"
+
+
+def test_areas_have_holes(tmp_path):
+    (whole,) = read_hdmap(_osm(tmp_path / "a.osm", more=_park("30"))).areas
+    (holed,) = read_hdmap(_osm(tmp_path / "b.osm", more=_park("30", "31"))).areas
+    assert whole.subtype == "parking"
+    assert whole.shape.area == pytest.approx(400, rel=0.01)
+    assert whole.shape.area - holed.shape.area == pytest.approx(16, rel=0.01)
+
+
+def test_what_an_editor_has_deleted_is_left_out(tmp_path):
+    park = _park("30").replace("<relation", "<relation action='delete'")
+    assert read_hdmap(_osm(tmp_path / "a.osm", more=park)).areas == ()
+    with pytest.raises(MapError, match="area 40 goes along way 30, not there"):
+        read_hdmap(
+            _osm(tmp_path / "b.osm", more=_park("30").replace("<way", "<way action='delete'"))
+        )
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"left": (3, 99)}, "way 10 goes through node 99"),
+        ({"more": _park("99")}, "area 40 goes along way 99"),
+        ({"more": _park("12")}, "area 40 has 1 outer lines that close no ring"),
         ({"left": (3,)}, "lanelet 20 has 1 left lines of two points"),
         ({"head": "<html>"}, "is no XML"),
         ({"head": "<!DOCTYPE osm><osm>"}, "defines XML entities"),

@@ -1,11 +1,15 @@
+from dataclasses import replace
+
 import pytest
 import torch
+from shapely import MultiPolygon, box
 
 from geoaim.errors import TracksError
-from geoaim.lights import read_lights
+from geoaim.lights import UNKNOWN, read_lights
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
-from geoaim.simulation.episodes import POLICIES, rules_of, simulate_scene
+from geoaim.simulation.episodes import OBSERVED, POLICIES, Rules, rules_of, simulate_scene
+from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.scene import make_scene, tracks_of
 from geoaim.tracks import read_tracks, write_tracks
 
@@ -34,7 +38,7 @@ def test_ego_stays_the_only_one_that_departs_from_the_recording(scene):
     episode = simulate_scene(scene, "constant-velocity", ego="12", start=4.0, seconds=6.0)
     agent = scene.ids.index("12")
     recorded = episode.recording.states[0].transpose(0, 1)
-    apart = (episode.scene.poses - recorded[..., :3]).abs().amax(dim=(1, 2))
+    apart = (episode.scene.poses - recorded[..., :3]).abs().nan_to_num().amax(dim=(1, 2))
     assert apart[agent] > 1
     assert apart.sum() == apart[agent]
     assert episode.controlled.sum() == 1
@@ -44,7 +48,7 @@ def test_ego_stays_the_only_one_that_departs_from_the_recording(scene):
 @pytest.mark.parametrize("policy", POLICIES)
 def test_simulation_is_written_as_tracks(scene, hdmap, policy, tmp_path):
     episode = simulate_scene(scene, policy, start=2.0, seconds=3.0)
-    assert torch.isfinite(episode.scene.poses).all()
+    assert torch.isfinite(episode.scene.poses[episode.scene.present]).all()
     write_tracks(tracks_of(episode.scene, hdmap.world), tmp_path / "a.csv")
     again = read_tracks(tmp_path / "a.csv")
     assert len(again.times) == 31
@@ -56,5 +60,36 @@ def test_what_cannot_be_simulated_is_refused(scene):
         simulate_scene(scene, "best")
     with pytest.raises(TracksError, match="agent 29 is not there at 2 s"):
         simulate_scene(scene, "replay", ego="29", start=2.0)
-    with pytest.raises(ValueError, match="are not all among"):
+    with pytest.raises(ValueError, match="9 seconds from start 58 s on are not all in the scene"):
         simulate_scene(scene, "replay", start=58.0, seconds=9.0)
+    for start in (-3.0, 61.0, torch.nan, torch.inf):
+        with pytest.raises(ValueError, match="is not in the scene, from 0 to 60 s"):
+            simulate_scene(scene, "replay", start=start)
+    with pytest.raises(ValueError, match=r"give seconds of 0\.5 or more"):
+        simulate_scene(scene, "replay", seconds=0.4)
+
+
+def test_rules_of_another_place_are_refused(scene):
+    far = MultiPolygon([box(3000, 3000, 3100, 3100)])
+    with pytest.raises(TracksError, match="no drivable area touches the map: they lie between"):
+        simulate_scene(scene, "replay", rules=rules_of(None, far))
+    lanes = Lanes(torch.tensor([[3000.0, 0.0]]), torch.zeros(1), torch.ones(1))
+    with pytest.raises(TracksError, match="no lane touches the map"):
+        simulate_scene(scene, "replay", rules=Rules(lanes=lanes))
+
+
+def test_what_cannot_be_counted_has_no_rate(scene):
+    unknown = replace(scene, light_states=torch.full_like(scene.light_states, UNKNOWN))
+    aside = Lanes(scene.stop_lines[:1, 0] + 15, torch.zeros(1), torch.full((1,), 0.01))
+    episode = simulate_scene(unknown, "replay", start=5.0, rules=Rules(lanes=aside))
+    assert list(episode.rates) == ["collision"]
+
+
+def test_controlled_are_those_who_are_moved(scene):
+    episode = simulate_scene(scene, "replay", start=5.0, seconds=2.0)
+    there = episode.recording.present[0, OBSERVED - 1 :]
+    assert not there.any(dim=0).all()
+    assert there[:, episode.controlled].any(dim=0).all()
+    nobody = replace(scene, speeds=torch.full_like(scene.speeds, -2.0))
+    with pytest.raises(TracksError, match="nobody is there who never reverses"):
+        simulate_scene(nobody, "replay")

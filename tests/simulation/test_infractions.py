@@ -120,3 +120,29 @@ def test_rate_is_the_share_of_those_present():
     )
     assert float(rate(wrong, present)) == pytest.approx(1 / 3)
     assert float(rate(wrong, torch.zeros(4).bool())) == 0
+
+
+def test_double_floats_give_the_same():
+    poses, there = torch.tensor([[20.0, 4.5, 0.0]]), torch.ones(1, dtype=torch.bool)
+    single, double = (
+        offroad_distance(_drivable(), poses.to(kind), CAR[None].to(kind), there)
+        for kind in (torch.float32, torch.float64)
+    )
+    assert double.dtype == torch.float64
+    torch.testing.assert_close(double.float(), single, atol=1e-4, rtol=0)
+    lanes = Lanes(torch.tensor([[20.0, 4.5]]), torch.tensor([np.pi]), torch.tensor([1.8]))
+    assert wrong_way(lanes, poses.double(), there).all()
+
+
+def test_scenes_of_nobody_have_no_collisions():
+    nobody = torch.zeros(3, 0, 3), torch.zeros(3, 0, 2), torch.zeros(3, 0, dtype=torch.bool)
+    assert collisions(*nobody).shape == (3, 0)
+
+
+def test_lanes_far_from_the_origin_are_as_wide_as_near():
+    apart = torch.tensor([[0.0, 1.7], [0.0, 1.9]]).repeat(20, 1)
+    far = torch.tensor([9000.0, -9000.0])
+    lanes = Lanes(far + torch.zeros(30, 2), torch.full((30,), np.pi), torch.full((30,), 1.8))
+    poses = torch.cat([far + apart, torch.zeros(40, 1)], dim=1)
+    wrong = wrong_way(lanes, poses, torch.ones(40, dtype=torch.bool))
+    assert wrong.tolist() == [True, False] * 20

@@ -107,3 +107,29 @@ def test_limits_hold_hard_and_smoothly():
     assert limit(near, most).tolist() == near.tolist()
     assert (limit_smoothly(far, most).abs() <= most).all()
     torch.testing.assert_close(limit_smoothly(near, most), near, rtol=1e-4, atol=0)
+
+
+def test_limit_of_zero_holds_still_and_learns():
+    action = torch.tensor([1.0, 0.2], requires_grad=True)
+    held = limit_smoothly(action, torch.tensor([3.0, 0.0]))
+    (gradient,) = torch.autograd.grad(held.sum(), action)
+    assert held[1] == 0
+    assert torch.isfinite(gradient).all()
+
+
+def test_displacement_learns_from_standstill():
+    state = _state(0, 0, 0.3, 0)
+    action = torch.zeros(2, dtype=torch.float64, requires_grad=True)
+    jacobian = torch.autograd.functional.jacobian(
+        lambda action: displacement_step(state, action, 0.1), action
+    )
+    turn = torch.tensor([[np.cos(0.93), -np.sin(0.93)], [np.sin(0.93), np.cos(0.93)]])
+    torch.testing.assert_close(jacobian[:2], turn.double())
+    assert not jacobian[2:].any()
+
+
+def test_people_without_a_length_have_gradients():
+    state, feet = torch.zeros(1, 4, requires_grad=True), torch.tensor([True])
+    after = agents_step(state, torch.ones(1, 2), torch.zeros(1), feet, 0.1)
+    (gradient,) = torch.autograd.grad(after.sum(), state)
+    assert torch.isfinite(gradient).all()

@@ -52,3 +52,17 @@ def test_absent_and_distant_agents_hit_nobody():
     torch.testing.assert_close(iou[0, 1], torch.tensor(6 / 10), atol=1e-5, rtol=0)
     torch.testing.assert_close(iou, iou.t())
     assert iou.count_nonzero() == 2
+
+
+def test_nearly_the_same_boxes_overlap_smoothly():
+    """In float32 edges that nearly lie on each other would not cancel."""
+    generator = torch.Generator().manual_seed(0)
+    base = torch.rand(2000, 1, 3, generator=generator) * torch.tensor([80.0, 80.0, 6.28])
+    nudge = torch.randn(2000, 1, 3, generator=generator) * 1e-6
+    poses = torch.cat([base, base + nudge], dim=1).requires_grad_()
+    sizes = torch.tensor([4.5, 1.9]).expand(2000, 2, 2)
+    iou = box_iou(poses, sizes, torch.ones(2000, 2).bool())[:, 0, 1]
+    (gradient,) = torch.autograd.grad(iou.sum(), poses)
+    assert iou.max() <= 1
+    assert iou.min() > 0.999
+    assert gradient.abs().max() < 2

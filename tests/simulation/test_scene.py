@@ -4,11 +4,13 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from shapely import MultiPolygon, box
 
 from geoaim.aim import AIM
-from geoaim.errors import TracksError
+from geoaim.errors import MapError, TracksError
 from geoaim.geometry import to_opencv
 from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
+from geoaim.mapping.hdmap import HDMap, Lanelet
 from geoaim.simulation import (
     View,
     agents_at,
@@ -23,7 +25,7 @@ from geoaim.simulation import (
 )
 from geoaim.simulation.layers import EGO
 from geoaim.simulation.pictures import film_agent
-from geoaim.simulation.scene import agent_number, ground_of, step_at
+from geoaim.simulation.scene import agent_number, drivable_of, ground_of, lanes_of, step_at
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world
 
@@ -154,6 +156,29 @@ def test_tracks_of_another_place_are_refused():
         make_scene(_aim(), _tracks(world=World(None)))
     with pytest.raises(TracksError, match="the lights in a plane of their own"):
         make_scene(_aim(), _tracks(), _lights(World(None)))
+
+
+def test_lights_of_another_place_or_time_are_refused():
+    far = replace(_lights(), lines=_lights().lines + 900)
+    with pytest.raises(TracksError, match="no stop line touches the map"):
+        make_scene(_aim(), _tracks(), far)
+    late = replace(_lights(), times=np.array([100.0, 101.0]))
+    with pytest.raises(TracksError, match=r"told from 100 s on, the tracks end at 0\.2 s"):
+        make_scene(_aim(), _tracks(), late)
+
+
+def test_maps_far_from_their_worlds_origin_are_refused():
+    """There float32 would move poses by up to a quarter of a metre."""
+    place = np.eye(3)
+    place[:2, 2] = MAP.origin
+    aim = replace(_aim(World(MAP.crs)), world_from_image=place @ _aim().world_from_image)
+    with pytest.raises(MapError, match=r"6,062 km from its world's origin.*choose_world"):
+        make_scene(aim, _tracks())
+    with pytest.raises(MapError, match="the drivable area lies 6,062 km"):
+        drivable_of(MultiPolygon([box(583200, 6062200, 583230, 6062206)]))
+    lane = Lanelet("road", True, *(np.array([[0, y], [30, y]]) + MAP.origin for y in (3.0, 0)))
+    with pytest.raises(MapError, match="the HD map lies 6,062 km"):
+        lanes_of(HDMap((), (lane,), (), (), World(MAP.crs)))
 
 
 def test_tilted_map_shows_the_same_place():

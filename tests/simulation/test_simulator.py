@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from geoaim.lights import GREEN, RED
-from geoaim.simulation import Boxes, View, make_ground, render
+from geoaim.simulation import Boxes, Scene, View, make_ground, render
 from geoaim.simulation.kinematics import bicycle_step
 from geoaim.simulation.policies import (
     constant_turn_rate,
@@ -11,7 +13,7 @@ from geoaim.simulation.policies import (
     intelligent_driver,
     replay,
 )
-from geoaim.simulation.simulator import Recording, rollout
+from geoaim.simulation.simulator import Recording, rollout, routes_of, simulated
 
 DT = 0.1
 
@@ -169,3 +171,107 @@ def test_what_cannot_be_simulated_is_refused():
 
     with pytest.raises(ValueError, match="at step 0 the policy gives an action"):
         rollout(recording, lost, EVERYBODY)
+
+
+def test_lean_rollout_draws_the_same_noise_again():
+    recording, generator = _recording(), torch.Generator().manual_seed(0)
+    push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
+
+    def policy(recording, path):
+        now = path[:, -1, :, :2]
+        return push * torch.randn(now.shape, generator=generator, dtype=now.dtype)
+
+    def gradient(**given):
+        generator.manual_seed(1)
+        found = rollout(recording, policy, EVERYBODY, **given)
+        (gradient,) = torch.autograd.grad(found.states.sum(), push)
+        return gradient, torch.rand(1, generator=generator)
+
+    full, after = gradient()
+    lean, same = gradient(lean=True, generator=generator)
+    torch.testing.assert_close(full, lean)
+    assert torch.equal(after, same)  # the way back leaves the generator where it was
+    with pytest.raises(ValueError, match="give rollout its generator"):
+        gradient(lean=True)
+
+
+def test_padding_without_sizes_has_gradients():
+    recording = _recording()
+    present = recording.present.clone()
+    present[..., 2] = False
+    sizes = recording.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
+    states = recording.states.clone().requires_grad_()
+    padded = Recording(states, present, sizes, torch.zeros_like(recording.on_foot), DT)
+    found = rollout(padded, constant_velocity, EVERYBODY).states
+    (gradient,) = torch.autograd.grad(found.sum(), states)
+    assert torch.isfinite(gradient).all()
+
+
+def _waiting(far):
+    """A car that drives 30 m east, then waits and shakes by 1 mm; another one parked on its way."""
+    steps, time = 200, torch.arange(200, dtype=torch.float64) * DT
+    states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
+    shaking = torch.randn(steps, generator=torch.Generator().manual_seed(0)).double() * 1e-3
+    states[0, :, 0, 0] = (8 * time).clamp_max(30.0)
+    states[0, :, 0, 1] = torch.where(8 * time > 30, shaking, 0.0)
+    states[0, :, 0, 3] = torch.where(8 * time > 30, 0.0, 8.0)
+    states[0, :, 1, 0] = 30 + far
+    sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
+    there = torch.ones(1, steps, 2, dtype=torch.bool)
+    return Recording(states, there, sizes, torch.zeros(1, 2).bool(), DT)
+
+
+@pytest.mark.parametrize("far", [20.0, 500.0])
+def test_routes_go_straight_on_where_recordings_wait(far):
+    recording = _waiting(far)
+    route = routes_of(recording)
+    assert route.diff(dim=2).norm(dim=-1).min() > 0.99
+    policy = intelligent_driver(route, torch.full((1, 2), 8.0).double())
+    found = rollout(recording, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    assert found[:, 1].abs().max() < 0.2
+    if far < 100:
+        assert 1.5 < 30 + far - float(found[-1, 0]) - 4.5 < 4
+    else:
+        assert found[-1, 0] > 150
+
+
+def _at_a_light(x, line, speed=8.0):
+    """One step of a car at x on its way east, at a red light."""
+    states = torch.tensor([[x, 0.0, 0.0, speed]]).double().expand(1, 2, 1, 4)
+    sizes = torch.tensor([[[4.5, 1.9]]]).double()
+    there = torch.ones(1, 2, 1, dtype=torch.bool)
+    recording = Recording(states, there, sizes, torch.zeros(1, 1).bool(), DT)
+    route = torch.stack([torch.arange(100.0), torch.zeros(100)], -1).double()[None, None]
+    lights = torch.tensor(line)[None].double(), torch.full((1, 2, 1), RED)
+    policy = intelligent_driver(route, torch.full((1, 1), 8.0).double(), *lights)
+    return float(policy(recording, recording.states[:, :1])[0, 0, 0])
+
+
+def test_only_lines_before_the_front_and_across_the_way_stop():
+    across = [[40.0, -2.0], [40.0, 2.0]]
+    assert _at_a_light(20.0, across) < -1
+    assert _at_a_light(39.0, across, speed=1.0) > 0  # its front is past the line
+    assert _at_a_light(20.0, [[25.0, 1.0], [45.0, 1.0]]) == pytest.approx(0)  # along the way
+    assert _at_a_light(20.0, [[40.0, 2.0], [40.0, 8.0]]) == pytest.approx(0)  # another lane's
+    assert _at_a_light(29.0, across) == -8  # no car brakes harder
+
+
+def test_absent_agents_of_a_simulated_scene_are_nan():
+    recording = _recording()
+    found = rollout(recording, constant_velocity, EVERYBODY)
+    empty = torch.zeros(3, 21)
+    scene = Scene(
+        make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2]),
+        torch.arange(21).double() * DT,
+        empty[..., None].expand(3, 21, 3),
+        empty,
+        recording.present[0].t(),
+        recording.sizes[0].float(),
+        ("car", "car", "pedestrian"),
+        ("1", "2", "3"),
+        torch.zeros(0, 2, 2),
+        torch.zeros(21, 0, dtype=torch.int8),
+    )
+    after = simulated(scene, replace(found, states=found.states.float()), 0)
+    assert torch.equal(torch.isfinite(after.speeds), after.present)
+    assert torch.equal(torch.isfinite(after.poses).all(dim=2), after.present)
