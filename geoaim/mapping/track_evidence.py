@@ -69,8 +69,6 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = PRIOR) -> Align
     half = float(np.abs(paths[:, :2] - middle).max())
     grid = _grid(middle, half * np.sqrt(2) + 2 * SIDE + reach)
     edges, kinds = _edges_and_kinds(imagery, grid)
-    if (kinds >= 0).mean() < LEAST_KNOWN:
-        raise AlignmentError("the imagery shows hardly anything where the tracks are")
     count = int(np.ceil(prior.turn * half / TURN_STEP))
     turns = np.arange(-count, count + 1) * TURN_STEP / half
     drawn = [_template(_turned(paths, middle, angle), grid) for angle in turns]
@@ -116,6 +114,11 @@ def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"],
     known = (imagery.coverage > 0) & ~_blank(imagery.image)
     size = grid.height, grid.width
     grey, there = grey_on(imagery.image, known, image_from_grid, size)
+    if there.mean() < LEAST_KNOWN:
+        raise AlignmentError(
+            f"the imagery shows hardly anything where the tracks are: {there.mean():.1%} of the "
+            "ground around them. Is it the same place, and the right CRS?"
+        )
     edges = orientation(grey, there, grid.resolution)
     strength = np.hypot(edges[..., 0], edges[..., 1])
     flags = cv2.INTER_AREA | cv2.WARP_INVERSE_MAP
@@ -164,8 +167,8 @@ def _template(paths: Float[Array, "M 3"], grid: Grid) -> Template:
     x, y, heading = paths.T[:, :, None]
     places = np.stack([x - sides * np.sin(heading), y + sides * np.cos(heading)], axis=-1)
     pixels = transform_points(np.linalg.inv(grid.world_from_grid), places.reshape(-1, 2))
-    left, top = np.floor(pixels.min(axis=0)).astype(int) - 1
-    width, height = np.ceil(pixels.max(axis=0)).astype(int) - (left, top) + 1
+    left, top = (int(n) - 1 for n in np.floor(pixels.min(axis=0)))
+    right, bottom = (int(n) + 1 for n in np.ceil(pixels.max(axis=0)))
     beside = np.exp(-(((np.abs(sides) - HALF_LANE) / WIDE) ** 2) / 2)
     doubled = -2 * heading - np.pi  # of an edge along the path, v down
     wanted = np.stack(
@@ -177,8 +180,8 @@ def _template(paths: Float[Array, "M 3"], grid: Grid) -> Template:
         ],
         axis=-1,
     )
-    picture = _splat(pixels - (left, top), wanted.reshape(-1, 4), (height, width))
-    return Template(picture, int(top), int(left))
+    picture = _splat(pixels - (left, top), wanted.reshape(-1, 4), (bottom - top, right - left))
+    return Template(picture, top, left)
 
 
 def _splat(

@@ -1,0 +1,440 @@
+r"""Imagery of others laid on an AIM, or under tracks: how well, how surely, how fast.
+
+    python -m geoaim.bench.alignment --json docs/bench/alignment.json \
+        --chart docs/images/alignment.png
+
+Made pairs: the ground of a made place, and another day's picture of it by another sensor at 0.3 to
+0.6 m a pixel, misplaced by up to 15 m, 5 degrees and 5 %. Errors are means over the place, in
+pixels of the picture. Rivals match features of the whole pictures and fit a homography by MAGSAC++;
+what has fewer than ten inliers counts as refused. Real pairs and tracks need `GEOAIM_DATA`.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import matplotlib.pyplot as plt
+import numpy as np
+import typer
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM
+from geoaim.bench.data import data_folder
+from geoaim.bench.report import medians, save, table
+from geoaim.errors import AlignmentError
+from geoaim.geometry import about, from_opencv, transform_points
+from geoaim.mapping.alignment import Alignment
+from geoaim.mapping.correlation import grey_on
+from geoaim.mapping.image_evidence import align_image, pixel_size
+from geoaim.mapping.tiles import read_imagery
+from geoaim.mapping.track_evidence import align_tracks
+from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
+from geoaim.synthetic.imagery import Sensor, another_day, photograph
+from geoaim.synthetic.roads.layouts import KINDS
+from geoaim.track_formats import read_geotrax
+from geoaim.tracks import Tracks
+from geoaim.world import World
+
+RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
+GROUND = 0.2  # m a pixel of the AIM
+REACH, TURN, ZOOM = 15.0, 5.0, 0.05
+INLIERS = 10
+GRID = 5  # places each way at which errors are taken
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A picture of a place, misplaced by `stated_from_true`, and the AIM that it belongs on."""
+
+    name: str
+    aim: AIM
+    picture: AIM
+    stated_from_true: Float[Array, "3 3"]
+
+
+def as_aim(image: Array, world_from_image: Float[Array, "3 3"], world: World) -> AIM:
+    """A picture that is known everywhere."""
+    size = image.shape[:2]
+    return AIM(
+        image,
+        world_from_image,
+        world,
+        coverage=np.ones(size, np.uint16),
+        contested=np.zeros(size, bool),
+    )
+
+
+def misplaced(pair: Pair, generator: np.random.Generator) -> Pair:
+    """The same pair, misplaced anew."""
+    angle, reach = generator.uniform(0, 2 * np.pi), generator.uniform(0, REACH)
+    turn = np.radians(generator.uniform(-TURN, TURN))
+    matrix = about(pair.aim.corners.mean(axis=0), turn, 1 + generator.uniform(-ZOOM, ZOOM))
+    matrix[:2, 2] += reach * np.array([np.cos(angle), np.sin(angle)])
+    moved = replace(pair.picture, world_from_image=matrix @ pair.picture.world_from_image)
+    return replace(pair, picture=moved, stated_from_true=matrix)
+
+
+def made_pairs(seeds: int) -> Iterator[Pair]:
+    """A place of each kind and seed, and what another sensor saw of it on another day."""
+    for seed in range(1, seeds + 1):
+        for kind in KINDS:
+            place = make_place(seed, kind=kind)
+            resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
+            tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.2, video=None))
+            sensor = Sensor(metres_per_pixel=resolution)
+            photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=0.2)
+            ground = draw_place(place, metres_per_pixel=GROUND)
+            yield Pair(
+                f"{kind} {seed}",
+                as_aim(ground, world_from_image(place, GROUND), place.world),
+                as_aim(photo, world_from_image(place, resolution), place.world),
+                np.eye(3),
+            )
+
+
+def error(pair: Pair, true_from_stated: Float[Array, "3 3"]) -> float:
+    """Metres, a mean over the place."""
+    height, width = pair.aim.image.shape[:2]
+    u, v = np.meshgrid(np.linspace(0, width, GRID), np.linspace(0, height, GRID))
+    places = transform_points(pair.aim.world_from_image, np.stack([u, v], -1).reshape(-1, 2))
+    found = transform_points(true_from_stated @ pair.stated_from_true, places)
+    return float(np.linalg.norm(found - places, axis=1).mean())
+
+
+def by_features(pair: Pair, detector: Any, norm: int) -> Float[Array, "3 3"]:
+    """true_from_stated by features of both pictures at one resolution, and MAGSAC++.
+
+    Raises:
+        AlignmentError: fewer than ten matches agree.
+    """
+    step = pixel_size(pair.picture) / pixel_size(pair.aim)
+    ground = cv2.resize(
+        pair.aim.image, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA
+    )
+    aim_from_ground = np.diag([step, step, 1.0])
+    points, descriptors = [], []
+    for image in (pair.picture.image, ground):
+        keys, found = detector.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
+        points.append(np.array([key.pt for key in keys]).reshape(-1, 2))
+        descriptors.append(found)
+    pairs = cv2.BFMatcher(norm, crossCheck=True).match(*descriptors)
+    source, target = (points[k][[(m.queryIdx, m.trainIdx)[k] for m in pairs]] for k in (0, 1))
+    if len(source) < INLIERS:
+        raise AlignmentError(f"{len(source)} matches")
+    matrix, inliers = cv2.findHomography(source, target, cv2.USAC_MAGSAC, 2.0, maxIters=10_000)
+    if matrix is None or inliers.sum() < INLIERS:
+        raise AlignmentError(f"{0 if inliers is None else inliers.sum()} matches agree")
+    ground_from_picture = from_opencv(matrix)
+    return (
+        pair.aim.world_from_image
+        @ aim_from_ground
+        @ ground_from_picture
+        @ np.linalg.inv(pair.picture.world_from_image)
+    )
+
+
+def ways() -> dict[str, Callable[[Pair], tuple[Float[Array, "3 3"], float]]]:
+    """What is compared: true_from_stated and its 95 % uncertainty in metres, if it has one."""
+    orb = cv2.ORB.create(nfeatures=5000)
+    sift = cv2.SIFT.create(nfeatures=5000, enable_precise_upscale=True)
+
+    def ours(pair: Pair) -> tuple[Float[Array, "3 3"], float]:
+        found = align_image(pair.picture, pair.aim)
+        return found.true_from_stated, found.uncertainty
+
+    return {
+        "geoaim": ours,
+        "SIFT + MAGSAC++": lambda pair: (by_features(pair, sift, cv2.NORM_L2), np.nan),
+        "ORB + MAGSAC++": lambda pair: (by_features(pair, orb, cv2.NORM_HAMMING), np.nan),
+    }
+
+
+def compare_on_made(seeds: int, trials: int) -> list[dict[str, Any]]:
+    """Every way on all made pairs."""
+    generator = np.random.default_rng(5)
+    cases = [misplaced(pair, generator) for pair in made_pairs(seeds) for _ in range(trials)]
+    strangers = [
+        replace(one, aim=other.aim, name="stranger")
+        for one, other in zip(cases, cases[trials * 5 :] + cases[: trials * 5], strict=True)
+    ]
+    strangers = [_brought_over(case) for case in strangers[::trials]]
+    rows = []
+    for name, way in ways().items():
+        found = np.array([_measured(case, way) for case in cases])
+        errors, bounds, seconds = found.T
+        answered = np.isfinite(errors)
+        pretended = sum(np.isfinite(_measured(case, way)[0]) for case in strangers)
+        rows.append(
+            {
+                "way": name,
+                "cases": len(cases),
+                "median, px": float(np.median(np.where(answered, errors, np.inf))),
+                "95 %, px": float(np.percentile(errors[answered], 95)) if answered.any() else None,
+                "under 1 px, %": 100 * float((errors < 1).mean()),
+                "refused": int((~answered).sum()),
+                "over 1 px and not refused": int((errors >= 1).sum()),
+                "in the 95 % region, %": 100 * float((errors < bounds)[answered].mean())
+                if np.isfinite(bounds).any()
+                else None,
+                "answers for another place": f"{pretended} of {len(strangers)}",
+                "s": float(np.median(seconds)),
+            }
+        )
+    return rows
+
+
+def _brought_over(case: Pair) -> Pair:
+    """A picture of another place, where the AIM is."""
+    apart = case.aim.corners.mean(axis=0) - case.picture.corners.mean(axis=0)
+    shift = np.eye(3)
+    shift[:2, 2] = apart
+    picture = replace(
+        case.picture,
+        world_from_image=shift @ case.picture.world_from_image,
+        world=case.aim.world,
+    )
+    return replace(case, picture=picture)
+
+
+def _measured(
+    pair: Pair, way: Callable[[Pair], tuple[Float[Array, "3 3"], float]]
+) -> tuple[float, float, float]:
+    """Error and uncertainty in pixels of the picture, NaN where refused; and seconds."""
+    pixel, start = pixel_size(pair.picture), time.perf_counter()
+    try:
+        matrix, bound = way(pair)
+    except AlignmentError:
+        return np.nan, np.nan, time.perf_counter() - start
+    return error(pair, matrix) / pixel, bound / pixel, time.perf_counter() - start
+
+
+def rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
+    """Panchromatic and multispectral pictures; ECC on their brightness is the reference."""
+    rows = []
+    generator = np.random.default_rng(7)
+    for number in (1, 2, 3):
+        pan, coarse = (
+            read_imagery(folder / f"pairs/rotterdam_pan_ms/{kind}{number}.tif")
+            for kind in ("pan", "ms")
+        )
+        world, corners = pan.world, pan.corners
+        coarse = read_imagery(
+            folder / f"pairs/rotterdam_pan_ms/ms{number}.tif", world=world, corners=corners
+        )
+        pair = Pair(f"rotterdam {number}", pan, coarse, np.eye(3))
+        reference = _by_brightness(pair)
+        start = align_image(coarse, pan)
+        moved = [misplaced(pair, generator) for _ in range(trials)]
+        again = [align_image(case.picture, pan) for case in moved]
+        apart = [
+            error(case, np.linalg.inv(start.true_from_stated) @ found.true_from_stated)
+            for case, found in zip(moved, again, strict=True)
+        ]
+        rows.append(
+            {
+                "pair": pair.name,
+                "pixel, m": pixel_size(coarse),
+                "stated place is off by, m": float(np.linalg.norm(reference)),
+                "from ECC, m": float(np.linalg.norm(start.shift - reference)),
+                "known misplacements come back to, m (worst)": max(apart),
+                "stated uncertainty, m": start.uncertainty,
+                "windows": start.evidence["windows"],
+                "that agree": start.evidence["agreeing"],
+            }
+        )
+    return rows
+
+
+def _by_brightness(pair: Pair) -> Float[Array, "2"]:
+    """The shift in metres by ECC (Evangelidis and Psarakis 2008) on what both show, from 0."""
+    step = 0.5
+    low, high = pair.aim.corners.min(axis=0), pair.aim.corners.max(axis=0)
+    side = int((high - low).min() / step)
+    world_from_grid = np.array([[step, 0, low[0]], [0, -step, high[1]], [0, 0, 1.0]])
+    views = []
+    for shown in (pair.aim, pair.picture):
+        matrix = np.linalg.inv(shown.world_from_image) @ world_from_grid
+        grey, known = grey_on(shown.image, shown.coverage > 0, matrix, (side, side))
+        views.append(cv2.GaussianBlur(np.where(known, grey, 0).astype(np.float32), (0, 0), 1.5))
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-7)
+    start = np.eye(2, 3, dtype=np.float32)
+    whole = np.full(views[0].shape, 255, np.uint8)
+    one, two = views
+    _, found = cv2.findTransformECC(one, two, start, cv2.MOTION_TRANSLATION, stop, whole, 5)
+    return -found[:, 2] * [step, -step]
+
+
+def songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
+    """Vehicles of five seconds on a real orthophoto, misplaced by up to 10 m and 3 degrees."""
+    tracks = read_geotrax(folder / "tracks/songdo_u/U_video_cut.csv", crs="EPSG:5186")
+    corners = tracks.states[tracks.present][:, :2]
+    spread = np.array([corners.min(axis=0) - 40, corners.max(axis=0) + 40])
+    picture = read_imagery(
+        folder / "tracks/songdo_u/ortho_U_25cm_epsg5186.tif", world=tracks.world, corners=spread
+    )
+    return [_by_tracks("songdo", picture, tracks, np.radians(50.2), trials)]
+
+
+def made_tracks(seeds: int) -> list[dict[str, Any]]:
+    """A minute of made traffic on other days' pictures, and on pictures of other places."""
+    return [_over_seeds(kind, seeds) for kind in KINDS]
+
+
+def _over_seeds(kind: Any, seeds: int) -> dict[str, Any]:
+    parts = []
+    for seed in range(1, seeds + 1):
+        place = make_place(seed, kind=kind)
+        tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
+        sensor = Sensor(metres_per_pixel=RESOLUTIONS[seed % len(RESOLUTIONS)])
+        photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=0.2)
+        matrix = world_from_image(place, sensor.metres_per_pixel)
+        parts.append(_by_tracks(kind, as_aim(photo, matrix, place.world), tracks, None, 2))
+    return {
+        "tracks": f"made, {kind}",
+        "cases": sum(part["cases"] for part in parts),
+        "refused": sum(part["refused"] for part in parts),
+        **{
+            name: float(np.nanmedian([part[name] for part in parts]))
+            for name in ("error, m, median", "s")
+        },
+        "largest, m": max(part["largest, m"] for part in parts),
+        "in the 95 % region": sum(part["in the 95 % region"] for part in parts),
+    }
+
+
+def _by_tracks(
+    name: str, picture: AIM, tracks: Tracks, road: float | None, trials: int
+) -> dict[str, Any]:
+    """Errors of the tracks' middle; across the road where one is named."""
+    generator = np.random.default_rng(11)
+    errors, inside, seconds, refused = [], 0, [], 0
+    places = tracks.states[tracks.present][:, :2]
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    for _ in range(trials):
+        angle, reach = generator.uniform(0, 2 * np.pi), generator.uniform(0, 10)
+        matrix = about(middle, np.radians(generator.uniform(-3, 3)), 1.0)
+        matrix[:2, 2] += reach * np.array([np.cos(angle), np.sin(angle)])
+        moved = replace(picture, world_from_image=matrix @ picture.world_from_image)
+        start = time.perf_counter()
+        try:
+            found: Alignment = align_tracks(moved, tracks)
+        except AlignmentError:
+            refused += 1
+            continue
+        seconds.append(time.perf_counter() - start)
+        apart = transform_points(found.true_from_stated @ matrix, found.middle[None])[0]
+        apart = apart - found.middle
+        inside += int(apart @ np.linalg.solve(found.covariance, apart) < 5.99)
+        across = apart if road is None else apart @ [[-np.sin(road)], [np.cos(road)]]
+        errors.append(float(np.linalg.norm(across)))
+    return {
+        "tracks": name,
+        "cases": trials,
+        "refused": refused,
+        "error, m, median": float(np.median(errors)) if errors else None,
+        "largest, m": max(errors, default=None),
+        "in the 95 % region": inside,
+        "s": float(np.median(seconds)) if seconds else None,
+    }
+
+
+def zooms(folder: Path) -> list[dict[str, Any]]:
+    """Tiles of three zooms of one place laid on each other: by how much they are said to be off."""
+    from geoaim.mapping.sources import Tiles
+
+    tiles = folder / "tiles/kampala_xyz"
+    fine = read_imagery(Tiles(tiles, zoom=21))
+    rows = []
+    for zoom, finer in ((20, 21), (19, 20), (19, 21)):
+        coarse, other = (
+            read_imagery(Tiles(tiles, zoom=z), world=fine.world, corners=fine.corners)
+            for z in (zoom, finer)
+        )
+        try:
+            found = align_image(coarse, other)
+            off = float(np.linalg.norm(found.shift)) / pixel_size(coarse)
+        except AlignmentError as why:
+            off = None
+            print(f"z{zoom} on z{finer}: {why}")
+        rows.append({"zooms": f"z{zoom} on z{finer}", "apart, px of the coarser": off})
+    return rows
+
+
+def speed() -> list[dict[str, Any]]:
+    """A scene of 200 x 200 m at 0.2 m a pixel, beside one Fourier correlation of that size."""
+    pair = misplaced(next(made_pairs(1)), np.random.default_rng(2))
+    side = 1000
+    one, two = np.random.default_rng(0).random((2, side, side), np.float32)
+
+    def correlate() -> Array:
+        return np.fft.irfft2(np.fft.rfft2(one).conj() * np.fft.rfft2(two))
+
+    low = pair.aim.corners.mean(axis=0) - 100
+    picture = replace(pair.picture, coverage=pair.picture.coverage)
+    grid = np.array([[0.2, 0, low[0]], [0, -0.2, low[1] + 200], [0, 0, 1.0]])
+    views = []
+    for shown in (pair.aim, picture):
+        matrix = np.linalg.inv(shown.world_from_image) @ grid
+        opencv = np.linalg.inv(from_opencv(np.eye(3))) @ matrix
+        image = cv2.warpPerspective(
+            shown.image,
+            opencv,
+            (side, side),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REFLECT,
+        )
+        views.append(as_aim(image, grid, pair.aim.world))
+    ours, floor = medians([lambda: align_image(views[1], views[0]), correlate], 5)
+    return [
+        {"scene": "200 x 200 m, 0.2 m a pixel", "s": ours, "x Fourier correlation": ours / floor}
+    ]
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Time against error, and what is wrong and not refused."""
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    for row in rows:
+        axes.plot(row["s"], row["median, px"], "o", markersize=11)
+        note = f"{row['way']}\nunder 1 px: {row['under 1 px, %']:.0f} %"
+        axes.annotate(
+            note, (row["s"], row["median, px"]), xytext=(10, -4), textcoords="offset points"
+        )
+    axes.set(xscale="log", yscale="log", xlabel="s for a pair", ylabel="median error, px")
+    axes.set_title(f"{rows[0]['cases']} made pairs of other days and sensors")
+    axes.margins(0.35)
+    axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
+def main(
+    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    chart: Annotated[Path | None, typer.Option(help="where to draw time against error")] = None,
+    seeds: Annotated[int, typer.Option(help="of made places of each kind")] = 4,
+    trials: Annotated[int, typer.Option(help="misplacements of each made pair")] = 4,
+) -> None:
+    """Compare on made pairs, then measure real pairs, tracks and tiles where they are at hand."""
+    cv2.setNumThreads(2)
+    made = compare_on_made(seeds, trials)
+    print(table(made))
+    parts: dict[str, list[dict[str, Any]]] = {"tracks": made_tracks(seeds), "speed": speed()}
+    folder = data_folder()
+    if folder is not None:
+        parts["tracks"] = songdo(folder) + parts["tracks"]
+        parts["rotterdam"], parts["zooms"] = rotterdam(folder), zooms(folder)
+    for rows in parts.values():
+        print("\n" + table(rows))
+    save(
+        made + [row for rows in parts.values() for row in rows],
+        json,
+        command="python -m geoaim.bench.alignment",
+    )
+    if chart is not None:
+        draw(made, chart)
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,44 @@
+"""A made place, seen by the drone and by another sensor on another day, and its traffic."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from geoaim.aim import AIM
+from geoaim.geometry import about
+from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
+from geoaim.synthetic.imagery import Sensor, another_day, photograph
+from geoaim.world import World
+
+GROUND, PHOTO = 0.2, 0.5  # m a pixel
+
+
+def as_aim(image, world_from_image, world=None):
+    size = image.shape[:2]
+    covered, settled = np.ones(size, np.uint16), np.zeros(size, bool)
+    world = World(None) if world is None else world
+    return AIM(image, world_from_image, world, coverage=covered, contested=settled)
+
+
+@cache
+def made(seed=2, kind="junction"):
+    """The AIM, another day's picture of it where it truly lies, and tracks."""
+    place = make_place(seed, kind=kind)
+    tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.5, video=None))
+    sensor = Sensor(metres_per_pixel=PHOTO)
+    photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=0.2)
+    return (
+        as_aim(
+            draw_place(place, metres_per_pixel=GROUND), world_from_image(place, GROUND), place.world
+        ),
+        as_aim(photo, world_from_image(place, PHOTO), place.world),
+        tracks,
+    )
+
+
+def misplaced(picture, *, shift=(0.0, 0.0), turn=0.0, zoom=1.0):
+    """The picture misplaced about its middle, and stated_from_true."""
+    matrix = about(picture.corners.mean(axis=0), turn, zoom)
+    matrix[:2, 2] += shift
+    return replace(picture, world_from_image=matrix @ picture.world_from_image), matrix

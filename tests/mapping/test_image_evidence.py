@@ -1,0 +1,122 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geoaim.errors import AlignmentError
+from geoaim.geometry import transform_points
+from geoaim.mapping.alignment import Prior, moved
+from geoaim.mapping.correlation import orientation, window_shifts
+from geoaim.mapping.image_evidence import align_image, pixel_size
+from geoaim.world import World
+from tests.conftest import textured
+from tests.mapping.alignment_pairs import PHOTO, as_aim, made, misplaced
+
+
+def _error(found, matrix, aim):
+    return np.linalg.norm(
+        transform_points(found.true_from_stated @ matrix, aim.corners) - aim.corners, axis=1
+    )
+
+
+def test_another_days_picture_is_laid_within_half_its_pixel():
+    aim, photo, _ = made()
+    stated, matrix = misplaced(photo, shift=(9.0, -7.0), turn=np.radians(4), zoom=1.04)
+    found = align_image(stated, aim)
+    assert found.model == "similarity"
+    assert _error(found, matrix, aim).max() < 0.5 * PHOTO
+    assert _error(found, matrix, aim).mean() < 2 * found.uncertainty
+    assert found.undetermined is None
+    again = moved(stated, found)
+    np.testing.assert_allclose(again.corners, photo.corners, atol=0.5 * PHOTO)
+
+
+def test_a_shift_is_all_that_a_shifted_picture_needs():
+    aim, photo, _ = made()
+    stated, _ = misplaced(photo, shift=(-6.0, 3.0))
+    found = align_image(stated, aim)
+    assert found.model == "translation"
+    np.testing.assert_allclose(found.shift, [6.0, -3.0], atol=0.3 * PHOTO)
+
+
+def test_what_the_picture_does_not_show_is_left_out():
+    aim, photo, _ = made()
+    coverage = photo.coverage.copy()
+    coverage[:, : coverage.shape[1] // 3] = 0
+    holed = replace(
+        photo, image=np.where(coverage[..., None] > 0, photo.image, 0), coverage=coverage
+    )
+    stated, matrix = misplaced(holed, shift=(5.0, 5.0))
+    assert _error(align_image(stated, aim), matrix, aim).max() < 0.5 * PHOTO
+
+
+def _noise(seed, size=(300, 400)):
+    matrix = np.array([[0.25, 0, 0], [0, -0.25, 75], [0, 0, 1.0]])
+    return as_aim(textured(np.random.default_rng(seed), *size), matrix)
+
+
+def test_other_ground_is_refused():
+    with pytest.raises(AlignmentError, match=r"may be chance\. Is it the same place"):
+        align_image(_noise(1), _noise(2))
+
+
+def test_ground_without_anything_is_refused():
+    flat = replace(_noise(1), image=np.full((300, 400, 3), 128, np.uint8))
+    with pytest.raises(AlignmentError, match="may be chance"):
+        align_image(_noise(1), flat)
+
+
+def test_ground_that_repeats_itself_is_refused():
+    one = _noise(3, (32, 32))
+    ground = replace(one, image=np.tile(one.image, (9, 12, 1)), **_whole((288, 384)))
+    stated, _ = misplaced(ground, shift=(1.0, 2.0))
+    with pytest.raises(AlignmentError, match="fits in two ways"):
+        align_image(stated, ground)
+
+
+def _whole(size):
+    return {"coverage": np.ones(size, np.uint16), "contested": np.zeros(size, bool)}
+
+
+def test_places_apart_are_refused():
+    stated, _ = misplaced(_noise(1), shift=(500.0, 0.0))
+    with pytest.raises(AlignmentError, match=r"lies from \(500, .*both must share"):
+        align_image(stated, _noise(1))
+
+
+def test_more_than_the_range_is_refused():
+    stated, _ = misplaced(_noise(1), shift=(14.0, 0.0))
+    with pytest.raises(AlignmentError):
+        align_image(stated, _noise(1), prior=Prior(reach=6.0))
+
+
+def test_worlds_must_be_one():
+    with pytest.raises(ValueError, match="the imagery lies in"):
+        align_image(_noise(1), replace(_noise(1), world=World("EPSG:32635")))
+
+
+def test_bright_beside_dark_is_dark_beside_bright():
+    grey = np.random.default_rng(0).uniform(100, 140, (80, 80)).astype(np.float32)
+    known = np.ones(grey.shape, bool)
+    one = orientation(
+        np.where(np.arange(80) < 40, 200, 100).astype(np.float32) + 0 * grey, known, 0.5
+    )
+    two = orientation(
+        np.where(np.arange(80) < 40, 100, 200).astype(np.float32) + 0 * grey, known, 0.5
+    )
+    edge = np.s_[20:60, 38:42]
+    assert one[edge][..., 0].mean() > 0.1
+    np.testing.assert_allclose(np.sign(one[edge][..., 0]), np.sign(two[edge][..., 0]))
+
+
+def test_windows_are_found_to_a_fraction_of_a_pixel():
+    grey = textured(np.random.default_rng(4), 240, 240)[..., 0].astype(np.float32)
+    known = np.ones(grey.shape, bool)
+    fields = [orientation(view, known, 0.5) for view in (grey, np.roll(grey, (3, -2), (0, 1)))]
+    found = window_shifts(*fields, side=64, search=6, stride=48)
+    assert len(found.middles) > 10
+    np.testing.assert_allclose(np.nanmedian(found.shifts, axis=0), [-2, 3], atol=0.1)
+
+
+def test_pixel_size_is_that_of_the_ground():
+    assert pixel_size(_noise(1)) == pytest.approx(0.25)

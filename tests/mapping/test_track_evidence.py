@@ -1,0 +1,100 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from geoaim.errors import AlignmentError
+from geoaim.geometry import transform_points
+from geoaim.mapping.alignment import Prior
+from geoaim.mapping.track_evidence import align_tracks, driven_places
+from geoaim.tracks import Tracks
+from geoaim.world import World
+from tests.conftest import textured
+from tests.mapping.alignment_pairs import as_aim, made, misplaced
+
+RANGE = Prior(reach=10.0, turn=0.06)
+
+
+def test_traffic_lays_a_picture_under_itself():
+    _, photo, tracks = made()
+    stated, matrix = misplaced(photo, shift=(-5.0, 4.0), turn=0.03)
+    found = align_tracks(stated, tracks, prior=RANGE)
+    apart = transform_points(found.true_from_stated @ matrix, found.middle[None])[0] - found.middle
+    assert np.linalg.norm(apart) < 1.0
+    assert apart @ np.linalg.solve(found.covariance, apart) < 9.2
+    assert found.model == "rigid"
+
+
+def _straight_road():
+    """A road along x with three lanes between kerbs and meadows, and who drives on it."""
+    generator = np.random.default_rng(1)
+    image = textured(generator, 400, 800) // 2 + np.uint8([20, 60, 10])
+    asphalt = generator.normal(105, 5, (55, 800, 1)).clip(0, 255).astype(np.uint8)
+    image[170:225] = asphalt
+    for row in (170, 187, 205, 224):  # 0.2 m a pixel
+        cv2.line(image, (0, row), (800, row), (225, 225, 225), 1)
+    picture = as_aim(image, np.array([[0.2, 0, -80], [0, -0.2, 40], [0, 0, 1.0]]))
+    times = np.arange(0, 10, 0.1)
+    states = np.zeros((3, len(times), 4))
+    states[..., 0] = -50 + 10 * times
+    states[..., 1] = np.array([[4.3], [0.8], [-2.9]])
+    states[..., 3] = 10.0
+    present = np.ones(states.shape[:2], bool)
+    sizes = np.tile([4.5, 1.8], (3, 1))
+    return picture, Tracks(times, states, present, sizes, ("car",) * 3, tuple("abc"), World(None))
+
+
+def test_along_a_straight_road_nothing_is_known():
+    picture, tracks = _straight_road()
+    stated, _ = misplaced(picture, shift=(3.0, 4.0))
+    found = align_tracks(stated, tracks, prior=RANGE)
+    assert found.undetermined is not None
+    assert abs(np.sin(found.undetermined)) < 0.05
+    assert abs(found.shift[1] + 4.0) < 0.4
+    assert found.covariance[0, 0] > 4
+    assert found.covariance[1, 1] < 0.3
+
+
+def test_other_ground_is_refused():
+    _, _, tracks = made()
+    low = tracks.states[tracks.present][:, :2].min(axis=0)
+    image = textured(np.random.default_rng(5), 600, 800)
+    matrix = np.array([[0.3, 0, low[0] - 30], [0, -0.3, low[1] + 150], [0, 0, 1.0]])
+    with pytest.raises(AlignmentError, match="do not tell where the imagery lies"):
+        align_tracks(as_aim(image, matrix, tracks.world), tracks, prior=RANGE)
+
+
+def test_a_picture_elsewhere_is_refused():
+    picture, tracks = _straight_road()
+    stated, _ = misplaced(picture, shift=(900.0, 0.0))
+    with pytest.raises(AlignmentError, match="shows hardly anything where the tracks are"):
+        align_tracks(stated, tracks, prior=RANGE)
+
+
+def test_people_and_who_stands_say_nothing():
+    picture, tracks = _straight_road()
+    walking = replace(tracks, types=("pedestrian",) * 3)
+    with pytest.raises(AlignmentError, match="pass 0 places of a metre; 100 or more are needed"):
+        align_tracks(picture, walking)
+    states = tracks.states * [1, 1, 1, 0]
+    assert len(driven_places(replace(tracks, states=states))) == 0
+
+
+def test_places_of_one_cell_and_direction_count_once():
+    _, tracks = _straight_road()
+    twice = replace(
+        tracks,
+        states=np.concatenate([tracks.states] * 2),
+        present=np.concatenate([tracks.present] * 2),
+        sizes=np.concatenate([tracks.sizes] * 2),
+        types=tracks.types * 2,
+        ids=tuple("abcdef"),
+    )
+    assert len(driven_places(twice)) == len(driven_places(tracks)) == 300
+
+
+def test_worlds_must_be_one():
+    picture, tracks = _straight_road()
+    with pytest.raises(ValueError, match="the imagery lies in"):
+        align_tracks(picture, replace(tracks, world=World("EPSG:32635")))
