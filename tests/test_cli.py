@@ -5,7 +5,7 @@ from PIL import Image
 from shapely import LineString, MultiPolygon, box
 from typer.testing import CliRunner
 
-from geoaim.aim import write_aim
+from geoaim.aim import read_aim, write_aim
 from geoaim.cli import app
 from geoaim.geojson import Feature, write_features
 from geoaim.mapping.drivable import write_area
@@ -203,6 +203,29 @@ def test_lights_need_the_map_with_their_lines(tmp_path):
     result = run(app, [*given, "--lights", "lights.csv", "-o", str(tmp_path / "a.png")])
     assert result.exit_code == 1
     assert "--lights needs --hdmap" in result.output
+
+
+def test_align_lays_an_orthophoto_under_tracks(tmp_path):
+    output = tmp_path / "ortho.tif"
+    given = ["align", "samples/ortho.tif", "--resolution", "0.4", "--reach", "8", "--turn", "2"]
+    result = run(app, [*given, "--tracks", "samples/tracks.csv", "-o", f"{output}"])
+    assert result.exit_code == 0, result.output
+    said = " ".join(result.output.split())
+    assert "by tracks" in said
+    assert "m east" in said
+    assert output.with_suffix(".png").stat().st_size > 50_000
+    east, north = read_aim(output).report["alignment"]["tracks"]["shift_m"]
+    assert np.hypot(east + 4.26, north + 2.63) < 1
+
+
+def test_align_writes_nothing_when_it_refuses(tmp_path):
+    given = ["align", "samples/ortho.tif", "--resolution", "0.5", "-o", f"{tmp_path}/a.tif"]
+    result = run(
+        app, [*given, "--tracks", "samples/tracks.csv", "--tracks-world", "EPSG:32635 0 0"]
+    )
+    assert result.exit_code == 1
+    assert run(app, ["align", "samples/ortho.tif", "-o", "samples/ortho.tif"]).exit_code == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_sample_is_not_written_among_other_files(tmp_path):

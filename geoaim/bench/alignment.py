@@ -41,6 +41,7 @@ from geoaim.world import World
 
 RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
 GROUND = 0.2  # m a pixel of the AIM
+DRAWN = 0.1  # of what the sensor sees: finer, so that not one grain is that of the AIM
 REACH, TURN, ZOOM = 15.0, 5.0, 0.05
 INLIERS = 10
 GRID = 5  # places each way at which errors are taken
@@ -86,7 +87,7 @@ def made_pairs(seeds: int) -> Iterator[Pair]:
             resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
             tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.2, video=None))
             sensor = Sensor(metres_per_pixel=resolution)
-            photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=0.2)
+            photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=DRAWN)
             ground = draw_place(place, metres_per_pixel=GROUND)
             yield Pair(
                 f"{kind} {seed}",
@@ -290,7 +291,7 @@ def _over_seeds(kind: Any, seeds: int) -> dict[str, Any]:
         place = make_place(seed, kind=kind)
         tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
         sensor = Sensor(metres_per_pixel=RESOLUTIONS[seed % len(RESOLUTIONS)])
-        photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=0.2)
+        photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=DRAWN)
         matrix = world_from_image(place, sensor.metres_per_pixel)
         parts.append(_by_tracks(kind, as_aim(photo, matrix, place.world), tracks, None, 2))
     return {

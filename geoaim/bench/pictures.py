@@ -20,14 +20,16 @@ from geoaim.mapping import (
     read_boxes,
     transform_boxes,
 )
+from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.registration import choose_reference, place_frames
-from geoaim.quicklook import write_quicklook
+from geoaim.quicklook import draw_alignment, write_quicklook
 from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import film_agent
 from geoaim.simulation.scene import agent_number, step_at
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.roads.layouts import Kind
+from geoaim.track_changes import tracks_in
 from geoaim.tracks import read_tracks
 
 METRES = 0.1  # a pixel of the drawn places
@@ -62,6 +64,9 @@ def main(
     figure.savefig(output / "video_to_aim.png", dpi=85)
     _show_places(output / "made_places.jpg")
     _show_views(aim, samples, output / "views.jpg")
+    tracks = tracks_in(read_tracks(samples / "tracks.csv"), aim.world)
+    laid = align_tiles(samples / "tiles", aim=aim, tracks=tracks)
+    draw_alignment(laid, aim=aim, tracks=tracks).savefig(output / "alignment_sample.jpg", dpi=75)
 
 
 def _show_places(path: Path) -> None:

@@ -41,6 +41,7 @@ STEP = 1.5  # px of the coarsest grid between turns and zooms, at the ends of th
 ROUNDS = 2  # of mending on the finest grid
 NARROW = 6  # px in which windows are looked for on finer grids
 MATERIAL = 0.1  # px of the finest grid: a smaller gain is not worth a richer model
+FLOOR = 0.1  # px of the finest grid: a sensor's own geometry is no better known
 COHERENT = 3.0  # windows that shadows and changes move alike
 TRIED = 5.0  # log10 of the places that are tried
 AGREE = 1.5  # px of the finest grid within which a window is where it should be
@@ -239,7 +240,8 @@ def _judged(
     return Candidate(
         stated_from_true=grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid),
         model=model,
-        covariance=_covariance(motion, size) * COHERENT * overlap * grid.resolution**2,
+        covariance=(_covariance(motion, size) * COHERENT * overlap + FLOOR**2 * np.eye(2))
+        * grid.resolution**2,
         windows=windows,
         agreeing=agreeing,
         chance=_chance(windows / overlap, agreeing / overlap),
