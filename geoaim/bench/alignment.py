@@ -27,6 +27,7 @@ from geoaim.bench.data import data_folder
 from geoaim.bench.report import medians, save, table
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, from_opencv, transform_points
+from geoaim.mapping import correlation
 from geoaim.mapping.alignment import Alignment
 from geoaim.mapping.correlation import grey_on
 from geoaim.mapping.image_evidence import align_image, pixel_size
@@ -147,8 +148,16 @@ def ways() -> dict[str, Callable[[Pair], tuple[Float[Array, "3 3"], float]]]:
         found = align_image(pair.picture, pair.aim)
         return found.true_from_stated, found.uncertainty
 
+    def with_shadows(pair: Pair) -> tuple[Float[Array, "3 3"], float]:
+        kept, correlation.SURROUNDINGS = correlation.SURROUNDINGS, 0.0
+        try:
+            return ours(pair)
+        finally:
+            correlation.SURROUNDINGS = kept
+
     return {
         "geoaim": ours,
+        "geoaim, shadows not flattened": with_shadows,
         "SIFT + MAGSAC++": lambda pair: (by_features(pair, sift, cv2.NORM_L2), np.nan),
         "ORB + MAGSAC++": lambda pair: (by_features(pair, orb, cv2.NORM_HAMMING), np.nan),
     }
@@ -400,7 +409,10 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     for row in rows:
         axes.plot(row["s"], row["median, px"], "o", markersize=11)
-        note = f"{row['way']}\nunder 1 px: {row['under 1 px, %']:.0f} %"
+        wrong = row["over 1 px and not refused"]
+        note = (
+            f"{row['way']}\nunder 1 px: {row['under 1 px, %']:.0f} %; wrong, not refused: {wrong}"
+        )
         axes.annotate(
             note, (row["s"], row["median, px"]), xytext=(10, -4), textcoords="offset points"
         )
