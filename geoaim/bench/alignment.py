@@ -29,8 +29,8 @@ from geoaim.errors import AlignmentError
 from geoaim.geometry import about, from_opencv, transform_points
 from geoaim.mapping import correlation
 from geoaim.mapping.alignment import Alignment
-from geoaim.mapping.correlation import grey_on
-from geoaim.mapping.image_evidence import align_image, pixel_size
+from geoaim.mapping.correlation import Grid, grey_on, picture_of, pixel_size
+from geoaim.mapping.image_evidence import align_image
 from geoaim.mapping.tiles import read_imagery
 from geoaim.mapping.track_evidence import align_tracks
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
@@ -264,11 +264,11 @@ def _by_brightness(pair: Pair) -> Float[Array, "2"]:
     step = 0.5
     low, high = pair.aim.corners.min(axis=0), pair.aim.corners.max(axis=0)
     side = int((high - low).min() / step)
-    world_from_grid = np.array([[step, 0, low[0]], [0, -step, high[1]], [0, 0, 1.0]])
+    matrix = np.array([[step, 0, low[0]], [0, -step, high[1]], [0, 0, 1.0]])
+    grid = Grid(matrix, side, side)
     views = []
     for shown in (pair.aim, pair.picture):
-        matrix = np.linalg.inv(shown.world_from_image) @ world_from_grid
-        grey, known = grey_on(shown.image, shown.coverage > 0, matrix, (side, side))
+        grey, known = grey_on(picture_of(shown, step), np.eye(3), grid)
         views.append(cv2.GaussianBlur(np.where(known, grey, 0).astype(np.float32), (0, 0), 1.5))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-7)
     start = np.eye(2, 3, dtype=np.float32)

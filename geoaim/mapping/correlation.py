@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.geometry import to_opencv
+from geoaim.aim import AIM
+from geoaim.geometry import to_opencv, transform_points
 
 SURROUNDINGS = 10.0  # m: what is darker than the mean this far around is flattened
 SMOOTH = 0.7  # px, before edges are taken
@@ -49,25 +50,45 @@ class Shifts(NamedTuple):
     information: Float[Array, "M 2 2"]
 
 
-def grey_on(
-    image: UInt8[Array, "H W 3"],
-    known: Bool[Array, "H W"],
-    image_from_grid: Float[Array, "3 3"],
-    size: tuple[int, int],
-) -> tuple[Float32[Array, "h w"], Bool[Array, "h w"]]:
-    """Brightness on a grid, smoothed before where the grid is coarser, and where it is known."""
-    grey: Array = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    step = float(np.sqrt(abs(np.linalg.det(image_from_grid[:2, :2]))))
+class Picture(NamedTuple):
+    """Brightness of an image, smooth enough for a coarser grid, and where it is known."""
+
+    grey: Float32[Array, "H W"]
+    known: Float32[Array, "H W"]
+    image_from_world: Float[Array, "3 3"]
+
+
+def picture_of(aim: AIM, resolution: float) -> Picture:
+    """An image as grids of so many metres a pixel need it."""
+    grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    step = resolution / pixel_size(aim)
     if step > 1:
         grey = cv2.GaussianBlur(grey, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
-    matrix, (height, width) = to_opencv(image_from_grid), size
+    known = (aim.coverage > 0).astype(np.float32)
+    return Picture(grey, known, np.linalg.inv(aim.world_from_image))
+
+
+def grey_on(
+    picture: Picture, stated_from_true: Float[Array, "3 3"], grid: Grid
+) -> tuple[Float32[Array, "H W"], Bool[Array, "H W"]]:
+    """Brightness on a grid, if the picture were moved, and where it is known."""
+    matrix = to_opencv(picture.image_from_world @ stated_from_true @ grid.world_from_grid)
+    size = grid.width, grid.height
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    found = cv2.warpPerspective(
-        grey, matrix, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE
-    )
+    replicate = cv2.BORDER_REPLICATE
+    found = cv2.warpPerspective(picture.grey, matrix, size, flags=flags, borderMode=replicate)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    share = cv2.warpPerspective(known.astype(np.float32), matrix, (width, height), flags=flags)
+    share = cv2.warpPerspective(picture.known, matrix, size, flags=flags)
     return found.astype(np.float32), share > 0.99
+
+
+def pixel_size(aim: AIM) -> float:
+    """Metres of a pixel's side in the middle of an image."""
+    height, width = aim.image.shape[:2]
+    middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    origin, right, down = transform_points(aim.world_from_image, middle)
+    (a, b), (c, d) = right - origin, down - origin
+    return float(np.sqrt(abs(a * d - b * c)))
 
 
 def orientation(

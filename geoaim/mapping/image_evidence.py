@@ -9,6 +9,7 @@ candidate may do nearly as well.
 
 from dataclasses import dataclass
 from math import comb, log10
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
@@ -20,10 +21,13 @@ from geoaim.geometry import about, image_corners, transform_points
 from geoaim.mapping.alignment import PRIOR, Alignment, Prior
 from geoaim.mapping.correlation import (
     Grid,
+    Picture,
     Shifts,
     correlation,
     grey_on,
     orientation,
+    picture_of,
+    pixel_size,
     window_shifts,
 )
 from geoaim.mapping.motion import Match, Model, Motion, basis, choose_model, fit_match
@@ -71,6 +75,14 @@ class Candidate:
     chance: float
 
 
+class Level(NamedTuple):
+    """A grid, the edges of the ground on it, and the picture that is laid on these."""
+
+    grid: Grid
+    ground: Float32[Array, "H W 2"]
+    picture: Picture
+
+
 def align_image(imagery: AIM, aim: AIM, *, prior: Prior = PRIOR) -> Alignment:
     """Find how imagery has to be moved to lie on an AIM of the same place.
 
@@ -85,37 +97,25 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = PRIOR) -> Alignment:
     """
     if imagery.world != aim.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
-    grids = _grids(imagery, aim, prior)
-    ground = [_edges(aim, np.eye(3), grid) for grid in grids]
-    starts = _coarse(imagery, ground[0], grids[0], prior)
-    for level in range(1, len(grids) - 1):
-        starts = _followed(imagery, ground[level], grids[level], starts)
-    found: list[Candidate] = []
-    for start in starts:
-        last = [start]
-        for _ in range(ROUNDS):
-            last = _followed(imagery, ground[-1], grids[-1], last)
-        judged = [_judged(imagery, ground[-1], grids[-1], matrix) for matrix in last]
-        found += [candidate for candidate in judged if candidate is not None]
-    found.sort(key=lambda one: -one.agreeing)
-    _refuse(found, grids, prior)
+    first, *between, last = [_level(imagery, aim, grid) for grid in _grids(imagery, aim, prior)]
+    places = _coarse(first, prior)
+    for level in (*between, *[last] * ROUNDS):
+        places = _followed(level, places)
+    judged = [_judged(last, place) for place in places]
+    found = sorted(
+        (candidate for candidate in judged if candidate is not None),
+        key=lambda candidate: -candidate.agreeing,
+    )
+    corners = transform_points(last.grid.world_from_grid, image_corners(*last.grid[1:]))
+    _refuse(found, corners, 3 * AGREE * last.grid.resolution, prior)
     best = found[0]
     return Alignment(
         true_from_stated=np.linalg.inv(best.stated_from_true),
         model=best.model,
         covariance=best.covariance,
-        middle=transform_points(grids[0].world_from_grid, np.array([grids[0][:0:-1]]) / 2)[0],
+        middle=corners.mean(axis=0),
         evidence={"windows": best.windows, "agreeing": best.agreeing, "log10_chance": best.chance},
     )
-
-
-def pixel_size(aim: AIM) -> float:
-    """Metres of a pixel's side in the middle of an image."""
-    height, width = aim.image.shape[:2]
-    middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-    origin, right, down = transform_points(aim.world_from_image, middle)
-    (a, b), (c, d) = right - origin, down - origin
-    return float(np.sqrt(abs(a * d - b * c)))
 
 
 def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
@@ -134,18 +134,21 @@ def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
     ]
 
 
-def _edges(aim: AIM, stated_from_true: Float[Array, "3 3"], grid: Grid) -> Float32[Array, "H W 2"]:
+def _level(imagery: AIM, aim: AIM, grid: Grid) -> Level:
+    ground = _edges(picture_of(aim, grid.resolution), np.eye(3), grid)
+    return Level(grid, ground, picture_of(imagery, grid.resolution))
+
+
+def _edges(
+    picture: Picture, stated_from_true: Float[Array, "3 3"], grid: Grid
+) -> Float32[Array, "H W 2"]:
     """Directions of an image's edges on a grid, if it were moved."""
-    image_from_grid = np.linalg.inv(aim.world_from_image) @ stated_from_true @ grid.world_from_grid
-    size = grid.height, grid.width
-    grey, known = grey_on(aim.image, aim.coverage > 0, image_from_grid, size)
-    return orientation(grey, known, grid.resolution)
+    return orientation(*grey_on(picture, stated_from_true, grid), grid.resolution)
 
 
-def _coarse(
-    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, prior: Prior
-) -> list[Float[Array, "3 3"]]:
+def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     """The best places of the prior's range that are not beside a better one, stated from true."""
+    grid = level.grid
     metres, reach = grid.resolution, int(np.ceil(prior.reach / grid.resolution))
     wider = Grid(
         grid.world_from_grid @ _shift(-reach, -reach),
@@ -158,7 +161,7 @@ def _coarse(
     for turn in _range(prior.turn, step):
         for zoom in _range(float(np.log1p(prior.zoom)), step):
             moved = about(middle, turn, float(np.exp(zoom)))
-            scores = correlation(ground, _edges(imagery, moved, wider))
+            scores = correlation(level.ground, _edges(level.picture, moved, wider))
             row, column = np.unravel_index(scores.argmax(), scores.shape)
             shift = _shift((column - reach) * metres, (reach - row) * metres)
             found.append((float(scores.max()), moved @ shift))
@@ -179,13 +182,11 @@ def _apart(
     return kept[:CANDIDATES]
 
 
-def _followed(
-    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, starts: list[Float[Array, "3 3"]]
-) -> list[Float[Array, "3 3"]]:
-    """Candidates mended on a grid, without those with which far fewer windows agree."""
-    mended = []
-    for start in starts:
-        match = _match(_compare(imagery, ground, grid, start, NARROW), start, grid, np.inf)
+def _followed(level: Level, places: list[Float[Array, "3 3"]]) -> list[Float[Array, "3 3"]]:
+    """Places mended on a grid, without those at which far fewer windows agree."""
+    grid, mended = level.grid, []
+    for place in places:
+        match = _match(_compare(level, place, NARROW), place, grid, np.inf)
         if len(match.source) >= FEWEST:
             motion = fit_match(match, "similarity", size=grid[1:])
             matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
@@ -195,18 +196,11 @@ def _followed(
     return [matrix for agreeing, matrix in mended if agreeing >= RIVAL * most]
 
 
-def _compare(
-    imagery: AIM,
-    ground: Float32[Array, "H W 2"],
-    grid: Grid,
-    matrix: Float[Array, "3 3"],
-    search: int,
-) -> Shifts:
-    """Windows of the ground, looked for in the imagery as moved."""
-    stride = _stride(grid)
-    return window_shifts(
-        ground, _edges(imagery, matrix, grid), side=SIDE, search=search, stride=stride
-    )
+def _compare(level: Level, place: Float[Array, "3 3"], search: int) -> Shifts:
+    """Windows of the ground, looked for in the picture as moved."""
+    edges = _edges(level.picture, place, level.grid)
+    stride = _stride(level.grid)
+    return window_shifts(level.ground, edges, side=SIDE, search=search, stride=stride)
 
 
 def _stride(grid: Grid) -> int:
@@ -222,13 +216,11 @@ def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float
     return Match(source, target, shifts.information[near])
 
 
-def _judged(
-    imagery: AIM, ground: Float32[Array, "H W 2"], grid: Grid, matrix: Float[Array, "3 3"]
-) -> Candidate | None:
+def _judged(level: Level, place: Float[Array, "3 3"]) -> Candidate | None:
     """The least model of the windows that agree, and how likely so many are by chance."""
-    shifts = _compare(imagery, ground, grid, matrix, WIDE)
+    grid, shifts = level.grid, _compare(level, place, WIDE)
     windows = len(shifts.middles)
-    match = _match(shifts, matrix, grid, AGREE)
+    match = _match(shifts, place, grid, AGREE)
     agreeing = len(match.source)
     if agreeing < FEWEST:
         return None
@@ -272,7 +264,9 @@ def _chance(windows: float, agreeing: float) -> float:
     return TRIED + log10(max(tail, 1e-300))
 
 
-def _refuse(found: list[Candidate], grids: list[Grid], prior: Prior) -> None:
+def _refuse(
+    found: list[Candidate], corners: Float[Array, "4 2"], metres: float, prior: Prior
+) -> None:
     """Refuse what may be chance, what fits in two ways, and what is at the end of the range."""
     if not found or found[0].chance > CHANCE:
         said = f"{found[0].agreeing} of {found[0].windows}" if found else f"fewer than {FEWEST}"
@@ -281,8 +275,6 @@ def _refuse(found: list[Candidate], grids: list[Grid], prior: Prior) -> None:
             f"chance. Is it the same place, within {prior.reach:g} m, {np.degrees(prior.turn):.0f} "
             f"degrees and {100 * prior.zoom:.0f} % of where it says to be?"
         )
-    grid = grids[-1]
-    corners = transform_points(grid.world_from_grid, image_corners(grid.height, grid.width))
     best = found[0]
     for other in found[1:]:
         apart = np.linalg.norm(
@@ -290,7 +282,7 @@ def _refuse(found: list[Candidate], grids: list[Grid], prior: Prior) -> None:
             - transform_points(other.stated_from_true, corners),
             axis=1,
         ).mean()
-        if apart > 3 * AGREE * grid.resolution and other.agreeing > RIVAL * best.agreeing:
+        if apart > metres and other.agreeing > RIVAL * best.agreeing:
             raise AlignmentError(
                 f"the imagery fits in two ways, {apart:.1f} m apart: {best.agreeing} and "
                 f"{other.agreeing} of {best.windows} windows agree. Name a smaller range, or give "

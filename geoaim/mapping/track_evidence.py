@@ -11,6 +11,7 @@ from the tracks, at all shifts at once, for each turn. The score over a temperat
 of the likelihood; along a straight road it hardly changes, and the answer says so.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import cv2
@@ -22,7 +23,7 @@ from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, to_opencv, transform_points
 from geoaim.mapping.alignment import LOOSE, PRIOR, Alignment, Prior
-from geoaim.mapping.correlation import Grid, grey_on, orientation
+from geoaim.mapping.correlation import Grid, grey_on, orientation, picture_of
 from geoaim.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel
@@ -110,10 +111,9 @@ def _grid(middle: Float[Array, "2"], reach: float) -> Grid:
 
 def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"], Int[Array, "H W"]]:
     """Directions and strength of edges, and the kind of surface of each pixel; -1: unknown."""
-    image_from_grid = np.linalg.inv(imagery.world_from_image) @ grid.world_from_grid
-    known = (imagery.coverage > 0) & ~_blank(imagery.image)
-    size = grid.height, grid.width
-    grey, there = grey_on(imagery.image, known, image_from_grid, size)
+    known = imagery.coverage * ~_blank(imagery.image)
+    picture = picture_of(replace(imagery, coverage=known), grid.resolution)
+    grey, there = grey_on(picture, np.eye(3), grid)
     if there.mean() < LEAST_KNOWN:
         raise AlignmentError(
             f"the imagery shows hardly anything where the tracks are: {there.mean():.1%} of the "
@@ -122,7 +122,9 @@ def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"],
     edges = orientation(grey, there, grid.resolution)
     strength = np.hypot(edges[..., 0], edges[..., 1])
     flags = cv2.INTER_AREA | cv2.WARP_INVERSE_MAP
-    image = cv2.warpPerspective(imagery.image, to_opencv(image_from_grid), size[::-1], flags=flags)
+    image_from_grid = picture.image_from_world @ grid.world_from_grid
+    size = grid.width, grid.height
+    image = cv2.warpPerspective(imagery.image, to_opencv(image_from_grid), size, flags=flags)
     return np.dstack([edges, strength]), _kinds(image, grey, there)
 
 

@@ -6,8 +6,8 @@ import pytest
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
 from geoaim.mapping.alignment import Prior, moved
-from geoaim.mapping.correlation import orientation, window_shifts
-from geoaim.mapping.image_evidence import align_image, pixel_size
+from geoaim.mapping.correlation import orientation, pixel_size, window_shifts
+from geoaim.mapping.image_evidence import align_image
 from geoaim.world import World
 from tests.conftest import textured
 from tests.mapping.alignment_pairs import PHOTO, as_aim, made, misplaced
