@@ -56,6 +56,7 @@ class Pair:
     aim: AIM
     picture: AIM
     stated_from_true: Float[Array, "3 3"]
+    tracks: Tracks | None = None
 
 
 def as_aim(image: Array, world_from_image: Float[Array, "3 3"], world: World) -> AIM:
@@ -86,7 +87,7 @@ def made_pairs(seeds: int) -> Iterator[Pair]:
         for kind in KINDS:
             place = make_place(seed, kind=kind)
             resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
-            tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.2, video=None))
+            tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
             sensor = Sensor(metres_per_pixel=resolution)
             photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=DRAWN)
             ground = draw_place(place, metres_per_pixel=GROUND)
@@ -95,6 +96,7 @@ def made_pairs(seeds: int) -> Iterator[Pair]:
                 as_aim(ground, world_from_image(place, GROUND), place.world),
                 as_aim(photo, world_from_image(place, resolution), place.world),
                 np.eye(3),
+                tracks,
             )
 
 
@@ -163,10 +165,10 @@ def ways() -> dict[str, Callable[[Pair], tuple[Float[Array, "3 3"], float]]]:
     }
 
 
-def compare_on_made(seeds: int, trials: int) -> list[dict[str, Any]]:
+def compare_on_made(pairs: list[Pair], trials: int) -> list[dict[str, Any]]:
     """Every way on all made pairs."""
     generator = np.random.default_rng(5)
-    cases = [misplaced(pair, generator) for pair in made_pairs(seeds) for _ in range(trials)]
+    cases = [misplaced(pair, generator) for pair in pairs for _ in range(trials)]
     strangers = [
         replace(one, aim=other.aim, name="stranger")
         for one, other in zip(cases, cases[trials * 5 :] + cases[: trials * 5], strict=True)
@@ -289,31 +291,29 @@ def songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
     return [_by_tracks("songdo", picture, tracks, np.radians(50.2), trials)]
 
 
-def made_tracks(seeds: int) -> list[dict[str, Any]]:
-    """A minute of made traffic on other days' pictures, and on pictures of other places."""
-    return [_over_seeds(kind, seeds) for kind in KINDS]
-
-
-def _over_seeds(kind: Any, seeds: int) -> dict[str, Any]:
-    parts = []
-    for seed in range(1, seeds + 1):
-        place = make_place(seed, kind=kind)
-        tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
-        sensor = Sensor(metres_per_pixel=RESOLUTIONS[seed % len(RESOLUTIONS)])
-        photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=DRAWN)
-        matrix = world_from_image(place, sensor.metres_per_pixel)
-        parts.append(_by_tracks(kind, as_aim(photo, matrix, place.world), tracks, None, 2))
-    return {
-        "tracks": f"made, {kind}",
-        "cases": sum(part["cases"] for part in parts),
-        "refused": sum(part["refused"] for part in parts),
-        **{
-            name: float(np.nanmedian([part[name] for part in parts]))
-            for name in ("error, m, median", "s")
-        },
-        "largest, m": max(part["largest, m"] for part in parts),
-        "in the 95 % region": sum(part["in the 95 % region"] for part in parts),
-    }
+def made_tracks(pairs: list[Pair]) -> list[dict[str, Any]]:
+    """A minute of made traffic on other days' pictures, by kind of place."""
+    rows = []
+    for kind in KINDS:
+        mine = [pair for pair in pairs if pair.name.startswith(kind)]
+        parts = [
+            _by_tracks(kind, pair.picture, pair.tracks, None, 2)
+            for pair in mine
+            if pair.tracks is not None
+        ]
+        whole = {name: [part[name] for part in parts] for name in parts[0]}
+        rows.append(
+            {
+                "tracks": f"made, {kind}",
+                "cases": sum(whole["cases"]),
+                "refused": sum(whole["refused"]),
+                "error, m, median": float(np.median(whole["error, m, median"])),
+                "largest, m": max(whole["largest, m"]),
+                "in the 95 % region": sum(whole["in the 95 % region"]),
+                "s": float(np.median(whole["s"])),
+            }
+        )
+    return rows
 
 
 def _by_tracks(
@@ -357,11 +357,18 @@ def zooms(folder: Path) -> list[dict[str, Any]]:
     from geoaim.mapping.sources import Tiles
 
     tiles = folder / "tiles/kampala_xyz"
-    fine = read_imagery(Tiles(tiles, zoom=21))
+    whole = read_imagery(Tiles(tiles, zoom=19))
+    known = (whole.coverage > 0).astype(np.uint8)
+    _, _, patches, _ = cv2.connectedComponentsWithStats(known)
+    left, top, width, height, _ = max(patches[1:].tolist(), key=lambda patch: patch[4])
+    corners = transform_points(
+        whole.world_from_image,
+        np.array([[left, top], [left + width, top + height]], np.float64),
+    )
     rows = []
     for zoom, finer in ((20, 21), (19, 20), (19, 21)):
         coarse, other = (
-            read_imagery(Tiles(tiles, zoom=z), world=fine.world, corners=fine.corners)
+            read_imagery(Tiles(tiles, zoom=z), world=whole.world, corners=corners)
             for z in (zoom, finer)
         )
         try:
@@ -374,33 +381,30 @@ def zooms(folder: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def speed() -> list[dict[str, Any]]:
+def speed(made: Pair) -> list[dict[str, Any]]:
     """A scene of 200 x 200 m at 0.2 m a pixel, beside one Fourier correlation of that size."""
-    pair = misplaced(next(made_pairs(1)), np.random.default_rng(2))
     side = 1000
     one, two = np.random.default_rng(0).random((2, side, side), np.float32)
 
     def correlate() -> Array:
         return np.fft.irfft2(np.fft.rfft2(one).conj() * np.fft.rfft2(two))
 
-    low = pair.aim.corners.mean(axis=0) - 100
-    picture = replace(pair.picture, coverage=pair.picture.coverage)
-    grid = np.array([[0.2, 0, low[0]], [0, -0.2, low[1] + 200], [0, 0, 1.0]])
-    views = []
-    for shown in (pair.aim, picture):
-        matrix = np.linalg.inv(shown.world_from_image) @ grid
-        opencv = np.linalg.inv(from_opencv(np.eye(3))) @ matrix
-        image = cv2.warpPerspective(
-            shown.image,
-            opencv,
-            (side, side),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REFLECT,
-        )
-        views.append(as_aim(image, grid, pair.aim.world))
-    ours, floor = medians([lambda: align_image(views[1], views[0]), correlate], 5)
+    height, width = made.aim.image.shape[:2]
+    more = ((0, side - height), (0, side - width), (0, 0))  # mirrored, to fill the square
+    photo = cv2.resize(made.picture.image, (width, height), interpolation=cv2.INTER_CUBIC)
+    aim, picture = (
+        as_aim(np.pad(image, more, "reflect"), made.aim.world_from_image, made.aim.world)
+        for image in (made.aim.image, np.asarray(photo))
+    )
+    pair = misplaced(Pair("square", aim, picture, np.eye(3)), np.random.default_rng(2))
+    ours, floor = medians([lambda: align_image(pair.picture, pair.aim), correlate], 5)
     return [
-        {"scene": "200 x 200 m, 0.2 m a pixel", "s": ours, "x Fourier correlation": ours / floor}
+        {
+            "scene": "200 x 200 m, 0.2 m a pixel",
+            "error, px": error(pair, align_image(pair.picture, pair.aim).true_from_stated) / GROUND,
+            "s": ours,
+            "of a Fourier correlation": ours / floor,
+        }
     ]
 
 
@@ -431,20 +435,21 @@ def main(
 ) -> None:
     """Compare on made pairs, then measure real pairs, tracks and tiles where they are at hand."""
     cv2.setNumThreads(2)
-    made = compare_on_made(seeds, trials)
-    print(table(made))
-    parts: dict[str, list[dict[str, Any]]] = {"tracks": made_tracks(seeds), "speed": speed()}
+    pairs = list(made_pairs(seeds))
     folder = data_folder()
+    made = compare_on_made(pairs, trials)
+    parts: list[Callable[[], list[dict[str, Any]]]] = [
+        lambda: made,
+        lambda: made_tracks(pairs),
+        lambda: speed(pairs[0]),
+    ]
     if folder is not None:
-        parts["tracks"] = songdo(folder) + parts["tracks"]
-        parts["rotterdam"], parts["zooms"] = rotterdam(folder), zooms(folder)
-    for rows in parts.values():
-        print("\n" + table(rows))
-    save(
-        made + [row for rows in parts.values() for row in rows],
-        json,
-        command="python -m geoaim.bench.alignment",
-    )
+        parts += [lambda: songdo(folder), lambda: rotterdam(folder), lambda: zooms(folder)]
+    rows: list[dict[str, Any]] = []
+    for part in parts:
+        rows += (found := part())
+        print(table(found) + "\n", flush=True)
+    save(rows, json, command="python -m geoaim.bench.alignment")
     if chart is not None:
         draw(made, chart)
 

@@ -28,6 +28,7 @@ from geoaim.mapping.correlation import (
     orientation,
     picture_of,
     pixel_size,
+    seen,
     window_shifts,
 )
 from geoaim.mapping.motion import Match, Model, Motion, basis, choose_model, fit_match
@@ -37,7 +38,7 @@ ALIGNED: tuple[Model, ...] = ("translation", "rigid", "similarity", "affine", "h
 SIDE = 64  # px of a window
 COARSE = 128  # px of the longer side of the coarsest grid
 FINE = 0.7  # of the coarser picture's pixel: the finest grid
-MOST = 300  # windows of one grid
+MOST = 300  # windows on one grid, or so
 FEWEST = 8  # windows that must be comparable
 CANDIDATES = 4
 RIVAL = 0.6  # of the best candidate's windows that another may not reach
@@ -199,12 +200,13 @@ def _followed(level: Level, places: list[Float[Array, "3 3"]]) -> list[Float[Arr
 def _compare(level: Level, place: Float[Array, "3 3"], search: int) -> Shifts:
     """Windows of the ground, looked for in the picture as moved."""
     edges = _edges(level.picture, place, level.grid)
-    stride = _stride(level.grid)
-    return window_shifts(level.ground, edges, side=SIDE, search=search, stride=stride)
+    return window_shifts(level.ground, edges, side=SIDE, search=search, stride=_stride(level))
 
 
-def _stride(grid: Grid) -> int:
-    return max(int(np.sqrt(grid.height * grid.width / MOST)), SIDE // 4)
+def _stride(level: Level) -> int:
+    """Pixels between windows, of which some `MOST` lie on known ground."""
+    known = np.count_nonzero(seen(level.ground))
+    return max(int(np.sqrt(known / MOST)), SIDE // 4)
 
 
 def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float) -> Match:
@@ -224,7 +226,7 @@ def _judged(level: Level, place: Float[Array, "3 3"]) -> Candidate | None:
     agreeing = len(match.source)
     if agreeing < FEWEST:
         return None
-    size, overlap = grid[1:], max((SIDE / _stride(grid)) ** 2, 1.0)
+    size, overlap = grid[1:], max((SIDE / _stride(level)) ** 2, 1.0)
     model = choose_model(
         [match], size=size, models=ALIGNED, repeats=overlap, material=MATERIAL
     ).model
