@@ -13,16 +13,28 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.motion import Model
 
 CHI2 = 5.99  # 95 % of the sum of two squared normal variables
+ONE = 3.84  # 95 % of one
 LOOSE = 1.0  # m of standard deviation at which a direction counts as not determined
 
 
 @dataclass(frozen=True)
 class Prior:
-    """How far off imagery may be: metres, radians, and share of its size."""
+    """How far off imagery may be: metres, radians, and share of its size.
+
+    Raises:
+        ValueError: the reach is not positive, the turn is over half a circle, or the zoom over 0.5.
+    """
 
     reach: float = 15.0
     turn: float = float(np.radians(5))
     zoom: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (0 < self.reach < np.inf and 0 <= self.turn <= np.pi and 0 <= self.zoom <= 0.5):
+            raise ValueError(
+                f"{self}: a reach of some metres, a turn of 0 to pi radians and a zoom of 0 to 0.5 "
+                "are needed"
+            )
 
 
 PRIOR = Prior()
@@ -49,7 +61,8 @@ class Alignment:
     @property
     def uncertainty(self) -> float:
         """Metres within which a place is with about 95 % probability."""
-        return float(np.sqrt(CHI2 * np.trace(self.covariance) / 2))
+        least, most = np.linalg.eigvalsh(self.covariance)
+        return float(np.sqrt(ONE * most + (CHI2 - ONE) * least))  # right when equal, and on a line
 
     @property
     def undetermined(self) -> float | None:

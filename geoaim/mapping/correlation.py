@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
@@ -51,21 +51,32 @@ class Shifts(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Brightness of an image, smooth enough for a coarser grid, and where it is known."""
+    """Brightness of an image, no finer than a grid needs it, and where it is known (255)."""
 
     grey: Float32[Array, "H W"]
-    known: Float32[Array, "H W"]
+    known: UInt8[Array, "H W"]
     image_from_world: Float[Array, "3 3"]
 
 
 def picture_of(aim: AIM, resolution: float) -> Picture:
     """An image as grids of so many metres a pixel need it."""
-    grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    step = resolution / pixel_size(aim)
-    if step > 1:
-        grey = cv2.GaussianBlur(grey, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
-    known = (aim.coverage > 0).astype(np.float32)
-    return Picture(grey, known, np.linalg.inv(aim.world_from_image))
+    grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
+    known: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
+    matrix, step = np.linalg.inv(aim.world_from_image), resolution / pixel_size(aim)
+    if step >= 2:  # means of whole pixels first
+        height, width = grey.shape
+        size = round(width / int(step)), round(height / int(step))
+        grey, known = (cv2.resize(x, size, interpolation=cv2.INTER_AREA) for x in (grey, known))
+        matrix = np.diag([size[0] / width, size[1] / height, 1.0]) @ matrix
+        step /= int(step)
+    return Picture(smoothed(grey.astype(np.float32), step), known, matrix)
+
+
+def smoothed(image: Array, step: float) -> Array:
+    """An image for a grid whose pixels are `step` times as large."""
+    if step <= 1:
+        return image
+    return cv2.GaussianBlur(image, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
 
 
 def grey_on(
@@ -79,7 +90,7 @@ def grey_on(
     found = cv2.warpPerspective(picture.grey, matrix, size, flags=flags, borderMode=replicate)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     share = cv2.warpPerspective(picture.known, matrix, size, flags=flags)
-    return found.astype(np.float32), share > 0.99
+    return found.astype(np.float32), share > 252
 
 
 def pixel_size(aim: AIM) -> float:

@@ -7,10 +7,10 @@ found where the model says. So many would not be found there by chance, and no o
 candidate may do nearly as well.
 """
 
-from dataclasses import dataclass
 from math import comb, log10
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
@@ -37,10 +37,12 @@ ALIGNED: tuple[Model, ...] = ("translation", "rigid", "similarity", "affine", "h
 
 SIDE = 64  # px of a window
 COARSE = 128  # px of the longer side of the coarsest grid
-FINE = 0.7  # of the coarser picture's pixel: the finest grid
+NARROWEST = 32  # px of its shorter side
+FINE = 0.8  # of the coarser picture's pixel: the finest grid
 MOST = 300  # windows on one grid, or so
 FEWEST = 8  # windows that must be comparable
-CANDIDATES = 4
+CANDIDATES = 4  # places that are followed from the coarsest grid
+KEPT = 2  # and from the next one on
 RIVAL = 0.6  # of the best candidate's windows that another may not reach
 STEP = 1.5  # px of the coarsest grid between turns and zooms, at the ends of the longer side
 ROUNDS = 2  # of mending on the finest grid
@@ -55,25 +57,23 @@ CHANCE = -2.0  # log10 of the number of such agreements by chance that is too ma
 EDGE = 1.15  # times the prior's range at which an answer is out of it
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """A place of the imagery, judged by its windows.
+class Candidate(NamedTuple):
+    """A place of the picture, stated from true, and its windows.
 
     Attributes:
-        stated_from_true: (3, 3) metres where it lies -> where it says to lie.
-        model: the least motion that the windows support.
-        covariance: (2, 2) of a place, square metres, averaged over the picture.
+        place: (3, 3) metres where it lies -> where it says to lie.
+        match: of the windows that are found where the place says.
         windows: how many could be compared.
-        agreeing: how many of these are found where the model says.
-        chance: log10 of the expected number of so many by chance.
     """
 
-    stated_from_true: Float[Array, "3 3"]
-    model: Model
-    covariance: Float[Array, "2 2"]
+    place: Float[Array, "3 3"]
+    match: Match
     windows: int
-    agreeing: int
-    chance: float
+
+    @property
+    def agreeing(self) -> int:
+        """How many windows are found where the place says."""
+        return len(self.match.source)
 
 
 class Level(NamedTuple):
@@ -102,21 +102,15 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = PRIOR) -> Alignment:
     places = _coarse(first, prior)
     for level in (*between, *[last] * ROUNDS):
         places = _followed(level, places)
-    judged = [_judged(last, place) for place in places]
-    found = sorted(
-        (candidate for candidate in judged if candidate is not None),
-        key=lambda candidate: -candidate.agreeing,
-    )
+    found = [_judged(last, place) for place in places]
+    if found:
+        best = max(found, key=lambda candidate: candidate.agreeing)
+        rivals = _rivals((between or [last])[-1], best.place, prior)
+        found += [_judged(last, place) for place in _followed(last, rivals)]
+    found.sort(key=lambda candidate: -candidate.agreeing)
     corners = transform_points(last.grid.world_from_grid, image_corners(*last.grid[1:]))
-    _refuse(found, corners, 3 * AGREE * last.grid.resolution, prior)
-    best = found[0]
-    return Alignment(
-        true_from_stated=np.linalg.inv(best.stated_from_true),
-        model=best.model,
-        covariance=best.covariance,
-        middle=corners.mean(axis=0),
-        evidence={"windows": best.windows, "agreeing": best.agreeing, "log10_chance": best.chance},
-    )
+    chance = _refuse(found, last, corners, prior)
+    return _least(found[0], last, corners.mean(axis=0), chance)
 
 
 def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
@@ -124,14 +118,16 @@ def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
     low = np.maximum(aim.corners.min(axis=0), imagery.corners.min(axis=0) - prior.reach)
     high = np.minimum(aim.corners.max(axis=0), imagery.corners.max(axis=0) + prior.reach)
     finest = FINE * max(pixel_size(imagery), pixel_size(aim))
-    if (high - low < SIDE * finest).any():
+    shorter, longer = np.sort(high - low) / finest
+    if shorter < 2 * SIDE:
         raise AlignmentError(
             f"the imagery lies {_extent(imagery)}, the AIM {_extent(aim)}; with {prior.reach:g} m "
-            f"to search, both must share {SIDE * finest:.0f} m each way or more"
+            f"to search, both must share {2 * SIDE * finest:.0f} m each way or more"
         )
-    halvings = max(int(np.ceil(np.log2((high - low).max() / COARSE / finest))), 1)
+    halvings = min(np.ceil(np.log2(longer / COARSE)), np.floor(np.log2(shorter / NARROWEST)))
+    corners = np.stack([low, high])
     return [
-        Grid(*north_up_grid(np.stack([low, high]), finest * 2**k)) for k in range(halvings, -1, -1)
+        Grid(*north_up_grid(corners, finest * 2**k)) for k in range(max(int(halvings), 1), -1, -1)
     ]
 
 
@@ -151,11 +147,7 @@ def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     """The best places of the prior's range that are not beside a better one, stated from true."""
     grid = level.grid
     metres, reach = grid.resolution, int(np.ceil(prior.reach / grid.resolution))
-    wider = Grid(
-        grid.world_from_grid @ _shift(-reach, -reach),
-        grid.height + 2 * reach,
-        grid.width + 2 * reach,
-    )
+    wider = _wider(grid, reach)
     middle = transform_points(grid.world_from_grid, np.array([[grid.width, grid.height]]) / 2)[0]
     step = 2 * STEP / max(grid.height, grid.width)
     found = []
@@ -168,6 +160,11 @@ def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
             found.append((float(scores.max()), moved @ shift))
     corners = transform_points(grid.world_from_grid, image_corners(grid.height, grid.width))
     return _apart(found, corners, 4 * metres)
+
+
+def _wider(grid: Grid, pixels: int) -> Grid:
+    matrix = grid.world_from_grid @ _shift(-pixels, -pixels)
+    return Grid(matrix, grid.height + 2 * pixels, grid.width + 2 * pixels)
 
 
 def _apart(
@@ -193,20 +190,26 @@ def _followed(level: Level, places: list[Float[Array, "3 3"]]) -> list[Float[Arr
             matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
             agreeing = (np.linalg.norm(motion.residuals, axis=1) < AGREE).sum()
             mended.append((int(agreeing), matrix))
-    most = max((agreeing for agreeing, _ in mended), default=0)
-    return [matrix for agreeing, matrix in mended if agreeing >= RIVAL * most]
+    mended.sort(key=lambda one: -one[0])
+    return [matrix for agreeing, matrix in mended[:KEPT] if agreeing >= RIVAL * mended[0][0]]
 
 
 def _compare(level: Level, place: Float[Array, "3 3"], search: int) -> Shifts:
     """Windows of the ground, looked for in the picture as moved."""
     edges = _edges(level.picture, place, level.grid)
-    return window_shifts(level.ground, edges, side=SIDE, search=search, stride=_stride(level))
+    sizes = {"side": _side(level), "stride": _stride(level)}
+    return window_shifts(level.ground, edges, search=search, **sizes)
+
+
+def _side(level: Level) -> int:
+    """Pixels of a window: half as many where few would fit."""
+    return SIDE if min(level.grid[1:]) >= 4 * SIDE else SIDE // 2
 
 
 def _stride(level: Level) -> int:
-    """Pixels between windows, of which some `MOST` lie on known ground."""
+    """Pixels between windows, of which some `MOST` or fewer lie on known ground."""
     known = np.count_nonzero(seen(level.ground))
-    return max(int(np.sqrt(known / MOST)), SIDE // 4)
+    return max(int(np.sqrt(known / MOST)), _side(level) // 4)
 
 
 def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float) -> Match:
@@ -218,28 +221,54 @@ def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float
     return Match(source, target, shifts.information[near])
 
 
-def _judged(level: Level, place: Float[Array, "3 3"]) -> Candidate | None:
-    """The least model of the windows that agree, and how likely so many are by chance."""
-    grid, shifts = level.grid, _compare(level, place, WIDE)
-    windows = len(shifts.middles)
-    match = _match(shifts, place, grid, AGREE)
-    agreeing = len(match.source)
-    if agreeing < FEWEST:
-        return None
-    size, overlap = grid[1:], max((SIDE / _stride(level)) ** 2, 1.0)
+def _rivals(level: Level, best: Float[Array, "3 3"], prior: Prior) -> list[Float[Array, "3 3"]]:
+    """Other places of what agrees at the best one: where ground repeats itself, it fits there."""
+    grid, shifts, half = level.grid, _compare(level, best, NARROW), _side(level) // 2
+    there = np.zeros(level.ground.shape[:2], np.float32)
+    for u, v in shifts.middles[np.linalg.norm(shifts.shifts, axis=1) < AGREE].astype(int):
+        there[v - half : v + half, u - half : u + half] = 1
+    reach = int(np.ceil(2 * prior.reach / grid.resolution))
+    edges = _edges(level.picture, best, _wider(grid, reach))
+    scores = correlation(level.ground * there[..., None], edges)
+    around = np.ones((2 * int(3 * AGREE) + 1,) * 2, np.uint8)
+    peaks = np.argwhere(scores >= cv2.dilate(scores, around))
+    peaks = peaks[np.linalg.norm(peaks - reach, axis=1) > 3 * AGREE]
+    highest = peaks[np.argsort(-scores[tuple(peaks.T)])][:CANDIDATES]
+    metres = (highest[:, ::-1] - reach) * [grid.resolution, -grid.resolution]
+    return [best @ _shift(x, y) for x, y in metres]
+
+
+def _judged(level: Level, place: Float[Array, "3 3"]) -> Candidate:
+    shifts = _compare(level, place, WIDE)
+    return Candidate(place, _match(shifts, place, level.grid, AGREE), len(shifts.middles))
+
+
+def _least(best: Candidate, level: Level, middle: Float[Array, "2"], chance: float) -> Alignment:
+    """The least model that the windows support, and how well it is known."""
+    grid, size = level.grid, level.grid[1:]
+    in_a_row = np.ptp(best.match.source, axis=0).min() < SIDE
     model = choose_model(
-        [match], size=size, models=ALIGNED, repeats=overlap, material=MATERIAL
+        [best.match],
+        size=size,
+        models=ALIGNED[:3] if in_a_row else ALIGNED,
+        repeats=_overlap(level),
+        material=MATERIAL,
     ).model
-    motion = fit_match(match, model, size=size)
-    return Candidate(
-        stated_from_true=grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid),
+    motion = fit_match(best.match, model, size=size)
+    stated_from_true = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
+    variance = _covariance(motion, size) * COHERENT * _overlap(level) + FLOOR**2 * np.eye(2)
+    return Alignment(
+        true_from_stated=np.linalg.inv(stated_from_true),
         model=model,
-        covariance=(_covariance(motion, size) * COHERENT * overlap + FLOOR**2 * np.eye(2))
-        * grid.resolution**2,
-        windows=windows,
-        agreeing=agreeing,
-        chance=_chance(windows / overlap, agreeing / overlap),
+        covariance=variance * grid.resolution**2,
+        middle=middle,
+        evidence={"windows": best.windows, "agreeing": best.agreeing, "log10_chance": chance},
     )
+
+
+def _overlap(level: Level) -> float:
+    """How many windows cover a pixel, at least one."""
+    return max((_side(level) / _stride(level)) ** 2, 1.0)
 
 
 def _covariance(motion: Motion, size: tuple[int, int]) -> Float[Array, "2 2"]:
@@ -267,30 +296,42 @@ def _chance(windows: float, agreeing: float) -> float:
 
 
 def _refuse(
-    found: list[Candidate], corners: Float[Array, "4 2"], metres: float, prior: Prior
-) -> None:
+    found: list[Candidate], level: Level, corners: Float[Array, "4 2"], prior: Prior
+) -> float:
     """Refuse what may be chance, what fits in two ways, and what is at the end of the range."""
-    if not found or found[0].chance > CHANCE:
-        said = f"{found[0].agreeing} of {found[0].windows}" if found else f"fewer than {FEWEST}"
+    if not found or found[0].agreeing < FEWEST:
+        raise AlignmentError(f"fewer than {FEWEST} {_doubt(prior)}")
+    best, overlap = found[0], _overlap(level)
+    said = f"{best.agreeing} of {best.windows}"
+    chance = _chance(best.windows / overlap, best.agreeing / overlap)
+    if chance > CHANCE and best.agreeing > 0.8 * best.windows:
+        wide, high = np.ptp(corners, axis=0)
         raise AlignmentError(
-            f"{said} windows of the imagery are where they should be on the AIM, which may be "
-            f"chance. Is it the same place, within {prior.reach:g} m, {np.degrees(prior.turn):.0f} "
-            f"degrees and {100 * prior.zoom:.0f} % of where it says to be?"
+            f"{said} windows agree, but on {wide:.0f} x {high:.0f} m these are too few to be sure. "
+            "More ground, or finer imagery, is needed"
         )
-    best = found[0]
+    if chance > CHANCE:
+        raise AlignmentError(f"{said} {_doubt(prior)}")
+    here = transform_points(best.place, corners)
     for other in found[1:]:
-        apart = np.linalg.norm(
-            transform_points(best.stated_from_true, corners)
-            - transform_points(other.stated_from_true, corners),
-            axis=1,
-        ).mean()
-        if apart > metres and other.agreeing > RIVAL * best.agreeing:
+        apart = np.linalg.norm(transform_points(other.place, corners) - here, axis=1).mean()
+        far = apart > 3 * AGREE * level.grid.resolution
+        if far and other.agreeing > RIVAL * best.agreeing:
             raise AlignmentError(
                 f"the imagery fits in two ways, {apart:.1f} m apart: {best.agreeing} and "
                 f"{other.agreeing} of {best.windows} windows agree. Name a smaller range, or give "
                 "control points"
             )
-    _refuse_far(best.stated_from_true, corners.mean(axis=0), prior)
+    _refuse_far(best.place, corners.mean(axis=0), prior)
+    return chance
+
+
+def _doubt(prior: Prior) -> str:
+    return (
+        "windows of the imagery are where they should be on the AIM, which may be chance. Is it "
+        f"the same place, within {prior.reach:g} m, {np.degrees(prior.turn):.0f} degrees and "
+        f"{100 * prior.zoom:.0f} % of where it says to be?"
+    )
 
 
 def _refuse_far(matrix: Float[Array, "3 3"], middle: Float[Array, "2"], prior: Prior) -> None:

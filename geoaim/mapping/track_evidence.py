@@ -23,7 +23,7 @@ from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, to_opencv, transform_points
 from geoaim.mapping.alignment import LOOSE, PRIOR, Alignment, Prior
-from geoaim.mapping.correlation import Grid, grey_on, orientation, picture_of
+from geoaim.mapping.correlation import Grid, grey_on, orientation, picture_of, pixel_size, smoothed
 from geoaim.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel
@@ -39,6 +39,7 @@ KINDS = 16  # of surfaces
 WEIGHTS = (0.5, 2.0, 2.0, 12.0)  # of lightness, both of colour, and roughness in kinds
 RARE = 0.003  # share added to each kind's, so that none is impossible
 TEMPERATURE = 120.0
+TOLD = 0.6  # of the spread before imagery is seen that may be left of it
 FLOOR = 0.2  # m of standard deviation: vehicles' boxes and paint are no better known
 TURN_STEP = 1.0  # m between turns, at the ends of the tracks
 FEWEST = 100  # places
@@ -72,15 +73,16 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = PRIOR) -> Align
     edges, kinds = _edges_and_kinds(imagery, grid)
     count = int(np.ceil(prior.turn * half / TURN_STEP))
     turns = np.arange(-count, count + 1) * TURN_STEP / half
-    drawn = [_template(_turned(paths, middle, angle), grid) for angle in turns]
     steps = round(reach / RESOLUTION)
     likely = np.full((2 * steps + 1,) * 2, (2 * steps + 1.0) ** -2)
-    for turns_used in (slice(count % 3, None, 3), slice(None)):  # a third do to learn surfaces
-        worth = _worth(kinds, likely, drawn[count])
-        picture = np.dstack([edges, worth])
-        scores = np.stack([_scores(picture, template, steps) for template in drawn[turns_used]])
+    middling = _template(paths, grid)
+    for some in (turns[count % 3 :: 3], turns):  # a third do to learn surfaces
+        picture = np.dstack([edges, _worth(kinds, likely, middling)])
+        templates = (_template(_turned(paths, middle, angle), grid) for angle in some)
+        scores = np.stack([_scores(picture, template, steps) for template in templates])
         posterior = _posterior(scores, reach)
         likely = posterior.sum(axis=0)
+    _refuse(posterior.sum(axis=0), len(paths), reach)
     return _judged(posterior, turns, middle, len(paths))
 
 
@@ -121,10 +123,11 @@ def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"],
         )
     edges = orientation(grey, there, grid.resolution)
     strength = np.hypot(edges[..., 0], edges[..., 1])
-    flags = cv2.INTER_AREA | cv2.WARP_INVERSE_MAP
-    image_from_grid = picture.image_from_world @ grid.world_from_grid
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    colours = smoothed(imagery.image, grid.resolution / pixel_size(imagery))
+    image_from_grid = np.linalg.inv(imagery.world_from_image) @ grid.world_from_grid
     size = grid.width, grid.height
-    image = cv2.warpPerspective(imagery.image, to_opencv(image_from_grid), size, flags=flags)
+    image = cv2.warpPerspective(colours, to_opencv(image_from_grid), size, flags=flags)
     return np.dstack([edges, strength]), _kinds(image, grey, there)
 
 
@@ -245,6 +248,25 @@ def _posterior(scores: Float32[Array, "t n n"], reach: float) -> Float[Array, "t
     return found / found.sum()
 
 
+def _refuse(weight: Float[Array, "n n"], places: int, reach: float) -> None:
+    """Refuse what the imagery does not tell, and what leans on the end of the range."""
+    shift, covariance = _moments(weight)
+    variances, axes = np.linalg.eigh(covariance)
+    best, worst = np.sqrt(variances)
+    if best > min(LOOSE, TOLD * reach / 2):
+        raise AlignmentError(
+            f"the tracks pass {places} places, and do not tell where the imagery lies: to "
+            f"{best:.1f} m at best, {worst:.1f} m at worst (one sigma). Is it the same place? Give "
+            "more tracks, a smaller range, control points, or an AIM"
+        )
+    for spread, axis in zip((best, worst), axes.T, strict=True):
+        if spread <= LOOSE and abs(shift @ axis) > reach - 2 * spread:
+            raise AlignmentError(
+                f"the best place is {np.linalg.norm(shift):.1f} m off, at the end of the "
+                f"{reach:g} m that were searched. Name a wider range"
+            )
+
+
 def _judged(
     posterior: Float[Array, "t n n"],
     turns: Float[Array, "t"],
@@ -255,16 +277,9 @@ def _judged(
     share = posterior.sum(axis=(1, 2))
     turn = float((share * turns).sum())
     spread = float(np.sqrt((share * (turns - turn) ** 2).sum()))
-    straight = abs(turn) < 2 * spread
+    straight = abs(turn) <= 2 * spread
     mean, whole = _moments(posterior.sum(axis=0))
     shift = _moments(posterior[len(turns) // 2])[0] if straight else mean
-    best, worst = np.sqrt(np.linalg.eigvalsh(whole))
-    if best > LOOSE:
-        raise AlignmentError(
-            f"the tracks pass {places} places, and do not tell where the imagery lies: to "
-            f"{best:.1f} m at best, {worst:.1f} m at worst (one sigma). Is it the same place? Give "
-            "more tracks, a smaller range, control points, or an AIM"
-        )
     stated_from_true = about(middle, 0.0 if straight else turn, 1.0)
     stated_from_true[:2, 2] += shift
     return Alignment(

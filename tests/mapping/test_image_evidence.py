@@ -74,6 +74,28 @@ def test_ground_that_repeats_itself_is_refused():
         align_image(stated, ground)
 
 
+def test_ground_that_repeats_itself_is_refused_whatever_the_range():
+    one = _noise(3, (32, 32))
+    ground = replace(one, image=np.tile(one.image, (9, 12, 1)), **_whole((288, 384)))
+    stated, _ = misplaced(ground, shift=(1.0, 2.0))
+    with pytest.raises(AlignmentError, match="fits in two ways"):
+        align_image(stated, ground, prior=Prior(15.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("size", [(214, 380), (160, 160), (128, 640)])
+def test_small_and_long_grounds_are_laid(size):
+    """At 0.5 m a pixel: few windows fit on coarse grids."""
+    ground = replace(_noise(6, size), world_from_image=np.diag([0.5, -0.5, 1.0]))
+    stated, _ = misplaced(ground, shift=(-4.0, 3.0))
+    np.testing.assert_allclose(align_image(stated, ground).shift, [4.0, -3.0], atol=0.1)
+
+
+@pytest.mark.parametrize("given", [{"reach": 0.0}, {"turn": 5.0}, {"zoom": -0.1}])
+def test_a_range_that_is_none_is_refused(given):
+    with pytest.raises(ValueError, match="are needed"):
+        Prior(**given)
+
+
 def _whole(size):
     return {"coverage": np.ones(size, np.uint16), "contested": np.zeros(size, bool)}
 

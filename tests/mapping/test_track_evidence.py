@@ -65,6 +65,21 @@ def test_other_ground_is_refused():
         align_tracks(as_aim(image, matrix, tracks.world), tracks, prior=RANGE)
 
 
+@pytest.mark.parametrize("shift", [(14.0, 0.0), (0.0, 16.0)])
+def test_a_place_beyond_the_range_is_refused(shift):
+    _, photo, tracks = made()
+    stated, _ = misplaced(photo, shift=shift)
+    with pytest.raises(AlignmentError, match=r"Name a wider range|do not tell where"):
+        align_tracks(stated, tracks, prior=RANGE)
+
+
+def test_a_small_range_alone_is_no_evidence():
+    picture, tracks = _straight_road()
+    flat = replace(picture, image=np.full_like(picture.image, 120))
+    with pytest.raises(AlignmentError, match="do not tell where"):
+        align_tracks(flat, tracks, prior=Prior(reach=1.5, turn=0.0))
+
+
 def test_a_picture_elsewhere_is_refused():
     picture, tracks = _straight_road()
     stated, _ = misplaced(picture, shift=(900.0, 0.0))
