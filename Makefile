@@ -22,8 +22,8 @@ demo: install
 	@echo "     demo/view.gif  what a car of the sample has around it, on the map"
 
 test: lint
-	$(BIN)/python -m pytest
-	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -o addopts= --nbmake $(NOTEBOOKS))
+	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -n auto -o addopts= --nbmake $(NOTEBOOKS))
 
 lint: install
 	$(BIN)/ruff check .
