@@ -1,7 +1,9 @@
 """A picture of an AIM and of its report, for people: what to trust, at a glance."""
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from geoaim.tracks import Tracks
 
 LOOK = 900  # px of the longer side of a drawn alignment
 SQUARES = 10  # along it
+WHY = 70  # letters of the reason why something could not be checked
 ACCENT, BAD = "#ff6a00", "#c1121f"
 
 
@@ -141,7 +144,9 @@ def summary(aim: AIM) -> dict[str, str]:
             rms = np.sqrt(np.mean(np.square(errors)))
             lines["leave-one-out"] = f"{rms:.4f} m (rms of {len(errors)} points)"
     for name, said in report.get("alignment", {}).items():
-        if "uncertainty_m" in said:
+        if "checked" in said:
+            lines[f"by {name}"] = _check_in_short(said)
+        else:
             east, north = said["shift_m"]
             lines[f"by {name}"] = (
                 f"{said['model']}, {east:+.2f} m east, {north:+.2f} m north, "
@@ -150,6 +155,14 @@ def summary(aim: AIM) -> dict[str, str]:
             if said["undetermined_degrees"] is not None:
                 lines["undetermined"] = f"along {said['undetermined_degrees'] % 180:.0f} degrees"
     return lines
+
+
+def _check_in_short(said: Mapping[str, Any]) -> str:
+    """What evidence says of a place that other evidence found."""
+    if not said["checked"]:
+        return f"could not check: {shorten(said['why'], WHY, placeholder=' ...')}"
+    found = f"corners {said['corners_off_m']:.2f} m off, known to {said['corners_known_to_m']:.2f}"
+    return f"{'agrees' if said['agrees'] else 'DISAGREES'}: {found} m (95 %)"
 
 
 def _draw_points(axes: Axes, aim: AIM) -> None:

@@ -228,6 +228,33 @@ def test_align_writes_nothing_when_it_refuses(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["align", "shot.png", "--gcps", "points.csv", "-o", "shot.tif"],
+        ["align", "*.png", "-o", "shot.tif"],
+        ["align", "tiles", "-o", "tiles/19/7.tif"],
+        ["align", "other.tif", "--gcps", "points.tif", "-o", "points.tif"],
+        ["align", "other.tif", "--gcps", "shot.png", "-o", "shot.tif"],
+        ["build", "shot.png", "--gcps", "points.csv", "-o", "shot.tif"],
+        ["build", "tiles/19", "-o", "tiles/19/7.tif"],
+        ["build", "other.mp4", "--gcps", "points.tif", "-o", "points.tif"],
+    ],
+)
+def test_neither_map_nor_look_replaces_what_is_read(tmp_path, monkeypatch, given):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiles" / "19").mkdir(parents=True)
+    for name in ("shot.png", "points.tif", "points.csv", "tiles/19/7.png"):
+        (tmp_path / name).write_text(name)
+    result = run(app, given)
+    assert result.exit_code == 1
+    said = " ".join(result.output.split())
+    assert "which is read" in said or "is read as well" in said
+    assert (tmp_path / given[-1]).exists() == (given[-1] == "points.tif")
+    for name in ("shot.png", "points.tif", "points.csv", "tiles/19/7.png"):
+        assert (tmp_path / name).read_text() == name
+
+
 def test_sample_is_not_written_among_other_files(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
     result = run(app, ["sample", str(tmp_path)])

@@ -1,5 +1,7 @@
 """Commands that make maps and look at them."""
 
+import glob
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -60,7 +62,7 @@ def build(
     with stages() as progress, plain_errors():
         if pixel_size is not None and gcps is not None:
             raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
-        refuse_output(output, GEOTIFF)
+        look = _look_beside(output, [gcps, *_named(video, f"{glob.escape(output.stem)}.*")])
         opened = open_video(video)
         size = opened.height, opened.width
         place = gcps if pixel_size is None else local_georeference(pixel_size=pixel_size, size=size)
@@ -77,9 +79,9 @@ def build(
             aim = rectify(aim, resolution)
         write_aim(aim, output)
         progress("write", 1, 2)
-        write_quicklook(aim, output.with_suffix(".png"))
+        write_quicklook(aim, look)
         progress("write", 2, 2)
-    _show(aim, f"{output} and {output.with_suffix('.png')}")
+    _show(aim, f"{output} and {look}")
 
 
 def align(
@@ -94,7 +96,9 @@ def align(
     aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
     gcps: Points = None,
     resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
-    crs: Annotated[str | None, typer.Option(help="of imagery that names none")] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="of imagery or control points that name none")
+    ] = None,
     reach: Annotated[float, typer.Option(help="m by which imagery may be off", min=1)] = 15.0,
     turn: Annotated[float, typer.Option(help="degrees by which it may be", min=0, max=45)] = 5.0,
     zoom: Annotated[float, typer.Option(help="percent of its size by which", min=0, max=30)] = 5.0,
@@ -111,7 +115,9 @@ def align(
     from geoaim.track_changes import tracks_in
 
     with plain_errors():
-        refuse_output(output, GEOTIFF, (aim, tracks, *map(Path, tiles)))
+        beside = f"**/{glob.escape(output.stem)}.*"
+        read = [path for source in tiles for path in _named(source, beside)]
+        look = _look_beside(output, [aim, tracks, gcps, *read])
         place = None if aim is None else read_aim(aim)
         way = None
         if tracks is not None:
@@ -126,7 +132,6 @@ def align(
             prior=Prior(reach, float(np.radians(turn)), zoom / 100),
         )
         write_aim(found if found.is_affine else rectify(found), output)
-        look = output.with_suffix(".png")
         if way is not None:
             way = tracks_in(way, found.world)
         write_alignment(draw_alignment(found, aim=place, tracks=way), look)
@@ -206,6 +211,27 @@ def info(aim: AimFile) -> None:
     with plain_errors():
         found = read_aim(aim)
     _show(found, str(aim))
+
+
+def _named(source: str, inside: str) -> list[Path]:
+    """The files that a source names: itself, what matches it, or of a folder some inside."""
+    path = Path(source)
+    if path.is_dir():
+        return list(path.glob(inside))
+    return [path, *map(Path, glob.glob(source, recursive=True))]
+
+
+def _look_beside(output: Path, inputs: Sequence[Path | None]) -> Path:
+    """The quick look beside a map, once neither would replace what is read."""
+    refuse_output(output, GEOTIFF, inputs)
+    look = output.with_suffix(".png")
+    if look.resolve() in [path.resolve() for path in inputs if path is not None]:
+        raise ValueError(
+            f"the quick look beside {output} would replace {look}, which is read; give another "
+            "name to write"
+        )
+    refuse_output(look)
+    return look
 
 
 def _count(text: str) -> int | Literal["auto", "all"]:

@@ -1,14 +1,21 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import geoaim
-from geoaim.errors import AlignmentError, GeoaimWarning, GeoreferenceError
-from geoaim.geometry import transform_points
+from geoaim.errors import (
+    AlignmentError,
+    GeoaimWarning,
+    GeoreferenceError,
+    ImageryError,
+    TracksError,
+)
+from geoaim.geometry import about, transform_points
 from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.alignment import Prior
 from geoaim.mapping.hdmap import read_hdmap
@@ -88,12 +95,39 @@ def test_control_points_lay_a_picture_and_an_aim_checks_them(picture, aim, tmp_p
     found = align_tiles(str(path), gcps=gcps, aim=aim)
     np.testing.assert_allclose(found.corners, laid.corners, atol=0.1)
     assert found.report["alignment"]["aim"]["agrees"]
+    assert summary(found)["by aim"].startswith("agrees: corners 0.0")
     assert found.report["georeference"]["points"]
     wrong = _picked(tmp_path, laid.world_from_image, laid.world, wrong=6.0)
-    with pytest.warns(GeoaimWarning, match="by the aim the imagery would lie -6.0"):
+    with pytest.warns(GeoaimWarning, match="its middle -6.0. m east"):
         found = align_tiles(str(path), gcps=wrong, aim=aim)
     assert not found.report["alignment"]["aim"]["agrees"]
+    assert summary(found)["by aim"].startswith("DISAGREES: corners 6.")
     np.testing.assert_allclose(found.corners, laid.corners + np.array([6.0, 0.0]), atol=0.1)
+
+
+@pytest.mark.parametrize(("name", "zoom"), [("aim", 1.03), ("tracks", 1.0)])
+def test_control_points_that_turn_or_stretch_the_picture_are_doubted(
+    picture, aim, tmp_path, name, zoom
+):
+    """The middle stays where it is; only the corners tell."""
+    path, laid = picture
+    turned = about(laid.corners.mean(axis=0), np.radians(2.0), zoom)
+    gcps = _picked(tmp_path, turned @ laid.world_from_image, laid.world)
+    given = {"aim": aim, "tracks": geoaim.read_tracks(TRACKS)}
+    with pytest.warns(GeoaimWarning, match=f"by the {name} the imagery's corners"):
+        found = align_tiles(str(path), gcps=gcps, **{name: given[name]})
+    said = found.report["alignment"][name]
+    assert not said["agrees"]
+    assert np.linalg.norm(said["shift_m"]) < 1
+    assert said["corners_off_m"] > 3
+    assert said["corners_known_to_m"] < said["corners_off_m"]
+
+
+def test_tracks_do_not_doubt_right_control_points(picture, tmp_path):
+    path, laid = picture
+    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    found = align_tiles(str(path), gcps=gcps, tracks=geoaim.read_tracks(TRACKS))
+    assert found.report["alignment"]["tracks"]["agrees"]
 
 
 def test_evidence_that_cannot_check_is_said(picture, aim, tmp_path):
@@ -103,6 +137,7 @@ def test_evidence_that_cannot_check_is_said(picture, aim, tmp_path):
     with pytest.warns(GeoaimWarning, match="could not check the place"):
         found = align_tiles(str(path), gcps=gcps, aim=replace(aim, image=noise))
     assert not found.report["alignment"]["aim"]["checked"]
+    assert summary(found)["by aim"].startswith("could not check: ")
 
 
 def test_without_evidence_imagery_stays_where_it_says():
@@ -127,3 +162,57 @@ def test_control_points_are_of_one_picture():
         align_tiles(["a.tif", "b.tif"], gcps="gcps.csv")
     with pytest.raises(GeoreferenceError):
         align_tiles("samples/background.jpg", gcps=[])
+
+
+def test_control_points_take_the_wanted_resolution_and_crs(picture, tmp_path):
+    path, laid = picture
+    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    found = align_tiles(str(path), gcps=gcps, resolution=1.0)
+    np.testing.assert_allclose(found.world_from_image[:2, :2], [[1, 0], [0, -1]], atol=1e-9)
+    pixels = np.array([[40, 50], [330, 60], [310, 290], [60, 300], [180, 170], [250, 120.0]])
+    places = transform_points(laid.world_from_image, pixels) + laid.world.origin
+    rows = np.column_stack([pixels, places])
+    np.savetxt(gcps, rows, "%.4f", ",", header="u,v,x,y", comments="")
+    with pytest.raises(GeoreferenceError, match="no coordinate reference system"):
+        align_tiles(str(path), gcps=gcps)
+    found = align_tiles(str(path), gcps=gcps, crs=laid.world.crs)
+    assert found.world.crs == laid.world.crs
+    np.testing.assert_array_equal(found.image, laid.image)
+
+
+def test_what_a_picture_hides_is_no_imagery_and_16_bits_are_stretched(picture, tmp_path):
+    _, laid = picture
+    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    alpha = np.full(laid.image.shape[:2], 255, np.uint8)
+    alpha[:50] = 0
+    Image.fromarray(np.dstack([laid.image, alpha])).save(tmp_path / "holes.png")
+    found = align_tiles(str(tmp_path / "holes.png"), gcps=gcps)
+    np.testing.assert_array_equal(found.coverage > 0, alpha > 0)
+    np.testing.assert_array_equal(found.image[60:], laid.image[60:])
+    deep = laid.image[..., 1].astype(np.uint16) * 16
+    Image.fromarray(deep).save(tmp_path / "deep.png")
+    found = align_tiles(str(tmp_path / "deep.png"), gcps=gcps)
+    low, high = np.percentile(deep, [1, 99])
+    stretched = np.clip((deep - low) * 255 / (high - low), 0, 255)
+    np.testing.assert_allclose(found.image[..., 0], stretched, atol=1)
+    Image.fromarray(np.dstack([laid.image, alpha * 0])).save(tmp_path / "nothing.png")
+    with pytest.raises(ImageryError, match="nothing but nodata or transparency"):
+        align_tiles(str(tmp_path / "nothing.png"), gcps=gcps)
+
+
+def test_of_a_video_no_more_than_two_frames_are_read(tmp_path, monkeypatch):
+    def frames():
+        for index in range(3):
+            assert index < 2
+            yield SimpleNamespace(image=np.zeros((4, 6, 3), np.uint8))
+
+    monkeypatch.setattr("geoaim.mapping.aligning.open_video", lambda _: frames())
+    with pytest.raises(ValueError, match="holds several pictures"):
+        align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
+
+
+def test_tracks_of_nobody_are_refused():
+    tracks = geoaim.read_tracks(TRACKS)
+    nobody = replace(tracks, present=np.zeros_like(tracks.present))
+    with pytest.raises(TracksError, match="nobody is present"):
+        align_tiles("samples/ortho.tif", tracks=nobody)
