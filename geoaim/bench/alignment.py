@@ -11,6 +11,7 @@ what has fewer than ten inliers counts as refused. Real pairs and tracks need `G
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -241,18 +242,21 @@ def rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
         reference = _by_brightness(pair)
         start = align_image(coarse, pan)
         moved = [misplaced(pair, generator) for _ in range(trials)]
-        again = [align_image(case.picture, pan) for case in moved]
-        apart = [
-            error(case, np.linalg.inv(start.true_from_stated) @ found.true_from_stated)
-            for case, found in zip(moved, again, strict=True)
-        ]
+        apart = []
+        for case in moved:
+            with suppress(AlignmentError):
+                found = align_image(case.picture, pan)
+                back = np.linalg.inv(start.true_from_stated) @ found.true_from_stated
+                apart.append(error(case, back))
         rows.append(
             {
                 "pair": pair.name,
                 "pixel, m": pixel_size(coarse),
                 "stated place is off by, m": float(np.linalg.norm(reference)),
                 "from ECC, m": float(np.linalg.norm(start.shift - reference)),
-                "known misplacements come back to, m (worst)": max(apart),
+                "misplacements": trials,
+                "refused": trials - len(apart),
+                "come back to, m (worst)": max(apart, default=None),
                 "stated uncertainty, m": start.uncertainty,
                 "windows": start.evidence["windows"],
                 "that agree": start.evidence["agreeing"],

@@ -50,7 +50,7 @@ NARROW = 6  # px in which windows are looked for on finer grids
 MATERIAL = 0.1  # px of the finest grid: a smaller gain is not worth a richer model
 FLOOR = 0.1  # px of the finest grid: a sensor's own geometry is no better known
 COHERENT = 3.0  # windows that shadows and changes move alike
-TRIED = 5.0  # log10 of the places that are tried
+TRIED = 2.0  # log10 of the places that are followed and mended
 AGREE = 1.5  # px of the finest grid within which a window is where it should be
 WIDE = 10  # px in which windows are looked for at last
 CHANCE = -2.0  # log10 of the number of such agreements by chance that is too many
@@ -280,7 +280,7 @@ def _covariance(motion: Motion, size: tuple[int, int]) -> Float[Array, "2 2"]:
 
 
 def _chance(windows: float, agreeing: float) -> float:
-    """log10 of how often so many windows agree by chance, in all places that were tried.
+    """log10 of how often so many windows agree by chance, in all places that were followed.
 
     A contrario (Desolneux, Moisan and Morel 2000): windows of unrelated pictures are found
     anywhere in the circle that is searched. Two of them are what a similarity fits by itself.

@@ -174,11 +174,12 @@ def choose_model(
 ) -> ModelChoice:
     """Choose by the smallest predicted error over the image: squared bias plus variance.
 
-    The homography is taken as unbiased. A simpler model's bias is how far it lies from the
-    homography over a grid of image points, less what noise alone would make of that distance
-    (the difference of the two variances, since the models are nested): the focused information
-    criterion of Claeskens and Hjort (2003) with the position of a pixel as its focus. Unlike
-    GRIC or BIC the answer is in pixels, so that what is immaterial can be left out.
+    The homography is taken as unbiased. A simpler model's bias is how far it lies from a richer
+    one over a grid of image points, less what noise alone would make of that distance (the
+    difference of the two variances, since the models are nested), by the richer one that shows
+    most: the focused information criterion of Claeskens and Hjort (2003) with the position of a
+    pixel as its focus. Unlike GRIC or BIC the answer is in pixels, so that what is immaterial can
+    be left out.
 
     Args:
         matches: one for each picture.
@@ -217,8 +218,11 @@ def _risks(
         spread = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns)
         variances.append(repeats * spread.mean())
         places.append(transform_points(motion.matrix, grid))
-    truth, least = places[-1], variances[-1]
-    distance = [((place - truth) ** 2).sum(-1).mean() for place in places]
-    return [
-        float(max(d - max(least - v, 0), 0) + v) for d, v in zip(distance, variances, strict=True)
-    ]
+    risks = []
+    for number, (place, variance) in enumerate(zip(places, variances, strict=True)):
+        bias = 0.0
+        for richer, spread in zip(places[number + 1 :], variances[number + 1 :], strict=True):
+            apart = ((place - richer) ** 2).sum(-1).mean()
+            bias = max(bias, float(apart - max(spread - variance, 0)))
+        risks.append(bias + float(variance))
+    return risks
