@@ -11,6 +11,7 @@ NAMES = [
     "GeoaimWarning",
     "Tracks",
     "World",
+    "align_tiles",
     "build_aim",
     "export_texture",
     "mapping",

@@ -41,9 +41,8 @@ def align_tiles(
     tracks: Tracks | None = None,
     aim: AIM | None = None,
     gcps: Any = None,
-    resolution: float | None = None,
-    crs: str | None = None,
     prior: Prior = PRIOR,
+    **options: Any,
 ) -> AIM:
     """An AIM of imagery that others took: orthophotos, tiles, a tile service, a picture.
 
@@ -57,10 +56,9 @@ def align_tiles(
         tracks: of vehicles.
         aim: of the same place, of any other day.
         gcps: what `read_control_points` takes: pixels of the picture and their places.
-        resolution: metres a pixel, north up; the imagery's own when None, and as the picture is
-            with control points.
-        crs: of imagery, or of control points, that name none.
         prior: how far off the imagery may be.
+        options: of `read_imagery`: resolution, crs, bands. With control points resolution, which
+            lays the picture north up, and crs, of points that name none.
 
     Returns:
         The map, in the world of the AIM or else of the tracks; its report says how well its
@@ -82,12 +80,10 @@ def align_tiles(
         tracks = tracks_in(tracks, aim.world)
     if gcps is not None:
         world = next((given.world for given in (aim, tracks) if given is not None), None)
-        imagery, placed = _by_control_points(tiles, gcps, world, crs), True
-        if resolution is not None:
-            imagery = rectify(imagery, resolution)
+        imagery, placed = _by_control_points(tiles, gcps, world, **options), True
     else:
         world, corners = _wanted(aim, tracks, prior)
-        imagery = read_imagery(tiles, world=world, corners=corners, resolution=resolution, crs=crs)
+        imagery = read_imagery(tiles, world=world, corners=corners, **options)
         placed = False
     for name, given, align in _evidence(aim, tracks, prior):
         if placed:
@@ -133,7 +129,12 @@ def _wanted(
 
 
 def _by_control_points(
-    tiles: Source | Sequence[Source], gcps: Any, world: World | None, crs: str | None
+    tiles: Source | Sequence[Source],
+    gcps: Any,
+    world: World | None,
+    *,
+    crs: str | None = None,
+    resolution: float | None = None,
 ) -> AIM:
     """One picture where control points lay it."""
     if not isinstance(tiles, str | os.PathLike):
@@ -142,7 +143,7 @@ def _by_control_points(
     image, seen = _picture(Path(tiles))
     height, width = seen.shape
     place = georeference(points, height=height, width=width, world=world)
-    return AIM(
+    placed = AIM(
         image=image,
         world_from_image=place.world_from_image,
         world=place.world,
@@ -150,6 +151,7 @@ def _by_control_points(
         contested=np.zeros((height, width), bool),
         report={"source": str(tiles), "georeference": report_georeference(place, points)},
     )
+    return placed if resolution is None else rectify(placed, resolution)
 
 
 def _picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
