@@ -264,14 +264,10 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     for row in rows:
         if row["median, px"] is None:  # over half of the cases were refused
             continue
-        axes.plot(row["s"], row["median, px"], "o", markersize=11)
         wrong = row["over 1 px and not refused"]
-        note = (
-            f"{row['way']}\nunder 1 px: {row['under 1 px, %']:.0f} %; wrong, not refused: {wrong}"
-        )
-        axes.annotate(
-            note, (row["s"], row["median, px"]), xytext=(10, -4), textcoords="offset points"
-        )
+        label = f"{row['way']}: {row['under 1 px, %']:.0f} % under 1 px, {wrong} wrong"
+        axes.plot(row["s"], row["median, px"], "o", markersize=11, label=label)
+    axes.legend(fontsize=8)
     axes.set(xscale="log", yscale="log", xlabel="s for a pair", ylabel="median error, px")
     axes.set_title(f"{rows[0]['cases']} made pairs of other days and sensors")
     axes.margins(0.35)
