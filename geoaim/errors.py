@@ -9,7 +9,8 @@ GeoaimError
 ├── AimError            a file is not an AIM, or an AIM cannot be written as asked
 ├── TracksError         a file holds no tracks or lights, or such as contradict themselves
 ├── MapError            a file is no HD map, or does not lie where it is needed
-└── ImageryError        imagery cannot be read, or does not lie where it is needed
+├── ImageryError        imagery cannot be read, or does not lie where it is needed
+└── ModelError          a file is no prediction model, or one of another version
 
 GeoaimWarning           the work went on, with less than was asked for
 """
@@ -53,6 +54,10 @@ class MapError(GeoaimError):
 
 class ImageryError(GeoaimError):
     """Imagery cannot be read, or does not lie where it is needed."""
+
+
+class ModelError(GeoaimError):
+    """A file is no prediction model, or one of another version."""
 
 
 class GeoaimWarning(UserWarning):

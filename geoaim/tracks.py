@@ -129,12 +129,17 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
             _write_parquet(frame, world, temporary)
             return
         with open(temporary, "w", encoding="utf-8", newline="") as file:
-            east, north = map(float, world.origin)
-            crs = " ".join((world.crs or LOCAL).split())  # WKT may have lines
-            file.write(f"# crs: {crs}\n# origin: {east!r} {north!r}\n")
+            file.write(world_lines(world))
             for name, decimals in zip(COLUMNS[2:], DECIMALS, strict=True):
                 frame[name] = frame[name].round(decimals) + 0.0  # no minus zero
             frame.to_csv(file, index=False, lineterminator="\n")
+
+
+def world_lines(world: World) -> str:
+    """The first lines of a table of places: its CRS and origin."""
+    east, north = map(float, world.origin)
+    crs = " ".join((world.crs or LOCAL).split())  # WKT may have lines
+    return f"# crs: {crs}\n# origin: {east!r} {north!r}\n"
 
 
 def read_tracks(path: str | os.PathLike[str]) -> Tracks:

@@ -57,7 +57,7 @@ def render(
     with stages() as progress, plain_errors():
         refuse_output(output, (".mp4", ".gif", ".png"))
         agents = (tracks, tracks_world, metres_per_pixel)
-        scene, _, _ = _scene(aim, agents, lights, hdmap, stop_lines)
+        scene, _, _ = read_scene(aim, agents, lights, hdmap, stop_lines)
         agent = agent_number(scene, ego)
         step = step_at(scene, agent, time) if output.suffix.lower() == ".png" else None
         count = _film(
@@ -106,7 +106,7 @@ def simulate(
             if ego is None:
                 raise ValueError("--film needs --ego, in whose middle the film is")
         agents = (tracks, tracks_world, metres_per_pixel)
-        scene, known, world = _scene(aim, agents, lights, hdmap, stop_lines)
+        scene, known, world = read_scene(aim, agents, lights, hdmap, stop_lines)
         area = None if drivable is None else read_area(drivable, world)
         rules = rules_of(known, area)
         episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=seconds, rules=rules)
@@ -118,18 +118,24 @@ def simulate(
     console.print(f"{output}: {int(episode.controlled.sum())} agents by {policy}. {rates}")
 
 
-def _scene(
+def read_scene(
     aim: Path,
     tracks: tuple[Path, str | None, float | None],
     lights: Path | None,
     hdmap: Path | None,
     stop_lines: Path | None,
+    *,
+    rate: float | None = None,
 ) -> tuple["Scene", "HDMap | None", "World"]:
-    """A scene of files, and its HD map and world; tracks with their world and metres per pixel."""
+    """A scene of files, and its HD map and world; tracks with their world and metres per pixel.
+
+    At a rate in Hz, if one is given.
+    """
     from geoaim.aim import read_aim
     from geoaim.lights import read_lights, read_stop_lines
     from geoaim.mapping.hdmap import read_hdmap
     from geoaim.simulation.scene import make_scene
+    from geoaim.track_changes import resample
 
     if lights is not None and hdmap is None and stop_lines is None:
         raise ValueError("--lights needs --hdmap or --stop-lines: where they stop traffic")
@@ -141,7 +147,10 @@ def _scene(
     if stop_lines is not None:
         lines = read_stop_lines(stop_lines, place.world)
     signals = None if lights is None else read_lights(lights, lines, place.world)
-    return make_scene(place, read_any_tracks(*tracks), signals), known, place.world
+    agents = read_any_tracks(*tracks)
+    if rate is not None:
+        agents = resample(agents, rate)
+    return make_scene(place, agents, signals), known, place.world
 
 
 def _film(

@@ -81,6 +81,16 @@ def displacement_step(state: State, action: Action, seconds: float) -> State:
     return torch.stack([x, y, _wrapped(state[..., 2] + turn), way / seconds], dim=-1)
 
 
+def slide_step(state: State, action: Action, seconds: float) -> State:
+    """As `displacement_step`, but the heading stays: for tracks of positions alone."""
+    ahead, left = action.unbind(-1)
+    cosine, sine = state[..., 2].cos(), state[..., 2].sin()
+    x = state[..., 0] + ahead * cosine - left * sine
+    y = state[..., 1] + ahead * sine + left * cosine
+    speed = torch.sqrt(ahead**2 + left**2 + STILL**2) / seconds
+    return torch.stack([x, y, state[..., 2], speed], dim=-1)
+
+
 def displacement_action(state: State, after: State) -> Action:
     """Metres ahead and to the left from state to state."""
     x, y = (after - state)[..., :2].unbind(-1)

@@ -54,8 +54,11 @@ def path_boxes(
     return replace(lines, sizes=longer)
 
 
-def light_boxes(lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "B L"]) -> Boxes:
-    """A bar on each stop line in the colour of its light; none where the state is not known, -1."""
+def light_boxes(lines: Float[Tensor, "... L 2 2"], states: Int[Tensor, "B L"]) -> Boxes:
+    """A bar on each stop line in the colour of its light; none where the state is not known, -1.
+
+    Lines are the same in all views, or each view's own.
+    """
     colours = lines.new_tensor(LIGHTS)[states.long().clamp_min(0)]
-    ends = lines.expand(len(states), -1, -1, -1)
+    ends = lines.expand(len(states), *lines.shape[-3:])
     return line_boxes(ends, colours, width=BAR, present=states >= 0)

@@ -193,6 +193,20 @@ def step_at(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
     return steps[nearest]
 
 
+def step_at_time(scene: Scene, time: float | None) -> int:
+    """The step nearest to a time in seconds; the last one for None.
+
+    Raises:
+        ValueError: the time is not within the scene's.
+    """
+    if time is None:
+        return len(scene.times) - 1
+    begin, end = float(scene.times[0]), float(scene.times[-1])
+    if not begin <= time <= end:
+        raise ValueError(f"{time:g} s is not in the scene, from {begin:g} to {end:g} s")
+    return int((scene.times - time).abs().argmin())
+
+
 def check_touches(
     what: str, places: Float[Array, "n 2"], low: Float[Array, "2"], high: Float[Array, "2"]
 ) -> None:

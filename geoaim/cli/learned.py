@@ -1,0 +1,225 @@
+"""Commands that predict, judge predictions, train, and repeat the paper's experiments."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from geoaim.cli.console import (
+    AimFile,
+    TracksFile,
+    TracksPixel,
+    TracksWorld,
+    console,
+    plain_errors,
+    refuse_output,
+    stages,
+)
+from geoaim.cli.driving import LightsFile, StopLinesFile, read_scene
+
+if TYPE_CHECKING:
+    from geoaim.prediction.itra import ITRA
+
+Kind = Literal["vehicle", "pedestrian"]
+Weights = Annotated[
+    Path | None, typer.Option("--weights", help="a model.pt; if left out the one that is shipped")
+]
+Samples = Annotated[int, typer.Option(help="futures to draw", min=1)]
+OBSERVED = 10  # steps that are known
+USUAL = {"vehicle": 4.0, "pedestrian": 8.0}  # s that are predicted
+Seed = Annotated[int, typer.Option(help="of the noise", min=0)]
+
+
+def predict(
+    aim: AimFile,
+    tracks: TracksFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help=".csv, .png, .mp4 or .gif to write")
+    ],
+    kind: Annotated[Kind, typer.Option(help="whose futures")] = "vehicle",
+    weights: Weights = None,
+    at: Annotated[
+        float | None,
+        typer.Option(help="s, the last time that is known; the tracks' end if left out"),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="to predict; 4 for vehicles, 8 for pedestrians", min=0.1)
+    ] = None,
+    samples: Samples = 6,
+    seed: Seed = 0,
+    lights: LightsFile = None,
+    hdmap: Annotated[Path | None, typer.Option(help="lanelet2 map with their stop lines")] = None,
+    stop_lines: StopLinesFile = None,
+    tracks_world: TracksWorld = None,
+    metres_per_pixel: TracksPixel = None,
+) -> None:
+    """Draw what may happen next: sampled futures of all vehicles, or of all people, jointly.
+
+    Others replay what the tracks say. A .csv has a row for each sample, agent and time; pictures
+    show the map with all samples, and in white what really happened.
+    """
+    import torch
+
+    from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
+    from geoaim.prediction.predict import predict as foresee
+    from geoaim.simulation.layers import KINDS
+    from geoaim.simulation.pictures import write_pictures
+    from geoaim.simulation.scene import step_at_time
+
+    with stages() as progress, plain_errors():
+        refuse_output(output, (".csv", ".png", ".mp4", ".gif"), [aim, tracks, lights, hdmap])
+        model = _model(weights, kind)
+        agents = (tracks, tracks_world, metres_per_pixel)
+        scene, _, world = read_scene(
+            aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.seconds
+        )
+        start = step_at_time(scene, at)
+        progress("predict", 0, 1)
+        steps = round((seconds or USUAL[kind]) / model.config.seconds)
+        generator = torch.Generator().manual_seed(seed)
+        futures = foresee(
+            model, scene, samples=samples, steps=steps, start=start, generator=generator
+        )
+        progress("predict", 1, 1)
+        if output.suffix.lower() == ".csv":
+            write_futures(scene, futures, start, world, output)
+        elif output.suffix.lower() == ".png":
+            write_pictures([draw_futures(scene, futures, start)], output, rate=1.0)
+        else:
+            frames = film_futures(scene, futures, start)
+            write_pictures(frames, output, rate=1 / model.config.seconds)
+    moved = sum(
+        there and other in KINDS[kind]
+        for there, other in zip(scene.present[:, start].tolist(), scene.types, strict=True)
+    )
+    console.print(
+        f"{output}: {samples} futures of {steps * model.config.seconds:g} s after "
+        f"{float(scene.times[start]):g} s, {moved} agents"
+    )
+
+
+def evaluate(
+    aim: Annotated[
+        Path | None, typer.Argument(help="an AIM, with --tracks; or give --windows instead")
+    ] = None,
+    tracks: Annotated[
+        Path | None, typer.Option(help="tracks on the AIM, of any known form")
+    ] = None,
+    windows: Annotated[
+        Path | None, typer.Option(help="folder of <scene>.csv: frame, track, u_px, v_px; 8 + 12")
+    ] = None,
+    images: Annotated[Path | None, typer.Option(help="folder of <scene>.jpg; none: no map")] = None,
+    scenes: Annotated[
+        Path | None, typer.Option(help="table of the windows' scenes: scene, metres_per_pixel")
+    ] = None,
+    kind: Annotated[Kind, typer.Option(help="who is judged, on an AIM")] = "vehicle",
+    weights: Weights = None,
+    samples: Samples = 6,
+    seed: Seed = 0,
+    lights: LightsFile = None,
+    hdmap: Annotated[
+        Path | None, typer.Option(help="lanelet2 map: stop lines, and what is off the road")
+    ] = None,
+    stop_lines: StopLinesFile = None,
+    tracks_world: TracksWorld = None,
+    metres_per_pixel: TracksPixel = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+) -> None:
+    """Judge a model beside constant velocity, with and without noise, and constant turn rate.
+
+    On an AIM with tracks, by minADE, minFDE, MFD and what goes wrong; on windows of the Stanford
+    Drone Dataset's form, by minADE and minFDE in pixels and metres. Intervals of 95 % are by
+    bootstrap.
+    """
+    from geoaim.prediction.evaluation import compare, evaluate_windows, window_asked
+    from geoaim.prediction.metrics import summary
+    from geoaim.prediction.report import markdown
+    from geoaim.prediction.windows import read_windows
+
+    with stages() as progress, plain_errors():
+        if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
+            raise ValueError("give an AIM with --tracks, or --windows with --scenes")
+        if windows is not None:
+            if scenes is None:
+                raise ValueError("--windows needs --scenes: metres a pixel of each scene")
+            if weights is None:
+                raise ValueError(
+                    "--windows needs --weights, of a model that was trained on windows"
+                )
+            model = _model(weights, None)
+            there = read_windows(windows, images, scenes, model.config.view)
+            asked = window_asked(samples, seed)
+            judged = compare(
+                model, lambda who: evaluate_windows(who, there, asked, report=progress)
+            )
+            count = len(there.segments)
+        else:
+            model = _model(weights, kind)
+            given = (aim, (tracks, tracks_world, metres_per_pixel), lights, hdmap, stop_lines)
+            judged, count = _judged(model, given, samples, seed, progress)
+    found = {name: summary(measures) for name, measures in judged.items()}
+    if as_json:
+        flat = {name: value["mean"] for name, value in found["model"].items()}
+        name = "windows" if windows is not None else "segments"
+        print(json.dumps({**flat, name: count, "samples": samples, "methods": found}, indent=1))
+    else:
+        print(markdown(found))
+
+
+def experiment(
+    name: Annotated[str, typer.Argument(help="which one; 'list' says what there is")],
+    folder: Annotated[
+        Path, typer.Option("--folder", help="where places and models are kept")
+    ] = Path("build/experiments"),
+) -> None:
+    """Repeat an experiment: made places or real data, models, tables and figures.
+
+    What is in the folder already is used, so that an interrupted run goes on where it was.
+    Results go to docs/experiments.
+    """
+    from geoaim.experiments import EXPERIMENTS
+
+    with stages() as progress, plain_errors():
+        if name not in EXPERIMENTS:
+            listed = "; ".join(f"{key}: {run.__doc__}" for key, run in EXPERIMENTS.items())
+            raise ValueError(f"there is no experiment {name!r}. {listed}")
+        written = EXPERIMENTS[name](folder, progress)
+    console.print(", ".join(str(path) for path in written))
+
+
+def _judged(
+    model: "ITRA", given: tuple[Any, ...], samples: int, seed: int, progress: Any
+) -> tuple[Any, int]:
+    """Measures of everybody on joint segments of a scene, and how many segments there are."""
+    from geoaim.prediction.evaluation import Asked, compare, evaluate
+    from geoaim.prediction.segments import cut_segments
+    from geoaim.simulation.episodes import rules_of
+    from geoaim.simulation.ground import fit_ground
+
+    scene, known, _ = read_scene(*given, rate=1 / model.config.seconds)
+    steps = OBSERVED + round(USUAL[model.config.kind] / model.config.seconds)
+    segments = cut_segments(scene, model.config.kind, steps=steps, stride=steps, joint=True)
+    ground = fit_ground(scene.ground, model.config.resolution)
+    asked, rules = Asked(OBSERVED, samples, seed=seed), rules_of(known)
+    judged = compare(
+        model,
+        lambda who: evaluate(who, segments, ground, asked, rules=rules, report=progress),
+    )
+    return judged, len(segments)
+
+
+def _model(weights: Path | None, kind: str | None) -> "ITRA":
+    """The model of a file, or the one that is shipped for a kind."""
+    from geoaim.prediction.checkpoints import read_model, shipped
+
+    if weights is None:
+        if kind is None:
+            raise ValueError("give --weights")
+        weights = shipped(kind)
+    model = read_model(weights)
+    if kind is not None and model.config.kind != kind:
+        raise ValueError(
+            f"{weights} is a model of {model.config.kind}s; say --kind {model.config.kind}"
+        )
+    return model

@@ -1,0 +1,40 @@
+"""The models that experiments compare, each trained once and kept in its folder."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, make_lessons
+from geoaim.experiments.places import TRAIN, Report, make_places
+from geoaim.prediction.checkpoints import read_model
+from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.training import train
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What a model is made of and what it sees."""
+
+    config: Config
+    map: str
+    lights: bool = True
+
+
+RECIPES = {
+    "vehicle_aim": Recipe(VEHICLES, "aim"),
+    "vehicle_hdm": Recipe(VEHICLES, "hdm"),
+    "vehicle_aim_no_lights": Recipe(VEHICLES, "aim", lights=False),
+    "vehicle_aim_resnet18": Recipe(replace(VEHICLES, encoder="resnet18"), "aim"),
+    "pedestrian_aim": Recipe(PEOPLE, "aim"),
+    "pedestrian_hdm": Recipe(PEOPLE, "hdm"),
+}
+
+
+def trained(name: str, folder: Path, *, report: Report = lambda *_: None) -> ITRA:
+    """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet."""
+    recipe, where = RECIPES[name], folder / "models" / name
+    if (where / "model.pt").exists():
+        return read_model(where / "model.pt")
+    places = make_places(folder / "places", TRAIN, report=report)
+    lessons = make_lessons(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
+    training = TRAININGS[recipe.config.kind]
+    return train(recipe.config, training, lessons, where, progress=report)

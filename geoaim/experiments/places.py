@@ -1,0 +1,169 @@
+"""Made places to learn from and to be judged on: written once, then read as any recording is."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from geoaim.aim import AIM, read_aim, write_aim
+from geoaim.lights import Lights, read_lights
+from geoaim.mapping.aligning import align_tiles
+from geoaim.mapping.drivable import drivable_area
+from geoaim.mapping.hdmap import HDMap, read_hdmap
+from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.simulation.episodes import Rules, rules_of
+from geoaim.simulation.scene import Scene, make_scene
+from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
+from geoaim.synthetic.roads.layouts import Kind
+from geoaim.track_changes import resample
+from geoaim.tracks import Tracks, read_tracks
+
+TRAIN: tuple[tuple[int, Kind], ...] = (
+    (201, "junction"),
+    (202, "junction"),
+    (203, "t"),
+    (204, "roundabout"),
+    (205, "junction"),
+    (206, "street"),
+    (207, "junction"),
+    (208, "t"),
+    (209, "junction"),
+    (210, "roundabout"),
+)
+TEST: tuple[tuple[int, Kind], ...] = (
+    (301, "junction"),
+    (302, "junction"),
+    (303, "t"),
+    (304, "roundabout"),
+)
+MINUTES = 10.0
+RESOLUTION = 0.1  # m a pixel of drawn places
+HELD_OUT = 0.05  # share at each recording's end, as in the paper
+MAPS = ("aim", "hdm", "degraded", "another day", "none")
+BLUR, NOISE = 3.0, 0.2  # px of 0.1 m, and of full brightness, as in the paper
+Report = Callable[[str, float, float | None], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """A recording at a place: who was there, the lights, and what its HD map says."""
+
+    folder: Path
+    tracks: Tracks
+    lights: Lights | None
+    hdmap: HDMap
+
+    @property
+    def rules(self) -> Rules:
+        """What is off the road."""
+        return rules_of(self.hdmap, drivable_area(self.hdmap))
+
+
+def make_places(
+    folder: Path, places: Sequence[tuple[int, Kind]], *, report: Report = lambda *_: None
+) -> list[Path]:
+    """The folders of places; those that are not there yet are made."""
+    found = []
+    for number, (seed, kind) in enumerate(places):
+        report("places", number, len(places))
+        where = folder / f"{kind}_{seed}"
+        if not (where / "README.md").exists():
+            sample = make_sample(
+                seed, kind=kind, minutes=MINUTES, video=None, metres_per_pixel=RESOLUTION
+            )
+            write_sample(sample, where)
+        found.append(where)
+    report("places", len(places), len(places))
+    return found
+
+
+def read_recordings(folder: Path) -> list[Recorded]:
+    """All recordings of a made place."""
+    found = []
+    for path in sorted(folder.glob("tracks*.csv")):
+        tracks = read_tracks(path)
+        hdmap = read_hdmap(folder / "map.osm", tracks.world)
+        changes = path.with_name(path.name.replace("tracks", "lights"))
+        lights = None
+        if changes.exists():
+            lights = read_lights(changes, hdmap.stop_lines, tracks.world)
+        found.append(Recorded(folder, tracks, lights, hdmap))
+    return found
+
+
+def read_map(folder: Path, name: str) -> AIM:
+    """A place's map by one of `MAPS`; what takes long is kept in the folder.
+
+    Raises:
+        ValueError: there is no such map.
+    """
+    if name not in MAPS:
+        raise ValueError(f"there is no map {name!r}; there are {', '.join(MAPS)}")
+    path = folder / "aim.tif"
+    if not path.exists():
+        write_aim(_drawn(folder), path)
+    aim = read_aim(path)
+    if name == "hdm":
+        return draw_hdmap(read_hdmap(folder / "map.osm", aim.world))
+    if name == "degraded":
+        return degraded(aim)
+    if name == "none":
+        return replace(aim, image=np.full_like(aim.image, 128))
+    if name == "another day":
+        path = folder / "another_day.tif"
+        if not path.exists():
+            write_aim(align_tiles(folder / "ortho.tif", aim=aim), path)
+        return read_aim(path)
+    return aim
+
+
+def degraded(aim: AIM) -> AIM:
+    """A blurred and noisy map: Gaussian blur, then noise of a fifth of full brightness."""
+    generator = np.random.default_rng(0)
+    soft = cv2.GaussianBlur(aim.image, (0, 0), BLUR).astype(np.float32) / 255
+    noise = generator.normal(0, NOISE, soft.shape).astype(np.float32)
+    image = np.rint(np.clip(soft + noise, 0, 1) * 255).astype(np.uint8)
+    return replace(aim, image=image)
+
+
+def scene_of(
+    recorded: Recorded, name: str, *, rate: float, part: str = "all", lights: bool = True
+) -> Scene:
+    """A recording on one of its maps, at so many steps a second.
+
+    Args:
+        recorded: what happened.
+        name: one of `MAPS`.
+        rate: in Hz.
+        part: "first", without its end of `HELD_OUT`; "last", that end; or "all".
+        lights: whether they are shown.
+    """
+    tracks = resample(recorded.tracks, rate)
+    edge = round(len(tracks.times) * (1 - HELD_OUT))
+    some = {"first": slice(0, edge), "last": slice(edge, None), "all": slice(None)}[part]
+    tracks = replace(
+        tracks,
+        times=tracks.times[some],
+        states=tracks.states[:, some],
+        present=tracks.present[:, some],
+    )
+    shown = recorded.lights if lights else None
+    return make_scene(read_map(recorded.folder, name), tracks, shown)
+
+
+def _drawn(folder: Path) -> AIM:
+    """The place from above without its traffic, as a drone's background would show it."""
+    kind, seed = folder.name.rsplit("_", 1)
+    place = make_place(int(seed), kind=kind)  # type: ignore[arg-type]
+    image = draw_place(place, metres_per_pixel=RESOLUTION)
+    height, width = image.shape[:2]
+    return AIM(
+        image,
+        world_from_image(place, RESOLUTION),
+        place.world,
+        coverage=np.ones((height, width), np.uint16),
+        contested=np.zeros((height, width), bool),
+        report={"source": "drawn"},
+    )

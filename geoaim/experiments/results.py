@@ -1,0 +1,30 @@
+"""What experiments leave behind: a small JSON file and a Markdown table of each."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from geoaim.bench.report import machine
+from geoaim.files import replacing
+from geoaim.prediction.report import Summary, markdown
+
+FOLDER = Path("docs/experiments")
+
+
+def write_results(name: str, tables: Mapping[str, Summary], about: Mapping[str, Any]) -> list[Path]:
+    """Write means with their intervals, and what they are of; the files."""
+    content = {
+        "command": f"geoaim experiment {name}",
+        "machine": machine(),
+        **about,
+        "methods": {key: dict(table) for key, table in tables.items()},
+    }
+    written = {
+        FOLDER / f"{name}.json": json.dumps(content, indent=1) + "\n",
+        FOLDER / f"{name}.md": f"`geoaim experiment {name}`\n\n{markdown(tables)}\n",
+    }
+    for path, text in written.items():
+        with replacing(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return list(written)

@@ -1,0 +1,63 @@
+"""Real vehicles: models of made places on Songdo's traffic, as they are and fine-tuned."""
+
+from pathlib import Path
+
+import numpy as np
+
+from geoaim.bench.data import data_folder
+from geoaim.errors import TracksError
+from geoaim.experiments.learning import OBSERVED, SAMPLES, VEHICLES
+from geoaim.experiments.models import trained
+from geoaim.experiments.places import Report
+from geoaim.experiments.results import write_results
+from geoaim.mapping.tiles import read_imagery
+from geoaim.prediction.atlas import make_atlas
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.metrics import interval, summary
+from geoaim.prediction.segments import cut_segments, pick, shifted
+from geoaim.prediction.training import Lessons, Training, train
+from geoaim.simulation.scene import Scene, make_scene
+from geoaim.track_changes import resample
+from geoaim.track_formats import read_geotrax
+
+MARGIN = 30.0  # m of the map around the tracks
+STEPS = 40  # of a segment; the recording has 50
+TUNING = Training(steps=100, batch=32, rate=5e-4, divergence=0.3, warm_up=0.0, save=50)
+
+
+def songdo(folder: Path, report: Report) -> list[Path]:
+    """real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
+    scene = _scene()
+    model = trained("vehicle_aim", folder, report=report)
+    ground, offsets = make_atlas([scene.ground], VEHICLES.view)
+    every = cut_segments(scene, "vehicle", steps=STEPS, stride=len(scene.times))
+    every = shifted(every, offsets[0])
+    # five seconds leave no later time to hold out: every other vehicle is learnt from
+    learnt, others = pick(every, slice(0, None, 2)), pick(every, slice(1, None, 2))
+    where = folder / "models" / "vehicle_songdo"
+    tuned = train(VEHICLES, TUNING, Lessons(learnt, others, ground), where, start=model)
+    asked = Asked(OBSERVED, SAMPLES)
+    models = {"zero-shot": model, "fine-tuned": tuned} | {name: name for name in BASELINES}
+    found = {}
+    for name, who in models.items():
+        found[name] = evaluate(who, others, ground, asked, report=report)
+    tuning = {
+        name: interval(found["fine-tuned"][name], found["zero-shot"][name])
+        for name in found["zero-shot"]
+    }
+    about = {"vehicles": len(others), "fine-tuned less zero-shot": tuning}
+    return write_results("songdo", {name: summary(t) for name, t in found.items()}, about)
+
+
+def _scene() -> Scene:
+    data = data_folder()
+    if data is None or not (data / "tracks/songdo_u").is_dir():
+        raise TracksError("Songdo's tracks are not here; name the data's folder by GEOAIM_DATA")
+    given = data / "tracks/songdo_u"
+    tracks = read_geotrax(given / "U_video_cut.csv", crs="EPSG:5186")
+    tracks = resample(tracks, 1 / VEHICLES.seconds)
+    places = tracks.states[tracks.present][:, :2]
+    corners = np.stack([places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN])
+    path = given / "ortho_U_25cm_epsg5186.tif"
+    return make_scene(read_imagery(path, world=tracks.world, corners=corners), tracks)

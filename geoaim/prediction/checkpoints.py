@@ -1,0 +1,67 @@
+"""Models as files: weights with what they need to be used again."""
+
+import os
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from geoaim.errors import ModelError
+from geoaim.files import replacing
+from geoaim.prediction.itra import ITRA, Config
+
+FORMAT = 1
+SHIPPED = Path(__file__).parent / "models"
+
+
+def write_model(model: ITRA, path: str | os.PathLike[str], *, about: str = "") -> None:
+    """Write a model's config and weights, as 16-bit floats, and a word about them."""
+    weights = {name: value.detach().cpu().half() for name, value in model.state_dict().items()}
+    write_state({"config": asdict(model.config), "weights": weights, "about": about}, path)
+
+
+def read_model(path: str | os.PathLike[str]) -> ITRA:
+    """Read a model, ready to sample from.
+
+    Raises:
+        ModelError: the file is none.
+        OSError: there is no such file.
+    """
+    state = read_state(path)
+    try:
+        model = ITRA(Config(**state["config"]))
+        model.load_state_dict({name: value.float() for name, value in state["weights"].items()})
+    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise ModelError(f"{path} is no model of this version: {error}") from None
+    return model.eval()
+
+
+def shipped(kind: str) -> Path:
+    """The file of the model of a kind that comes with the package; made places taught it."""
+    return SHIPPED / f"{kind}.pt"
+
+
+def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
+    """Write numbers and tensors; an interrupted write leaves the old file."""
+    with replacing(path) as temporary:
+        torch.save({"format": FORMAT, **state}, temporary)
+
+
+def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read what `write_state` wrote; nothing in the file is run.
+
+    Raises:
+        ModelError: the file is of something else.
+        OSError: there is no such file.
+    """
+    path = Path(path)
+    with path.open("rb"):
+        pass
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # pickle, zip and torch each have their own
+        raise ModelError(f"{path} is no model: {str(error).splitlines()[0]}") from None
+    if not isinstance(state, dict) or state.get("format") != FORMAT:
+        raise ModelError(f"{path} is no model of the form {FORMAT}; train it anew")
+    return state

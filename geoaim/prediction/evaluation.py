@@ -1,0 +1,112 @@
+"""A model and the training-free baselines on the same segments: what `geoaim evaluate` does."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from geoaim.prediction.baselines import BASELINES, predict_plainly
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import Measure, measure, merged
+from geoaim.prediction.segments import Segments, pick
+from geoaim.prediction.windows import OBSERVED, Windows
+from geoaim.simulation.episodes import NO_RULES, Rules
+from geoaim.simulation.ground import Ground
+
+VIEWS = 4000  # of all samples and agents that are drawn at once, at most
+Predict = Callable[[Segments, torch.Generator], Float[Tensor, "S K T A 4"]]
+Report = Callable[[str, float, float | None], None]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of every predictor.
+
+    Attributes:
+        observed: steps that are known.
+        samples: futures.
+        spread: of a model's latents.
+        seed: of the noise.
+    """
+
+    observed: int
+    samples: int
+    spread: float = 1.0
+    seed: int = 0
+
+
+def evaluate(
+    model: ITRA | str,
+    segments: Segments,
+    ground: Ground,
+    asked: Asked,
+    *,
+    rules: Rules = NO_RULES,
+    report: Report = lambda stage, done, total: None,
+) -> dict[str, Measure]:
+    """All measures of a model, or of one of `BASELINES`, on segments of one place."""
+    generator = torch.Generator(segments.states.device).manual_seed(asked.seed)
+    predict = _predictor(model, ground, asked)
+    name = model if isinstance(model, str) else "model"
+    parts, size = [], _at_once(segments, asked)
+    for start in range(0, len(segments), size):
+        some = pick(segments, slice(start, start + size))
+        parts.append(measure(predict(some, generator), some, asked.observed, rules))
+        report(name, min(start + size, len(segments)), len(segments))
+    return merged(parts)
+
+
+def evaluate_windows(
+    model: ITRA | str,
+    windows: Windows,
+    asked: Asked,
+    *,
+    report: Report = lambda stage, done, total: None,
+) -> dict[str, Measure]:
+    """minADE and minFDE of windows, in the pixels of their images and in metres."""
+    found = evaluate(model, windows.segments, windows.ground, asked, report=report)
+    scale = windows.metres.double().numpy()
+    measures = {}
+    for name in ("minADE", "minFDE"):
+        measures[f"{name}_px"] = Measure(found[name].sums / scale, found[name].counts)
+        measures[f"{name}_m"] = found[name]
+    return measures
+
+
+def window_asked(samples: int, seed: int = 0) -> Asked:
+    """What is asked on windows: latents at their mean, since plans spread already."""
+    return Asked(OBSERVED, samples, spread=0.0, seed=seed)
+
+
+def compare(
+    model: ITRA,
+    judge: Callable[[ITRA | str], dict[str, Measure]],
+) -> Mapping[str, dict[str, Measure]]:
+    """The model's measures and those of all baselines."""
+    return {"model": judge(model)} | {name: judge(name) for name in BASELINES}
+
+
+def _predictor(model: ITRA | str, ground: Ground, asked: Asked) -> Predict:
+    def predict(segments: Segments, generator: torch.Generator) -> Tensor:
+        observed, samples = asked.observed, asked.samples
+        if isinstance(model, str):
+            return predict_plainly(
+                model, segments, observed=observed, samples=samples, generator=generator
+            )
+        return model.sample(
+            segments,
+            ground,
+            observed=observed,
+            samples=samples,
+            generator=generator,
+            spread=asked.spread,
+        )
+
+    return predict
+
+
+def _at_once(segments: Segments, asked: Asked) -> int:
+    most = int(segments.controlled.sum(dim=1).max())
+    return max(1, VIEWS // (most * asked.samples))

@@ -1,0 +1,133 @@
+"""Futures on the map, for people: a picture, a film, a table."""
+
+import math
+import os
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+import torch
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+from torch import Tensor
+
+from geoaim.files import replacing
+from geoaim.simulation.birdview import Boxes, render
+from geoaim.simulation.ground import Ground, View, fit_ground
+from geoaim.simulation.layers import COLOURS, OTHER, lights_at
+from geoaim.simulation.lines import path_boxes
+from geoaim.simulation.scene import Scene
+from geoaim.tracks import world_lines
+from geoaim.world import World
+
+WIDE = 1280  # px of a picture's longer side
+FUTURE = (1.0, 0.45, 0.0)
+TRUTH = (0.95, 0.95, 0.95)
+LINE = 0.5  # m that a path is wide
+AROUND = 15.0  # m around all paths that a picture shows
+
+
+def draw_futures(
+    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
+) -> UInt8[Array, "H W 3"]:
+    """The map, north up, with all futures, what really happened, and everybody at the start.
+
+    Args:
+        scene: map, agents and lights.
+        futures: from `predict`.
+        start: the step after which they begin.
+    """
+    view, camera = _camera(scene, futures, start)
+    after = scene.poses[None, :, start : start + 1 + futures.shape[2], :2]
+    now = scene.poses[None, :, start : start + 1, :2].expand(len(futures), -1, -1, -1)
+    ways = torch.cat([now, futures[..., :2]], dim=2)
+    layers = [
+        _paths(after, TRUTH, LINE),
+        _paths(ways.flatten(0, 1)[None], FUTURE, LINE / 2),
+        lights_at(scene, torch.tensor([start])),
+        _agents(scene, scene.poses[:, start]),
+    ]
+    return _picture(view, camera, fit_ground(scene.ground, view.resolution), layers)
+
+
+def film_futures(
+    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
+) -> Iterator[UInt8[Array, "H W 3"]]:
+    """The futures as they go on, all of them in one picture a step."""
+    view, camera = _camera(scene, futures, start)
+    ground = fit_ground(scene.ground, view.resolution)
+    for number in range(futures.shape[2]):
+        ways = futures[:, :, : number + 1, :2].flatten(0, 1)[None]
+        layers = [] if number == 0 else [_paths(ways, FUTURE, LINE / 2)]
+        layers += [_agents(scene, future[:, number, :3]) for future in futures]
+        yield _picture(view, camera, ground, layers)
+
+
+def write_futures(
+    scene: Scene,
+    futures: Float[Tensor, "K N T 4"],
+    start: int,
+    world: World,
+    path: str | os.PathLike[str],
+) -> None:
+    """A table with a row for each sample, agent and step, below the lines of `geoaim.tracks`.
+
+    Columns are sample, id, type, time, x, y, heading, speed, in the units of tracks.
+    """
+    sample, agent, step = torch.isfinite(futures[..., 0]).nonzero().unbind(1)
+    values = futures[sample, agent, step].double().cpu().numpy()
+    seconds = float(scene.times.diff().median()) if len(scene.times) > 1 else 0.0
+    table = pd.DataFrame(
+        {
+            "sample": sample.cpu().numpy(),
+            "id": np.array(scene.ids, object)[agent.cpu().numpy()],
+            "type": np.array(scene.types, object)[agent.cpu().numpy()],
+            "time": (float(scene.times[start]) + (step.cpu().numpy() + 1) * seconds).round(3),
+        }
+    )
+    for column, name in enumerate(("x", "y", "heading", "speed")):
+        table[name] = values[:, column].round(4)
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write(world_lines(world))
+        table.to_csv(file, index=False)
+
+
+def _camera(
+    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
+) -> tuple[View, Float[Tensor, "1 3"]]:
+    """A view of all futures, north up."""
+    places = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
+    places = places[torch.isfinite(places).all(dim=1)]
+    low, high = places.amin(dim=0) - AROUND, places.amax(dim=0) + AROUND
+    width, height = (high - low).tolist()
+    metres = max(width, height) / WIDE
+    rows, columns = (2 * max(1, round(side / metres / 2)) for side in (height, width))
+    middle = (low + high) / 2
+    camera = torch.cat([middle, middle.new_tensor([math.pi / 2])])[None]
+    return View(rows, columns, metres), camera
+
+
+def _paths(
+    points: Float[Tensor, "1 P S 2"], colour: tuple[float, float, float], width: float
+) -> Boxes:
+    present = torch.isfinite(points).all(dim=-1)
+    safe = torch.where(present[..., None], points, 0.0)
+    colours = points.new_tensor([colour]).expand(points.shape[1], 3)
+    return path_boxes(safe, colours, width=width, present=present)
+
+
+def _agents(scene: Scene, poses: Float[Tensor, "N 3"]) -> Boxes:
+    present = torch.isfinite(poses).all(dim=1)
+    colours = poses.new_tensor([COLOURS.get(kind, OTHER) for kind in scene.types])
+    noses = torch.ones_like(colours)
+    safe = torch.where(present[:, None], poses, 0.0)
+    return Boxes(safe[None], scene.sizes, colours, present[None], noses)
+
+
+def _picture(
+    view: View, camera: Float[Tensor, "1 3"], ground: Ground, layers: list[Boxes]
+) -> UInt8[Array, "H W 3"]:
+    with torch.no_grad():
+        picture = render(view, camera, ground, layers)[0]
+    pixels = (picture.clamp(0, 1) * 255).round().to(torch.uint8)
+    return np.ascontiguousarray(pixels.permute(1, 2, 0).cpu().numpy())

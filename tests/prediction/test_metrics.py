@@ -1,0 +1,115 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from geoaim.lights import RED
+from geoaim.prediction.baselines import BASELINES, predict_plainly
+from geoaim.prediction.metrics import Measure, interval, measure, merged, summary
+from geoaim.prediction.report import markdown
+from geoaim.simulation.episodes import Rules
+from geoaim.simulation.infractions import Drivable
+from tests.prediction.made import drive
+
+
+def futures(segments, shifts):
+    """The truth, moved to the left in each sample."""
+    found = segments.states[:, None].repeat(1, len(shifts), 1, 1, 1)
+    move = torch.tensor(shifts)[None, :, None, None] * segments.controlled[:, None, None]
+    return torch.cat([found[..., :1], found[..., 1:2] + move[..., None], found[..., 2:]], dim=-1)
+
+
+def test_best_sample_counts():
+    segments = drive(10, 3)
+    found = measure(futures(segments, [3.0, -0.5, 2.0]), segments, 4)
+    assert found["minADE"].mean == pytest.approx(0.5, abs=1e-5)
+    assert found["joint minFDE"].mean == pytest.approx(0.5, abs=1e-5)
+    assert found["MFD"].mean == pytest.approx(3.5, abs=1e-5)
+
+
+def test_a_joint_sample_must_be_good_for_all_at_once():
+    segments = drive(10, 1)
+    both = replace(segments, controlled=torch.ones(1, 2, dtype=torch.bool))
+    found = futures(both, [0.0, 0.0])
+    move = torch.zeros_like(found)
+    move[0, 0, :, 0, 1], move[0, 1, :, 1, 1] = 2.0, 2.0
+    measures = measure(found + move, both, 4)
+    assert measures["minADE"].mean == pytest.approx(0, abs=1e-6)
+    assert measures["joint minADE"].mean == pytest.approx(1.0, abs=1e-5)
+
+
+def test_rates_count_agents_samples_and_steps():
+    segments = drive(10, 1, curve=0.0)
+    off = Drivable(torch.tensor([[-1.0, 3.0]]), torch.tensor([[0.0, 0.1, 0.5], [0.0, 0.0, 0.5]]))
+    # the drivable half ends a few metres to the left: a shift by 30 m leaves it
+    found = measure(futures(segments, [0.0, 30.0]), segments, 4, Rules(drivable=off))
+    assert found["off-road rate"].mean == pytest.approx(0.5)
+    assert "red-light rate" in found
+    assert found["red-light rate"].mean == 0
+    red = replace(segments, lights=torch.full_like(segments.lights, RED))
+    ran = measure(futures(red, [0.0]), red, 4)["red-light rate"]
+    front = segments.states[0, :, 0, 0] + 4.5 / 2
+    crossings = ((front[3:-1] - 9) * (front[4:] - 9) <= 0).sum()
+    assert ran.sums.sum() == crossings
+    hit = replace(segments, states=segments.states.clone())
+    hit.states[:, :, 1, :2] = hit.states[:, :, 0, :2]
+    assert measure(futures(hit, [0.0]), hit, 4)["collision rate"].mean == 1
+
+
+def test_interval_covers_the_truth_about_as_often_as_it_says():
+    generator = np.random.default_rng(0)
+    inside = 0
+    for seed in range(200):
+        drawn = Measure(generator.normal(5, 2, 60), np.ones(60))
+        low, high = interval(drawn, seed=seed)
+        inside += low < 5 < high
+    assert 180 < inside <= 200
+
+
+def test_difference_is_taken_on_the_same_segments():
+    noise = np.random.default_rng(0).normal(0, 5, 100)
+    one, two = (Measure(noise + shift, np.ones(100)) for shift in (1.1, 1.0))
+    low, high = interval(one, two)
+    assert low == pytest.approx(0.1)
+    assert high == pytest.approx(0.1)
+
+
+def test_parts_are_judged_as_a_whole():
+    one = {"a": Measure(np.array([2.0]), np.array([1.0])), "b": Measure(np.ones(1), np.ones(1))}
+    two = {"a": Measure(np.array([4.0]), np.array([3.0]))}
+    whole = merged([one, two])
+    assert set(whole) == {"a"}
+    assert whole["a"].mean == pytest.approx(1.5)
+    assert "| x | 1.5 (" in markdown({"x": summary(whole)})
+
+
+@pytest.mark.parametrize("name", BASELINES)
+def test_baselines_know_who_goes_straight_on(name):
+    segments = drive(12, 3, curve=0.0)
+    even = segments.states.clone()
+    even[:, :, 0, 3] = 5.0
+    even[:, :, 0, 0] = 0.5 * torch.arange(12)
+    given = {"observed": 3, "samples": 4, "generator": torch.Generator().manual_seed(0)}
+    found = predict_plainly(name, replace(segments, states=even), **given)
+    assert found.shape == (3, 4, 12, 2, 4)
+    off = (found[..., 0, :2] - even[:, None, :, 0, :2]).norm(dim=-1)
+    assert off[:, :, :3].max() == 0 or name == BASELINES[1]
+    if name == BASELINES[1]:
+        assert off[:, :, -1].std() > 0.1
+    else:
+        assert off.max() < 1e-3
+
+
+def test_constant_turn_rate_goes_on_round_the_bend():
+    segments = drive(12, 1, curve=0.2)
+    given = {"observed": 3, "samples": 1, "generator": torch.Generator()}
+    straight, bent = (predict_plainly(BASELINES[k], segments, **given) for k in (0, 2))
+    truth = segments.states[:, None]
+    last = (slice(None), slice(None), -1, 0, slice(2))
+    assert (bent - truth)[last].norm() < (straight - truth)[last].norm() / 2
+
+
+def test_unknown_baselines_are_refused():
+    with pytest.raises(ValueError, match="no baseline 'magic'"):
+        predict_plainly("magic", drive(4), observed=1, samples=1, generator=torch.Generator())

@@ -1,0 +1,121 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+from typer.testing import CliRunner
+
+from geoaim.cli import app
+from geoaim.errors import TracksError
+from geoaim.prediction.checkpoints import write_model
+from geoaim.prediction.evaluation import evaluate_windows, window_asked
+from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.windows import SECONDS, STEPS, backwards, read_windows, walkers
+
+CONFIG = Config("pedestrian", "slide", SECONDS, size=16, resolution=1.0, every=12, modes=4)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two scenes of people who go straight on, 20 and 40 pixels a second."""
+    folder = tmp_path_factory.mktemp("windows")
+    generator = np.random.default_rng(0)
+    for scene, speed in (("park_0", 20), ("square_1", 40)):
+        rows = []
+        for track in range(5):
+            turn = generator.uniform(0, 2 * np.pi)
+            ways = speed * SECONDS * np.arange(STEPS)
+            u, v = 200 + ways * np.cos(turn), 150 + ways * np.sin(turn)
+            rows += [(12 * k, track, *uv) for k, uv in enumerate(zip(u, v, strict=True))]
+        table = pd.DataFrame(rows, columns=["frame", "track", "u_px", "v_px"])
+        (folder / "w").mkdir(exist_ok=True)
+        table.to_csv(folder / "w" / f"{scene}.csv", index=False)
+        image = generator.integers(0, 255, (300, 400, 3), np.uint8)
+        (folder / "i").mkdir(exist_ok=True)
+        Image.fromarray(image).save(folder / "i" / f"{scene}.jpg")
+    lines = "scene,metres_per_pixel\npark_0,0.05\nsquare_1,0.025\n"
+    (folder / "scenes.csv").write_text(lines)
+    return folder
+
+
+def read(folder, images="i", **options):
+    images = None if images is None else folder / images
+    return read_windows(folder / "w", images, folder / "scenes.csv", CONFIG.view, **options)
+
+
+def test_windows_are_metres_of_their_scenes(folder):
+    found = read(folder)
+    assert len(found.segments) == 10
+    speed = found.segments.states[:, :, 0, 3]
+    assert torch.allclose(speed, torch.ones_like(speed), atol=1e-3)  # 20 x 0.05 and 40 x 0.025
+    assert found.scenes[0] == "park_0"
+    assert found.metres[[0, -1]].tolist() == pytest.approx([0.05, 0.025])
+    assert len(read(folder, only=["square_1"]).segments) == 5
+
+
+def test_heading_comes_from_what_is_known_only():
+    paths = torch.randn(6, STEPS, 2, generator=torch.Generator().manual_seed(0)).cumsum(dim=1)
+    other = torch.cat([paths[:, :8], paths[:, 8:] + 5], dim=1)
+    one, two = walkers(paths).states, walkers(other).states
+    assert torch.equal(one[:, :8], two[:, :8])
+    assert torch.equal(one[..., 2], two[..., 2])
+    back = backwards(walkers(paths)).states
+    assert torch.equal(back[:, :, 0, :2], paths.flip(1))
+
+
+def test_straight_walkers_are_predicted_and_measured_in_pixels(folder):
+    found = evaluate_windows("constant velocity", read(folder, None), window_asked(20))
+    assert found["minADE_px"].mean < 0.05
+    assert set(found) == {"minADE_px", "minADE_m", "minFDE_px", "minFDE_m"}
+    noisy = evaluate_windows("constant velocity with noise", read(folder, None), window_asked(1))
+    ratio = noisy["minADE_px"].sums / noisy["minADE_m"].sums
+    assert ratio == pytest.approx(np.r_[np.full(5, 20), np.full(5, 40)], rel=1e-4)
+
+
+def test_command_prints_what_was_asked_for(folder, tmp_path):
+    torch.manual_seed(0)
+    write_model(ITRA(CONFIG), tmp_path / "m.pt")
+    command = ["evaluate", "--windows", str(folder / "w"), "--images", str(folder / "i")]
+    command += ["--scenes", str(folder / "scenes.csv"), "--weights", str(tmp_path / "m.pt")]
+    done = CliRunner().invoke(app, [*command, "--samples", "20", "--json"])
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["windows"] == 10
+    assert {"minADE_px", "minFDE_px", "minADE_m", "minFDE_m"} < set(found)
+    done = CliRunner().invoke(app, command)
+    assert "| model |" in done.stdout
+    assert "| constant velocity |" in done.stdout
+    done = CliRunner().invoke(app, command[:-2])
+    assert done.exit_code == 1
+    assert "--windows needs --weights" in " ".join(done.output.split())
+
+
+def test_what_is_missing_or_broken_is_said(folder, tmp_path):
+    with pytest.raises(TracksError, match=r"neither park_0\.jpg nor park_0\.png"):
+        read(folder, "w")
+    with pytest.raises(TracksError, match="lake_3 are not"):
+        read(folder, only=["lake_3"])
+    table = pd.read_csv(folder / "w" / "park_0.csv")
+    (tmp_path / "w").mkdir()
+    (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\npark_0,0.05\n")
+    for broken, why in (
+        (table[:-1], "99 rows, of which 20 each"),
+        (table.assign(track=np.arange(len(table)) // 10), "more than one track"),
+        (table.drop(columns="u_px"), "are needed"),
+    ):
+        broken.to_csv(tmp_path / "w" / "park_0.csv", index=False)
+        with pytest.raises(TracksError, match=why):
+            read(tmp_path, None)
+    (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\npark_0,0\n")
+    with pytest.raises(TracksError, match="metres a pixel of park_0 are 0"):
+        read(tmp_path, None)
+
+
+def test_a_model_that_sees_nothing_needs_no_images(folder):
+    torch.manual_seed(0)
+    blind = ITRA(replace(CONFIG, encoder="none")).eval()
+    one, two = (evaluate_windows(blind, read(folder, i), window_asked(4)) for i in ("i", None))
+    assert one["minADE_m"].mean == pytest.approx(two["minADE_m"].mean, abs=1e-4)
