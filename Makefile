@@ -1,4 +1,4 @@
-# make demo   an AIM from the bundled sample video
+# make demo   an AIM from the bundled sample video, and what may happen on it
 # make test   lint, format, types, layers, tests, notebooks
 # Needs python 3.11 or newer with venv; another one: make test PYTHON=python3.12
 
@@ -16,10 +16,13 @@ demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
 	$(BIN)/geoaim render demo/aim.tif --tracks samples/tracks.csv --ego 9 --size 384 --trail 2 \
 		--lights samples/lights.csv --hdmap samples/map.osm -o demo/view.gif
+	$(BIN)/geoaim predict demo/aim.tif --tracks samples/tracks.csv --at 9 \
+		--lights samples/lights.csv --hdmap samples/map.osm -o demo/futures.png
 	@echo
 	@echo "Open demo/aim.tif   the map, in QGIS or any other GIS program"
 	@echo "     demo/aim.png   a quick look: background, control points, drift, coverage"
 	@echo "     demo/view.gif  what a car of the sample has around it, on the map"
+	@echo "     demo/futures.png  what its vehicles may do in the next four seconds"
 
 test: lint
 	$(BIN)/python -m pytest -n auto --dist loadfile

@@ -79,6 +79,30 @@ class AIM:
         return bool(np.array_equal(self.world_from_image[2], [0.0, 0.0, 1.0]))
 
 
+def whole_aim(
+    image: UInt8[Array, "H W 3"], world_from_image: Float[Array, "3 3"], world: World, source: str
+) -> AIM:
+    """A picture that is known everywhere, as an AIM; its source is all that there is to report."""
+    size = np.shape(image)[:2]
+    return AIM(
+        image,
+        world_from_image,
+        world,
+        coverage=np.ones(size, np.uint16),
+        contested=np.zeros(size, bool),
+        report={"source": source},
+    )
+
+
+def pixel_size(aim: AIM) -> float:
+    """Metres of a pixel's side in the middle of an image."""
+    height, width = aim.image.shape[:2]
+    middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    origin, right, down = transform_points(aim.world_from_image, middle)
+    (a, b), (c, d) = right - origin, down - origin
+    return float(np.sqrt(abs(a * d - b * c)))
+
+
 def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | None = None) -> None:
     """Write an AIM as one GeoTIFF (cloud-optimised, lossless) that GIS programs open in place.
 

@@ -59,6 +59,11 @@ def wrap_angle(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
+def translation(x: float, y: float) -> Float[Array, "3 3"]:
+    """A shift, as a matrix."""
+    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
+
+
 def about(middle: Float[Array, "2"], turn: float, zoom: float) -> Float[Array, "3 3"]:
     """A turn (radians, counter-clockwise) and a zoom about a place, as a matrix."""
     cosine, sine = zoom * np.cos(turn), zoom * np.sin(turn)

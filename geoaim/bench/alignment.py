@@ -22,8 +22,8 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.bench.alignment_pairs import GROUND, Pair, as_aim, error, made_pairs, misplaced
+from geoaim.aim import AIM, pixel_size, whole_aim
+from geoaim.bench.alignment_pairs import GROUND, Pair, error, made_pairs, misplaced
 from geoaim.bench.alignment_real import rotterdam, zooms
 from geoaim.bench.data import data_folder
 from geoaim.bench.report import medians, save, table
@@ -31,7 +31,6 @@ from geoaim.errors import AlignmentError
 from geoaim.geometry import about, from_opencv, transform_points
 from geoaim.mapping import correlation
 from geoaim.mapping.alignment import Alignment
-from geoaim.mapping.correlation import pixel_size
 from geoaim.mapping.image_evidence import align_image
 from geoaim.mapping.tiles import read_imagery
 from geoaim.mapping.track_evidence import align_tracks
@@ -243,7 +242,9 @@ def speed(made: Pair) -> list[dict[str, Any]]:
     more = ((0, side - height), (0, side - width), (0, 0))  # mirrored, to fill the square
     photo = cv2.resize(made.picture.image, (width, height), interpolation=cv2.INTER_CUBIC)
     aim, picture = (
-        as_aim(np.pad(image, more, "reflect"), made.aim.world_from_image, made.aim.world)
+        whole_aim(
+            np.pad(image, more, "reflect"), made.aim.world_from_image, made.aim.world, "drawn"
+        )
         for image in (made.aim.image, np.asarray(photo))
     )
     pair = misplaced(Pair("square", aim, picture, np.eye(3)), np.random.default_rng(2))

@@ -7,13 +7,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
+from geoaim.aim import AIM, whole_aim
 from geoaim.geometry import about, transform_points
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
 from geoaim.synthetic.roads.layouts import KINDS
 from geoaim.tracks import Tracks
-from geoaim.world import World
 
 RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
 GROUND = 0.2  # m a pixel of the AIM
@@ -31,18 +30,6 @@ class Pair:
     picture: AIM
     stated_from_true: Float[Array, "3 3"]
     tracks: Tracks | None = None
-
-
-def as_aim(image: Array, world_from_image: Float[Array, "3 3"], world: World) -> AIM:
-    """A picture that is known everywhere."""
-    size = image.shape[:2]
-    return AIM(
-        image,
-        world_from_image,
-        world,
-        coverage=np.ones(size, np.uint16),
-        contested=np.zeros(size, bool),
-    )
 
 
 def misplaced(pair: Pair, generator: np.random.Generator) -> Pair:
@@ -67,8 +54,8 @@ def made_pairs(seeds: int) -> Iterator[Pair]:
             ground = draw_place(place, metres_per_pixel=GROUND)
             yield Pair(
                 f"{kind} {seed}",
-                as_aim(ground, world_from_image(place, GROUND), place.world),
-                as_aim(photo, world_from_image(place, resolution), place.world),
+                whole_aim(ground, world_from_image(place, GROUND), place.world, "drawn"),
+                whole_aim(photo, world_from_image(place, resolution), place.world, "drawn"),
                 np.eye(3),
                 tracks,
             )

@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from geoaim.aim import pixel_size
 from geoaim.bench.alignment_pairs import Pair, error, misplaced
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.mapping.correlation import Grid, grey_on, picture_of, pixel_size
+from geoaim.mapping.correlation import Grid, grey_on, picture_of
 from geoaim.mapping.image_evidence import align_image
 from geoaim.mapping.tiles import read_imagery
 

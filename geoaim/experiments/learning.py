@@ -15,7 +15,7 @@ from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import Scene, ground_of
 
 VEHICLES = Config("vehicle", "bicycle", seconds=0.1, size=48, resolution=1.0, every=5)
-PEOPLE = Config("pedestrian", "unicycle", seconds=0.4, size=48, resolution=0.5, every=3)
+PEOPLE = Config("pedestrian", "unicycle", seconds=0.4, size=48, resolution=0.5, every=3, lever=0.25)
 STEPS = {"vehicle": 40, "pedestrian": 30}  # of a segment: 4 s and 12 s, as in the paper
 OBSERVED = 10
 SAMPLES = 6

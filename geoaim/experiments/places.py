@@ -6,8 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import Float32
+from numpy import ndarray as Array
 
-from geoaim.aim import AIM, read_aim, write_aim
+from geoaim.aim import AIM, read_aim, whole_aim, write_aim
 from geoaim.lights import Lights, read_lights
 from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.drivable import drivable_area
@@ -120,12 +122,16 @@ def read_map(folder: Path, name: str) -> AIM:
 
 
 def degraded(aim: AIM) -> AIM:
-    """A blurred and noisy map: Gaussian blur, then noise of a fifth of full brightness."""
-    generator = np.random.default_rng(0)
-    soft = cv2.GaussianBlur(aim.image, (0, 0), BLUR).astype(np.float32) / 255
-    noise = generator.normal(0, NOISE, soft.shape).astype(np.float32)
-    image = np.rint(np.clip(soft + noise, 0, 1) * 255).astype(np.uint8)
-    return replace(aim, image=image)
+    """A blurred and noisy map."""
+    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, BLUR)
+    return replace(aim, image=np.rint(image * 255).astype(np.uint8))
+
+
+def blurred_and_noisy(image: Float32[Array, "H W 3"], blur: float) -> Float32[Array, "H W 3"]:
+    """Gaussian blur of so many pixels, then noise, as the paper degrades images; 0 to 1."""
+    soft = cv2.GaussianBlur(image, (0, 0), blur)
+    noise = np.random.default_rng(0).normal(0, NOISE, soft.shape)
+    return np.clip(soft + noise, 0, 1).astype(np.float32)
 
 
 def scene_of(
@@ -158,12 +164,4 @@ def _drawn(folder: Path) -> AIM:
     kind, seed = folder.name.rsplit("_", 1)
     place = make_place(int(seed), kind=kind)  # type: ignore[arg-type]
     image = draw_place(place, metres_per_pixel=RESOLUTION)
-    height, width = image.shape[:2]
-    return AIM(
-        image,
-        world_from_image(place, RESOLUTION),
-        place.world,
-        coverage=np.ones((height, width), np.uint16),
-        contested=np.zeros((height, width), bool),
-        report={"source": "drawn"},
-    )
+    return whole_aim(image, world_from_image(place, RESOLUTION), place.world, "drawn")

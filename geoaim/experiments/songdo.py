@@ -26,7 +26,7 @@ STEPS = 40  # of a segment; the recording has 50
 TUNING = Training(steps=100, batch=32, rate=5e-4, divergence=0.3, warm_up=0.0, save=50)
 
 
-def songdo(folder: Path, report: Report) -> list[Path]:
+def run(folder: Path, report: Report) -> list[Path]:
     """real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
     scene = _scene()
     model = trained("vehicle_aim", folder, report=report)

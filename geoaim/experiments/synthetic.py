@@ -44,7 +44,7 @@ PAIRS = (
 Table = dict[str, dict[str, Measure]]
 
 
-def synthetic(folder: Path, report: Report) -> list[Path]:
+def run(folder: Path, report: Report) -> list[Path]:
     """the paper's tables on made places that no model has seen, and on recordings' last 5 %."""
     test = make_places(folder / "places", TEST, report=report)
     seen = make_places(folder / "places", TRAIN, report=report)

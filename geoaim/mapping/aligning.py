@@ -14,12 +14,18 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM, rectify
 from geoaim.errors import AlignmentError, GeoaimWarning, ImageryError, TracksError
-from geoaim.geometry import transform_points
+from geoaim.geometry import transform_points, translation
 from geoaim.mapping.alignment import CHI2, PRIOR, Alignment, Prior, moved, report_alignment
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import georeference
 from geoaim.mapping.image_evidence import align_image
-from geoaim.mapping.rasters import describe_raster, find_stretch, place_raster
+from geoaim.mapping.rasters import (
+    HALF_SEEN,
+    colours_of,
+    describe_raster,
+    find_stretch,
+    place_raster,
+)
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.sources import Source
 from geoaim.mapping.tiles import read_imagery
@@ -172,13 +178,11 @@ def _masked_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W
     seen = np.zeros(image.shape[:2], bool)
     for top in range(0, raster.height, STRIP):
         strip = image[top : top + STRIP]
-        raster_from_strip = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
+        raster_from_strip = translation(0, top)
         placed = place_raster(raster, raster_from_strip, strip.shape[:2], stretch)
         if placed is not None:
-            there = placed[2][3] >= 0.5
-            colours = np.rint(placed[2][:3] / np.maximum(placed[2][3], 0.5)).clip(0, 255)
-            strip[:] = np.moveaxis(np.where(there, colours, 0), 0, -1)
-            seen[top : top + STRIP] = there
+            strip[:] = colours_of(placed[2])
+            seen[top : top + STRIP] = placed[2][3] >= HALF_SEEN
     if not seen.any():
         raise ImageryError(f"{path} shows nothing but nodata or transparency; give another picture")
     return image, seen

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.geometry import image_corners, to_opencv, transform_points, translation
 from geoaim.mapping.frames import Frame, image_from_planes
 
 INSET = 0.5  # px: a frame shows what lies between the centres of its outermost pixels
@@ -72,7 +72,7 @@ def add_frame(
     rows: slice,
 ) -> None:
     """Warp a frame onto some rows of the canvas and add it; where the mask is 0, to the spare."""
-    shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows.start], [0.0, 0.0, 1.0]])
+    shift = translation(0, -rows.start)
     size = rows.stop - rows.start, planes[0].weight.shape[1]
     reached = footprint(frame.grey.shape, shift @ canvas_from_frame, size)
     for plane, pixels in zip(planes, frame.planes or (frame.image,), strict=True):

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.geometry import to_opencv, transform_points
+from geoaim.aim import AIM, pixel_size
+from geoaim.geometry import to_opencv
 
 SURROUNDINGS = 10.0  # m: what is darker than the mean this far around is flattened
 SMOOTH = 0.7  # px, before edges are taken
@@ -91,15 +91,6 @@ def grey_on(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     share = cv2.warpPerspective(picture.known, matrix, size, flags=flags)
     return found.astype(np.float32), share > 252
-
-
-def pixel_size(aim: AIM) -> float:
-    """Metres of a pixel's side in the middle of an image."""
-    height, width = aim.image.shape[:2]
-    middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-    origin, right, down = transform_points(aim.world_from_image, middle)
-    (a, b), (c, d) = right - origin, down - origin
-    return float(np.sqrt(abs(a * d - b * c)))
 
 
 def orientation(

@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, north_up_grid
+from geoaim.aim import AIM, north_up_grid, pixel_size
 from geoaim.errors import AlignmentError
-from geoaim.geometry import about, image_corners, transform_points
+from geoaim.geometry import about, image_corners, transform_points, translation
 from geoaim.mapping.alignment import PRIOR, Alignment, Prior
 from geoaim.mapping.correlation import (
     Grid,
@@ -27,7 +27,6 @@ from geoaim.mapping.correlation import (
     grey_on,
     orientation,
     picture_of,
-    pixel_size,
     seen,
     window_shifts,
 )
@@ -156,14 +155,14 @@ def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
             moved = about(middle, turn, float(np.exp(zoom)))
             scores = correlation(level.ground, _edges(level.picture, moved, wider))
             row, column = np.unravel_index(scores.argmax(), scores.shape)
-            shift = _shift((column - reach) * metres, (reach - row) * metres)
+            shift = translation((column - reach) * metres, (reach - row) * metres)
             found.append((float(scores.max()), moved @ shift))
     corners = transform_points(grid.world_from_grid, image_corners(grid.height, grid.width))
     return _apart(found, corners, 4 * metres)
 
 
 def _wider(grid: Grid, pixels: int) -> Grid:
-    matrix = grid.world_from_grid @ _shift(-pixels, -pixels)
+    matrix = grid.world_from_grid @ translation(-pixels, -pixels)
     return Grid(matrix, grid.height + 2 * pixels, grid.width + 2 * pixels)
 
 
@@ -235,7 +234,7 @@ def _rivals(level: Level, best: Float[Array, "3 3"], prior: Prior) -> list[Float
     peaks = peaks[np.linalg.norm(peaks - reach, axis=1) > 3 * AGREE]
     highest = peaks[np.argsort(-scores[tuple(peaks.T)])][:CANDIDATES]
     metres = (highest[:, ::-1] - reach) * [grid.resolution, -grid.resolution]
-    return [best @ _shift(x, y) for x, y in metres]
+    return [best @ translation(x, y) for x, y in metres]
 
 
 def _judged(level: Level, place: Float[Array, "3 3"]) -> Candidate:
@@ -352,10 +351,6 @@ def _refuse_far(matrix: Float[Array, "3 3"], middle: Float[Array, "2"], prior: P
 def _range(end: float, step: float) -> Float[Array, "n"]:
     count = int(np.ceil(end / step))
     return np.arange(-count, count + 1) * step
-
-
-def _shift(x: float, y: float) -> Float[Array, "3 3"]:
-    return np.array([[1, 0, x], [0, 1, y], [0, 0, 1.0]])
 
 
 def _extent(aim: AIM) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 from rasterio import Affine
 from rasterio._err import CPLE_BaseError
@@ -25,6 +25,7 @@ from geoaim.geometry import image_corners, transform_points
 SEQUENTIAL = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # drivers that decode a file from its start
 MOST_PIXELS = 1_000_000_000  # in one piece that can only be decoded as a whole
 PIXELS = rasterio.crs.CRS.from_wkt('LOCAL_CS["pixels",UNIT["metre",1]]')
+HALF_SEEN = 0.5  # alpha from which a pixel is known
 RIM = 6  # cells of nothing around what is read: more than the kernel's reach at twice the cells
 SAMPLED = 1000  # pixels a side, of those that a stretch is found by
 SETTINGS = {"GDAL_ERROR_ON_LIBJPEG_WARNING": "YES"}  # else a cut JPEG ends in grey, in silence
@@ -149,6 +150,12 @@ def find_stretch(
     if high <= low:
         low, high = found.min(), found.max()
     return Stretch(float(low), float(high))
+
+
+def colours_of(total: Float32[Array, "4 h w"]) -> UInt8[Array, "h w 3"]:
+    """Colours of summed colours and alpha, as `place_raster` gives; black where half is unseen."""
+    colours = np.clip(np.rint(total[:3] / np.maximum(total[3], HALF_SEEN)), 0, 255)
+    return np.moveaxis(np.where(total[3] >= HALF_SEEN, colours, 0), 0, -1).astype(np.uint8)
 
 
 def place_raster(

@@ -12,13 +12,21 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM, north_up_grid
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
-from geoaim.geometry import transform_points
-from geoaim.mapping.rasters import Raster, Stretch, find_stretch, place_raster, touches
+from geoaim.geometry import transform_points, translation
+from geoaim.mapping.rasters import (
+    HALF_SEEN,
+    Raster,
+    Stretch,
+    colours_of,
+    find_stretch,
+    place_raster,
+    touches,
+)
 from geoaim.mapping.sources import Area, Layer, Source, Tiles, find_layer
 from geoaim.world import LONLAT, World, choose_world, crs_from_world, transform_crs, world_from_crs
 
@@ -198,11 +206,11 @@ def _mosaic(layers: Sequence[Layer], area: Area, resolution: float, sizes: Seque
     for part, crs_from_block in _blocks(area.world, world_from_image, (height, width), points):
         total = np.zeros((4, *covered[part].shape), np.float32)
         for number, layer in enumerate(layers):
-            before = np.count_nonzero(total[3] >= 0.5)
+            before = np.count_nonzero(total[3] >= HALF_SEEN)
             _lay_under(total, layer, crs_from_block, stretches[number], broken)
-            counts[number] += np.count_nonzero(total[3] >= 0.5) - before
-        covered[part] = total[3] >= 0.5
-        image[part] = _colours(total)
+            counts[number] += np.count_nonzero(total[3] >= HALF_SEEN) - before
+        covered[part] = total[3] >= HALF_SEEN
+        image[part] = colours_of(total)
     _check_result(layers, covered, broken)
     shares = counts / covered.size
     report = _report(layers, resolution, sizes, stretches, shares, tuple(broken))
@@ -225,7 +233,7 @@ def _blocks(
         if top >= height or left >= width:
             continue
         part = slice(top, min(top + side, height)), slice(left, min(left + side, width))
-        world_from_block = world_from_image @ _moved(left, top)
+        world_from_block = world_from_image @ translation(left, top)
         size = part[0].stop - top, part[1].stop - left
         fits = {crs: _straight(world, world_from_block, size, crs) for crs in crses}
         if side > 16 and max(bend for _, bend in fits.values()) > BENT:
@@ -233,10 +241,6 @@ def _blocks(
             waiting += [(top + i, left + j, half) for i in (half, 0) for j in (half, 0)]
         else:
             yield part, {crs: matrix for crs, (matrix, _) in fits.items()}
-
-
-def _moved(left: float, top: float) -> Float[Array, "3 3"]:
-    return np.array([[1.0, 0.0, left], [0.0, 1.0, top], [0.0, 0.0, 1.0]])
 
 
 def _straight(
@@ -282,11 +286,6 @@ def _lay_under(
             there, alpha = total[:, rows, columns], part[3]
             room = np.clip((1.0 - there[3]) / np.maximum(alpha, 1e-6), 0.0, 1.0)
             there += part * np.where((alpha <= 0.0) | (there[3] + alpha <= 1.001), 1.0, room)
-
-
-def _colours(total: Float32[Array, "4 h w"]) -> UInt8[Array, "h w 3"]:
-    colours = np.clip(np.rint(total[:3] / np.maximum(total[3], 0.5)), 0, 255)
-    return np.moveaxis(np.where(total[3] >= 0.5, colours, 0), 0, -1).astype(np.uint8)
 
 
 def _check_result(

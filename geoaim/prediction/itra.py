@@ -36,7 +36,7 @@ from geoaim.simulation.kinematics import (
 
 SCALES = {"bicycle": (2.0, 0.2), "unicycle": (1.0, 1.0), "slide": (0.5, 0.5)}  # usual actions
 LIMIT = 4.0  # scales: true actions beyond are noise of headings at standstill
-LEVERS = (1.0, 1.0, 2.0, 0.5)  # m for a metre, a metre, a radian and a metre a second
+HASTE = 0.5  # s: metres that a metre a second is taken for
 FACTS = 3  # speed, length, width
 REACH = 10.0  # m, usual way to a plan's points
 
@@ -58,6 +58,7 @@ class Config:
         features: width of what a view is encoded to.
         latent: width of z.
         sigma: metres by which states may be off, in the likelihood.
+        lever: metres that a radian of heading is taken for: half an agent's length.
         modes: plans to propose; 0 as in the paper.
         points: of a plan, evenly spaced in time, the last one at the end.
     """
@@ -73,6 +74,7 @@ class Config:
     features: int = 96
     latent: int = 8
     sigma: float = 0.2
+    lever: float = 2.0
     modes: int = 0
     points: int = 3
 
@@ -144,7 +146,7 @@ class ITRA(nn.Module):
         egos = self._egos(segments, observed)
         truth = segments.states[egos.segment, :, egos.agent]
         done = self._actions(truth, segments, egos)
-        levers = truth.new_tensor(LEVERS) / self.config.sigma
+        levers = truth.new_tensor([1.0, 1.0, self.config.lever, HASTE]) / self.config.sigma
         divergences, plans = [], [truth.new_zeros(())]
 
         def choose(now: _Moment, context: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8, UInt64
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points
+from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.exact import ROWS, blur, pack, premultiplied, resize, warp
 
 CORNERS = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
@@ -219,7 +219,7 @@ def _hover_poses(
     path = path * (hover.drift / length if length > 0 else 0.0)
     path += hover.vibration * generator.standard_normal(path.shape)
     radius = np.hypot(height, width) / 2
-    centre, back = _shift(width / 2, height / 2), _shift(-width / 2, -height / 2)
+    centre, back = translation(width / 2, height / 2), translation(-width / 2, -height / 2)
     poses = np.empty((hover.count, 3, 3))
     for i in range(hover.count):
         angle, size = hover.yaw * slow[2, i], 1 + hover.zoom * slow[3, i]
@@ -296,7 +296,7 @@ def _vehicle_patches(
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     frame_from_vehicle = frame_from_background @ _background_from_vehicle(poses)
     frame_from_shadow = (
-        frame_from_background @ _shift(*clip.traffic.shadow) @ _background_from_vehicle(poses)
+        frame_from_background @ translation(*clip.traffic.shadow) @ _background_from_vehicle(poses)
     )
     shape = clip.height, clip.width
     if any(clip.traffic.shadow):
@@ -319,12 +319,12 @@ def _place(
 ) -> Iterator[_Patch]:
     """One sprite warped into its window of the frame; nothing when it lies outside."""
     rows, columns = sprite[0].shape
-    frame_from_sprite = frame_from_centred @ _shift(-columns / 2, -rows / 2)
+    frame_from_sprite = frame_from_centred @ translation(-columns / 2, -rows / 2)
     corners = transform_points(frame_from_sprite, image_corners(rows, columns))
     left, top = np.floor(corners.min(axis=0)).clip(0, shape[::-1]).astype(int).tolist()
     right, bottom = np.ceil(corners.max(axis=0)).clip(0, shape[::-1]).astype(int).tolist()
     if right > left and bottom > top:
-        matrix = np.linalg.inv(frame_from_sprite) @ _shift(left, top)
+        matrix = np.linalg.inv(frame_from_sprite) @ translation(left, top)
         colour, alpha = (warp(part, matrix, bottom - top, right - left) for part in sprite)
         yield (slice(top, bottom), slice(left, right)), colour, alpha[..., 0]
 
@@ -359,7 +359,3 @@ def _prepare_sprites(
 def _scaled(image: UInt8[Array, "_ _ c"], scale: float) -> UInt8[Array, "_ _ c"]:
     rows, columns = (max(1, round(side * scale)) for side in image.shape[:2])
     return resize(image, (columns, rows))
-
-
-def _shift(right: float, down: float) -> Float[Array, "3 3"]:
-    return np.array([[1.0, 0.0, right], [0.0, 1.0, down], [0.0, 0.0, 1.0]])

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points
+from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.camera import paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
@@ -111,7 +111,7 @@ def georeference_photo(
     middle = place.world_from_plan[None, :2, 2]
     here, there = (crs_from_world(place.world, spot, crs)[0] for spot in (middle, middle + offset))
     right, up = there - here
-    moved = np.array([[1, 0, right], [0, 1, up], [0, 0, 1.0]]) @ crs_from_image
+    moved = translation(right, up) @ crs_from_image
     return Imagery(image, covered, crs, moved, offset)
 
 

@@ -3,9 +3,7 @@
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
-
-from geoaim.aim import AIM
+from geoaim.aim import whole_aim
 from geoaim.geometry import about
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
@@ -15,10 +13,7 @@ GROUND, PHOTO = 0.2, 0.5  # m a pixel
 
 
 def as_aim(image, world_from_image, world=None):
-    size = image.shape[:2]
-    covered, settled = np.ones(size, np.uint16), np.zeros(size, bool)
-    world = World(None) if world is None else world
-    return AIM(image, world_from_image, world, coverage=covered, contested=settled)
+    return whole_aim(image, world_from_image, World(None) if world is None else world, "a test")
 
 
 @cache

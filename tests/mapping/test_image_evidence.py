@@ -3,10 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geoaim.aim import pixel_size
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
 from geoaim.mapping.alignment import Prior, moved
-from geoaim.mapping.correlation import orientation, pixel_size, window_shifts
+from geoaim.mapping.correlation import orientation, window_shifts
 from geoaim.mapping.image_evidence import align_image
 from geoaim.world import World
 from tests.conftest import textured

@@ -1,0 +1,117 @@
+"""How fast ITRA learns and samples, and how much of it is drawing views.
+
+    python -m geoaim.bench.prediction --json docs/bench/prediction.json
+
+Segments are of a made junction. Sampling is of 6 futures of 20 vehicles over 40 steps, 4 s, after
+10 known ones; drawing is the part of a training step that `egos_see` takes, forward and back.
+"""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+import typer
+
+from geoaim.aim import whole_aim
+from geoaim.bench.report import medians, save, table
+from geoaim.prediction.checkpoints import read_model, shipped
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.segments import Segments, cut_segments, pick
+from geoaim.prediction.views import egos_of, egos_see
+from geoaim.simulation.ground import Ground, fit_ground
+from geoaim.simulation.scene import make_scene
+from geoaim.synthetic import draw_place, make_sample, tracks_of, world_from_image
+from geoaim.track_changes import resample
+
+OBSERVED, AGENTS, SAMPLES, BATCH = 10, 20, 6, 48
+STEPS = {"vehicle": 40, "pedestrian": 30}
+RESOLUTION = 0.2
+
+
+def lessons(config: Any) -> tuple[Segments, Ground]:
+    """Segments of a made junction, alone and with their neighbours."""
+    sample = make_sample(1, minutes=3.0, video=None, metres_per_pixel=RESOLUTION)
+    image = draw_place(sample.place, metres_per_pixel=RESOLUTION)
+    place = world_from_image(sample.place, RESOLUTION)
+    aim = whole_aim(image, place, sample.place.world, "drawn")
+    scene = make_scene(aim, resample(tracks_of(sample), 1 / config.seconds))
+    found = cut_segments(scene, config.kind, steps=STEPS[config.kind], stride=10)
+    return found, fit_ground(scene.ground, config.resolution)
+
+
+def together(segments: Segments) -> Segments:
+    """One segment with so many who are moved: egos of others, all at one place and time."""
+    some = pick(segments, slice(0, AGENTS))
+    states = some.states[:, :, 0].transpose(0, 1)[None]
+    whole = pick(some, slice(0, 1))
+    steps = states.shape[1]
+    everywhere = torch.ones(1, steps, AGENTS, dtype=torch.bool)
+    return replace(
+        whole,
+        states=torch.cat([states, states[:, -1:].expand(-1, 50 - steps, -1, -1)], dim=1),
+        present=torch.cat([everywhere, everywhere[:, : 50 - steps]], dim=1),
+        sizes=some.sizes[:, 0][None],
+        planes=some.planes[:, 0][None],
+        controlled=torch.ones(1, AGENTS, dtype=torch.bool),
+        lights=torch.cat([whole.lights, whole.lights[:, : 50 - steps]], dim=1),
+    )
+
+
+def row(kind: str, threads: int) -> dict[str, Any]:
+    """Figures of one of the shipped models."""
+    torch.set_num_threads(threads)
+    model = read_model(shipped(kind)).train()
+    config = model.config
+    segments, ground = lessons(config)
+    batch = pick(segments, slice(0, None, max(1, len(segments) // BATCH)))
+    batch = pick(batch, slice(0, BATCH))
+    generator = torch.Generator().manual_seed(0)
+
+    def learn() -> None:
+        losses = model(batch, ground, OBSERVED, generator)
+        (losses.fit + losses.divergence).backward()
+
+    looks = [k for k in range(STEPS[kind] - 1) if (k - OBSERVED + 1) % config.every == 0]
+
+    def draw() -> None:
+        for number in looks:
+            states = batch.states[:, number].clone().requires_grad_(number >= OBSERVED)
+            views = egos_see(config.view, ground, batch, egos_of(batch), states, number)
+            if views.requires_grad:
+                views.sum().backward()  # type: ignore[no-untyped-call]
+
+    step, drawing = medians([learn, draw], 5)
+    found = {
+        "model": kind,
+        "threads": threads,
+        "segments a second": BATCH / step,
+        "share of drawing": drawing / step,
+        "ms of a view": 1000 * drawing / len(looks) / BATCH,
+    }
+    if kind == "vehicle":
+        found["s to sample 4 s"] = _sampling(model.eval(), together(segments), ground)
+    return found
+
+
+def _sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
+    generator = torch.Generator().manual_seed(0)
+
+    def sample() -> None:
+        model.sample(segments, ground, observed=OBSERVED, samples=SAMPLES, generator=generator)
+
+    return medians([sample], 5)[0]
+
+
+def main(json: Annotated[Path | None, typer.Option(help="file to write")] = None) -> None:
+    """Print the table."""
+    start = time.perf_counter()
+    rows = [row(kind, threads) for threads in (1, 2) for kind in ("vehicle", "pedestrian")]
+    print(table(rows))
+    save(rows, json, command="python -m geoaim.bench.prediction", torch=torch.__version__)
+    print(f"{time.perf_counter() - start:.0f} s")
+
+
+if __name__ == "__main__":
+    typer.run(main)

@@ -1,0 +1,30 @@
+"""The models that come with the package, and how good they are at places that they never saw."""
+
+import shutil
+from pathlib import Path
+
+from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
+from geoaim.experiments.models import trained
+from geoaim.experiments.places import TEST, TRAIN, Report, make_places
+from geoaim.experiments.results import write_results
+from geoaim.files import replacing
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.checkpoints import shipped
+from geoaim.prediction.metrics import summary
+
+
+def run(folder: Path, report: Report) -> list[Path]:
+    """the two shipped models, taught by made places and judged at others; into the package."""
+    written, tables = [], {}
+    places = make_places(folder / "places", TEST, report=report)
+    for name, config in (("vehicles", VEHICLES), ("people", PEOPLE)):
+        model = trained(f"{config.kind}_aim", folder, report=report)
+        with replacing(shipped(config.kind)) as temporary:
+            shutil.copyfile(folder / "models" / f"{config.kind}_aim" / "model.pt", temporary)
+        written.append(shipped(config.kind))
+        tables[f"{name}, ITRA"] = summary(judge(model, places, config, "aim", report=report))
+        for who in BASELINES:
+            found = judge(who, places, config, "none", report=report)
+            tables[f"{name}, {who}"] = summary(found)
+    about = {"places to learn from": TRAIN, "places to be judged on": TEST}
+    return [*written, *write_results("shipped", tables, about)]

@@ -1,0 +1,84 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from geoaim.experiments import EXPERIMENTS, places
+from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, make_lessons
+from geoaim.experiments.models import RECIPES
+from geoaim.experiments.places import (
+    MAPS,
+    TEST,
+    TRAIN,
+    make_places,
+    read_map,
+    read_recordings,
+    scene_of,
+)
+
+SMALL = replace(VEHICLES, size=16, resolution=3.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A made place as experiments have them, of a minute instead of ten."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(places, "MINUTES", 1.0)
+        patch.setattr(places, "RESOLUTION", 0.2)
+        found = make_places(tmp_path_factory.mktemp("places"), [(5, "t")])
+        read_map(found[0], "aim")
+        assert make_places(found[0].parent, [(5, "t")]) == found  # it is there already
+    return found[0]
+
+
+def test_places_to_learn_from_are_not_those_to_be_judged_on():
+    assert not {seed for seed, _ in TRAIN} & {seed for seed, _ in TEST}
+    assert {kind for _, kind in TEST} <= {kind for _, kind in TRAIN}
+    assert 1 not in {seed for seed, _ in TRAIN}  # the bundled sample's
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_every_map_lies_where_the_place_does(folder, name):
+    aim, found = read_map(folder, "aim"), read_map(folder, name)
+    middle = found.corners.mean(axis=0) - aim.corners.mean(axis=0)
+    assert np.abs(middle).max() < 10  # HD maps end elsewhere
+    if name == "degraded":
+        apart = found.image.astype(float) - aim.image
+        assert 30 < apart.std() < 60  # noise of 51, cut off at both ends
+    if name == "none":
+        assert found.image.std() == 0
+    with pytest.raises(ValueError, match="no map 'best'"):
+        read_map(folder, "best")
+
+
+def test_recordings_end_where_validation_begins(folder):
+    (recorded,) = read_recordings(folder)
+    first, last, whole = (
+        scene_of(recorded, "none", rate=10.0, part=part) for part in ("first", "last", "all")
+    )
+    assert len(first.times) + len(last.times) == len(whole.times)
+    assert first.times[-1] < last.times[0]
+    assert len(last.times) == pytest.approx(0.05 * len(whole.times), abs=1)
+    assert recorded.rules.drivable is not None
+
+
+def test_models_learn_from_places_and_are_judged_on_them(folder, monkeypatch):
+    monkeypatch.setattr(places, "HELD_OUT", 0.2)
+    lessons = make_lessons([folder], SMALL, "aim")
+    assert len(lessons.train) > 50
+    assert lessons.train.states.shape[1] == lessons.valid.states.shape[1] == 40
+    low, high = lessons.train.states[:, :, 0, :2].flatten(0, 1).aminmax(dim=0)
+    shape = torch.tensor(lessons.ground.image.shape[:0:-1])
+    matrix = lessons.ground.image_from_world
+    pixels = torch.stack([low, high]) @ matrix[:, :2].t() + matrix[:, 2]
+    assert (pixels > 0).all() and (pixels < shape).all()  # noqa: PT018
+    found = judge("constant velocity", [folder], SMALL, "none", part="last")
+    assert 0 < found["minADE"].mean < 10
+    assert found["minADE"].mean == pytest.approx(found["joint minADE"].mean)
+
+
+def test_every_experiment_says_what_it_is():
+    assert all(run.__doc__ for run in EXPERIMENTS.values())
+    assert {recipe.config.kind for recipe in RECIPES.values()} == set(TRAININGS)
+    assert RECIPES["pedestrian_aim"].config == PEOPLE

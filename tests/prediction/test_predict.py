@@ -1,0 +1,191 @@
+import csv
+from dataclasses import replace
+
+import pytest
+import torch
+from typer.testing import CliRunner
+
+import geoaim
+from geoaim.cli import app
+from geoaim.errors import ModelError, TracksError
+from geoaim.lights import read_lights
+from geoaim.mapping.hdmap import read_hdmap
+from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.prediction.baselines import predict_plainly
+from geoaim.prediction.checkpoints import read_model, shipped, write_model
+from geoaim.prediction.encoders import make_encoder
+from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
+from geoaim.prediction.predict import predict
+from geoaim.prediction.segments import cut_segments
+from geoaim.simulation.ground import fit_ground
+from geoaim.simulation.scene import make_scene
+from geoaim.track_changes import resample
+from tests.prediction.made import TINY
+
+run = CliRunner().invoke
+
+
+@pytest.fixture(scope="module")
+def hdmap():
+    return read_hdmap("samples/map_full.osm", geoaim.read_tracks("samples/tracks.csv").world)
+
+
+def sample_scene(hdmap, rate=10.0):
+    tracks = resample(geoaim.read_tracks("samples/tracks.csv"), rate)
+    lights = read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
+    return make_scene(draw_hdmap(hdmap, resolution=0.5), tracks, lights)
+
+
+@pytest.fixture(scope="module")
+def scene(hdmap):
+    return sample_scene(hdmap)
+
+
+def noise(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])
+def test_shipped_models_are_small_and_move_their_kind(hdmap, kind):
+    assert shipped(kind).stat().st_size < 2e6
+    model = read_model(shipped(kind))
+    scene = sample_scene(hdmap, 1 / model.config.seconds)
+    found = predict(model, scene, samples=3, steps=10, start=12, generator=noise())
+    assert found.shape == (3, len(scene.ids), 10, 4)
+    there = scene.present[:, 12]
+    mine = torch.tensor([(kind == "pedestrian") == (k == "pedestrian") for k in scene.types])
+    mine &= torch.tensor([k != "cyclist" for k in scene.types]) & there
+    assert torch.isfinite(found[:, mine]).all()
+    others = scene.present[:, 13:23] & ~mine[:, None]
+    truth = scene.poses[:, 13:23]
+    assert torch.equal(found[0, ..., :3][others], truth[others])
+    assert torch.isnan(found[:, ~mine & ~scene.present[:, 12:23].any(dim=1)]).all()
+
+
+@pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])
+def test_shipped_models_beat_constant_velocity_on_the_sample(hdmap, kind):
+    """The sample's place is none of those that taught them."""
+    model = read_model(shipped(kind))
+    scene = sample_scene(hdmap, 1 / model.config.seconds)
+    steps = 40 if kind == "vehicle" else 30
+    segments = cut_segments(scene, kind, steps=steps, stride=20, joint=True)
+    ground, asked = fit_ground(scene.ground, model.config.resolution), Asked(10, 6)
+    judged = [
+        evaluate(who, segments, ground, asked)["minADE"].mean
+        for who in (model, "constant velocity")
+    ]
+    assert judged[0] < judged[1]
+
+
+def test_prediction_goes_on_beyond_the_recording(scene):
+    torch.manual_seed(0)
+    model = ITRA(TINY).eval()
+    found = predict(model, scene, samples=2, steps=15, generator=noise())
+    there = scene.present[:, -1]
+    assert torch.isfinite(found[:, there]).all()
+    walkers = there & torch.tensor([k == "pedestrian" for k in scene.types])
+    moved = (found[0, walkers, -1, :2] - scene.poses[walkers, -1, :2]).norm(dim=-1)
+    assert moved.tolist() == pytest.approx(
+        (1.5 * scene.speeds[walkers, -1].abs()).tolist(), abs=0.1
+    )
+
+
+def test_what_cannot_be_predicted_is_refused(scene):
+    model = ITRA(TINY).eval()
+    with pytest.raises(ValueError, match="resample the tracks"):
+        predict(ITRA(replace(TINY, seconds=0.4)), scene, steps=2, generator=noise())
+    with pytest.raises(ValueError, match="step 999 is not among"):
+        predict(model, scene, steps=2, start=999, generator=noise())
+    empty = replace(scene, types=("pedestrian",) * len(scene.types))
+    with pytest.raises(TracksError, match="no vehicle is there"):
+        predict(model, empty, steps=2, generator=noise())
+
+
+def test_pictures_show_the_futures(scene, hdmap, tmp_path):
+    found = predict(ITRA(TINY).eval(), scene, samples=2, steps=6, start=20, generator=noise())
+    picture = draw_futures(scene, found, 20)
+    assert max(picture.shape) == pytest.approx(1280, abs=4)
+    orange = (picture[..., 0] > 200) & (picture[..., 2] < 80) & (picture[..., 1] < 160)
+    assert orange.sum() > 20
+    assert len(list(film_futures(scene, found, 20))) == 6
+    write_futures(scene, found, 20, hdmap.world, tmp_path / "f.csv")
+    lines = (tmp_path / "f.csv").read_text().splitlines()
+    assert lines[0].startswith("# crs: EPSG:")
+    rows = list(csv.DictReader(lines[2:]))
+    assert {row["sample"] for row in rows} == {"0", "1"}
+    assert float(rows[0]["time"]) == pytest.approx(float(scene.times[20]) + 0.1, abs=1e-6)
+    assert len(rows) == int(torch.isfinite(found[..., 0]).sum())
+
+
+def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
+    geoaim.write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "m.tif")
+    given = [str(tmp_path / "m.tif"), "--tracks", "samples/tracks.csv"]
+    for name in ("f.csv", "f.png", "f.gif"):
+        done = run(
+            app,
+            [
+                "predict",
+                *given,
+                "-o",
+                str(tmp_path / name),
+                "--at",
+                "5",
+                "--samples",
+                "2",
+                "--seconds",
+                "1",
+            ],
+        )
+        assert done.exit_code == 0, done.output
+        assert (tmp_path / name).stat().st_size > 1000
+    done = run(app, ["predict", *given, "-o", str(tmp_path / "f.txt")])
+    assert done.exit_code == 1
+    done = run(app, ["predict", *given, "-o", str(tmp_path / "x.csv"), "--at", "500"])
+    assert done.exit_code == 1
+    assert "500 s is not in the scene" in " ".join(done.output.split())
+    done = run(app, ["evaluate", *given, "--kind", "pedestrian", "--hdmap", "samples/map.osm"])
+    assert done.exit_code == 0, done.output
+    assert "| joint minADE |" in done.stdout
+    assert "| constant turn rate |" in done.stdout
+    done = run(app, ["evaluate", str(tmp_path / "m.tif")])
+    assert done.exit_code == 1
+    done = run(app, ["experiment", "list"])
+    assert done.exit_code == 1
+    assert "stanford" in done.output
+
+
+def test_models_come_back_as_they_were(tmp_path):
+    torch.manual_seed(0)
+    model = ITRA(TINY)
+    write_model(model, tmp_path / "m.pt", about="a test")
+    again = read_model(tmp_path / "m.pt")
+    assert again.config == TINY
+    for one, two in zip(model.parameters(), again.parameters(), strict=True):
+        assert torch.allclose(one, two, atol=1e-3)
+    (tmp_path / "m.pt").write_text("no model")
+    with pytest.raises(ModelError, match="is no model"):
+        read_model(tmp_path / "m.pt")
+    torch.save({"weights": 1}, tmp_path / "n.pt")
+    with pytest.raises(ModelError, match="train it anew"):
+        read_model(tmp_path / "n.pt")
+    with pytest.raises(FileNotFoundError):
+        read_model(tmp_path / "none.pt")
+
+
+def test_encoders_are_those_of_the_paper():
+    small = sum(p.numel() for p in make_encoder("cnn", 7, 64, 96).parameters())
+    large = sum(p.numel() for p in make_encoder("resnet18", 3, 64, 96).parameters())
+    assert small < 2e5
+    assert large == pytest.approx(11.2e6, rel=0.02)  # He et al. 2016, without the classifier
+    with pytest.raises(ValueError, match="no encoder 'vit'"):
+        make_encoder("vit", 7, 64, 96)
+
+
+def test_baselines_stay_where_nothing_is_known_to_move(scene):
+    segments = cut_segments(scene, "vehicle", steps=20, stride=20, joint=True)
+    found = predict_plainly("constant velocity", segments, observed=5, samples=1, generator=noise())
+    others = ~segments.controlled[:, None].expand(-1, 20, -1)
+    truth = segments.states
+    assert torch.equal(found[:, 0][others], truth[others])
