@@ -8,6 +8,7 @@ from typing import Annotated
 
 import matplotlib.pyplot as plt
 import numpy as np
+import torch
 import typer
 from matplotlib.axes import Axes
 
@@ -23,13 +24,16 @@ from geoaim.mapping import (
 from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.registration import choose_reference, place_frames
+from geoaim.prediction import predict, read_model, shipped
+from geoaim.prediction.pictures import draw_futures
 from geoaim.quicklook import draw_alignment, write_quicklook
 from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import film_agent
-from geoaim.simulation.scene import agent_number, step_at
+from geoaim.simulation.scene import Scene, agent_number, step_at, step_at_time
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.roads.layouts import Kind
-from geoaim.track_changes import tracks_in
+from geoaim.synthetic.sample import RATE
+from geoaim.track_changes import resample, tracks_in
 from geoaim.tracks import read_tracks
 
 METRES = 0.1  # a pixel of the drawn places
@@ -64,6 +68,7 @@ def main(
     figure.savefig(output / "video_to_aim.png", dpi=85)
     _show_places(output / "made_places.jpg")
     _show_views(aim, samples, output / "views.jpg")
+    _show_futures(aim, samples, output / "futures.jpg")
     tracks = tracks_in(read_tracks(samples / "tracks.csv"), aim.world)
     laid = align_tiles(samples / "tiles", aim=aim, tracks=tracks)
     draw_alignment(laid, aim=aim, tracks=tracks).savefig(output / "alignment_sample.jpg", dpi=75)
@@ -87,10 +92,7 @@ def _show_places(path: Path) -> None:
 
 def _show_views(aim: AIM, samples: Path, path: Path) -> None:
     """What four agents of the sample have around them."""
-    tracks = read_tracks(samples / "tracks.csv")
-    hdmap = read_hdmap(samples / "map.osm", tracks.world)
-    lights = read_lights(samples / "lights.csv", hdmap.stop_lines, hdmap.world)
-    scene = make_scene(aim, tracks, lights)
+    scene = _scene(aim, samples, RATE)
     figure, axes = plt.subplots(1, 4, figsize=(16, 4.3), layout="constrained")
     for axis, (name, time) in zip(axes, VIEWS.items(), strict=True):
         agent = agent_number(scene, name)
@@ -98,6 +100,32 @@ def _show_views(aim: AIM, samples: Path, path: Path) -> None:
         (picture,) = film_agent(scene, agent, View(400, 400, 0.15), step, trail=2.0)
         _show(axis, picture, f"{scene.types[agent]} {name}, {time:.0f} s")
     figure.savefig(path, dpi=85)
+
+
+def _show_futures(aim: AIM, samples: Path, path: Path) -> None:
+    """What vehicles and people of the sample may do, by the shipped models."""
+    figure, axes = plt.subplots(1, 2, figsize=(14, 8), layout="constrained")
+    for kind, steps, time, shown in (
+        ("vehicle", 40, 9.0, axes[0]),
+        ("pedestrian", 20, 20.0, axes[1]),
+    ):
+        model = read_model(shipped(kind))
+        scene = _scene(aim, samples, 1 / model.config.seconds)
+        start = step_at_time(scene, time)
+        futures = predict(
+            model, scene, steps=steps, start=start, generator=torch.Generator().manual_seed(0)
+        )
+        title = f"{kind}s, {steps * model.config.seconds:g} s"
+        _show(shown, draw_futures(scene, futures, start), title)
+    figure.savefig(path, dpi=80)
+
+
+def _scene(aim: AIM, samples: Path, rate: float) -> Scene:
+    """The sample's traffic and lights on its map, at so many steps a second."""
+    tracks = read_tracks(samples / "tracks.csv")
+    hdmap = read_hdmap(samples / "map.osm", tracks.world)
+    lights = read_lights(samples / "lights.csv", hdmap.stop_lines, hdmap.world)
+    return make_scene(aim, resample(tracks, rate), lights)
 
 
 def _show(axes: Axes, image: np.ndarray, title: str) -> None:

@@ -81,7 +81,7 @@ def judge(
 def _cut(scene: Scene, config: Config, *, joint: bool = False) -> list[Segments]:
     """The segments of a scene; none where nobody of the kind is there for so long."""
     steps = STEPS[config.kind]
-    stride = steps if joint else STRIDES[config.kind]
+    stride = 2 * steps if joint else STRIDES[config.kind]  # every other piece is enough to judge
     try:
         return [cut_segments(scene, config.kind, steps=steps, stride=stride, joint=joint)]
     except TracksError:

@@ -26,7 +26,7 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
     """
     metres = view.resolution / FINER
     margin = math.hypot(view.height, view.width) / 2 * view.resolution
-    boxes = [_bounds(ground) for ground in grounds]
+    boxes = [bounds_of(ground) for ground in grounds]
     sizes = [(box[1] - box[0] + 2 * margin).clamp_min(metres) for box in boxes]
     rows = math.ceil(max(float(size[1]) for size in sizes) / metres)
     tiles, offsets, column = [], [], 0
@@ -54,7 +54,7 @@ def ground_scaled(ground: Ground, sides: Float[Tensor, "2"]) -> Ground:
     return replace(ground, image_from_world=ground.image_from_world * smaller)
 
 
-def _bounds(ground: Ground) -> Float[Tensor, "2 2"]:
+def bounds_of(ground: Ground) -> Float[Tensor, "2 2"]:
     """Lowest and highest x and y of a ground's texture."""
     height, width = ground.image.shape[1:]
     matrix = ground.image_from_world.double()

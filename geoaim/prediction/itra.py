@@ -162,8 +162,11 @@ class ITRA(nn.Module):
         way = (
             truth[:, self._plan_steps(observed, truth.shape[1]), :2] if self.config.modes else None
         )
-        path = self._roll(segments, ground, egos, done, observed, choose, lambda now, context: way)
-        error = _difference(path[:, observed:], truth[:, observed:]) * levers
+        states = self._roll(
+            segments, ground, egos, done, observed, choose, lambda now, context: way
+        )
+        found = states[egos.segment, observed:, egos.agent]
+        error = _difference(found, truth[:, observed:]) * levers
         fit = 0.5 * error.square().sum(dim=2).mean()
         return Losses(fit, torch.stack(divergences, dim=1).mean(), plans[-1])
 
@@ -200,13 +203,11 @@ class ITRA(nn.Module):
         def plan(now: _Moment, context: Tensor) -> Tensor | None:
             if not self.config.modes:
                 return None
-            number = self._modes(context, egos.segment % samples, samples, generator)
             plans = self._plans(now, context, truth.shape[1], segments.seconds)
-            return plans[torch.arange(len(number)), number]
+            number = self._modes(context, egos.segment % samples)
+            return plans[torch.arange(len(number), device=number.device), number]
 
-        states: list[Tensor] = []
-        self._roll(many, ground, egos, done, observed, choose, plan, keep=states)
-        found = torch.stack(states, dim=1)
+        found = self._roll(many, ground, egos, done, observed, choose, plan)
         return found.view(len(segments), samples, *found.shape[1:])
 
     def _roll(
@@ -218,18 +219,16 @@ class ITRA(nn.Module):
         observed: int,
         choose: Choice,
         plan: Callable[[_Moment, Tensor], Tensor | None],
-        keep: list[Tensor] | None = None,
-    ) -> Float[Tensor, "E T 4"]:
+    ) -> Float[Tensor, "S T A 4"]:
         """Let the egos live through the steps: they replay while observed, then they act."""
         config, total = self.config, segments.states.shape[1]
         sizes = segments.sizes[egos.segment, egos.agent]
         memory = sizes.new_zeros(len(sizes), config.memory)
         states, way = segments.states[:, 0], None
         seen = sizes.new_zeros(len(sizes), config.features)  # until the first look
-        path = [states[egos.segment, egos.agent]]
-        everyone = [states]
+        path = [states]
         for number in range(total - 1):
-            pose = path[-1]
+            pose = states[egos.segment, egos.agent]
             facts = torch.cat([pose[:, 3:] / 10, sizes / 5], dim=1)
             there = segments.present[egos.segment, number, egos.agent, None]
             if (number - observed + 1) % config.every == 0:
@@ -250,11 +249,8 @@ class ITRA(nn.Module):
                 after = self._moved(pose, action, sizes[:, 0], segments.seconds)
             kept = self.remember(torch.cat([seen, action, facts], dim=1), memory)
             memory = torch.where(there, kept, memory)  # who comes later has nothing to remember
-            path.append(after)
             states = segments.states[:, number + 1].index_put((egos.segment, egos.agent), after)
-            everyone.append(states)
-        if keep is not None:
-            keep.extend(everyone)
+            path.append(states)
         return torch.stack(path, dim=1)
 
     def _egos(self, segments: Segments, observed: int) -> Egos:
@@ -336,9 +332,7 @@ class ITRA(nn.Module):
         end = off[..., -1].min(dim=1).values
         return whole.mean() + end.mean() / 2 + off.mean() / 50 + chance / 10
 
-    def _modes(
-        self, context: Tensor, rank: Int[Tensor, "E"], samples: int, generator: torch.Generator
-    ) -> Int[Tensor, "E"]:
+    def _modes(self, context: Float[Tensor, "E C"], rank: Int[Tensor, "E"]) -> Int[Tensor, "E"]:
         """Which plan each sample follows: each of the likeliest ones once, then again."""
         order = self.weigh(context).argsort(dim=1, descending=True)
         return order.gather(1, (rank % self.config.modes)[:, None])[:, 0]

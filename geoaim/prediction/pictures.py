@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from torch import Tensor
 
 from geoaim.files import replacing
+from geoaim.prediction.atlas import bounds_of
 from geoaim.simulation.birdview import Boxes, render
 from geoaim.simulation.ground import Ground, View, fit_ground
 from geoaim.simulation.layers import COLOURS, OTHER, lights_at
@@ -105,10 +106,12 @@ def _moved(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> Float
 def _camera(
     scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
 ) -> tuple[View, Float[Tensor, "1 3"]]:
-    """A view of all futures, north up."""
+    """A view of all futures, as far as the map goes, north up."""
     places = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
     places = places[torch.isfinite(places).all(dim=1)]
-    low, high = places.amin(dim=0) - AROUND, places.amax(dim=0) + AROUND
+    first, last = bounds_of(scene.ground).to(places)
+    low = (places.amin(dim=0) - AROUND).clamp(first, last - AROUND)
+    high = (places.amax(dim=0) + AROUND).clamp(low + AROUND, last)
     width, height = (high - low).tolist()
     metres = max(width, height) / WIDE
     rows, columns = (2 * max(1, round(side / metres / 2)) for side in (height, width))
