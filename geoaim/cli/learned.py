@@ -76,14 +76,14 @@ def predict(
         )
         start = step_at_time(scene, at)
         progress("predict", 0, 1)
-        steps = round((seconds or USUAL[kind]) / model.config.seconds)
+        steps = max(1, round((seconds or USUAL[kind]) / model.config.seconds))
         generator = torch.Generator().manual_seed(seed)
         futures = foresee(
             model, scene, samples=samples, steps=steps, start=start, generator=generator
         )
         progress("predict", 1, 1)
         if output.suffix.lower() == ".csv":
-            write_futures(scene, futures, start, world, output)
+            write_futures(scene, futures, start, output, world=world, seconds=model.config.seconds)
         elif output.suffix.lower() == ".png":
             write_pictures([draw_futures(scene, futures, start)], output, rate=1.0)
         else:
@@ -132,7 +132,7 @@ def evaluate(
     Drone Dataset's form, by minADE and minFDE in pixels and metres. Intervals of 95 % are by
     bootstrap.
     """
-    from geoaim.prediction.evaluation import compare, evaluate_windows, window_asked
+    from geoaim.prediction.evaluation import compare, evaluate_windows
     from geoaim.prediction.metrics import summary
     from geoaim.prediction.report import markdown
     from geoaim.prediction.windows import read_windows
@@ -149,9 +149,9 @@ def evaluate(
                 )
             model = _model(weights, None)
             there = read_windows(windows, images, scenes, model.config.view)
-            asked = window_asked(samples, seed)
             judged = compare(
-                model, lambda who: evaluate_windows(who, there, asked, report=progress)
+                model,
+                lambda who: evaluate_windows(who, there, samples, seed=seed, report=progress),
             )
             count = len(there.segments)
         else:
@@ -181,9 +181,12 @@ def experiment(
     from geoaim.experiments import EXPERIMENTS
 
     with stages() as progress, plain_errors():
+        if name == "list":
+            for key, run in EXPERIMENTS.items():
+                console.print(f"{key}: {run.__doc__}")
+            return
         if name not in EXPERIMENTS:
-            listed = "; ".join(f"{key}: {run.__doc__}" for key, run in EXPERIMENTS.items())
-            raise ValueError(f"there is no experiment {name!r}. {listed}")
+            raise ValueError(f"there is no experiment {name!r}; 'list' says what there is")
         written = EXPERIMENTS[name](folder, progress)
     console.print(", ".join(str(path) for path in written))
 
@@ -194,14 +197,16 @@ def _judged(
     """Measures of everybody on joint segments of a scene, and how many segments there are."""
     from geoaim.prediction.evaluation import Asked, compare, evaluate
     from geoaim.prediction.segments import cut_segments
-    from geoaim.simulation.episodes import rules_of
+    from geoaim.simulation.episodes import check_place, rules_of
     from geoaim.simulation.ground import fit_ground
 
     scene, known, _ = read_scene(*given, rate=1 / model.config.seconds)
+    rules = rules_of(known)
+    check_place(scene, rules)
     steps = OBSERVED + round(USUAL[model.config.kind] / model.config.seconds)
     segments = cut_segments(scene, model.config.kind, steps=steps, stride=steps, joint=True)
     ground = fit_ground(scene.ground, model.config.resolution)
-    asked, rules = Asked(OBSERVED, samples, seed=seed), rules_of(known)
+    asked = Asked(OBSERVED, samples, seed=seed)
     judged = compare(
         model,
         lambda who: evaluate(who, segments, ground, asked, rules=rules, report=progress),
@@ -213,11 +218,7 @@ def _model(weights: Path | None, kind: str | None) -> "ITRA":
     """The model of a file, or the one that is shipped for a kind."""
     from geoaim.prediction.checkpoints import read_model, shipped
 
-    if weights is None:
-        if kind is None:
-            raise ValueError("give --weights")
-        weights = shipped(kind)
-    model = read_model(weights)
+    model = read_model(shipped(str(kind)) if weights is None else weights)
     if kind is not None and model.config.kind != kind:
         raise ValueError(
             f"{weights} is a model of {model.config.kind}s; say --kind {model.config.kind}"

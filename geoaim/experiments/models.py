@@ -1,11 +1,11 @@
 """The models that experiments compare, each trained once and kept in its folder."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, make_lessons
 from geoaim.experiments.places import TRAIN, Report, make_places
-from geoaim.prediction.checkpoints import read_model
+from geoaim.prediction.checkpoints import kept_model
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.training import train
 
@@ -23,7 +23,6 @@ RECIPES = {
     "vehicle_aim": Recipe(VEHICLES, "aim"),
     "vehicle_hdm": Recipe(VEHICLES, "hdm"),
     "vehicle_aim_no_lights": Recipe(VEHICLES, "aim", lights=False),
-    "vehicle_aim_resnet18": Recipe(replace(VEHICLES, encoder="resnet18"), "aim"),
     "pedestrian_aim": Recipe(PEOPLE, "aim"),
     "pedestrian_hdm": Recipe(PEOPLE, "hdm"),
 }
@@ -33,7 +32,7 @@ def trained(name: str, folder: Path, *, report: Report = lambda *_: None) -> ITR
     """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet."""
     recipe, where = RECIPES[name], folder / "models" / name
     if (where / "model.pt").exists():
-        return read_model(where / "model.pt")
+        return kept_model(where / "model.pt", recipe.config)
     places = make_places(folder / "places", TRAIN, report=report)
     lessons = make_lessons(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
     training = TRAININGS[recipe.config.kind]

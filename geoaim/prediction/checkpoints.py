@@ -37,6 +37,18 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
     return model.eval()
 
 
+def kept_model(path: Path, config: Config) -> ITRA:
+    """A model that was trained before, if it is what would be trained now.
+
+    Raises:
+        ModelError: it is made otherwise.
+    """
+    model = read_model(path)
+    if model.config != config:
+        raise ModelError(f"{path} is of another config; delete its folder, or name another")
+    return model
+
+
 def shipped(kind: str) -> Path:
     """The file of the model of a kind that comes with the package; made places taught it."""
     return SHIPPED / f"{kind}.pt"

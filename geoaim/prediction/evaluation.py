@@ -61,11 +61,17 @@ def evaluate(
 def evaluate_windows(
     model: ITRA | str,
     windows: Windows,
-    asked: Asked,
+    samples: int,
     *,
+    seed: int = 0,
     report: Report = lambda stage, done, total: None,
 ) -> dict[str, Measure]:
-    """minADE and minFDE of windows, in the pixels of their images and in metres."""
+    """minADE and minFDE of windows, in the pixels of their images and in metres.
+
+    Latents of a model whose plans are enough for all samples stay at their mean: plans spread.
+    """
+    planned = isinstance(model, ITRA) and model.config.modes >= samples
+    asked = Asked(OBSERVED, samples, spread=0.0 if planned else 1.0, seed=seed)
     found = evaluate(model, windows.segments, windows.ground, asked, report=report)
     scale = windows.metres.double().numpy()
     measures = {}
@@ -73,11 +79,6 @@ def evaluate_windows(
         measures[f"{name}_px"] = Measure(found[name].sums / scale, found[name].counts)
         measures[f"{name}_m"] = found[name]
     return measures
-
-
-def window_asked(samples: int, seed: int = 0) -> Asked:
-    """What is asked on windows: latents at their mean, since plans spread already."""
-    return Asked(OBSERVED, samples, spread=0.0, seed=seed)
 
 
 def compare(

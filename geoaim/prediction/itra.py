@@ -61,6 +61,7 @@ class Config:
         lever: metres that a radian of heading is taken for: half an agent's length.
         modes: plans to propose; 0 as in the paper.
         points: of a plan, evenly spaced in time, the last one at the end.
+        ahead: steps that plans reach; 0 without plans.
     """
 
     kind: str
@@ -77,6 +78,7 @@ class Config:
     lever: float = 2.0
     modes: int = 0
     points: int = 3
+    ahead: int = 0
 
     @property
     def view(self) -> View:
@@ -248,7 +250,9 @@ class ITRA(nn.Module):
                 action = LIMIT * torch.tanh(self.act(torch.cat(parts, dim=1)) / LIMIT)
                 after = self._moved(pose, action, sizes[:, 0], segments.seconds)
             kept = self.remember(torch.cat([seen, action, facts], dim=1), memory)
-            memory = torch.where(there, kept, memory)  # who comes later has nothing to remember
+            if number < observed - 1:  # who comes later has nothing to remember until then
+                there = there & segments.present[egos.segment, number + 1, egos.agent, None]
+            memory = torch.where(there, kept, memory)
             states = segments.states[:, number + 1].index_put((egos.segment, egos.agent), after)
             path.append(states)
         return torch.stack(path, dim=1)
@@ -261,6 +265,10 @@ class ITRA(nn.Module):
             )
         if not 1 <= observed < total:
             raise ValueError(f"{observed} of {total} steps are observed; 1 to {total - 1} can be")
+        if self.config.modes and total - observed != self.config.ahead:
+            raise ValueError(
+                f"{total - observed} steps ahead; the model plans {self.config.ahead} of them"
+            )
         if not segments.controlled.any():
             raise ValueError("nobody in these segments is controlled")
         return egos_of(segments)

@@ -97,15 +97,20 @@ def interval(
 
 
 def merged(parts: list[dict[str, Measure]]) -> dict[str, Measure]:
-    """Measures of several sets of segments as of one; those that all of them have."""
-    names = [name for name in parts[0] if all(name in part for part in parts)]
-    return {
-        name: Measure(
-            np.concatenate([part[name].sums for part in parts]),
-            np.concatenate([part[name].counts for part in parts]),
+    """Measures of several sets of segments as of one; one that a set lacks counts nothing there."""
+    found = {}
+    for name in dict.fromkeys(name for part in parts for name in part):
+        rows = [part.get(name) or _nothing(part) for part in parts]
+        found[name] = Measure(
+            np.concatenate([row.sums for row in rows]),
+            np.concatenate([row.counts for row in rows]),
         )
-        for name in names
-    }
+    return found
+
+
+def _nothing(part: dict[str, Measure]) -> Measure:
+    zeros = np.zeros_like(next(iter(part.values())).sums)
+    return Measure(zeros, zeros)
 
 
 def summary(measures: Mapping[str, Measure]) -> dict[str, dict[str, float]]:

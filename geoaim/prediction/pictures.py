@@ -25,7 +25,6 @@ WIDE = 1280  # px of a picture's longer side
 FUTURE = (1.0, 0.45, 0.0)
 TRUTH = (0.95, 0.95, 0.95)
 LINE = 0.5  # m that a path is wide
-SAME = 1e-4  # m
 AROUND = 15.0  # m around all paths that a picture shows
 
 
@@ -42,7 +41,7 @@ def draw_futures(
     view, camera = _camera(scene, futures, start)
     after = scene.poses[None, :, start : start + 1 + futures.shape[2], :2]
     now = scene.poses[None, :, start : start + 1, :2].expand(len(futures), -1, -1, -1)
-    ways = torch.cat([now, _moved(scene, futures, start)], dim=2)
+    ways = torch.cat([now, _moved(futures)], dim=2)
     layers = [
         _paths(after, TRUTH, LINE),
         _paths(ways.flatten(0, 1)[None], FUTURE, LINE / 2),
@@ -59,7 +58,7 @@ def film_futures(
     view, camera = _camera(scene, futures, start)
     ground = fit_ground(scene.ground, view.resolution)
     for number in range(futures.shape[2]):
-        ways = _moved(scene, futures, start)[:, :, : number + 1].flatten(0, 1)[None]
+        ways = _moved(futures)[:, :, : number + 1].flatten(0, 1)[None]
         layers = [] if number == 0 else [_paths(ways, FUTURE, LINE / 2)]
         layers += [_agents(scene, future[:, number, :3]) for future in futures]
         yield _picture(view, camera, ground, layers)
@@ -69,16 +68,18 @@ def write_futures(
     scene: Scene,
     futures: Float[Tensor, "K N T 4"],
     start: int,
-    world: World,
     path: str | os.PathLike[str],
+    *,
+    world: World,
+    seconds: float,
 ) -> None:
     """A table with a row for each sample, agent and step, below the lines of `geoaim.tracks`.
 
-    Columns are sample, id, type, time, x, y, heading, speed, in the units of tracks.
+    Columns are sample, id, type, time, x, y, heading, speed, in the units of tracks; steps last
+    so many seconds.
     """
     sample, agent, step = torch.isfinite(futures[..., 0]).nonzero().unbind(1)
     values = futures[sample, agent, step].double().cpu().numpy()
-    seconds = float(scene.times.diff().median()) if len(scene.times) > 1 else 0.0
     table = pd.DataFrame(
         {
             "sample": sample.cpu().numpy(),
@@ -94,13 +95,13 @@ def write_futures(
         table.to_csv(file, index=False)
 
 
-def _moved(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> Float[Tensor, "K N T 2"]:
-    """Places of those whom the model moved; NaN of those who replay."""
-    recorded = scene.poses[:, start + 1 : start + 1 + futures.shape[2], :2]
-    known = futures[:, :, : recorded.shape[1], :2]
-    apart = torch.where(torch.isfinite(known), known - recorded, 0.0)
-    replays = (apart.nan_to_num(torch.inf).abs() < SAME).all(dim=3).all(dim=2).all(dim=0)
-    return torch.where(replays[:, None, None], torch.nan, futures[..., :2])
+def _moved(futures: Float[Tensor, "K N T 4"]) -> Float[Tensor, "K N T 2"]:
+    """Places of those whose samples differ; NaN of those who replay, the same in all of them."""
+    places = futures[..., :2]
+    if len(futures) == 1:
+        return places
+    same = ((places - places[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
+    return torch.where(same[:, None, None], torch.nan, places)
 
 
 def _camera(

@@ -94,11 +94,13 @@ def cut_segments(
         TracksError: nobody of the kind is there for so long and moves.
         ValueError: steps of the scene are not even.
     """
+    if len(scene.times) < 2:
+        raise TracksError(f"a scene of {len(scene.times)} steps; segments need {steps}")
     seconds = step_seconds(scene)
     if (scene.times.diff() - seconds).abs().max() > 0.01 * seconds:
         raise ValueError("the scene's steps are not even; resample the tracks")
     states = torch.where(scene.present[..., None], states_of(scene), 0.0)
-    theirs = torch.tensor([other in KINDS[kind] for other in scene.types])
+    theirs = torch.tensor([other in KINDS[kind] for other in scene.types]).to(states.device)
     theirs &= _travelled(scene) > STILL
     # (N, starts) who is there at all steps from each start on
     enough = steps <= len(scene.times)
@@ -149,7 +151,7 @@ def _nearest(
     egos = whole.nonzero()[:, 0]
     apart = (states[egos, None, :, :2] - states[:, :, :2]).norm(dim=-1)
     apart = torch.where(present, apart, torch.inf).amin(dim=2)
-    apart[torch.arange(len(egos)), egos] = -1.0
+    apart[torch.arange(len(egos), device=egos.device), egos] = -1.0
     who = apart.argsort(dim=1)[:, : NEAREST + 1]
     return who, who == egos[:, None]
 
@@ -162,7 +164,7 @@ def _cut(
     some: slice,
 ) -> Segments:
     """Segments of the same steps, each with its own agents."""
-    on_foot = torch.tensor([kind not in KINDS["vehicle"] for kind in scene.types])
+    on_foot = torch.tensor([kind not in KINDS["vehicle"] for kind in scene.types]).to(who.device)
     count = len(who)
     return Segments(
         states=states[:, some][who].transpose(1, 2),

@@ -102,8 +102,9 @@ def train(
     """
     path = Path(folder) / "checkpoint.pt"
     with _processes(lessons.ground.image.device) as (rank, count, device):
-        torch.manual_seed(training.seed)
-        model = ITRA(config).to(device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(training.seed)
+            model = ITRA(config).to(device)
         if start is not None:
             model.load_state_dict(start.state_dict())
         optimiser = torch.optim.AdamW(model.parameters(), training.rate, weight_decay=0.01)
@@ -173,9 +174,9 @@ def _losses(
     draw = torch.Generator().manual_seed(_seed(training.seed, 2 * step))
     few, most = training.observed
     observed = int(torch.randint(few, most + 1, (), generator=draw))
-    size = 1 + training.resize * (2 * torch.rand(2, generator=draw) - 1)
-    sides = size[:1].repeat(2)
-    if training.mirror and size[1] > 1:
+    size, side = torch.rand(2, generator=draw)
+    sides = (1 + training.resize * (2 * size - 1)).repeat(2)
+    if training.mirror and side > 0.5:
         sides = sides * sides.new_tensor([1.0, -1.0])
     if training.colour:
         gain = 1 + training.colour * (2 * torch.rand(3, 1, 1, generator=draw) - 1)

@@ -7,14 +7,14 @@ has the metres a pixel of each scene (columns scene, metres_per_pixel).
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 from PIL import Image
 from torch import Tensor
@@ -49,6 +49,14 @@ class Windows:
     scenes: tuple[str, ...]
 
 
+Change = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
+
+
+def unchanged(image: Float32[Array, "H W 3"], metres_per_pixel: float) -> Float32[Array, "H W 3"]:
+    """The image."""
+    return image
+
+
 def read_windows(
     folder: str | os.PathLike[str],
     images: str | os.PathLike[str] | None,
@@ -56,6 +64,7 @@ def read_windows(
     view: View,
     *,
     only: Sequence[str] = (),
+    change: Change = unchanged,
 ) -> Windows:
     """Read all scenes of a folder, or some of them.
 
@@ -65,6 +74,7 @@ def read_windows(
         table: metres a pixel.
         view: as models will see the ground.
         only: names of scenes; all if left out.
+        change: of each image, by its metres a pixel, before anything else.
 
     Raises:
         TracksError: a file is missing or not in that form.
@@ -83,7 +93,7 @@ def read_windows(
     if images is None:
         ground, offsets = no_map(), torch.zeros(len(wanted), 2)
     else:
-        grounds = [_ground(Path(images), name, scales[name]) for name in wanted]
+        grounds = [_ground(Path(images), name, scales[name], change) for name in wanted]
         ground, offsets = make_atlas(grounds, view)
     moved = [torch.tensor(x).float() + d for x, d in zip(places, offsets, strict=True)]
     counts = [len(x) for x in places]
@@ -155,12 +165,12 @@ def _read(path: Path, columns: list[str]) -> pd.DataFrame:
     return table
 
 
-def _ground(folder: Path, name: str, metres: float) -> Ground:
+def _ground(folder: Path, name: str, metres: float, change: Change) -> Ground:
     paths = [folder / f"{name}{ending}" for ending in (".jpg", ".png")]
     path = next((path for path in paths if path.exists()), None)
     if path is None:
         raise TracksError(f"{folder}: neither {paths[0].name} nor {paths[1].name} is here")
     with Image.open(path) as picture:
         pixels = np.asarray(picture.convert("RGB"))
-    image = torch.tensor(pixels).permute(2, 0, 1) / 255
+    image = torch.tensor(change(pixels.astype(np.float32) / 255, metres)).permute(2, 0, 1)
     return make_ground(image, torch.tensor([[1 / metres, 0, 0], [0, -1 / metres, 0]]))

@@ -102,7 +102,7 @@ def simulate_scene(
         TracksError: the ego is not among the agents, nobody to be controlled is there, or the
             rules are of another place.
     """
-    _check_place(scene, rules)
+    check_place(scene, rules)
     first, steps = _steps(scene, start, seconds)
     recording = record(scene, torch.tensor([first]), steps)
     rest = record(scene, torch.tensor([first]), len(scene.times) - first)
@@ -121,8 +121,12 @@ def rules_of(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Rules:
     return Rules(drivable, None if hdmap is None else lanes_of(hdmap))
 
 
-def _check_place(scene: Scene, rules: Rules) -> None:
-    """Refuse rules of another place, which would be broken always or never."""
+def check_place(scene: Scene, rules: Rules) -> None:
+    """Refuse rules of another place, which would be broken always or never.
+
+    Raises:
+        TracksError: they do not touch the map.
+    """
     height, width = scene.ground.image.shape[1:]
     pixels = torch.tensor([[0, 0], [width, 0], [width, height], [0, height]])
     corners = _in_world(scene.ground.image_from_world, pixels)

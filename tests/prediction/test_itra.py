@@ -12,7 +12,7 @@ from tests.prediction.made import TINY, drive, hill
 KINDS = {
     "bicycle": TINY,
     "unicycle": replace(TINY, motion="unicycle"),
-    "slide with plans": replace(TINY, motion="slide", modes=3),
+    "slide with plans": replace(TINY, motion="slide", modes=3, ahead=5),
     "sees nothing": replace(TINY, encoder="none"),
 }
 
@@ -70,15 +70,15 @@ def test_model_learns_one_segment_by_heart():
 @pytest.mark.parametrize("kind", KINDS)
 def test_samples_keep_what_is_known_and_do_not_look_ahead(kind):
     itra, segments = model(KINDS[kind]).eval(), drive(10)
-    found = itra.sample(segments, hill(), observed=4, samples=5, generator=noise())
+    found = itra.sample(segments, hill(), observed=5, samples=5, generator=noise())
     assert found.shape == (3, 5, 10, 2, 4)
     truth = segments.states[:, None].expand_as(found)
-    assert torch.equal(found[:, :, :4], truth[:, :, :4])
+    assert torch.equal(found[:, :, :5], truth[:, :, :5])
     assert torch.equal(found[:, :, :, 1], truth[:, :, :, 1])  # who is not controlled replays
     later = segments.states.clone()
-    later[:, 4:, 0] += 7
+    later[:, 5:, 0] += 7
     other = itra.sample(
-        replace(segments, states=later), hill(), observed=4, samples=5, generator=noise()
+        replace(segments, states=later), hill(), observed=5, samples=5, generator=noise()
     )
     assert torch.equal(found[:, :, :, 0], other[:, :, :, 0])
 
@@ -95,7 +95,7 @@ def test_samples_differ_and_the_same_noise_gives_the_same():
 
 
 def test_each_sample_follows_another_plan():
-    itra, segments = model(KINDS["slide with plans"]).eval(), drive(10, 1)
+    itra, segments = model(KINDS["slide with plans"]).eval(), drive(7, 1)
     found = itra.sample(segments, hill(), observed=2, samples=4, spread=0.0, generator=noise())
     ends = found[0, :, -1, 0, :2]
     assert torch.equal(ends[0], ends[3])  # three plans, and the likeliest again
@@ -125,6 +125,8 @@ def test_what_does_not_fit_the_model_is_refused():
     segments = drive(6)
     with pytest.raises(ValueError, match=r"steps of 0.1 s; the model was made for 0.4 s"):
         model(replace(TINY, seconds=0.4))(segments, hill(), 2, noise())
+    with pytest.raises(ValueError, match="4 steps ahead; the model plans 5"):
+        model(KINDS["slide with plans"])(segments, hill(), 2, noise())
     with pytest.raises(ValueError, match="6 of 6 steps are observed"):
         model()(segments, hill(), 6, noise())
     nobody = replace(segments, controlled=torch.zeros_like(segments.controlled))

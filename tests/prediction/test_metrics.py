@@ -79,7 +79,8 @@ def test_parts_are_judged_as_a_whole():
     one = {"a": Measure(np.array([2.0]), np.array([1.0])), "b": Measure(np.ones(1), np.ones(1))}
     two = {"a": Measure(np.array([4.0]), np.array([3.0]))}
     whole = merged([one, two])
-    assert set(whole) == {"a"}
+    assert set(whole) == {"a", "b"}
+    assert whole["b"].mean == 1
     assert whole["a"].mean == pytest.approx(1.5)
     assert "| x | 1.5 (" in markdown({"x": summary(whole)})
 

@@ -110,7 +110,7 @@ def test_pictures_show_the_futures(scene, hdmap, tmp_path):
     orange = (picture[..., 0] > 200) & (picture[..., 2] < 80) & (picture[..., 1] < 160)
     assert orange.sum() > 20
     assert len(list(film_futures(scene, found, 20))) == 6
-    write_futures(scene, found, 20, hdmap.world, tmp_path / "f.csv")
+    write_futures(scene, found, 20, tmp_path / "f.csv", world=hdmap.world, seconds=0.1)
     lines = (tmp_path / "f.csv").read_text().splitlines()
     assert lines[0].startswith("# crs: EPSG:")
     rows = list(csv.DictReader(lines[2:]))
@@ -152,8 +152,9 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     done = run(app, ["evaluate", str(tmp_path / "m.tif")])
     assert done.exit_code == 1
     done = run(app, ["experiment", "list"])
-    assert done.exit_code == 1
+    assert done.exit_code == 0
     assert "stanford" in done.output
+    assert run(app, ["experiment", "none"]).exit_code == 1
 
 
 def test_models_come_back_as_they_were(tmp_path):

@@ -8,7 +8,8 @@ import torch
 
 from geoaim.errors import ModelError
 from geoaim.prediction.checkpoints import read_model
-from geoaim.prediction.training import LOG, Lessons, Training, train
+from geoaim.prediction.itra import Losses
+from geoaim.prediction.training import LOG, Lessons, Training, _losses, train
 from tests.prediction.made import TINY, drive, hill
 
 TRAINING = Training(steps=6, batch=4, observed=(2, 4), mirror=True, resize=0.1, colour=0.1, save=2)
@@ -105,3 +106,23 @@ def test_two_processes_end_with_the_same_weights(tmp_path):
     one, two = done.stdout.split()
     assert one == two
     assert read_model(tmp_path / "out" / "model.pt").config == TINY
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_half_of_the_batches_are_mirrored_where_asked(mirror, monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        "geoaim.prediction.training.ground_scaled", lambda ground, sides: seen.append(sides)
+    )
+    plain = replace(TRAINING, mirror=mirror, resize=0.0, colour=0.0)
+    nothing = Losses(*torch.zeros(3))
+
+    class Still(torch.nn.Module):
+        def forward(self, *given):
+            return nothing
+
+    for step in range(60):
+        _losses(Still(), plain, drive(10, 6), hill(), step, (0, 1))
+    mirrored = sum(float(sides[1]) < 0 for sides in seen)
+    assert 15 < mirrored < 45 if mirror else mirrored == 0
+    assert all(float(sides.abs().max()) == 1 for sides in seen)

@@ -11,11 +11,13 @@ from typer.testing import CliRunner
 from geoaim.cli import app
 from geoaim.errors import TracksError
 from geoaim.prediction.checkpoints import write_model
-from geoaim.prediction.evaluation import evaluate_windows, window_asked
+from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.windows import SECONDS, STEPS, backwards, read_windows, walkers
 
-CONFIG = Config("pedestrian", "slide", SECONDS, size=16, resolution=1.0, every=12, modes=4)
+CONFIG = Config(
+    "pedestrian", "slide", SECONDS, size=16, resolution=1.0, every=12, modes=4, ahead=12
+)
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +69,10 @@ def test_heading_comes_from_what_is_known_only():
 
 
 def test_straight_walkers_are_predicted_and_measured_in_pixels(folder):
-    found = evaluate_windows("constant velocity", read(folder, None), window_asked(20))
+    found = evaluate_windows("constant velocity", read(folder, None), 20)
     assert found["minADE_px"].mean < 0.05
     assert set(found) == {"minADE_px", "minADE_m", "minFDE_px", "minFDE_m"}
-    noisy = evaluate_windows("constant velocity with noise", read(folder, None), window_asked(1))
+    noisy = evaluate_windows("constant velocity with noise", read(folder, None), 1)
     ratio = noisy["minADE_px"].sums / noisy["minADE_m"].sums
     assert ratio == pytest.approx(np.r_[np.full(5, 20), np.full(5, 40)], rel=1e-4)
 
@@ -117,5 +119,5 @@ def test_what_is_missing_or_broken_is_said(folder, tmp_path):
 def test_a_model_that_sees_nothing_needs_no_images(folder):
     torch.manual_seed(0)
     blind = ITRA(replace(CONFIG, encoder="none")).eval()
-    one, two = (evaluate_windows(blind, read(folder, i), window_asked(4)) for i in ("i", None))
+    one, two = (evaluate_windows(blind, read(folder, i), 4) for i in ("i", None))
     assert one["minADE_m"].mean == pytest.approx(two["minADE_m"].mean, abs=1e-4)
