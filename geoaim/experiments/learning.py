@@ -62,19 +62,16 @@ def judge(
     *,
     part: str = "all",
     lights: bool = True,
-    report: Report = lambda stage, done, total: None,
 ) -> dict[str, Measure]:
     """Measures of a model or a baseline, all of the kind jointly, on some part of recordings."""
     asked = Asked(OBSERVED, SAMPLES)
     parts = []
-    for number, folder in enumerate(folders):
-        report("places", number, len(folders))
+    for folder in folders:
         for recorded in read_recordings(folder):
             scene = scene_of(recorded, name, rate=1 / config.seconds, part=part, lights=lights)
             for segments in _cut(scene, config, joint=True):
                 ground = fit_ground(scene.ground, config.resolution)
                 parts.append(evaluate(model, segments, ground, asked, rules=recorded.rules))
-    report("places", len(folders), len(folders))
     return merged(parts)
 
 

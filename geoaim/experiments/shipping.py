@@ -22,9 +22,9 @@ def run(folder: Path, report: Report) -> list[Path]:
         with replacing(shipped(config.kind)) as temporary:
             shutil.copyfile(folder / "models" / f"{config.kind}_aim" / "model.pt", temporary)
         written.append(shipped(config.kind))
-        tables[f"{name}, ITRA"] = summary(judge(model, places, config, "aim", report=report))
+        tables[f"{name}, ITRA"] = summary(judge(model, places, config, "aim"))
         for who in BASELINES:
-            found = judge(who, places, config, "none", report=report)
+            found = judge(who, places, config, "none")
             tables[f"{name}, {who}"] = summary(found)
     about = {"places to learn from": TRAIN, "places to be judged on": TEST}
     return [*written, *write_results("shipped", tables, about)]

@@ -62,7 +62,7 @@ def run(folder: Path, report: Report) -> list[Path]:
     def add(name: str, model: ITRA | str, places: list[Path], config: Config, map_: str) -> None:
         shown = "not shown" not in name
         part = "last" if "last 5 %" in name else "all"
-        tables[name] = judge(model, places, config, map_, part=part, lights=shown, report=report)
+        tables[name] = judge(model, places, config, map_, part=part, lights=shown)
 
     add("people, HD map", models["pedestrian_hdm"], test, PEOPLE, "hdm")
     add("people, AIM", people, test, PEOPLE, "aim")
