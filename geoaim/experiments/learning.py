@@ -22,7 +22,7 @@ SAMPLES = 6
 STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps between segments that are learnt from
 TRAININGS = {
     "vehicle": Training(steps=1000, batch=48, divergence=0.3),
-    "pedestrian": Training(steps=600, batch=48, divergence=0.3, mirror=True),
+    "pedestrian": Training(steps=1200, batch=48, divergence=0.3, mirror=True),
 }
 
 

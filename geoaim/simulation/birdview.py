@@ -6,7 +6,7 @@ touches, whose coverage is exact, so that gradients by its pose and size are exa
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -71,8 +71,8 @@ def render(
                 found = colours.shape[-1]
                 raise ValueError(f"colours of {found} channels on a ground of {len(ground.image)}")
     flat = ground_seen(view, cameras, ground.image, ground.image_from_world)
-    for layer in boxes:
-        flat = _paint(flat, view, cameras, layer)
+    if boxes:
+        flat = _paint(flat, view, _laid([_flat(view, cameras, layer) for layer in boxes]))
     return unfolded(flat, view, cameras)
 
 
@@ -91,51 +91,102 @@ def render_layers(
     torch.Size([1, 5, 4, 4])
     """
     _check(cameras, ground, boxes)
-    planes = [ground_seen(view, cameras, ground.image, ground.image_from_world)]
-    for layer in boxes:
-        one = torch.ones_like(layer.poses[..., :1])
-        noses = None if layer.noses is None else one / 2
-        plain = replace(layer, colours=one, noses=noses)
-        planes.append(_paint(torch.zeros_like(planes[0][:1]), view, cameras, plain))
-    return unfolded(torch.cat(planes), view, cameras)
+    seen = ground_seen(view, cameras, ground.image, ground.image_from_world)
+    if boxes:
+        layers = []
+        for number, layer in enumerate(boxes):  # a plane's pictures come after the last one's
+            one = torch.ones_like(layer.poses[..., :1])
+            noses = None if layer.noses is None else one / 2
+            layers.append(_flat(view, cameras, replace(layer, colours=one, noses=noses), number))
+        planes = _paint(seen.new_zeros(1, len(boxes) * seen.shape[1]), view, _laid(layers))
+        seen = torch.cat([seen, planes.view(len(boxes), -1)])
+    return unfolded(seen, view, cameras)
 
 
-def _paint(
-    flat: Float[Tensor, "C P"], view: View, cameras: Float[Tensor, "B 3"], boxes: Boxes
-) -> Float[Tensor, "C P"]:
-    """The pictures with boxes laid over them, in place."""
+@dataclass(frozen=True, eq=False)
+class _Flat:
+    """Boxes that are there, of all pictures, in paint order and in pixels.
+
+    Attributes:
+        picture: whose each is.
+        middle: columns and rows.
+        axis: ahead, right and down.
+        sizes: length and width.
+        colours: of boxes.
+        noses: of triangles; of the box itself where it has none.
+        pointed: whether it has one.
+    """
+
+    picture: Int[Tensor, "N"]
+    middle: Float[Tensor, "N 2"]
+    axis: Float[Tensor, "N 2"]
+    sizes: Float[Tensor, "N 2"]
+    colours: Float[Tensor, "N C"]
+    noses: Float[Tensor, "N C"]
+    pointed: Bool[Tensor, "N"]
+
+
+def _flat(view: View, cameras: Float[Tensor, "B 3"], boxes: Boxes, plane: int = 0) -> _Flat:
+    """The boxes of a layer that are there; whatever absent ones hold reaches no gradient."""
     views, count = boxes.poses.shape[:2]
-    present = boxes.present
-    if present is None:
-        present = torch.ones_like(boxes.poses[..., 0], dtype=torch.bool)
-    # whatever absent ones hold reaches no gradient
+    present = torch.ones_like(boxes.poses[..., 0], dtype=torch.bool)
+    if boxes.present is not None:
+        present = boxes.present
+    where = present.flatten().nonzero()[:, 0]
     poses = torch.where(present[..., None], boxes.poses, 0.0)
-    sizes = torch.where(present[..., None], boxes.sizes, 1.0).reshape(-1, 2) / view.resolution
-    middle, axis = _in_pixels(view, cameras, poses)
+    colours = boxes.colours
+    noses = colours if boxes.noses is None else boxes.noses
+    middle, axis, sizes, colours, noses = (
+        _by_box(values, views)[where]
+        for values in (*_in_pixels(view, cameras, poses), boxes.sizes, colours, noses)
+    )
+    return _Flat(
+        picture=plane * views + where // max(count, 1),
+        middle=middle,
+        axis=axis,
+        sizes=sizes / view.resolution,
+        colours=colours,
+        noses=noses,
+        pointed=torch.full_like(where, boxes.noses is not None, dtype=torch.bool),
+    )
+
+
+def _laid(layers: Sequence[_Flat]) -> _Flat:
+    """All layers, one over the other."""
+    names = [field.name for field in fields(_Flat)]
+    return _Flat(*(torch.cat([getattr(layer, name) for layer in layers]) for name in names))
+
+
+def _by_box(values: Float[Tensor, "... A C"], views: int) -> Float[Tensor, "N C"]:
+    """Of all boxes of all views."""
+    return values.expand(views, *values.shape[-2:]).flatten(0, 1)
+
+
+def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor, "C P"]:
+    """The pictures with boxes laid over them, in place."""
+    middle, axis, sizes = boxes.middle, boxes.axis, boxes.sizes
     with torch.no_grad():
-        owner, place = _touched(view, middle, axis, sizes, present.reshape(-1))
+        owner, place = _touched(view, middle, axis, sizes)
         rim, front = _near_edges(owner, place, middle, axis, sizes)
+        front &= boxes.pointed[owner]
         column, row = place.unbind(1)
-        pixel = (owner // count * view.height + row) * view.width + column
+        pixel = (boxes.picture[owner] * view.height + row) * view.width + column
         place = place.to(middle)
     if len(owner) == 0:
         return flat
     side = torch.stack([axis[:, 1], -axis[:, 0]], dim=1)
     ahead, aside = sizes[:, :1] / 2 * axis, sizes[:, 1:] / 2 * side
     ring = torch.stack([ahead + aside, ahead - aside, -ahead - aside, aside - ahead], 1)
-    colours = _by_agent(boxes.colours, views)
-    if boxes.noses is None:
-        alpha = _covered(middle[:, None] + ring, owner, place, rim)
-        light = alpha * colours[:, owner]
-    else:  # boxes and triangles, the latter as squares with a corner twice, in one go
-        base = (1 - 2 * NOSE) * ahead
-        tip = torch.stack([ahead, ahead, base - aside, base + aside], dim=1)
-        corners = torch.cat([middle[:, None] + ring, middle[:, None] + tip])
-        both = torch.cat([owner, owner + len(ring)]), torch.cat([place, place])
-        alpha, share = _covered(corners, *both, torch.cat([rim, front])).chunk(2)
-        share = torch.where(front, share, 0.0)
-        change = _by_agent(boxes.noses, views) - colours
-        light = alpha * colours[:, owner] + share * change[:, owner]
+    colours = boxes.colours.t()
+    # boxes and triangles, the latter as squares with a corner twice, in one go
+    base = (1 - 2 * NOSE) * ahead
+    tip = torch.stack([ahead, ahead, base - aside, base + aside], dim=1)
+    corners = torch.cat([middle[:, None] + ring, middle[:, None] + tip])
+    both = torch.cat([owner, owner + len(ring)]), torch.cat([place, place])
+    alpha, share = _covered(corners, *both, torch.cat([rim, front])).chunk(2)
+    share = torch.where(front, share, 0.0)
+    change = boxes.noses.t() - colours
+    light = alpha * colours[:, owner] + share * change[:, owner]
     return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
 
 
@@ -166,14 +217,9 @@ class _Over(torch.autograd.Function):
         return of_flat, of_light, -(of_light * below).sum(0), None
 
 
-def _by_agent(colours: Float[Tensor, "... A C"], views: int) -> Float[Tensor, "C N"]:
-    """Colours of all agents of all views."""
-    return colours.expand(views, *colours.shape[-2:]).reshape(-1, colours.shape[-1]).t()
-
-
 def _in_pixels(
     view: View, cameras: Float[Tensor, "B 3"], poses: Float[Tensor, "B A 3"]
-) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
+) -> tuple[Float[Tensor, "B A 2"], Float[Tensor, "B A 2"]]:
     """Middles in pixels of the views, and directions there (right, down)."""
     apart = poses[..., :2] - cameras[:, None, :2]
     cosine, sine = cameras[:, 2:].cos(), cameras[:, 2:].sin()
@@ -183,7 +229,7 @@ def _in_pixels(
     v = view.height / 2 - ahead / view.resolution
     turn = poses[..., 2] - cameras[:, 2:]
     axis = torch.stack([-turn.sin(), -turn.cos()], dim=-1)
-    return torch.stack([u, v], dim=-1).reshape(-1, 2), axis.reshape(-1, 2)
+    return torch.stack([u, v], dim=-1), axis
 
 
 def _touched(
@@ -191,13 +237,12 @@ def _touched(
     middle: Float[Tensor, "N 2"],
     axis: Float[Tensor, "N 2"],
     sizes: Float[Tensor, "N 2"],
-    present: Bool[Tensor, "N"],
 ) -> tuple[Int[Tensor, "n"], Int[Tensor, "n 2"]]:
     """Pixels in or near each box, row by row: whose they are, and their columns and rows."""
     half = sizes / 2 + RIM
     v, reach = middle[:, 1], (axis.abs().flip(1) * half).sum(1)
     top, bottom = _span(v - reach, v + reach, view.height)
-    box, row = _expanded((bottom - top).clamp_min(0) * present, top)
+    box, row = _expanded((bottom - top).clamp_min(0), top)
     u, v, right, down, long, wide = torch.cat([middle, axis, half], dim=1)[box].unbind(1)
     y = row + 0.5 - v
     ends = []

@@ -207,9 +207,7 @@ def test_long_thin_box_costs_its_own_pixels_only():
     with torch.no_grad():
         axis = torch.tensor([[0.8, -0.6]])
         view, middle = View(512, 512, 1.0), torch.tensor([[256.0, 256.0]])
-        owner, place = _touched(
-            view, middle, axis, torch.tensor([[400.0, 1.0]]), torch.ones(1).bool()
-        )
+        owner, place = _touched(view, middle, axis, torch.tensor([[400.0, 1.0]]))
     assert 400 < len(owner) < 400 * 3.5
     assert len(torch.unique(place, dim=0)) == len(place)
 
