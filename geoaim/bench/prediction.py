@@ -17,7 +17,7 @@ import typer
 from geoaim.aim import whole_aim
 from geoaim.bench.report import medians, save, table
 from geoaim.prediction.checkpoints import read_model, shipped
-from geoaim.prediction.itra import ITRA
+from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.segments import Segments, cut_segments, pick
 from geoaim.prediction.views import egos_of, egos_see
 from geoaim.simulation.ground import Ground, fit_ground
@@ -30,14 +30,14 @@ STEPS = {"vehicle": 40, "pedestrian": 30}
 RESOLUTION = 0.2
 
 
-def lessons(config: Any) -> tuple[Segments, Ground]:
+def lessons(config: Config, steps: int) -> tuple[Segments, Ground]:
     """Segments of a made junction, alone and with their neighbours."""
     sample = make_sample(1, minutes=3.0, video=None, metres_per_pixel=RESOLUTION)
     image = draw_place(sample.place, metres_per_pixel=RESOLUTION)
     place = world_from_image(sample.place, RESOLUTION)
     aim = whole_aim(image, place, sample.place.world, "drawn")
     scene = make_scene(aim, resample(tracks_of(sample), 1 / config.seconds))
-    found = cut_segments(scene, config.kind, steps=STEPS[config.kind], stride=10)
+    found = cut_segments(scene, config.kind, steps=steps, stride=10)
     return found, fit_ground(scene.ground, config.resolution)
 
 
@@ -45,17 +45,13 @@ def together(segments: Segments) -> Segments:
     """One segment with so many who are moved: egos of others, all at one place and time."""
     some = pick(segments, slice(0, AGENTS))
     states = some.states[:, :, 0].transpose(0, 1)[None]
-    whole = pick(some, slice(0, 1))
-    steps = states.shape[1]
-    everywhere = torch.ones(1, steps, AGENTS, dtype=torch.bool)
     return replace(
-        whole,
-        states=torch.cat([states, states[:, -1:].expand(-1, 50 - steps, -1, -1)], dim=1),
-        present=torch.cat([everywhere, everywhere[:, : 50 - steps]], dim=1),
+        pick(some, slice(0, 1)),
+        states=states,
+        present=torch.ones(states.shape[:3], dtype=torch.bool),
         sizes=some.sizes[:, 0][None],
         planes=some.planes[:, 0][None],
         controlled=torch.ones(1, AGENTS, dtype=torch.bool),
-        lights=torch.cat([whole.lights, whole.lights[:, : 50 - steps]], dim=1),
     )
 
 
@@ -64,7 +60,7 @@ def row(kind: str, threads: int) -> dict[str, Any]:
     torch.set_num_threads(threads)
     model = read_model(shipped(kind)).train()
     config = model.config
-    segments, ground = lessons(config)
+    segments, ground = lessons(config, STEPS[kind])
     batch = pick(segments, slice(0, None, max(1, len(segments) // BATCH)))
     batch = pick(batch, slice(0, BATCH))
     generator = torch.Generator().manual_seed(0)
@@ -91,7 +87,8 @@ def row(kind: str, threads: int) -> dict[str, Any]:
         "ms of a view": 1000 * drawing / len(looks) / BATCH,
     }
     if kind == "vehicle":
-        found["s to sample 4 s"] = _sampling(model.eval(), together(segments), ground)
+        longer, _ = lessons(config, OBSERVED + STEPS[kind])
+        found["s to sample 4 s"] = _sampling(model.eval(), together(longer), ground)
     return found
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from geoaim.files import replacing
+
 Row = Mapping[str, Any]
 
 
@@ -69,10 +71,14 @@ def save(rows: Sequence[Row], path: Path | None, *, command: str, **settings: An
     if path is None:
         return
     content = {"command": command, "machine": machine(), **settings, "rows": list(rows)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(content, indent=1, default=_plain) + "\n")
-    part.replace(path)
+    write_json(content, path)
+
+
+def write_json(content: Any, path: Path) -> None:
+    """Write plain numbers, and arrays as lists."""
+    with replacing(path) as temporary:
+        text = json.dumps(content, indent=1, default=_plain) + "\n"
+        temporary.write_text(text, encoding="utf-8")
 
 
 def _cell(value: Any) -> str:

@@ -3,16 +3,16 @@
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import rich.progress
 import typer
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    Progress,
     ProgressColumn,
     Task,
     TaskID,
@@ -23,6 +23,7 @@ from rich.progress import (
 from rich.text import Text
 
 from geoaim.errors import GeoaimError, GeoaimWarning
+from geoaim.progress import Progress
 
 if TYPE_CHECKING:
     from geoaim.tracks import Tracks
@@ -55,7 +56,7 @@ class Rate(ProgressColumn):
 
 
 @contextmanager
-def stages() -> Iterator[Callable[[str, float, float | None], None]]:
+def stages() -> Iterator[Progress]:
     """A progress bar a stage; the yielded function takes stage, done and total."""
     columns = (
         TextColumn("{task.description:<12}"),
@@ -66,7 +67,7 @@ def stages() -> Iterator[Callable[[str, float, float | None], None]]:
         TimeRemainingColumn(),
     )
     tasks: dict[str, TaskID] = {}
-    with Progress(*columns, console=console) as bars:
+    with rich.progress.Progress(*columns, console=console) as bars:
 
         def progress(stage: str, done: float, total: float | None) -> None:
             if stage not in tasks:

@@ -1,6 +1,6 @@
 """Commands that draw traffic on maps and simulate it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,6 +17,7 @@ from geoaim.cli.console import (
     refuse_output,
     stages,
 )
+from geoaim.progress import Progress
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -157,7 +158,7 @@ def _film(
     scene: "Scene",
     agent: int,
     path: Path,
-    progress: Callable[[str, float, float | None], None],
+    progress: Progress,
     *,
     step: "Tensor | None" = None,
     size: int = 512,
@@ -175,9 +176,7 @@ def _film(
     return len(steps)
 
 
-def _counted(
-    frames: Iterator[Any], total: int, progress: Callable[[str, float, float | None], None]
-) -> Iterator[Any]:
+def _counted(frames: Iterator[Any], total: int, progress: Progress) -> Iterator[Any]:
     """The frames, each reported."""
     for number, frame in enumerate(frames, 1):
         progress("render", number, total)

@@ -26,7 +26,6 @@ Weights = Annotated[
     Path | None, typer.Option("--weights", help="a model.pt; if left out the one that is shipped")
 ]
 Samples = Annotated[int, typer.Option(help="futures to draw", min=1)]
-OBSERVED = 10  # steps that are known
 USUAL = {"vehicle": 4.0, "pedestrian": 8.0}  # s that are predicted
 Seed = Annotated[int, typer.Option(help="of the noise", min=0)]
 
@@ -63,7 +62,7 @@ def predict(
 
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as foresee
-    from geoaim.simulation.layers import KINDS
+    from geoaim.prediction.segments import of_kind
     from geoaim.simulation.pictures import write_pictures
     from geoaim.simulation.scene import step_at_time
 
@@ -89,10 +88,7 @@ def predict(
         else:
             frames = film_futures(scene, futures, start)
             write_pictures(frames, output, rate=1 / model.config.seconds)
-    moved = sum(
-        there and other in KINDS[kind]
-        for there, other in zip(scene.present[:, start].tolist(), scene.types, strict=True)
-    )
+    moved = int((of_kind(scene, kind) & scene.present[:, start]).sum())
     console.print(
         f"{output}: {samples} futures of {steps * model.config.seconds:g} s after "
         f"{float(scene.times[start]):g} s, {moved} agents"
@@ -196,6 +192,7 @@ def _judged(
 ) -> tuple[Any, int]:
     """Measures of everybody on joint segments of a scene, and how many segments there are."""
     from geoaim.prediction.evaluation import Asked, compare, evaluate
+    from geoaim.prediction.predict import OBSERVED
     from geoaim.prediction.segments import cut_segments
     from geoaim.simulation.episodes import check_place, rules_of
     from geoaim.simulation.ground import fit_ground

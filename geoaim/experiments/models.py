@@ -1,13 +1,15 @@
 """The models that experiments compare, each trained once and kept in its folder."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, make_lessons
-from geoaim.experiments.places import TRAIN, Report, make_places
+from geoaim.experiments.places import TRAIN, make_places
 from geoaim.prediction.checkpoints import kept_model
 from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.training import train
+from geoaim.prediction.training import Lessons, Training, train
+from geoaim.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,26 @@ RECIPES = {
 }
 
 
-def trained(name: str, folder: Path, *, report: Report = lambda *_: None) -> ITRA:
+def trained(name: str, folder: Path, *, report: Progress = silent) -> ITRA:
     """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet."""
-    recipe, where = RECIPES[name], folder / "models" / name
-    if (where / "model.pt").exists():
-        return kept_model(where / "model.pt", recipe.config)
-    places = make_places(folder / "places", TRAIN, report=report)
-    lessons = make_lessons(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
+    recipe = RECIPES[name]
+
+    def lessons() -> Lessons:
+        places = make_places(folder / "places", TRAIN, report=report)
+        return make_lessons(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
+
     training = TRAININGS[recipe.config.kind]
-    return train(recipe.config, training, lessons, where, progress=report)
+    return kept_or_trained(folder / "models" / name, recipe.config, training, lessons, report)
+
+
+def kept_or_trained(
+    where: Path,
+    config: Config,
+    training: Training,
+    lessons: Callable[[], Lessons],
+    report: Progress,
+) -> ITRA:
+    """The model in a folder; trained, or trained on, where it is not whole yet."""
+    if (where / "model.pt").exists():
+        return kept_model(where / "model.pt", config)
+    return train(config, training, lessons(), where, progress=report)

@@ -1,6 +1,6 @@
 """Made places to learn from and to be judged on: written once, then read as any recording is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import HDMap, read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.progress import Progress, silent
 from geoaim.simulation.episodes import Rules, rules_of
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
@@ -45,14 +46,12 @@ RESOLUTION = 0.1  # m a pixel of drawn places
 HELD_OUT = 0.05  # share at each recording's end, as in the paper
 MAPS = ("aim", "hdm", "degraded", "another day", "none")
 BLUR, NOISE = 3.0, 0.2  # px of 0.1 m, and of full brightness, as in the paper
-Report = Callable[[str, float, float | None], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
     """A recording at a place: who was there, the lights, and what its HD map says."""
 
-    folder: Path
     tracks: Tracks
     lights: Lights | None
     hdmap: HDMap
@@ -64,7 +63,7 @@ class Recorded:
 
 
 def make_places(
-    folder: Path, places: Sequence[tuple[int, Kind]], *, report: Report = lambda *_: None
+    folder: Path, places: Sequence[tuple[int, Kind]], *, report: Progress = silent
 ) -> list[Path]:
     """The folders of places; those that are not there yet are made."""
     found = []
@@ -91,7 +90,7 @@ def read_recordings(folder: Path) -> list[Recorded]:
         lights = None
         if changes.exists():
             lights = read_lights(changes, hdmap.stop_lines, tracks.world)
-        found.append(Recorded(folder, tracks, lights, hdmap))
+        found.append(Recorded(tracks, lights, hdmap))
     return found
 
 
@@ -135,13 +134,13 @@ def blurred_and_noisy(image: Float32[Array, "H W 3"], blur: float) -> Float32[Ar
 
 
 def scene_of(
-    recorded: Recorded, name: str, *, rate: float, part: str = "all", lights: bool = True
+    recorded: Recorded, aim: AIM, *, rate: float, part: str = "all", lights: bool = True
 ) -> Scene:
-    """A recording on one of its maps, at so many steps a second.
+    """A recording on a map of its place, at so many steps a second.
 
     Args:
         recorded: what happened.
-        name: one of `MAPS`.
+        aim: from `read_map`.
         rate: in Hz.
         part: "first", without its end of `HELD_OUT`; "last", that end; or "all".
         lights: whether they are shown.
@@ -156,7 +155,7 @@ def scene_of(
         present=tracks.present[:, some],
     )
     shown = recorded.lights if lights else None
-    return make_scene(read_map(recorded.folder, name), tracks, shown)
+    return make_scene(aim, tracks, shown)
 
 
 def _drawn(folder: Path) -> AIM:

@@ -1,11 +1,10 @@
 """What experiments leave behind: a small JSON file and a Markdown table of each."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from geoaim.bench.report import machine
+from geoaim.bench.report import machine, write_json
 from geoaim.files import replacing
 from geoaim.prediction.report import Summary, markdown
 
@@ -20,11 +19,9 @@ def write_results(name: str, tables: Mapping[str, Summary], about: Mapping[str, 
         **about,
         "methods": {key: dict(table) for key, table in tables.items()},
     }
-    written = {
-        FOLDER / f"{name}.json": json.dumps(content, indent=1) + "\n",
-        FOLDER / f"{name}.md": f"`geoaim experiment {name}`\n\n{markdown(tables)}\n",
-    }
-    for path, text in written.items():
-        with replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return list(written)
+    paths = [FOLDER / f"{name}.json", FOLDER / f"{name}.md"]
+    write_json(content, paths[0])
+    with replacing(paths[1]) as temporary:
+        text = f"`geoaim experiment {name}`\n\n{markdown(tables)}\n"
+        temporary.write_text(text, encoding="utf-8")
+    return paths

@@ -5,15 +5,16 @@ from pathlib import Path
 
 from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
 from geoaim.experiments.models import trained
-from geoaim.experiments.places import TEST, TRAIN, Report, make_places
+from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import write_results
 from geoaim.files import replacing
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import shipped
 from geoaim.prediction.metrics import summary
+from geoaim.progress import Progress
 
 
-def run(folder: Path, report: Report) -> list[Path]:
+def run(folder: Path, report: Progress) -> list[Path]:
     """the two shipped models, taught by made places and judged at others; into the package."""
     written, tables = [], {}
     places = make_places(folder / "places", TEST, report=report)

@@ -6,17 +6,18 @@ import numpy as np
 
 from geoaim.bench.data import data_folder
 from geoaim.errors import TracksError
-from geoaim.experiments.learning import OBSERVED, SAMPLES, VEHICLES
+from geoaim.experiments.learning import SAMPLES, VEHICLES
 from geoaim.experiments.models import trained
-from geoaim.experiments.places import Report
 from geoaim.experiments.results import write_results
 from geoaim.mapping.tiles import read_imagery
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked, evaluate
 from geoaim.prediction.metrics import interval, summary
+from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments, pick, shifted
 from geoaim.prediction.training import Lessons, Training, train
+from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample
 from geoaim.track_formats import read_geotrax
@@ -26,7 +27,7 @@ STEPS = 40  # of a segment; the recording has 50
 TUNING = Training(steps=100, batch=32, rate=5e-4, divergence=0.3, warm_up=0.0, save=50)
 
 
-def run(folder: Path, report: Report) -> list[Path]:
+def run(folder: Path, report: Progress) -> list[Path]:
     """real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
     scene = _scene()
     model = trained("vehicle_aim", folder, report=report)

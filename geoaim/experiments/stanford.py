@@ -9,15 +9,15 @@ from numpy import ndarray as Array
 
 from geoaim.bench.data import data_folder
 from geoaim.errors import TracksError
-from geoaim.experiments.places import Report, blurred_and_noisy
+from geoaim.experiments.models import kept_or_trained
+from geoaim.experiments.places import blurred_and_noisy
 from geoaim.experiments.results import write_results
 from geoaim.prediction.baselines import BASELINES
-from geoaim.prediction.checkpoints import kept_model
 from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.metrics import interval, summary
 from geoaim.prediction.segments import joined
-from geoaim.prediction.training import Lessons, Training, train
+from geoaim.prediction.training import Lessons, Training
 from geoaim.prediction.windows import (
     OBSERVED,
     SECONDS,
@@ -27,6 +27,7 @@ from geoaim.prediction.windows import (
     read_windows,
     unchanged,
 )
+from geoaim.progress import Progress
 
 VALIDATION = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
 SAMPLES = 20
@@ -62,7 +63,7 @@ PUBLISHED = {
 }
 
 
-def run(folder: Path, report: Report) -> list[Path]:
+def run(folder: Path, report: Progress) -> list[Path]:
     """real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20."""
     given = _data()
     names = [path.stem for path in sorted((given / "windows").glob("*.csv"))]
@@ -92,14 +93,14 @@ def run(folder: Path, report: Report) -> list[Path]:
     return write_results("stanford", tables, {**about, "map less no map": gain})
 
 
-def _trained(name: str, config: Config, scenes: list[str], folder: Path, report: Report) -> ITRA:
+def _trained(name: str, config: Config, scenes: list[str], folder: Path, report: Progress) -> ITRA:
+    def lessons() -> Lessons:
+        windows = _windows(_data(), config, scenes)
+        both = joined([windows.segments, backwards(windows.segments)])
+        return Lessons(both, windows.segments, windows.ground)
+
     where = folder / "models" / f"stanford_{name.replace(',', '').replace(' ', '_')}"
-    if (where / "model.pt").exists():
-        return kept_model(where / "model.pt", config)
-    windows = _windows(_data(), config, scenes)
-    both = joined([windows.segments, backwards(windows.segments)])
-    lessons = Lessons(both, windows.segments, windows.ground)
-    return train(config, TRAINING, lessons, where, progress=report)
+    return kept_or_trained(where, config, TRAINING, lessons, report)
 
 
 def _windows(

@@ -1,15 +1,17 @@
 """The paper's tables on made places: HD map against AIM, lights, degraded and other imagery."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
-from geoaim.experiments.models import trained
-from geoaim.experiments.places import TEST, TRAIN, Report, make_places
+from geoaim.experiments.models import RECIPES, trained
+from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.metrics import Measure, interval, summary
+from geoaim.progress import Progress
 
 # of the paper's tables: minADE_6 (m), minFDE_6, then MFD or off-road and collision rates
 PAPER = {
@@ -44,42 +46,65 @@ PAIRS = (
 Table = dict[str, dict[str, Measure]]
 
 
-def run(folder: Path, report: Report) -> list[Path]:
+@dataclass(frozen=True)
+class Case:
+    """Who is judged, and on what.
+
+    Attributes:
+        model: one of `RECIPES` or of `BASELINES`.
+        map: one of `MAPS`.
+        config: whose segments.
+        where: "new" places, those of them with "lights", or the ends of recordings "learnt" from.
+    """
+
+    model: str
+    map: str
+    config: Config
+    where: str = "new"
+
+
+CASES = {
+    "people, HD map": Case("pedestrian_hdm", "hdm", PEOPLE),
+    "people, AIM": Case("pedestrian_aim", "aim", PEOPLE),
+    "vehicles, HD map": Case("vehicle_hdm", "hdm", VEHICLES),
+    "vehicles, AIM": Case("vehicle_aim", "aim", VEHICLES),
+    "vehicles, blurred and noisy AIM": Case("vehicle_aim", "degraded", VEHICLES),
+    "vehicles, imagery of another day": Case("vehicle_aim", "another day", VEHICLES),
+    "vehicles at lights, AIM": Case("vehicle_aim", "aim", VEHICLES, "lights"),
+    "vehicles at lights, AIM, lights not shown": Case(
+        "vehicle_aim_no_lights", "aim", VEHICLES, "lights"
+    ),
+    **{f"people, {name}": Case(name, "none", PEOPLE) for name in BASELINES},
+    **{f"vehicles, {name}": Case(name, "none", VEHICLES) for name in BASELINES},
+    "people, HD map, last 5 %": Case("pedestrian_hdm", "hdm", PEOPLE, "learnt"),
+    "people, AIM, last 5 %": Case("pedestrian_aim", "aim", PEOPLE, "learnt"),
+    "vehicles, HD map, last 5 %": Case("vehicle_hdm", "hdm", VEHICLES, "learnt"),
+    "vehicles, AIM, last 5 %": Case("vehicle_aim", "aim", VEHICLES, "learnt"),
+}
+
+
+def run(folder: Path, report: Progress) -> list[Path]:
     """the paper's tables on made places that no model has seen, and on recordings' last 5 %."""
-    test = make_places(folder / "places", TEST, report=report)
-    seen = make_places(folder / "places", TRAIN, report=report)
-    lit = [place for place in test if place.name.startswith("junction")]
-    models = {
-        name: trained(name, folder, report=report)
-        for name in (
-            *("pedestrian_hdm", "pedestrian_aim", "vehicle_hdm", "vehicle_aim"),
-            "vehicle_aim_no_lights",
-        )
+    new = make_places(folder / "places", TEST, report=report)
+    places = {
+        "new": new,
+        "lights": [place for place in new if place.name.startswith("junction")],
+        "learnt": make_places(folder / "places", TRAIN, report=report),
     }
-    people, vehicles = models["pedestrian_aim"], models["vehicle_aim"]
+    models: dict[str, ITRA | str] = {name: name for name in BASELINES}
+    for name in RECIPES:
+        models[name] = trained(name, folder, report=report)
     tables: Table = {}
-
-    def add(name: str, model: ITRA | str, places: list[Path], config: Config, map_: str) -> None:
-        shown = "not shown" not in name
-        part = "last" if "last 5 %" in name else "all"
-        tables[name] = judge(model, places, config, map_, part=part, lights=shown)
-
-    add("people, HD map", models["pedestrian_hdm"], test, PEOPLE, "hdm")
-    add("people, AIM", people, test, PEOPLE, "aim")
-    add("vehicles, HD map", models["vehicle_hdm"], test, VEHICLES, "hdm")
-    add("vehicles, AIM", vehicles, test, VEHICLES, "aim")
-    add("vehicles, blurred and noisy AIM", vehicles, test, VEHICLES, "degraded")
-    add("vehicles, imagery of another day", vehicles, test, VEHICLES, "another day")
-    add("vehicles at lights, AIM", vehicles, lit, VEHICLES, "aim")
-    blind = models["vehicle_aim_no_lights"]
-    add("vehicles at lights, AIM, lights not shown", blind, lit, VEHICLES, "aim")
-    for name in BASELINES:
-        add(f"people, {name}", name, test, PEOPLE, "none")
-        add(f"vehicles, {name}", name, test, VEHICLES, "none")
-    for kind, config, shown in (("people", PEOPLE, people), ("vehicles", VEHICLES, vehicles)):
-        model = models["pedestrian_hdm" if config is PEOPLE else "vehicle_hdm"]
-        add(f"{kind}, AIM, last 5 %", shown, seen, config, "aim")
-        add(f"{kind}, HD map, last 5 %", model, seen, config, "hdm")
+    for number, (name, case) in enumerate(CASES.items()):
+        report("judge", number, len(CASES))
+        tables[name] = judge(
+            models[case.model],
+            places[case.where],
+            case.config,
+            case.map,
+            part="last" if case.where == "learnt" else "all",
+            lights=case.model not in RECIPES or RECIPES[case.model].lights,
+        )
     about = {
         "places to learn from": TRAIN,
         "places to be judged on": TEST,

@@ -18,7 +18,6 @@ from geoaim.mapping.georeference import Georeference, distort_points
 from geoaim.mapping.ghosts import FEWEST
 from geoaim.mapping.placing import find_place, points_on_reference, reference_time
 from geoaim.mapping.registration import (
-    Progress,
     Registration,
     choose_reference,
     collect,
@@ -27,6 +26,7 @@ from geoaim.mapping.registration import (
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.sampling import Count, RegisteredFrames
 from geoaim.mapping.video import open_video
+from geoaim.progress import Progress, silent
 
 ENOUGH = 50  # frames for a pixel of "all", beyond which stripes share the frames: twice as fast
 CONVERGED = 3.0  # grey levels by which the latter half of the frames may still move the ground
@@ -39,7 +39,7 @@ def build_aim(
     boxes: str | Path | Boxes | None = None,
     frames: Count = "auto",
     crs: str | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> AIM:
     """Build an aerial image-based map from a hovering camera's video and control points.
 

@@ -7,7 +7,7 @@ are laid on it.
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,9 +35,9 @@ from geoaim.mapping.keyframes import (
 )
 from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
 from geoaim.mapping.video import Frame, Video, open_video
+from geoaim.progress import Progress, silent
 
 # Called with the name of a stage, how much of it is done, and how much there is (None: unknown).
-Progress = Callable[[str, float, float | None], None]
 PROBES = 5  # frames that choose the reference and the model
 
 
@@ -107,7 +107,7 @@ def register(
     boxes: Boxes | str | Path | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> Registration:
     """Lay every frame of a video on one reference frame.
 
@@ -128,8 +128,7 @@ def register(
     rows = []
     for frame, placement in place_frames(video, reference, boxes=boxes):
         rows.append((frame.index, frame.time, placement))
-        if progress:
-            progress("register", len(rows), video.frame_count)
+        progress("register", len(rows), video.frame_count)
     return _refuse_jumps(collect(rows, reference))
 
 

@@ -10,8 +10,9 @@ from numpy import ndarray as Array
 
 from geoaim.mapping.boxes import Boxes
 from geoaim.mapping.keyframes import Placement
-from geoaim.mapping.registration import Progress, Reference, place_frames
+from geoaim.mapping.registration import Reference, place_frames
 from geoaim.mapping.video import Frame, Video
+from geoaim.progress import Progress
 
 Count = int | Literal["auto", "all"]
 FIRST_BATCH = 16  # frames of "auto"; doubled until the background has converged
@@ -29,7 +30,7 @@ class RegisteredFrames:
     reference: Reference
     boxes: Boxes | None
     count: Count
-    progress: Progress | None
+    progress: Progress
     placed: dict[float, Placement] = field(default_factory=dict)
     rows: list[tuple[int, float, Placement]] = field(default_factory=list)
 
@@ -37,8 +38,7 @@ class RegisteredFrames:
         total = self._total()
         stage = "average" if self.rows else "register"
         for read, (frame, placement) in enumerate(self._placements(), 1):
-            if self.progress:
-                self.progress(stage, read, total)
+            self.progress(stage, read, total)
             if placement.valid:
                 yield frame, placement.matrix
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.simulation.birdview import render
-from geoaim.simulation.ground import Ground, View, fit_ground, make_ground
+from geoaim.simulation.ground import Ground, View, bounds_of, fit_ground, make_ground
 
 FINER = 2  # pixels of the atlas for one of a view
 
@@ -26,7 +26,7 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
     """
     metres = view.resolution / FINER
     margin = math.hypot(view.height, view.width) / 2 * view.resolution
-    boxes = [bounds_of(ground) for ground in grounds]
+    boxes = [bounds_of(ground).float() for ground in grounds]
     sizes = [(box[1] - box[0] + 2 * margin).clamp_min(metres) for box in boxes]
     rows = math.ceil(max(float(size[1]) for size in sizes) / metres)
     tiles, offsets, column = [], [], 0
@@ -52,12 +52,3 @@ def ground_scaled(ground: Ground, sides: Float[Tensor, "2"]) -> Ground:
     """The ground in a plane whose x and y are so many times as long."""
     smaller = torch.cat([1 / sides, sides.new_ones(1)]).to(ground.image)
     return replace(ground, image_from_world=ground.image_from_world * smaller)
-
-
-def bounds_of(ground: Ground) -> Float[Tensor, "2 2"]:
-    """Lowest and highest x and y of a ground's texture."""
-    height, width = ground.image.shape[1:]
-    matrix = ground.image_from_world.double()
-    pixels = matrix.new_tensor([[0, 0], [width, 0], [width, height], [0, height]])
-    corners = torch.linalg.solve(matrix[:, :2], (pixels - matrix[:, 2]).t()).t()
-    return torch.stack([corners.amin(dim=0), corners.amax(dim=0)]).float()

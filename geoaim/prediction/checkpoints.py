@@ -15,10 +15,10 @@ FORMAT = 1
 SHIPPED = Path(__file__).parent / "models"
 
 
-def write_model(model: ITRA, path: str | os.PathLike[str], *, about: str = "") -> None:
-    """Write a model's config and weights, as 16-bit floats, and a word about them."""
+def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
+    """Write a model's config and weights, as 16-bit floats."""
     weights = {name: value.detach().cpu().half() for name, value in model.state_dict().items()}
-    write_state({"config": asdict(model.config), "weights": weights, "about": about}, path)
+    write_state({"config": asdict(model.config), "weights": weights}, path)
 
 
 def read_model(path: str | os.PathLike[str]) -> ITRA:
@@ -68,10 +68,10 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
         OSError: there is no such file.
     """
     path = Path(path)
-    with path.open("rb"):
-        pass
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
+    except OSError:
+        raise
     except Exception as error:  # pickle, zip and torch each have their own
         raise ModelError(f"{path} is no model: {str(error).splitlines()[0]}") from None
     if not isinstance(state, dict) or state.get("format") != FORMAT:

@@ -1,23 +1,23 @@
 """A model and the training-free baselines on the same segments: what `geoaim evaluate` does."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from geoaim.lights import UNKNOWN
 from geoaim.prediction.baselines import BASELINES, predict_plainly
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Measure, measure, merged
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import OBSERVED, Windows
+from geoaim.progress import Progress, silent
 from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import Ground
 
 VIEWS = 4000  # of all samples and agents that are drawn at once, at most
-Predict = Callable[[Segments, torch.Generator], Float[Tensor, "S K T A 4"]]
-Report = Callable[[str, float, float | None], None]
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,14 @@ class Asked:
         samples: futures.
         spread: of a model's latents.
         seed: of the noise.
+        lights: whether their states are shown to the predictor; what is run over counts anyway.
     """
 
     observed: int
     samples: int
     spread: float = 1.0
     seed: int = 0
+    lights: bool = True
 
 
 def evaluate(
@@ -44,16 +46,16 @@ def evaluate(
     asked: Asked,
     *,
     rules: Rules = NO_RULES,
-    report: Report = lambda stage, done, total: None,
+    report: Progress = silent,
 ) -> dict[str, Measure]:
     """All measures of a model, or of one of `BASELINES`, on segments of one place."""
     generator = torch.Generator(segments.states.device).manual_seed(asked.seed)
-    predict = _predictor(model, ground, asked)
     name = model if isinstance(model, str) else "model"
     parts, size = [], _at_once(segments, asked)
     for start in range(0, len(segments), size):
         some = pick(segments, slice(start, start + size))
-        parts.append(measure(predict(some, generator), some, asked.observed, rules))
+        found = _predicted(model, some, ground, asked, generator)
+        parts.append(measure(found, some, asked.observed, rules))
         report(name, min(start + size, len(segments)), len(segments))
     return merged(parts)
 
@@ -64,7 +66,7 @@ def evaluate_windows(
     samples: int,
     *,
     seed: int = 0,
-    report: Report = lambda stage, done, total: None,
+    report: Progress = silent,
 ) -> dict[str, Measure]:
     """minADE and minFDE of windows, in the pixels of their images and in metres.
 
@@ -89,23 +91,24 @@ def compare(
     return {"model": judge(model)} | {name: judge(name) for name in BASELINES}
 
 
-def _predictor(model: ITRA | str, ground: Ground, asked: Asked) -> Predict:
-    def predict(segments: Segments, generator: torch.Generator) -> Tensor:
-        observed, samples = asked.observed, asked.samples
-        if isinstance(model, str):
-            return predict_plainly(
-                model, segments, observed=observed, samples=samples, generator=generator
-            )
-        return model.sample(
-            segments,
-            ground,
-            observed=observed,
-            samples=samples,
-            generator=generator,
-            spread=asked.spread,
+def _predicted(
+    model: ITRA | str, segments: Segments, ground: Ground, asked: Asked, generator: torch.Generator
+) -> Float[Tensor, "S K T A 4"]:
+    observed, samples = asked.observed, asked.samples
+    if not asked.lights:
+        segments = replace(segments, lights=torch.full_like(segments.lights, UNKNOWN))
+    if isinstance(model, str):
+        return predict_plainly(
+            model, segments, observed=observed, samples=samples, generator=generator
         )
-
-    return predict
+    return model.sample(
+        segments,
+        ground,
+        observed=observed,
+        samples=samples,
+        generator=generator,
+        spread=asked.spread,
+    )
 
 
 def _at_once(segments: Segments, asked: Asked) -> int:

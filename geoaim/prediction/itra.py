@@ -26,12 +26,15 @@ from geoaim.prediction.segments import Segments, repeated
 from geoaim.prediction.views import CHANNELS, Egos, egos_of, egos_see
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.kinematics import (
+    ahead_of,
     bicycle_action,
     bicycle_step,
     displacement_action,
+    seen_from,
     slide_step,
     unicycle_action,
     unicycle_step,
+    wrapped,
 )
 
 SCALES = {"bicycle": (2.0, 0.2), "unicycle": (1.0, 1.0), "slide": (0.5, 0.5)}  # usual actions
@@ -103,18 +106,23 @@ class Losses:
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
-    """What an ego knows at a step, before it acts; f_theta and q_phi read it."""
+    """A step before which egos act, and all that they know; f_theta and q_phi read the context."""
 
     number: int
     pose: Float[Tensor, "E 4"]
+    context: Float[Tensor, "E C"]
+
+
+@dataclass(frozen=True, eq=False)
+class _Mind:
+    """What egos saw last, and what they remember."""
+
     seen: Float[Tensor, "E F"]
     memory: Float[Tensor, "E M"]
 
-    def context(self, facts: Float[Tensor, "E 3"]) -> Float[Tensor, "E C"]:
-        return torch.cat([self.seen, self.memory, facts], dim=1)
 
-
-Choice = Callable[[_Moment, Float[Tensor, "E C"]], Tensor]
+Choice = Callable[[_Moment], Tensor]
+Plan = Callable[[_Moment], Tensor | None]
 
 
 class ITRA(nn.Module):
@@ -151,22 +159,21 @@ class ITRA(nn.Module):
         levers = truth.new_tensor([1.0, 1.0, self.config.lever, HASTE]) / self.config.sigma
         divergences, plans = [], [truth.new_zeros(())]
 
-        def choose(now: _Moment, context: Tensor) -> Tensor:
-            mean, log_scale = self.infer(torch.cat([context, done[:, now.number]], 1)).chunk(2, 1)
+        def choose(now: _Moment) -> Tensor:
+            known = torch.cat([now.context, done[:, now.number]], dim=1)
+            mean, log_scale = self.infer(known).chunk(2, 1)
             log_scale = log_scale.clamp(-5, 3)
             scale = log_scale.exp()
             divergences.append((0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1))
             z = mean + scale * torch.randn(mean.shape, generator=generator, device=mean.device)
             if now.number == observed - 1 and self.config.modes:
-                plans.append(self._plan_loss(now, context, truth, segments.seconds))
+                plans.append(self._plan_loss(now, truth, segments.seconds))
             return z
 
-        way = (
-            truth[:, self._plan_steps(observed, truth.shape[1]), :2] if self.config.modes else None
-        )
-        states = self._roll(
-            segments, ground, egos, done, observed, choose, lambda now, context: way
-        )
+        steps = self._plan_steps(observed, truth.shape[1])
+        way = truth[:, steps, :2] if self.config.modes else None
+        mind = self._watch(segments, ground, egos, done, observed)
+        states = self._roll(segments, ground, egos, mind, observed, choose, lambda now: way)
         found = states[egos.segment, observed:, egos.agent]
         error = _difference(found, truth[:, observed:]) * levers
         fit = 0.5 * error.square().sum(dim=2).mean()
@@ -193,66 +200,82 @@ class ITRA(nn.Module):
             generator: of the noise.
             spread: of the latents: 1 as in training; 0: the most usual way to each plan.
         """
+        egos = self._egos(segments, observed)
+        truth = segments.states[egos.segment, :, egos.agent]
+        done = self._actions(truth, segments, egos)
+        watched = self._watch(segments, ground, egos, done, observed)
+        numbers = segments.controlled.long()
+        numbers[egos.segment, egos.agent] = torch.arange(len(truth), device=truth.device)
         many = repeated(segments, samples)
-        egos = self._egos(many, observed)
-        truth = many.states[egos.segment, :, egos.agent]
-        done = self._actions(truth, many, egos)
+        all_egos = egos_of(many)
+        which = numbers[all_egos.segment // samples, all_egos.agent]
+        mind = _Mind(watched.seen[which], watched.memory[which])
 
-        def choose(now: _Moment, context: Tensor) -> Tensor:
-            size = (len(context), self.config.latent)
-            return spread * torch.randn(size, generator=generator, device=context.device)
+        def choose(now: _Moment) -> Tensor:
+            size = (len(which), self.config.latent)
+            return spread * torch.randn(size, generator=generator, device=truth.device)
 
-        def plan(now: _Moment, context: Tensor) -> Tensor | None:
+        def plan(now: _Moment) -> Tensor | None:
             if not self.config.modes:
                 return None
-            plans = self._plans(now, context, truth.shape[1], segments.seconds)
-            number = self._modes(context, egos.segment % samples)
+            plans = self._plans(now, truth.shape[1], segments.seconds)
+            number = self._modes(now.context, all_egos.segment % samples)
             return plans[torch.arange(len(number), device=number.device), number]
 
-        found = self._roll(many, ground, egos, done, observed, choose, plan)
+        found = self._roll(many, ground, all_egos, mind, observed, choose, plan)
         return found.view(len(segments), samples, *found.shape[1:])
 
-    def _roll(
+    def _watch(
         self,
         segments: Segments,
         ground: Ground,
         egos: Egos,
         done: Float[Tensor, "E t 2"],
         observed: int,
+    ) -> _Mind:
+        """What egos remember when they have replayed all steps that are given but the last."""
+        config, sizes = self.config, segments.sizes[egos.segment, egos.agent]
+        count = len(sizes)
+        mind = _Mind(sizes.new_zeros(count, config.features), sizes.new_zeros(count, config.memory))
+        for number in range(observed - 1):
+            states = segments.states[:, number]
+            seen = self._look(segments, ground, egos, states, number, observed, mind.seen)
+            facts = _facts(states[egos.segment, egos.agent], sizes)
+            kept = self.remember(torch.cat([seen, done[:, number], facts], dim=1), mind.memory)
+            both = segments.present[egos.segment, number : number + 2, egos.agent]
+            there = both.all(dim=1, keepdim=True)  # who comes later has nothing to remember yet
+            mind = _Mind(seen, torch.where(there, kept, mind.memory))
+        return mind
+
+    def _roll(
+        self,
+        segments: Segments,
+        ground: Ground,
+        egos: Egos,
+        mind: _Mind,
+        observed: int,
         choose: Choice,
-        plan: Callable[[_Moment, Tensor], Tensor | None],
+        plan: Plan,
     ) -> Float[Tensor, "S T A 4"]:
-        """Let the egos live through the steps: they replay while observed, then they act."""
-        config, total = self.config, segments.states.shape[1]
-        sizes = segments.sizes[egos.segment, egos.agent]
-        memory = sizes.new_zeros(len(sizes), config.memory)
-        states, way = segments.states[:, 0], None
-        seen = sizes.new_zeros(len(sizes), config.features)  # until the first look
-        path = [states]
-        for number in range(total - 1):
+        """Let the egos act from the last step that is given on; all others replay."""
+        total, sizes = segments.states.shape[1], segments.sizes[egos.segment, egos.agent]
+        states, way, seen, memory = segments.states[:, observed - 1], None, mind.seen, mind.memory
+        path = list(segments.states[:, :observed].unbind(dim=1))
+        for number in range(observed - 1, total - 1):
             pose = states[egos.segment, egos.agent]
-            facts = torch.cat([pose[:, 3:] / 10, sizes / 5], dim=1)
-            there = segments.present[egos.segment, number, egos.agent, None]
-            if (number - observed + 1) % config.every == 0:
-                look = self._see(segments, ground, egos, states, number)
-                seen = torch.where(there, look, seen)
-            if number < observed - 1:
-                action = done[:, number]
-                after = segments.states[egos.segment, number + 1, egos.agent]
-            else:
-                now = _Moment(number, pose, seen, memory)
-                context = now.context(facts)
-                if number == observed - 1:
-                    way = plan(now, context)
-                parts = [context, choose(now, context)]
-                if way is not None:
-                    parts.append(_plan_ahead(way, pose, (total - 1 - number) / total))
-                action = LIMIT * torch.tanh(self.act(torch.cat(parts, dim=1)) / LIMIT)
-                after = self._moved(pose, action, sizes[:, 0], segments.seconds)
-            kept = self.remember(torch.cat([seen, action, facts], dim=1), memory)
-            if number < observed - 1:  # who comes later has nothing to remember until then
-                there = there & segments.present[egos.segment, number + 1, egos.agent, None]
-            memory = torch.where(there, kept, memory)
+            facts = _facts(pose, sizes)
+            seen = self._look(segments, ground, egos, states, number, observed, seen)
+            now = _Moment(number, pose, torch.cat([seen, memory, facts], dim=1))
+            if number == observed - 1:
+                way = plan(now)
+            parts = [now.context, choose(now)]
+            if way is not None:
+                left = torch.full_like(pose[:, :1], (total - 1 - number) / total)
+                points = seen_from(pose[:, None], way) / REACH
+                parts.append(torch.cat([points.flatten(1), left], dim=1))
+            action = LIMIT * torch.tanh(self.act(torch.cat(parts, dim=1)) / LIMIT)
+            after = self._moved(pose, action, sizes[:, 0], segments.seconds)
+            memory = self.remember(torch.cat([seen, action, facts], dim=1), memory)
             states = segments.states[:, number + 1].index_put((egos.segment, egos.agent), after)
             path.append(states)
         return torch.stack(path, dim=1)
@@ -273,17 +296,25 @@ class ITRA(nn.Module):
             raise ValueError("nobody in these segments is controlled")
         return egos_of(segments)
 
-    def _see(
-        self, segments: Segments, ground: Ground, egos: Egos, states: Tensor, number: int
+    def _look(
+        self,
+        segments: Segments,
+        ground: Ground,
+        egos: Egos,
+        states: Float[Tensor, "S A 4"],
+        number: int,
+        observed: int,
+        seen: Float[Tensor, "E F"],
     ) -> Float[Tensor, "E F"]:
-        if self.config.encoder == "none":
-            return states.new_zeros(len(egos.agent), self.config.features)
+        """What is seen now, or was seen last: between two looks, and by who is not there."""
+        if self.config.encoder == "none" or (number - observed + 1) % self.config.every:
+            return seen
         pictures = egos_see(self.config.view, ground, segments, egos, states, number)
         kind = pictures.device.type
         with torch.autocast(kind, dtype=torch.bfloat16, enabled=kind == "cuda"):
-            return self.encoder((pictures - 0.5).to(memory_format=torch.channels_last)).to(
-                pictures.dtype
-            )
+            found = self.encoder((pictures - 0.5).to(memory_format=torch.channels_last))
+        there = segments.present[egos.segment, number, egos.agent, None]
+        return torch.where(there, found.to(seen), seen)
 
     def _actions(
         self, truth: Float[Tensor, "E T 4"], segments: Segments, egos: Egos
@@ -316,27 +347,22 @@ class ITRA(nn.Module):
             for k in range(self.config.points)
         ]
 
-    def _plans(
-        self, now: _Moment, context: Tensor, total: int, seconds: float
-    ) -> Float[Tensor, "E M P 2"]:
+    def _plans(self, now: _Moment, total: int, seconds: float) -> Float[Tensor, "E M P 2"]:
         """Proposed points of the way ahead, in the world: constant velocity, and what is off it."""
         shape = (-1, self.config.modes, self.config.points, 2)
-        points = REACH * self.propose(context).view(shape)
+        points = REACH * self.propose(now.context).view(shape)
         steps = self._plan_steps(now.number + 1, total)
         ahead = now.pose[:, 3:] * seconds * points.new_tensor([k - now.number for k in steps])
         straight = torch.stack([ahead, torch.zeros_like(ahead)], dim=-1)
-        return _out_of(now.pose[:, None, None], points + straight[:, None])
+        return ahead_of(now.pose[:, None, None], points + straight[:, None])
 
-    def _plan_loss(
-        self, now: _Moment, context: Tensor, truth: Tensor, seconds: float
-    ) -> Float[Tensor, ""]:
+    def _plan_loss(self, now: _Moment, truth: Tensor, seconds: float) -> Float[Tensor, ""]:
         """How far off the best plan is, all of it and its end; a little of all; its weight."""
         steps = self._plan_steps(now.number + 1, truth.shape[1])
-        off = (self._plans(now, context, truth.shape[1], seconds) - truth[:, None, steps, :2]).norm(
-            dim=-1
-        )
+        plans = self._plans(now, truth.shape[1], seconds)
+        off = (plans - truth[:, None, steps, :2]).norm(dim=-1)
         whole, best = off.mean(dim=2).min(dim=1)
-        chance = nn.functional.cross_entropy(self.weigh(context), best)
+        chance = nn.functional.cross_entropy(self.weigh(now.context), best)
         end = off[..., -1].min(dim=1).values
         return whole.mean() + end.mean() / 2 + off.mean() / 50 + chance / 10
 
@@ -356,26 +382,12 @@ def _network(inputs: int, width: int, outputs: int) -> nn.Sequential:
     )
 
 
+def _facts(pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]) -> Float[Tensor, "E 3"]:
+    """What an ego knows of itself without looking."""
+    return torch.cat([pose[:, 3:] / 10, sizes / 5], dim=1)
+
+
 def _difference(found: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> Tensor:
     """States apart; headings the shorter way."""
     x, y, turn, speed = (found - truth).unbind(-1)
-    turn = turn - 2 * torch.pi * torch.round(turn.detach() / (2 * torch.pi))
-    return torch.stack([x, y, turn, speed], dim=-1)
-
-
-def _plan_ahead(
-    way: Float[Tensor, "E P 2"], pose: Float[Tensor, "E 4"], left: float
-) -> Float[Tensor, "E C"]:
-    """A plan's points as an ego sees them, and the share of the time that is left."""
-    x, y = (way - pose[:, None, :2]).unbind(-1)
-    cosine, sine = pose[:, None, 2].cos(), pose[:, None, 2].sin()
-    points = torch.stack([x * cosine + y * sine, y * cosine - x * sine], dim=-1) / REACH
-    return torch.cat([points.flatten(1), torch.full_like(points[:, 0, :1], left)], dim=1)
-
-
-def _out_of(pose: Float[Tensor, "E 1 1 4"], points: Float[Tensor, "E M P 2"]) -> Tensor:
-    """Points ahead and to the left of an ego, in the world."""
-    ahead, left = points.unbind(-1)
-    cosine, sine = pose[..., 2].cos(), pose[..., 2].sin()
-    x, y = ahead * cosine - left * sine, ahead * sine + left * cosine
-    return torch.stack([x, y], dim=-1) + pose[..., :2]
+    return torch.stack([x, y, wrapped(turn), speed], dim=-1)

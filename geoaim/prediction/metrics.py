@@ -165,17 +165,19 @@ def _rates(
 def _ran_red(
     poses: Float[Tensor, "S K _ A 3"], segments: Segments, observed: int, driven: Tensor
 ) -> Bool[Tensor, "S K t A"]:
-    """Who crosses a line in a step while its light is red; segments of one place share lines."""
-    lights = segments.lights[:, observed - 1 : -1]
-    ran = torch.zeros_like(driven)
-    for number, lines in enumerate(segments.lines):
-        before, after = poses[number, :, :-1], poses[number, :, 1:]
-        states = lights[number].expand(len(before), -1, -1).flatten(0, 1)
-        lengths = segments.sizes[number, :, 0].expand(len(states), -1)
-        mine = driven[number].flatten(0, 1)
-        where = before.flatten(0, 1), after.flatten(0, 1)
-        ran[number] = ran_red(*where, lengths, mine, lines, states).view(driven[number].shape)
-    return ran
+    """Who crosses a line in a step while its light is red."""
+    shape = driven.shape[:3]
+    lights = segments.lights[:, None, observed - 1 : -1]
+    each = (
+        poses[:, :, :-1],
+        poses[:, :, 1:],
+        segments.sizes[:, None, None, :, 0],
+        driven,
+        segments.lines[:, None, None],
+        lights,
+    )
+    flat = (x.expand(*shape, *x.shape[3:]).flatten(0, 2) for x in each)
+    return ran_red(*flat).view(driven.shape)
 
 
 def _rate(wrong: Bool[Tensor, "S K t A"], who: Bool[Tensor, "S K t A"]) -> Measure:

@@ -12,11 +12,11 @@ from numpy import ndarray as Array
 from torch import Tensor
 
 from geoaim.files import replacing
-from geoaim.prediction.atlas import bounds_of
 from geoaim.simulation.birdview import Boxes, render
-from geoaim.simulation.ground import Ground, View, fit_ground
-from geoaim.simulation.layers import COLOURS, OTHER, lights_at
+from geoaim.simulation.ground import Ground, View, bounds_of, fit_ground
+from geoaim.simulation.layers import lights_at, usual_colours
 from geoaim.simulation.lines import path_boxes
+from geoaim.simulation.pictures import pixels_of
 from geoaim.simulation.scene import Scene
 from geoaim.tracks import world_lines
 from geoaim.world import World
@@ -132,7 +132,7 @@ def _paths(
 
 def _agents(scene: Scene, poses: Float[Tensor, "N 3"]) -> Boxes:
     present = torch.isfinite(poses).all(dim=1)
-    colours = poses.new_tensor([COLOURS.get(kind, OTHER) for kind in scene.types])
+    colours = usual_colours(scene)
     noses = torch.ones_like(colours)
     safe = torch.where(present[:, None], poses, 0.0)
     return Boxes(safe[None], scene.sizes, colours, present[None], noses)
@@ -142,6 +142,4 @@ def _picture(
     view: View, camera: Float[Tensor, "1 3"], ground: Ground, layers: list[Boxes]
 ) -> UInt8[Array, "H W 3"]:
     with torch.no_grad():
-        picture = render(view, camera, ground, layers)[0]
-    pixels = (picture.clamp(0, 1) * 255).round().to(torch.uint8)
-    return np.ascontiguousarray(pixels.permute(1, 2, 0).cpu().numpy())
+        return pixels_of(render(view, camera, ground, layers))[0]

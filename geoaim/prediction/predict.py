@@ -4,15 +4,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.errors import TracksError
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.segments import PERSON, VEHICLE, Segments
+from geoaim.prediction.segments import cut_ahead
 from geoaim.simulation.ground import fit_ground
-from geoaim.simulation.kinematics import bicycle_step
-from geoaim.simulation.layers import KINDS
-from geoaim.simulation.scene import Scene, states_of, step_seconds
+from geoaim.simulation.scene import Scene, step_seconds
 
-KNOWN = 10  # steps before the prediction that a model gets at most, as in training
+OBSERVED = 10  # steps before the prediction that a model gets at most, as in training
 
 
 def predict(
@@ -51,47 +48,12 @@ def predict(
             f"the scene's steps are {step_seconds(scene):g} s and the model's "
             f"{model.config.seconds:g} s; resample the tracks"
         )
-    segment, observed = _ahead(scene, model, start, steps)
+    first = max(0, start + 1 - OBSERVED)
+    segment = cut_ahead(scene, model.config.kind, first=first, start=start, steps=steps)
+    observed = start + 1 - first
     ground = fit_ground(scene.ground, model.config.resolution)
     found = model.sample(segment, ground, observed=observed, samples=samples, generator=generator)[
         0, :, observed:
     ]
     there = segment.present[0, observed:, :, None]
     return torch.where(there, found, torch.nan).transpose(1, 2)
-
-
-def _ahead(scene: Scene, model: ITRA, start: int, steps: int) -> tuple[Segments, int]:
-    """The last known steps, and what others do after them; how many are known."""
-    first = max(0, start + 1 - KNOWN)
-    theirs = torch.tensor([kind in KINDS[model.config.kind] for kind in scene.types])
-    controlled = theirs.to(scene.present.device) & scene.present[:, start]
-    if not controlled.any():
-        raise TracksError(
-            f"no {model.config.kind} is there at {float(scene.times[start]):g} s; the model "
-            "moves nobody else"
-        )
-    known = slice(first, min(len(scene.times), start + 1 + steps))
-    states = torch.where(scene.present[..., None], states_of(scene), 0.0)[:, known]
-    present = scene.present[:, known]
-    lights = scene.light_states[known].long()
-    while states.shape[1] < start + 1 - first + steps:  # beyond the recording
-        last = states[:, -1]
-        still = torch.zeros_like(last[:, :2])
-        on = bicycle_step(last, still, scene.sizes[:, 0], model.config.seconds)
-        states = torch.cat([states, on[:, None]], dim=1)
-        present = torch.cat([present, present[:, -1:]], dim=1)
-        lights = torch.cat([lights, lights[-1:]])
-    present = present.clone()
-    present[controlled, start + 1 - first :] = True
-    on_foot = torch.tensor([kind not in KINDS["vehicle"] for kind in scene.types])
-    segment = Segments(
-        states=states.transpose(0, 1)[None],
-        present=present.t()[None],
-        sizes=scene.sizes[None],
-        planes=torch.where(on_foot, PERSON, VEHICLE).to(scene.sizes.device)[None],
-        controlled=controlled[None],
-        lines=scene.stop_lines[None],
-        lights=lights[None],
-        seconds=model.config.seconds,
-    )
-    return segment, start + 1 - first

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
+from geoaim.simulation.kinematics import bicycle_step
 from geoaim.simulation.layers import KINDS
 from geoaim.simulation.scene import Scene, states_of, step_seconds
 
@@ -46,6 +47,9 @@ class Segments:
         return len(self.states)
 
 
+TENSORS = [field.name for field in fields(Segments) if field.name != "seconds"]
+
+
 def pick(segments: Segments, which: Tensor | slice) -> Segments:
     """Some of the segments."""
     return _each(segments, lambda tensor: tensor[which])
@@ -72,8 +76,7 @@ def joined(parts: Sequence[Segments]) -> Segments:
     agents = max(part.states.shape[2] for part in parts)
     lights = max(part.lights.shape[2] for part in parts)
     padded = [_padded(part, agents, lights) for part in parts]
-    names = [field.name for field in fields(Segments) if field.name != "seconds"]
-    whole = {name: torch.cat([getattr(part, name) for part in padded]) for name in names}
+    whole = {name: torch.cat([getattr(part, name) for part in padded]) for name in TENSORS}
     return Segments(**whole, seconds=parts[0].seconds)
 
 
@@ -99,9 +102,7 @@ def cut_segments(
     seconds = step_seconds(scene)
     if (scene.times.diff() - seconds).abs().max() > 0.01 * seconds:
         raise ValueError("the scene's steps are not even; resample the tracks")
-    states = torch.where(scene.present[..., None], states_of(scene), 0.0)
-    theirs = torch.tensor([other in KINDS[kind] for other in scene.types]).to(states.device)
-    theirs &= _travelled(scene) > STILL
+    theirs = of_kind(scene, kind) & (_travelled(scene) > STILL)
     # (N, starts) who is there at all steps from each start on
     enough = steps <= len(scene.times)
     present = scene.present if enough else scene.present[:, :0].new_zeros(len(theirs), steps)
@@ -118,9 +119,39 @@ def cut_segments(
         if joint:
             who, controlled = _everyone(scene.present[:, some], whole[:, number])
         else:
-            who, controlled = _nearest(states[:, some], scene.present[:, some], whole[:, number])
-        parts.append(_cut(scene, states, who, controlled, some))
+            places = scene.poses[:, some, :2]
+            who, controlled = _nearest(places, scene.present[:, some], whole[:, number])
+        parts.append(_cut(scene, who, controlled, some))
     return joined(parts)
+
+
+def cut_ahead(scene: Scene, kind: str, *, first: int, start: int, steps: int) -> Segments:
+    """One segment of everybody, in which all of a kind who are there at a step are controlled.
+
+    Args:
+        scene: evenly sampled; beyond its end others go straight on and lights stay.
+        kind: "vehicle" or "pedestrian".
+        first: the first step that is known.
+        start: the last one; it is at this step that they have to be there.
+        steps: after it.
+
+    Raises:
+        TracksError: nobody of the kind is there at that step.
+    """
+    controlled = of_kind(scene, kind) & scene.present[:, start]
+    if not controlled.any():
+        raise TracksError(f"no {kind} is there at {float(scene.times[start]):g} s")
+    longer = _extended(scene, start + 1 + steps - len(scene.times))
+    everybody = torch.arange(len(scene.ids), device=controlled.device)[None]
+    segment = _cut(longer, everybody, controlled[None], slice(first, start + 1 + steps))
+    present = segment.present.clone()
+    present[:, start + 1 - first :, controlled] = True
+    return replace(segment, present=present)
+
+
+def of_kind(scene: Scene, kind: str) -> Bool[Tensor, "N"]:
+    """Who is of a kind, by type."""
+    return torch.tensor([name in KINDS[kind] for name in scene.types]).to(scene.present.device)
 
 
 def shifted(segments: Segments, offset: Float[Tensor, "2"]) -> Segments:
@@ -145,11 +176,14 @@ def _everyone(
 
 
 def _nearest(
-    states: Float[Tensor, "N T 4"], present: Bool[Tensor, "N T"], whole: Bool[Tensor, "N"]
+    places: Float[Tensor, "N T 2"], present: Bool[Tensor, "N T"], whole: Bool[Tensor, "N"]
 ) -> tuple[Int[Tensor, "S A"], Bool[Tensor, "S A"]]:
-    """Each ego with those who come nearest to him, in a segment of his own."""
+    """Each ego with those who come nearest to him, in a segment of his own.
+
+    Nearest at any step, for these others replay: who comes later would be seen then all the same.
+    """
     egos = whole.nonzero()[:, 0]
-    apart = (states[egos, None, :, :2] - states[:, :, :2]).norm(dim=-1)
+    apart = (places[egos, None] - places).norm(dim=-1)
     apart = torch.where(present, apart, torch.inf).amin(dim=2)
     apart[torch.arange(len(egos), device=egos.device), egos] = -1.0
     who = apart.argsort(dim=1)[:, : NEAREST + 1]
@@ -157,24 +191,44 @@ def _nearest(
 
 
 def _cut(
-    scene: Scene,
-    states: Float[Tensor, "N T 4"],
-    who: Int[Tensor, "S A"],
-    controlled: Bool[Tensor, "S A"],
-    some: slice,
+    scene: Scene, who: Int[Tensor, "S A"], controlled: Bool[Tensor, "S A"], some: slice
 ) -> Segments:
     """Segments of the same steps, each with its own agents."""
-    on_foot = torch.tensor([kind not in KINDS["vehicle"] for kind in scene.types]).to(who.device)
+    present = scene.present[:, some]
+    states = torch.cat([scene.poses[:, some], scene.speeds[:, some, None]], dim=-1)
+    states = torch.where(present[..., None], states, 0.0)
     count = len(who)
     return Segments(
-        states=states[:, some][who].transpose(1, 2),
-        present=scene.present[:, some][who].transpose(1, 2),
+        states=states[who].transpose(1, 2),
+        present=present[who].transpose(1, 2),
         sizes=scene.sizes[who],
-        planes=torch.where(on_foot, PERSON, VEHICLE)[who],
+        planes=torch.where(of_kind(scene, "vehicle"), VEHICLE, PERSON)[who],
         controlled=controlled,
         lines=scene.stop_lines.expand(count, -1, -1, -1),
         lights=scene.light_states[some].long().expand(count, -1, -1),
         seconds=round(step_seconds(scene), 6),
+    )
+
+
+def _extended(scene: Scene, steps: int) -> Scene:
+    """The scene so many steps on: all go straight on as fast as they do, and lights stay."""
+    if steps <= 0:
+        return scene
+    seconds = step_seconds(scene)
+    states, still = [states_of(scene)[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
+    for _ in range(steps):
+        states.append(bicycle_step(states[-1], still, scene.sizes[:, 0], seconds))
+    after = torch.stack(states[1:], dim=1)
+    later = torch.arange(1, steps + 1).to(scene.times) * seconds
+    return replace(
+        scene,
+        times=torch.cat([scene.times, scene.times[-1] + later]),
+        poses=torch.cat([scene.poses, after[..., :3]], dim=1),
+        speeds=torch.cat([scene.speeds, after[..., 3]], dim=1),
+        present=torch.cat([scene.present, scene.present[:, -1:].expand(-1, steps)], dim=1),
+        light_states=torch.cat(
+            [scene.light_states, scene.light_states[-1:].expand(steps, -1)], dim=0
+        ),
     )
 
 
@@ -202,5 +256,4 @@ def _padded(part: Segments, agents: int, lights: int) -> Segments:
 
 
 def _each(segments: Segments, change) -> Segments:  # type: ignore[no-untyped-def]
-    names = [field.name for field in fields(Segments) if field.name != "seconds"]
-    return replace(segments, **{name: change(getattr(segments, name)) for name in names})
+    return replace(segments, **{name: change(getattr(segments, name)) for name in TENSORS})

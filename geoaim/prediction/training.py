@@ -3,7 +3,7 @@
 import csv
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.itra import ITRA, Config, Losses
 from geoaim.prediction.metrics import displacements
 from geoaim.prediction.segments import Segments, pick, scaled, segments_on
+from geoaim.progress import Progress, silent
 from geoaim.simulation.ground import Ground, on_device
 
 CHECKED = 256  # segments at most that are predicted for the log
@@ -28,7 +29,6 @@ SAMPLES = 6
 PLAN = 12.0  # weight of metres from the best plan; the fit is in sigmas, squared
 CLIP = 1.0  # of the gradient's norm
 LOG = ("step", "fit", "divergence", "plan", "minADE", "segments a second")
-Progress = Callable[[str, float, float | None], None]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def train(
     folder: str | os.PathLike[str],
     *,
     start: ITRA | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> ITRA:
     """Train a model, on the ground's device, or go on with the training that is in the folder.
 

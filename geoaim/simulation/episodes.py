@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Float, Int
-from numpy import ndarray as Array
 from shapely import MultiPolygon
 from torch import Tensor
 
@@ -13,6 +12,7 @@ from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
 from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import HDMap
+from geoaim.simulation.ground import bounds_of, in_world
 from geoaim.simulation.infractions import (
     Drivable,
     Lanes,
@@ -35,6 +35,7 @@ from geoaim.simulation.scene import (
     check_touches,
     drivable_of,
     lanes_of,
+    step_at_time,
     step_seconds,
 )
 from geoaim.simulation.simulator import Policy, Recording, record, rollout, routes_of, simulated
@@ -127,29 +128,20 @@ def check_place(scene: Scene, rules: Rules) -> None:
     Raises:
         TracksError: they do not touch the map.
     """
-    height, width = scene.ground.image.shape[1:]
-    pixels = torch.tensor([[0, 0], [width, 0], [width, height], [0, height]])
-    corners = _in_world(scene.ground.image_from_world, pixels)
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = bounds_of(scene.ground).cpu().numpy()
     if rules.lanes is not None and len(rules.lanes.places):
         check_touches("lane", rules.lanes.places.double().cpu().numpy(), low, high)
     if rules.drivable is not None:
         cells = (rules.drivable.metres < 0).nonzero().flip(1) + 0.5
-        places = _in_world(rules.drivable.image_from_world, cells)
+        places = in_world(rules.drivable.image_from_world, cells).cpu().numpy()
         check_touches("drivable area", places, low, high)
-
-
-def _in_world(matrix: Float[Tensor, "2 3"], pixels: Tensor) -> Float[Array, "n 2"]:
-    exact = matrix.double()
-    return torch.linalg.solve(exact[:, :2], (pixels.to(exact) - exact[:, 2]).t()).t().cpu().numpy()
 
 
 def _steps(scene: Scene, start: float | None, seconds: float) -> tuple[int, int]:
     """The first step of a simulation, and how many they are."""
     begin, end, step = float(scene.times[0]), float(scene.times[-1]), step_seconds(scene)
     start = begin if start is None else start
-    if not begin <= start <= end:
-        raise ValueError(f"start {start:g} s is not in the scene, from {begin:g} to {end:g} s")
+    first = step_at_time(scene, start)
     if not start + seconds < end + step:
         raise ValueError(
             f"{seconds:g} seconds from start {start:g} s on are not all in the scene, from "
@@ -161,7 +153,7 @@ def _steps(scene: Scene, start: float | None, seconds: float) -> tuple[int, int]
             f"{seconds:g} seconds are {steps} steps, and the first {OBSERVED} are replayed; give "
             f"seconds of {OBSERVED * step:g} or more"
         )
-    return int((scene.times - start).abs().argmin()), steps
+    return first, steps
 
 
 def _controlled(scene: Scene, first: int, steps: int, ego: str | None) -> Bool[Tensor, "A"]:

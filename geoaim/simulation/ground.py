@@ -151,6 +151,20 @@ def ground_seen(
     return seen.view(len(image), len(cameras) * view.height * view.width)
 
 
+def bounds_of(ground: Ground) -> Float[Tensor, "2 2"]:
+    """Lowest and highest x and y of a ground's texture."""
+    height, width = ground.image.shape[1:]
+    pixels = torch.tensor([[0, 0], [width, 0], [width, height], [0, height]])
+    corners = in_world(ground.image_from_world, pixels)
+    return torch.stack([corners.amin(dim=0), corners.amax(dim=0)])
+
+
+def in_world(image_from_world: Float[Tensor, "2 3"], pixels: Tensor) -> Float[Tensor, "n 2"]:
+    """Metres of pixels, as float64."""
+    exact = image_from_world.double()
+    return torch.linalg.solve(exact[:, :2], (pixels.to(exact) - exact[:, 2]).t()).t()
+
+
 def applied(
     matrix: Float[Tensor, "2 2"], vectors: Float[Tensor, "... 2"]
 ) -> Float[Tensor, "... 2"]:

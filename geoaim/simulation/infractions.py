@@ -94,7 +94,7 @@ def ran_red(
     after: Float[Tensor, "B A 3"],
     lengths: Float[Tensor, "B A"],
     present: Bool[Tensor, "B A"],
-    stop_lines: Float[Tensor, "L 2 2"],
+    stop_lines: Float[Tensor, "... L 2 2"],
     states: Int[Tensor, "B L"],
 ) -> Bool[Tensor, "B A"]:
     """Whose front crossed a stop line in the step while its light was red.
@@ -104,11 +104,12 @@ def ran_red(
         after: poses at its end.
         lengths: of the agents, metres.
         present: who is there at both.
-        stop_lines: both ends of each line.
+        stop_lines: both ends of each line; the same in all scenes, or each scene's own.
         states: of each light, as in `geoaim.lights`.
     """
     start, end = _front(before, lengths)[:, :, None], _front(after, lengths)[:, :, None]
-    one, two = stop_lines[:, 0], stop_lines[:, 1]
+    lines = stop_lines.expand(len(states), *stop_lines.shape[-3:])[:, None]
+    one, two = lines[..., 0, :], lines[..., 1, :]
     was, now = cross(two - one, start - one), cross(two - one, end - one)
     crossed = (was * now <= 0) & (was != now)
     between = cross(end - start, one - start) * cross(end - start, two - start) <= 0

@@ -46,7 +46,7 @@ def bicycle_action(
     """
     way = (state[..., 3] + after[..., 3]) / 2 * seconds
     moves = way.abs() > STILL
-    turn = _wrapped(after[..., 2] - state[..., 2])
+    turn = wrapped(after[..., 2] - state[..., 2])
     sine = AXLES / 2 * length * turn / torch.where(moves, way, 1.0)
     sine = torch.where(moves, sine, 0.0).clamp(-0.999, 0.999)
     steering = torch.atan(2 * sine / torch.sqrt(1 - sine**2))
@@ -61,7 +61,7 @@ def unicycle_step(state: State, action: Action, seconds: float) -> State:
 
 def unicycle_action(state: State, after: State, seconds: float) -> Action:
     """The action whose step has the speed and the heading of the state after; undoes the step."""
-    turn = _wrapped(after[..., 2] - state[..., 2])
+    turn = wrapped(after[..., 2] - state[..., 2])
     return torch.stack([after[..., 3] - state[..., 3], turn], dim=-1) / seconds
 
 
@@ -75,25 +75,33 @@ def displacement_step(state: State, action: Action, seconds: float) -> State:
     safe = torch.where(moves, ahead, 1.0), torch.where(moves, left, 0.0)
     turn = torch.where(moves, torch.atan2(safe[1], safe[0]), 0.0)
     way = torch.where(moves, torch.sqrt(safe[0] ** 2 + safe[1] ** 2), 0.0)
-    cosine, sine = state[..., 2].cos(), state[..., 2].sin()
-    x = state[..., 0] + ahead * cosine - left * sine
-    y = state[..., 1] + ahead * sine + left * cosine
-    return torch.stack([x, y, _wrapped(state[..., 2] + turn), way / seconds], dim=-1)
+    heading = wrapped(state[..., 2] + turn)
+    return torch.cat([ahead_of(state, action), torch.stack([heading, way / seconds], -1)], dim=-1)
 
 
 def slide_step(state: State, action: Action, seconds: float) -> State:
     """As `displacement_step`, but the heading stays: for tracks of positions alone."""
-    ahead, left = action.unbind(-1)
-    cosine, sine = state[..., 2].cos(), state[..., 2].sin()
-    x = state[..., 0] + ahead * cosine - left * sine
-    y = state[..., 1] + ahead * sine + left * cosine
-    speed = torch.sqrt(ahead**2 + left**2 + STILL**2) / seconds
-    return torch.stack([x, y, state[..., 2], speed], dim=-1)
+    speed = torch.sqrt(action.square().sum(dim=-1) + STILL**2) / seconds
+    return torch.cat([ahead_of(state, action), torch.stack([state[..., 2], speed], -1)], dim=-1)
 
 
 def displacement_action(state: State, after: State) -> Action:
     """Metres ahead and to the left from state to state."""
-    x, y = (after - state)[..., :2].unbind(-1)
+    return seen_from(state, after[..., :2])
+
+
+def ahead_of(state: State, points: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """Places in the world of points so many metres ahead and to the left; undoes `seen_from`."""
+    ahead, left = points.unbind(-1)
+    cosine, sine = state[..., 2].cos(), state[..., 2].sin()
+    x = state[..., 0] + ahead * cosine - left * sine
+    y = state[..., 1] + ahead * sine + left * cosine
+    return torch.stack([x, y], dim=-1)
+
+
+def seen_from(state: State, places: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """Metres ahead and to the left at which places of the world lie."""
+    x, y = (places - state[..., :2]).unbind(-1)
     cosine, sine = state[..., 2].cos(), state[..., 2].sin()
     return torch.stack([x * cosine + y * sine, y * cosine - x * sine], dim=-1)
 
@@ -154,9 +162,9 @@ def _moved(
     middle = course + turn / 2
     x = state[..., 0] + chord * middle.cos()
     y = state[..., 1] + chord * middle.sin()
-    return torch.stack([x, y, _wrapped(state[..., 2] + turn), speed], dim=-1)
+    return torch.stack([x, y, wrapped(state[..., 2] + turn), speed], dim=-1)
 
 
-def _wrapped(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+def wrapped(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
     """Within half a turn of zero; whole turns are constants to the gradient."""
     return angle - 2 * torch.pi * torch.floor((angle.detach() + torch.pi) / (2 * torch.pi))

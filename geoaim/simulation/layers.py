@@ -33,7 +33,7 @@ TRAIL = 0.4  # m that a trail is wide
 
 def agents_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> Boxes:
     """All agents at each of B steps in their types' colours, one of them in the ego's."""
-    colours = _colours(scene).repeat(len(steps), 1, 1)
+    colours = usual_colours(scene).repeat(len(steps), 1, 1)
     colours[torch.arange(len(steps)), egos] = colours.new_tensor(EGO)
     noses = colours.new_tensor(POINTER).expand_as(colours)
     poses, present = _there(scene, steps)
@@ -55,7 +55,7 @@ def trails_at(scene: Scene, steps: Int[Tensor, "B"], *, seconds: float) -> Boxes
     present = present.view(shape)
     present = present & present[:, -1:] & (before >= 0)[..., None]
     points = poses[..., :2].reshape(*shape, 2).transpose(1, 2)
-    return path_boxes(points, _colours(scene), width=TRAIL, present=present.transpose(1, 2))
+    return path_boxes(points, usual_colours(scene), width=TRAIL, present=present.transpose(1, 2))
 
 
 def layers_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> dict[str, Boxes]:
@@ -76,7 +76,8 @@ def layers_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> 
     return layers
 
 
-def _colours(scene: Scene) -> Float[Tensor, "N 3"]:
+def usual_colours(scene: Scene) -> Float[Tensor, "N 3"]:
+    """The colour of each agent by its type."""
     return scene.sizes.new_tensor([COLOURS.get(kind, OTHER) for kind in scene.types])
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from numpy import ndarray as Array
 from PIL import Image
 from torch import Tensor
@@ -37,8 +37,13 @@ def film_agent(
             layers.insert(1, trails_at(scene, some, seconds=trail))
         with torch.no_grad():
             pictures = render(view, scene.poses[agent, some], ground, layers)
-        for picture in (pictures.clamp(0, 1) * 255).round().to(torch.uint8):
-            yield np.ascontiguousarray(picture.permute(1, 2, 0).cpu().numpy())
+        yield from pixels_of(pictures)
+
+
+def pixels_of(pictures: Float[Tensor, "B 3 H W"]) -> UInt8[Array, "B H W 3"]:
+    """Rendered pictures as images are kept."""
+    pixels = (pictures.clamp(0, 1) * 255).round().to(torch.uint8)
+    return np.ascontiguousarray(pixels.permute(0, 2, 3, 1).cpu().numpy())
 
 
 def write_pictures(

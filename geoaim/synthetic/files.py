@@ -3,7 +3,7 @@
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from fnmatch import fnmatch
 from pathlib import Path
@@ -21,6 +21,7 @@ from shapely import Point, Polygon
 from geoaim.encode import write_video
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
+from geoaim.progress import Progress, silent
 from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
 from geoaim.synthetic.imagery import (
     WEB,
@@ -51,11 +52,10 @@ OWN = (
     *("lights*.csv", "map.osm", "map_full.osm", "surfaces.geojson", "ortho.tif", "tiles"),
     *("truth.json", "truth.npz", "README.md", ".part"),
 )
-Progress = Callable[[str, float, float], None]
 
 
 def write_sample(
-    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress | None = None
+    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress = silent
 ) -> None:
     """Write the files of a sample and their truth; `README.md` in the folder says what each is.
 
@@ -66,12 +66,11 @@ def write_sample(
     """
     folder = Path(folder)
     check_folder(folder)
-    report = progress if progress is not None else lambda stage, done, total: None
     part = folder / ".part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     try:
-        _write_all(sample, part, report)
+        _write_all(sample, part, progress)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise

@@ -55,8 +55,9 @@ def test_every_map_lies_where_the_place_does(folder, name):
 
 def test_recordings_end_where_validation_begins(folder):
     (recorded,) = read_recordings(folder)
+    aim = read_map(folder, "none")
     first, last, whole = (
-        scene_of(recorded, "none", rate=10.0, part=part) for part in ("first", "last", "all")
+        scene_of(recorded, aim, rate=10.0, part=part) for part in ("first", "last", "all")
     )
     assert len(first.times) + len(last.times) == len(whole.times)
     assert first.times[-1] < last.times[0]

@@ -160,7 +160,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
 def test_models_come_back_as_they_were(tmp_path):
     torch.manual_seed(0)
     model = ITRA(TINY)
-    write_model(model, tmp_path / "m.pt", about="a test")
+    write_model(model, tmp_path / "m.pt")
     again = read_model(tmp_path / "m.pt")
     assert again.config == TINY
     for one, two in zip(model.parameters(), again.parameters(), strict=True):
