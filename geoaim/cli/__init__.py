@@ -3,13 +3,13 @@
 import typer
 
 from geoaim.cli.driving import render, simulate
-from geoaim.cli.learned import evaluate, experiment, predict
+from geoaim.cli.learned import evaluate, experiment, predict, train
 from geoaim.cli.made import sample
 from geoaim.cli.maps import align, build, draw, info, register, texture
 
 COMMANDS = (
     *(build, align, register, texture, info, draw, render, simulate),
-    *(predict, evaluate, experiment, sample),
+    *(predict, evaluate, train, experiment, sample),
 )
 
 app = typer.Typer(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
 LightsFile = Annotated[Path | None, typer.Option(help="changes of traffic lights, .csv")]
+HDMapFile = Annotated[Path | None, typer.Option(help="lanelet2 map with the lights' stop lines")]
 EGO = "id of who drives; if left out all but those who ever reverse, who replay"
 StopLinesFile = Annotated[
     Path | None, typer.Option(help="stop lines drawn by hand, GeoJSON lines with a 'signal' each")
@@ -43,7 +44,7 @@ def render(
     metres: Annotated[float, typer.Option(help="metres of each side", min=1)] = 80.0,
     time: Annotated[float | None, typer.Option(help="s, of a .png; the first if left out")] = None,
     lights: LightsFile = None,
-    hdmap: Annotated[Path | None, typer.Option(help="lanelet2 map with their stop lines")] = None,
+    hdmap: HDMapFile = None,
     stop_lines: StopLinesFile = None,
     trail: Annotated[float, typer.Option(help="s of everybody's way to draw", min=0)] = 0.0,
     tracks_world: TracksWorld = None,

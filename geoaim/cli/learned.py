@@ -16,7 +16,7 @@ from geoaim.cli.console import (
     refuse_output,
     stages,
 )
-from geoaim.cli.driving import LightsFile, StopLinesFile, read_scene
+from geoaim.cli.driving import HDMapFile, LightsFile, StopLinesFile, read_scene
 
 if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA
@@ -48,7 +48,7 @@ def predict(
     samples: Samples = 6,
     seed: Seed = 0,
     lights: LightsFile = None,
-    hdmap: Annotated[Path | None, typer.Option(help="lanelet2 map with their stop lines")] = None,
+    hdmap: HDMapFile = None,
     stop_lines: StopLinesFile = None,
     tracks_world: TracksWorld = None,
     metres_per_pixel: TracksPixel = None,
@@ -92,6 +92,63 @@ def predict(
     console.print(
         f"{output}: {samples} futures of {steps * model.config.seconds:g} s after "
         f"{float(scene.times[start]):g} s, {moved} agents"
+    )
+
+
+def train(
+    aim: AimFile,
+    tracks: TracksFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="folder for model.pt, log.csv, curves.png")
+    ],
+    kind: Annotated[Kind, typer.Option(help="who is learnt from")] = "vehicle",
+    weights: Weights = None,
+    scratch: Annotated[
+        bool, typer.Option("--scratch", help="begin with random weights of the same form")
+    ] = False,
+    steps: Annotated[int, typer.Option(help="of the optimiser", min=1)] = 200,
+    batch: Annotated[int, typer.Option(help="segments of a step", min=1)] = 32,
+    held_out: Annotated[
+        float, typer.Option(help="share at the tracks' end to check with", min=0.01, max=0.9)
+    ] = 0.1,
+    seed: Seed = 0,
+    lights: LightsFile = None,
+    hdmap: HDMapFile = None,
+    stop_lines: StopLinesFile = None,
+    tracks_world: TracksWorld = None,
+    metres_per_pixel: TracksPixel = None,
+) -> None:
+    """Teach a model what happens on your map: from the shipped weights on, or from scratch.
+
+    An interrupted run goes on where it was when it is called again in the same way. Predict and
+    evaluate with --weights FOLDER/model.pt then; more recordings at once take the Python functions
+    make_lessons and train.
+    """
+    from geoaim.prediction.curves import write_curves
+    from geoaim.prediction.lessons import make_lessons
+    from geoaim.prediction.training import fine_tuning, from_scratch
+    from geoaim.prediction.training import train as learn
+
+    with stages() as progress, plain_errors():
+        model = _model(weights, kind)
+        agents = (tracks, tracks_world, metres_per_pixel)
+        scene, _, _ = read_scene(
+            aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.seconds
+        )
+        lessons = make_lessons([scene], model.config, held_out=held_out, progress=progress)
+        usual = from_scratch if scratch else fine_tuning
+        learn(
+            model.config,
+            usual(kind, steps=steps, batch=batch, seed=seed),
+            lessons,
+            output,
+            start=None if scratch else model,
+            progress=progress,
+        )
+        write_curves(output / "log.csv", output / "curves.png")
+    console.print(
+        f"{output / 'model.pt'}: learnt from {len(lessons.train)} segments, checked with "
+        f"{len(lessons.valid)}; {output / 'curves.png'} shows how"
     )
 
 

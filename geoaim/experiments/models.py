@@ -4,11 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, make_lessons
+from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, lessons_of
 from geoaim.experiments.places import TRAIN, make_places
 from geoaim.prediction.checkpoints import kept_model
 from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.training import Lessons, Training, train
+from geoaim.prediction.lessons import Lessons
+from geoaim.prediction.training import Training, train
 from geoaim.progress import Progress, silent
 
 
@@ -36,7 +37,7 @@ def trained(name: str, folder: Path, *, report: Progress = silent) -> ITRA:
 
     def lessons() -> Lessons:
         places = make_places(folder / "places", TRAIN, report=report)
-        return make_lessons(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
+        return lessons_of(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
 
     training = TRAININGS[recipe.config.kind]
     return kept_or_trained(folder / "models" / name, recipe.config, training, lessons, report)

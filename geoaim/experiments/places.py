@@ -43,7 +43,6 @@ TEST: tuple[tuple[int, Kind], ...] = (
 )
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
-HELD_OUT = 0.05  # share at each recording's end, as in the paper
 MAPS = ("aim", "hdm", "degraded", "another day", "none")
 BLUR, NOISE = 3.0, 0.2  # px of 0.1 m, and of full brightness, as in the paper
 
@@ -133,29 +132,17 @@ def blurred_and_noisy(image: Float32[Array, "H W 3"], blur: float) -> Float32[Ar
     return np.clip(soft + noise, 0, 1).astype(np.float32)
 
 
-def scene_of(
-    recorded: Recorded, aim: AIM, *, rate: float, part: str = "all", lights: bool = True
-) -> Scene:
+def scene_of(recorded: Recorded, aim: AIM, *, rate: float, lights: bool = True) -> Scene:
     """A recording on a map of its place, at so many steps a second.
 
     Args:
         recorded: what happened.
         aim: from `read_map`.
         rate: in Hz.
-        part: "first", without its end of `HELD_OUT`; "last", that end; or "all".
         lights: whether they are shown.
     """
-    tracks = resample(recorded.tracks, rate)
-    edge = round(len(tracks.times) * (1 - HELD_OUT))
-    some = {"first": slice(0, edge), "last": slice(edge, None), "all": slice(None)}[part]
-    tracks = replace(
-        tracks,
-        times=tracks.times[some],
-        states=tracks.states[:, some],
-        present=tracks.present[:, some],
-    )
     shown = recorded.lights if lights else None
-    return make_scene(aim, tracks, shown)
+    return make_scene(aim, resample(recorded.tracks, rate), shown)
 
 
 def _drawn(folder: Path) -> AIM:

@@ -13,10 +13,11 @@ from geoaim.mapping.tiles import read_imagery
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.metrics import interval, summary
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments, pick, shifted
-from geoaim.prediction.training import Lessons, Training, train
+from geoaim.prediction.training import fine_tuning, train
 from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample
@@ -24,7 +25,7 @@ from geoaim.track_formats import read_geotrax
 
 MARGIN = 30.0  # m of the map around the tracks
 STEPS = 40  # of a segment; the recording has 50
-TUNING = Training(steps=100, batch=32, rate=5e-4, divergence=0.3, warm_up=0.0, save=50)
+TUNING = fine_tuning("vehicle", steps=100, batch=32)
 
 
 def run(folder: Path, report: Progress) -> list[Path]:

@@ -15,9 +15,10 @@ from geoaim.experiments.results import write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.metrics import interval, summary
 from geoaim.prediction.segments import joined
-from geoaim.prediction.training import Lessons, Training
+from geoaim.prediction.training import Training
 from geoaim.prediction.windows import (
     OBSERVED,
     SECONDS,

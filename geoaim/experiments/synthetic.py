@@ -10,6 +10,7 @@ from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import Measure, interval, summary
 from geoaim.progress import Progress
 
@@ -102,7 +103,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
             places[case.where],
             case.config,
             case.map,
-            part="last" if case.where == "learnt" else "all",
+            end=HELD_OUT if case.where == "learnt" else 1.0,
             lights=case.model not in RECIPES or RECIPES[case.model].lights,
         )
     about = {

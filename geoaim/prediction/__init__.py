@@ -8,14 +8,16 @@ from geoaim.prediction.baselines import BASELINES, predict_plainly
 from geoaim.prediction.checkpoints import read_model, shipped, write_model
 from geoaim.prediction.evaluation import Asked, evaluate, evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.lessons import HELD_OUT, Lessons, make_lessons
 from geoaim.prediction.metrics import interval, measure, summary
 from geoaim.prediction.predict import predict
 from geoaim.prediction.segments import Segments, cut_segments
-from geoaim.prediction.training import Lessons, Training, train
+from geoaim.prediction.training import Training, train
 from geoaim.prediction.windows import Windows, read_windows
 
 __all__ = [
     "BASELINES",
+    "HELD_OUT",
     "ITRA",
     "Asked",
     "Config",
@@ -27,6 +29,7 @@ __all__ = [
     "evaluate",
     "evaluate_windows",
     "interval",
+    "make_lessons",
     "measure",
     "predict",
     "predict_plainly",

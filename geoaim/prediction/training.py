@@ -1,6 +1,7 @@
 """Training: a plain loop that can be killed at any time and goes on where it was."""
 
 import csv
+import hashlib
 import os
 import time
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from geoaim.files import replacing
 from geoaim.prediction.atlas import ground_scaled
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.itra import ITRA, Config, Losses
+from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.metrics import displacements
 from geoaim.prediction.segments import Segments, pick, scaled, segments_on
 from geoaim.progress import Progress, silent
@@ -27,6 +29,7 @@ from geoaim.simulation.ground import Ground, on_device
 CHECKED = 256  # segments at most that are predicted for the log
 SAMPLES = 6
 PLAN = 12.0  # weight of metres from the best plan; the fit is in sigmas, squared
+DIVERGENCES = {"vehicle": 0.3, "pedestrian": 3.0}
 CLIP = 1.0  # of the gradient's norm
 LOG = ("step", "fit", "divergence", "plan", "minADE", "segments a second")
 
@@ -63,13 +66,17 @@ class Training:
     save: int = 250
 
 
-@dataclass(frozen=True, eq=False)
-class Lessons:
-    """What to learn from, and what to check with, on one ground."""
+def from_scratch(kind: str, *, steps: int, batch: int, seed: int = 0) -> Training:
+    """The training of a new model: with the weight of latents that samples were best with."""
+    mirror = kind == "pedestrian"  # people keep to no side
+    save = min(steps, Training.save)
+    return Training(steps, batch, divergence=DIVERGENCES[kind], mirror=mirror, seed=seed, save=save)
 
-    train: Segments
-    valid: Segments
-    ground: Ground
+
+def fine_tuning(kind: str, *, steps: int, batch: int, seed: int = 0) -> Training:
+    """The training of a model that is good already: gentle, with its latents in use throughout."""
+    training = from_scratch(kind, steps=steps, batch=batch, seed=seed)
+    return replace(training, rate=5e-4, warm_up=0.0, save=min(steps, 50))
 
 
 def train(
@@ -112,7 +119,11 @@ def train(
             optimiser, training.rate, total_steps=training.steps + 1
         )
         kept: dict[str, Any] = {"model": model, "optimiser": optimiser, "schedule": schedule}
-        about = {"config": asdict(config), "training": asdict(training)}
+        about = {
+            "config": asdict(config),
+            "training": asdict(training),
+            "start": {"lessons": _digest(lessons), "weights": _digest(start)},
+        }
         log = _resume(path, kept, about)
         network: nn.Module = model if count == 1 else DistributedDataParallel(model)
         ground, began, sums = on_device(lessons.ground, device), time.perf_counter(), []
@@ -159,6 +170,21 @@ def _resume(path: Path, kept: dict[str, Any], about: dict[str, Any]) -> list[tup
     for name, part in kept.items():
         part.load_state_dict(state[name])
     return [tuple(row) for row in state["log"]]
+
+
+def _digest(what: Lessons | ITRA | None) -> str:
+    """Tells one set of lessons, or of weights to begin with, from another."""
+    if what is None:
+        return "none"
+    tensors = (
+        list(what.state_dict().values())
+        if isinstance(what, ITRA)
+        else [what.train.states, what.train.lights, what.ground.image]
+    )
+    found = hashlib.sha256()
+    for tensor in tensors:
+        found.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return found.hexdigest()[:12]
 
 
 def _losses(

@@ -59,6 +59,18 @@ def scene_on(scene: Scene, device: torch.device | str) -> Scene:
     return replace(scene, ground=on_device(scene.ground, device), **moved)
 
 
+def scene_steps(scene: Scene, some: slice) -> Scene:
+    """Some of a scene's steps."""
+    return replace(
+        scene,
+        times=scene.times[some],
+        poses=scene.poses[:, some],
+        speeds=scene.speeds[:, some],
+        present=scene.present[:, some],
+        light_states=scene.light_states[some],
+    )
+
+
 def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     """A map with tracks and lights, brought into the map's world; grey where it shows nothing.
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from geoaim.experiments import EXPERIMENTS, places
-from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, make_lessons
+from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, lessons_of
 from geoaim.experiments.models import RECIPES
 from geoaim.experiments.places import (
     MAPS,
@@ -12,8 +12,6 @@ from geoaim.experiments.places import (
     TRAIN,
     make_places,
     read_map,
-    read_recordings,
-    scene_of,
 )
 
 SMALL = replace(VEHICLES, size=16, resolution=3.0)
@@ -53,21 +51,8 @@ def test_every_map_lies_where_the_place_does(folder, name):
         read_map(folder, "best")
 
 
-def test_recordings_end_where_validation_begins(folder):
-    (recorded,) = read_recordings(folder)
-    aim = read_map(folder, "none")
-    first, last, whole = (
-        scene_of(recorded, aim, rate=10.0, part=part) for part in ("first", "last", "all")
-    )
-    assert len(first.times) + len(last.times) == len(whole.times)
-    assert first.times[-1] < last.times[0]
-    assert len(last.times) == pytest.approx(0.05 * len(whole.times), abs=1)
-    assert recorded.rules.drivable is not None
-
-
-def test_models_learn_from_places_and_are_judged_on_them(folder, monkeypatch):
-    monkeypatch.setattr(places, "HELD_OUT", 0.2)
-    lessons = make_lessons([folder], SMALL, "aim")
+def test_models_learn_from_places_and_are_judged_on_them(folder):
+    lessons = lessons_of([folder], SMALL, "aim", held_out=0.2)
     assert len(lessons.train) > 50
     assert lessons.train.states.shape[1] == lessons.valid.states.shape[1] == 40
     low, high = lessons.train.states[:, :, 0, :2].flatten(0, 1).aminmax(dim=0)
@@ -75,7 +60,7 @@ def test_models_learn_from_places_and_are_judged_on_them(folder, monkeypatch):
     matrix = lessons.ground.image_from_world
     pixels = torch.stack([low, high]) @ matrix[:, :2].t() + matrix[:, 2]
     assert (pixels > 0).all() and (pixels < shape).all()  # noqa: PT018
-    found = judge("constant velocity", [folder], SMALL, "none", part="last")
+    found = judge("constant velocity", [folder], SMALL, "none", end=0.2)
     assert 0 < found["minADE"].mean < 10
     assert found["minADE"].mean == pytest.approx(found["joint minADE"].mean)
 

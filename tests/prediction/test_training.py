@@ -9,7 +9,8 @@ import torch
 from geoaim.errors import ModelError
 from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.itra import Losses
-from geoaim.prediction.training import LOG, Lessons, Training, _losses, train
+from geoaim.prediction.lessons import Lessons
+from geoaim.prediction.training import LOG, Training, _losses, train
 from tests.prediction.made import TINY, drive, hill
 
 TRAINING = Training(steps=6, batch=4, observed=(2, 4), mirror=True, resize=0.1, colour=0.1, save=2)

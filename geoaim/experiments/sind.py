@@ -1,0 +1,163 @@
+"""Real pedestrians on an HD map and on a drone's image: SinD's junctions, each map fitted by hand.
+
+The dataset does not say where its images lie. Their pixels below are of what the HD map has as
+well: ends of stop lines, corners of crossings.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM, whole_aim
+from geoaim.bench.data import data_folder
+from geoaim.errors import TracksError
+from geoaim.experiments.learning import PEOPLE, SAMPLES
+from geoaim.experiments.models import RECIPES, trained
+from geoaim.experiments.results import write_results
+from geoaim.mapping.control_points import read_control_points
+from geoaim.mapping.georeference import Georeference, georeference
+from geoaim.mapping.hdmap import HDMap, read_hdmap
+from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.lessons import STEPS, Lessons, make_lessons
+from geoaim.prediction.metrics import Measure, interval, summary
+from geoaim.prediction.predict import OBSERVED
+from geoaim.prediction.training import fine_tuning, train
+from geoaim.progress import Progress
+from geoaim.simulation.scene import make_scene
+from geoaim.track_changes import resample
+from geoaim.track_formats import read_any
+
+
+@dataclass(frozen=True)
+class Junction:
+    """Files of a junction, and places on its image: u, v, pixels, and x, y, metres of its map."""
+
+    hdmap: str
+    tracks: str
+    places: tuple[tuple[float, float, float, float], ...]
+
+
+JUNCTIONS = {
+    "Chongqing": Junction(
+        "NR_ll2.osm",
+        "6_22_NR_1/Ped_smoothed_tracks.csv",
+        (
+            (1601, 720, -8.6, 27.2),  # inner corners of crossings
+            (1601, 1422, -8.2, 8.0),
+            (2272, 734, 9.9, 27.2),
+            (2270, 1432, 10.2, 8.2),
+            (1383, 503, -14.6, 33.1),  # outer ones
+            (1383, 1630, -14.2, 2.1),
+            (2486, 522, 15.8, 33.2),
+            (2484, 1649, 16.4, 2.2),
+            (1891, 1714, 0.0, 0.0),  # ends of stop lines
+            (2545, 1139, 17.7, 16.2),
+            (1305, 1047, -16.4, 18.2),
+            (1305, 1442, -16.2, 6.7),
+            (1954, 433, 1.4, 35.4),
+            (1562, 422, -10.3, 35.2),
+            (2545, 739, 17.5, 27.7),
+        ),
+    ),
+    "Changchun": Junction(
+        "Changchun_Pudong.osm",
+        "changchun_pudong_507_009/Ped_smoothed_tracks.csv",
+        (
+            (1494, 1052, -39.6, -3.7),  # ends of stop lines
+            (1496, 1296, -39.2, -13.4),
+            (1704, 598, -32.0, 14.3),
+            (1934, 598, -21.7, 14.7),
+            (2370, 1053, -3.4, -2.3),
+            (1931, 1495, -20.4, -20.6),
+            (2155, 1494, -10.3, -20.1),
+        ),
+    ),
+}
+MAPS = ("aim", "hdm")
+TUNING = fine_tuning("pedestrian", steps=150, batch=48)
+
+
+def run(folder: Path, report: Progress) -> list[Path]:
+    """real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
+    found: dict[str, dict[str, Measure]] = {}
+    fits = {name: fit(name)[1] for name in JUNCTIONS}
+    for kind in MAPS:
+        lessons = _lessons(kind)
+        model = trained(f"pedestrian_{kind}", folder, report=report)
+        assert RECIPES[f"pedestrian_{kind}"].config == PEOPLE
+        where = folder / "models" / f"pedestrian_sind_{kind}"
+        tuned = train(PEOPLE, TUNING, lessons, where, start=model, progress=report)
+        models: dict[str, ITRA | str] = {f"{kind}, zero-shot": model, f"{kind}, fine-tuned": tuned}
+        if kind == MAPS[-1]:
+            models |= {name: name for name in BASELINES}
+        for name, who in models.items():
+            asked = Asked(OBSERVED, SAMPLES)
+            found[name] = evaluate(who, lessons.valid, lessons.ground, asked, report=report)
+    gains = {
+        f"aim less hdm, {how}": {
+            measure: interval(found[f"aim, {how}"][measure], found[f"hdm, {how}"][measure])
+            for measure in found[f"aim, {how}"]
+        }
+        for how in ("zero-shot", "fine-tuned")
+    }
+    about = {
+        "learnt from": "first halves of both recordings",
+        "people, steps ahead": [len(lessons.valid), STEPS["pedestrian"] - OBSERVED],
+        "georeference": {name: _said(value) for name, value in fits.items()},
+        **gains,
+    }
+    return write_results("sind", {name: summary(t) for name, t in found.items()}, about)
+
+
+def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
+    """A junction's image where its HD map says that it lies.
+
+    Raises:
+        TracksError: the data are not here.
+    """
+    given, junction = _data() / name, JUNCTIONS[name]
+    hdmap = read_hdmap(given / junction.hdmap)
+    image = _read_image(given / "frame_4k.jpg")
+    rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.places]
+    points = read_control_points(rows, crs="local")
+    height, width = image.shape[:2]
+    found = georeference(points, height=height, width=width, world=hdmap.world)
+    return whole_aim(image, found.world_from_image, hdmap.world, "SinD"), found, hdmap
+
+
+def _lessons(kind: str) -> Lessons:
+    """First halves of both recordings, and what is judged: the second halves."""
+    scenes = []
+    for name, junction in JUNCTIONS.items():
+        image, _, hdmap = fit(name)
+        tracks = read_any(_data() / name / junction.tracks, world=hdmap.world)
+        tracks = resample(tracks, 1 / PEOPLE.seconds)
+        scenes.append(make_scene(image if kind == "aim" else draw_hdmap(hdmap), tracks))
+    return make_lessons(scenes, PEOPLE, held_out=0.5)
+
+
+def _said(found: Georeference) -> Mapping[str, Any]:
+    rms = math.sqrt(float((found.residuals**2).sum(axis=1).mean()))
+    return {"model": found.model, "points": len(found.names), "rms of residuals, m": rms}
+
+
+def _read_image(path: Path) -> Array:
+    image = cv2.imread(str(path))
+    if image is None:
+        raise TracksError(f"{path} is no image")
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def _data() -> Path:
+    folder = data_folder()
+    if folder is None or not (folder / "tracks/sind").is_dir():
+        raise TracksError("SinD's tracks are not here; name the data's folder by GEOAIM_DATA")
+    return folder / "tracks/sind"

@@ -1,0 +1,72 @@
+"""What models learn from: segments of recordings, all on one ground, with their ends held out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from geoaim.errors import TracksError
+from geoaim.prediction.atlas import make_atlas
+from geoaim.prediction.itra import Config
+from geoaim.prediction.segments import Segments, cut_segments, joined, shifted
+from geoaim.progress import Progress, silent
+from geoaim.simulation.ground import Ground
+from geoaim.simulation.scene import Scene, scene_steps
+
+STEPS = {"vehicle": 40, "pedestrian": 30}  # of a segment: 4 s and 12 s, as in the paper
+STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps from one segment's start to the next one's
+HELD_OUT = 0.05  # share at each recording's end, as in the paper
+
+
+@dataclass(frozen=True, eq=False)
+class Lessons:
+    """What to learn from, and what to check with, on one ground."""
+
+    train: Segments
+    valid: Segments
+    ground: Ground
+
+
+def make_lessons(
+    scenes: Sequence[Scene],
+    config: Config,
+    *,
+    held_out: float = HELD_OUT,
+    progress: Progress = silent,
+) -> Lessons:
+    """Segments of scenes of any places; none reaches from what is learnt into what is held out.
+
+    Args:
+        scenes: at the config's steps; those of one place share its ground.
+        config: whose segments, and how they will see the ground.
+        held_out: share of each scene's steps, at its end, to check with.
+        progress: takes stage, done and total.
+
+    Raises:
+        TracksError: nobody of the kind is there for long enough, in either part.
+    """
+    grounds = list({id(scene.ground): scene.ground for scene in scenes}.values())
+    ground, offsets = make_atlas(grounds, config.view)
+    places = {id(ground): offset for ground, offset in zip(grounds, offsets, strict=True)}
+    parts: tuple[list[Segments], list[Segments]] = [], []
+    why = ""
+    for number, scene in enumerate(scenes):
+        progress("segments", number, len(scenes))
+        edge = round(len(scene.times) * (1 - held_out))
+        for part, some in zip(parts, (slice(0, edge), slice(edge, None)), strict=True):
+            try:
+                found = cut_segments(
+                    scene_steps(scene, some),
+                    config.kind,
+                    steps=STEPS[config.kind],
+                    stride=STRIDES[config.kind],
+                )
+                part.append(shifted(found, places[id(scene.ground)]))
+            except TracksError as error:
+                why = str(error)
+    progress("segments", len(scenes), len(scenes))
+    for part, name in zip(parts, ("learn from", "check with"), strict=True):
+        if not part:
+            raise TracksError(
+                f"nothing to {name}: {why}. The last {100 * held_out:g} % are held out; give more "
+                "tracks, or hold out another share"
+            )
+    return Lessons(joined(parts[0]), joined(parts[1]), ground)

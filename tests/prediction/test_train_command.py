@@ -1,0 +1,32 @@
+from typer.testing import CliRunner
+
+import geoaim
+from geoaim.cli import app
+from geoaim.mapping.hdmap import read_hdmap
+from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.prediction.checkpoints import read_model, shipped
+
+run = CliRunner().invoke
+
+
+def test_command_goes_on_from_the_shipped_model_and_draws_how(tmp_path):
+    world = geoaim.read_tracks("samples/tracks.csv").world
+    aim = str(tmp_path / "aim.tif")
+    geoaim.write_aim(draw_hdmap(read_hdmap("samples/map_full.osm", world), resolution=0.5), aim)
+    given = ["train", aim, "--tracks", "samples/tracks.csv", "-o", str(tmp_path / "mine")]
+    few = ["--steps", "2", "--batch", "4", "--held-out", "0.4"]
+    done = run(app, [*given, *few])
+    assert done.exit_code == 0, done.output
+    assert "learnt from" in done.output
+    mine, before = read_model(tmp_path / "mine/model.pt"), read_model(shipped("vehicle"))
+    assert mine.config == before.config
+    change = (mine.act[0].weight - before.act[0].weight).abs().max()
+    assert 0 < change < 0.01
+    assert (tmp_path / "mine/curves.png").read_bytes().startswith(b"\x89PNG")
+    other = run(app, [*given, "--steps", "3", "--batch", "4", "--held-out", "0.4"])
+    assert other.exit_code == 1
+    assert "of another training" in other.output
+    late = run(app, [*given[:-1], str(tmp_path / "none"), "--held-out", "0.01"])
+    assert late.exit_code == 1
+    assert "nothing to check with" in late.output
+    assert not (tmp_path / "none").exists()
