@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM, north_up_grid
-from geoaim.files import replacing
+from geoaim.files import write_figure
 from geoaim.geometry import transform_points
 from geoaim.tracks import Tracks
 
@@ -36,9 +36,7 @@ def draw_quicklook(aim: AIM) -> Figure:
 
 def write_quicklook(aim: AIM, path: str | os.PathLike[str]) -> None:
     """Write `draw_quicklook` as a PNG."""
-    figure = draw_quicklook(aim)
-    with replacing(path) as part:
-        figure.savefig(part, dpi=100, format="png")
+    write_figure(draw_quicklook(aim), path)
 
 
 def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | None = None) -> Figure:
@@ -62,12 +60,6 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
                 axes.plot(*states[there, :2].T, "-", color=ACCENT, linewidth=0.7, alpha=0.8)
         axes.set(title=title, xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
     return figure
-
-
-def write_alignment(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write `draw_alignment` as a PNG."""
-    with replacing(path) as part:
-        figure.savefig(part, dpi=100, format="png")
 
 
 def _as_stated(imagery: AIM) -> AIM:

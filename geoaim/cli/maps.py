@@ -109,9 +109,10 @@ def align(
     it before and after. Without any of them the imagery stays where it says to lie.
     """
     from geoaim.aim import read_aim, rectify, write_aim
+    from geoaim.files import write_figure
     from geoaim.mapping.aligning import align_tiles
     from geoaim.mapping.alignment import Prior
-    from geoaim.quicklook import draw_alignment, write_alignment
+    from geoaim.quicklook import draw_alignment
     from geoaim.track_changes import tracks_in
 
     with plain_errors():
@@ -134,7 +135,7 @@ def align(
         write_aim(found if found.is_affine else rectify(found), output)
         if way is not None:
             way = tracks_in(way, found.world)
-        write_alignment(draw_alignment(found, aim=place, tracks=way), look)
+        write_figure(draw_alignment(found, aim=place, tracks=way), look)
     _show(found, f"{output} and {look}")
 
 

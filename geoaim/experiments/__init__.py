@@ -1,6 +1,6 @@
 """The paper's tables and more, each by one name of `geoaim experiment`."""
 
-from geoaim.experiments import shipping, sind, songdo, stanford, synthetic
+from geoaim.experiments import ablations, shipping, sind, songdo, stanford, synthetic
 
 EXPERIMENTS = {
     "shipped": shipping.run,
@@ -8,4 +8,5 @@ EXPERIMENTS = {
     "stanford": stanford.run,
     "songdo": songdo.run,
     "sind": sind.run,
+    "ablations": ablations.run,
 }

@@ -49,8 +49,9 @@ def kept_or_trained(
     training: Training,
     lessons: Callable[[], Lessons],
     report: Progress,
+    start: ITRA | None = None,
 ) -> ITRA:
     """The model in a folder; trained, or trained on, where it is not whole yet."""
     if (where / "model.pt").exists():
         return kept_model(where / "model.pt", config)
-    return train(config, training, lessons(), where, progress=report)
+    return train(config, training, lessons(), where, start=start, progress=report)

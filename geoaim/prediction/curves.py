@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from geoaim.files import replacing
+from geoaim.files import write_figure
 
 
 def write_curves(log: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
@@ -25,5 +25,4 @@ def write_curves(log: str | os.PathLike[str], path: str | os.PathLike[str]) -> N
         axes.set(title=names[name], xlabel="steps")
         axes.set_yscale("log" if name == "fit" else "linear")
         axes.grid(alpha=0.3)
-    with replacing(path) as part:
-        figure.savefig(part, dpi=100, format="png")
+    write_figure(figure, path)

@@ -1,0 +1,101 @@
+"""What choices that the paper leaves open are worth: short trainings that differ in one of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from geoaim.experiments.learning import PEOPLE, SAMPLES, VEHICLES, lessons_of
+from geoaim.experiments.models import kept_or_trained
+from geoaim.experiments.places import TRAIN, make_places
+from geoaim.experiments.results import write_results
+from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.lessons import Lessons
+from geoaim.prediction.metrics import Measure, interval, summary
+from geoaim.prediction.predict import OBSERVED
+from geoaim.prediction.training import DIVERGENCES, from_scratch
+from geoaim.progress import Progress
+
+STEPS, BATCH = 250, 32
+MEASURES = ("minADE", "minFDE", "MFD")
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One thing that is otherwise than in the shipped models.
+
+    Attributes:
+        config: what the model is made of.
+        divergence: weight of the latents' divergence; None: the usual one.
+        start: weights to begin with.
+    """
+
+    config: Config
+    divergence: float | None = None
+    start: Callable[[Config], ITRA] | None = None
+
+
+def plain_start(config: Config) -> ITRA:
+    """torch's own starting weights of convolutions, as they were before He's."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        model = ITRA(config)
+        for part in model.encoder.modules():
+            if isinstance(part, nn.Conv2d):
+                part.reset_parameters()
+    return model
+
+
+CHOICES = {
+    "vehicles": Choice(VEHICLES),
+    "vehicles, divergence 1": Choice(VEHICLES, divergence=1.0),
+    "vehicles, divergence 3": Choice(VEHICLES, divergence=3.0),
+    "vehicles, torch's start": Choice(VEHICLES, start=plain_start),
+    "vehicles, no view": Choice(replace(VEHICLES, encoder="none")),
+    "vehicles, ResNet-18": Choice(replace(VEHICLES, encoder="resnet18")),
+    "people": Choice(PEOPLE),
+    "people, divergence 0.3": Choice(PEOPLE, divergence=0.3),
+    "people, divergence 1": Choice(PEOPLE, divergence=1.0),
+    "people, no view": Choice(replace(PEOPLE, encoder="none")),
+    "people, a look each step": Choice(replace(PEOPLE, every=1)),
+}
+
+
+def run(folder: Path, report: Progress) -> list[Path]:
+    """choices that the paper leaves open, by short trainings on the same made places."""
+    places = make_places(folder / "places", TRAIN, report=report)
+    found: dict[str, dict[str, Measure]] = {}
+    for first in ("vehicles", "people"):
+        lessons = lessons_of(places, CHOICES[first].config, "aim", report=report)
+        for name, choice in CHOICES.items():
+            if name.startswith(first):
+                model = _trained(name, choice, lessons, folder, report)
+                asked = Asked(OBSERVED, SAMPLES)
+                measures = evaluate(model, lessons.valid, lessons.ground, asked, report=report)
+                found[name] = {key: measures[key] for key in MEASURES}
+    about = {
+        "steps": STEPS,
+        "batch": BATCH,
+        "usual divergences": DIVERGENCES,
+        "judged on": "the last 5 % of recordings of places that were learnt from",
+        "less the shipped choice": {
+            name: {
+                key: interval(found[name][key], found[name.split(",")[0]][key]) for key in MEASURES
+            }
+            for name in found
+            if "," in name
+        },
+    }
+    return write_results("ablations", {name: summary(t) for name, t in found.items()}, about)
+
+
+def _trained(name: str, choice: Choice, lessons: Lessons, folder: Path, report: Progress) -> ITRA:
+    training = from_scratch(choice.config.kind, steps=STEPS, batch=BATCH)
+    if choice.divergence is not None:
+        training = replace(training, divergence=choice.divergence)
+    where = folder / "models" / "ablations" / name.replace(",", "").replace(" ", "_")
+    start = None if choice.start is None else choice.start(choice.config)
+    return kept_or_trained(where, choice.config, training, lambda: lessons, report, start=start)
