@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from geoaim.experiments.figures import write_futures_on_maps
 from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
 from geoaim.experiments.models import RECIPES, trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import write_results
 from geoaim.prediction.baselines import BASELINES
-from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.itra import Config
 from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import Measure, interval, summary
 from geoaim.progress import Progress
@@ -44,6 +45,7 @@ PAIRS = (
     ("vehicles, blurred and noisy AIM", "vehicles, AIM"),
     ("vehicles, imagery of another day", "vehicles, AIM"),
 )
+SHOWN = ("pedestrian_aim", "pedestrian_hdm", "vehicle_aim", "vehicle_hdm")
 Table = dict[str, dict[str, Measure]]
 
 
@@ -92,14 +94,12 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "lights": [place for place in new if place.name.startswith("junction")],
         "learnt": make_places(folder / "places", TRAIN, report=report),
     }
-    models: dict[str, ITRA | str] = {name: name for name in BASELINES}
-    for name in RECIPES:
-        models[name] = trained(name, folder, report=report)
+    models = {name: trained(name, folder, report=report) for name in RECIPES}
     tables: Table = {}
     for number, (name, case) in enumerate(CASES.items()):
         report("judge", number, len(CASES))
         tables[name] = judge(
-            models[case.model],
+            models.get(case.model, case.model),
             places[case.where],
             case.config,
             case.map,
@@ -112,7 +112,10 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "differences": differences(tables),
         "paper": PAPER,
     }
-    return write_results("synthetic", {name: summary(t) for name, t in tables.items()}, about)
+    written = write_results("synthetic", {name: summary(t) for name, t in tables.items()}, about)
+    shown = {name: models[name] for name in SHOWN}
+    write_futures_on_maps(shown, new[0], written[0].with_suffix(".png"))
+    return [*written, written[0].with_suffix(".png")]
 
 
 def differences(tables: Table) -> dict[str, Mapping[str, tuple[float, float]]]:

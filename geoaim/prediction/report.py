@@ -13,7 +13,7 @@ def markdown(found: Mapping[str, Summary]) -> str:
     | --- | --- |
     | a | 1 (0.9 to 1.1) |
     """
-    names = list(next(iter(found.values())))
+    names = list(dict.fromkeys(name for summary in found.values() for name in summary))
     lines = ["| | " + " | ".join(names) + " |", "|" + " --- |" * (len(names) + 1)]
     for method, summary in found.items():
         cells = [_cell(summary[name]) if name in summary else "" for name in names]

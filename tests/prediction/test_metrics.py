@@ -6,11 +6,13 @@ import torch
 
 from geoaim.lights import RED
 from geoaim.prediction.baselines import BASELINES, predict_plainly
+from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Measure, interval, measure, merged, summary
 from geoaim.prediction.report import markdown
 from geoaim.simulation.episodes import Rules
 from geoaim.simulation.infractions import Drivable
-from tests.prediction.made import drive
+from tests.prediction.made import TINY, drive, hill
 
 
 def futures(segments, shifts):
@@ -114,3 +116,22 @@ def test_constant_turn_rate_goes_on_round_the_bend():
 def test_unknown_baselines_are_refused():
     with pytest.raises(ValueError, match="no baseline 'magic'"):
         predict_plainly("magic", drive(4), observed=1, samples=1, generator=torch.Generator())
+
+
+def test_tables_have_the_columns_of_all_methods():
+    one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}
+    both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2}}
+    lines = markdown({"people": one, "vehicles": both}).splitlines()
+    assert lines[0] == "| | minADE | off-road rate |"
+    assert lines[2] == "| people | 1 (0.9 to 1.1) |  |"
+
+
+def test_lights_that_are_hidden_change_futures_and_count_all_the_same():
+    torch.manual_seed(0)
+    model, segments = ITRA(TINY).eval(), drive(12, 3)
+    segments = replace(segments, lights=torch.full_like(segments.lights, RED))
+    asked = Asked(observed=4, samples=2)
+    shown = evaluate(model, segments, hill(), asked)
+    hidden = evaluate(model, segments, hill(), replace(asked, lights=False))
+    assert shown["red-light rate"].counts.sum() == hidden["red-light rate"].counts.sum() > 0
+    assert not np.array_equal(shown["minADE"].sums, hidden["minADE"].sums)
