@@ -1,6 +1,7 @@
 """Commands that predict, judge predictions, train, and repeat the paper's experiments."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -130,6 +131,7 @@ def train(
     from geoaim.prediction.training import train as learn
 
     with stages() as progress, plain_errors():
+        refuse_output(output / "model.pt", inputs=[weights])
         model = _model(weights, kind)
         agents = (tracks, tracks_world, metres_per_pixel)
         scene, _, _ = read_scene(
@@ -139,7 +141,7 @@ def train(
         usual = from_scratch if scratch else fine_tuning
         learn(
             model.config,
-            usual(kind, steps=steps, batch=batch, seed=seed),
+            replace(usual(kind, steps=steps, batch=batch, seed=seed), save=50),
             lessons,
             output,
             start=None if scratch else model,

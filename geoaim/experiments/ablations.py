@@ -79,7 +79,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     about = {
         "steps": STEPS,
         "batch": BATCH,
-        "judged on": "the last 5 % of recordings of places that were learnt from",
+        "judged on": "the last 5 % of recordings of places that were learnt from; pieces overlap",
         "less the shipped choice": {
             name: {
                 key: interval(found[name][key], found[name.split(",")[0]][key]) for key in MEASURES

@@ -14,6 +14,7 @@ from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments
 from geoaim.prediction.training import from_scratch
 from geoaim.progress import Progress, silent
+from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import Scene, scene_steps
 
@@ -59,18 +60,35 @@ def judge(
 ) -> dict[str, Measure]:
     """Measures of a model or a baseline, all of the kind jointly, on so much of each end."""
     asked = Asked(OBSERVED, SAMPLES, lights=lights)
-    parts, steps = [], STEPS[config.kind]
+    parts: list[dict[str, Measure]] = []
+    steps = STEPS[config.kind]
     for folder in folders:
         aim = read_map(folder, name)
         for recorded in read_recordings(folder):
             scene = scene_of(recorded, aim, rate=1 / config.seconds)
             scene = scene_steps(scene, slice(round(len(scene.times) * (1 - end)), None))
-            try:  # every other piece is enough to judge
-                segments = cut_segments(
-                    scene, config.kind, steps=steps, stride=2 * steps, joint=True
-                )
-            except TracksError:
-                continue
-            ground = fit_ground(scene.ground, config.resolution)
-            parts.append(evaluate(model, segments, ground, asked, rules=recorded.rules))
+            # every other piece is enough to judge
+            parts += judged(model, scene, config, asked, stride=2 * steps, rules=recorded.rules)
+    if not parts:
+        raise TracksError(f"no {config.kind} is there for {steps} steps in {len(folders)} places")
     return merged(parts)
+
+
+def judged(
+    model: ITRA | str,
+    scene: Scene,
+    config: Config,
+    asked: Asked,
+    *,
+    stride: int,
+    rules: Rules = NO_RULES,
+) -> list[dict[str, Measure]]:
+    """Measures on joint pieces of a scene; none where nobody is there for so long."""
+    try:
+        segments = cut_segments(
+            scene, config.kind, steps=STEPS[config.kind], stride=stride, joint=True
+        )
+    except TracksError:
+        return []
+    ground = fit_ground(scene.ground, config.resolution)
+    return [evaluate(model, segments, ground, asked, rules=rules)]

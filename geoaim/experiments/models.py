@@ -1,12 +1,13 @@
 """The models that experiments compare, each trained once and kept in its folder."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from geoaim.errors import ModelError
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, lessons_of
 from geoaim.experiments.places import TRAIN, make_places
-from geoaim.prediction.checkpoints import kept_model
+from geoaim.prediction.checkpoints import kept_model, read_state
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.training import Training, train
@@ -51,7 +52,18 @@ def kept_or_trained(
     report: Progress,
     start: ITRA | None = None,
 ) -> ITRA:
-    """The model in a folder; trained, or trained on, where it is not whole yet."""
-    if (where / "model.pt").exists():
-        return kept_model(where / "model.pt", config)
-    return train(config, training, lessons(), where, start=start, progress=report)
+    """The model in a folder; trained, or trained on, where it is not whole yet.
+
+    Always as its file has it, so that what starts from it is the same in a later run.
+
+    Raises:
+        ModelError: the folder's was trained otherwise.
+    """
+    kept = where / "model.pt"
+    if kept.exists():
+        how = read_state(where / "checkpoint.pt")["training"]
+        if how != asdict(training):
+            raise ModelError(f"{kept} was trained otherwise, {how}; delete its folder")
+    else:
+        train(config, training, lessons(), where, start=start, progress=report)
+    return kept_model(kept, config)

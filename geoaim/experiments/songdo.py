@@ -38,7 +38,9 @@ def run(folder: Path, report: Progress) -> list[Path]:
     # five seconds leave no later time to hold out: every other vehicle is learnt from
     learnt, others = pick(every, slice(0, None, 2)), pick(every, slice(1, None, 2))
     where = folder / "models" / "vehicle_songdo"
-    tuned = train(VEHICLES, TUNING, Lessons(learnt, others, ground), where, start=model)
+    tuned = train(
+        VEHICLES, TUNING, Lessons(learnt, others, ground), where, start=model, progress=report
+    )
     asked = Asked(OBSERVED, SAMPLES)
     models = {"zero-shot": model, "fine-tuned": tuned} | {name: name for name in BASELINES}
     found = {}

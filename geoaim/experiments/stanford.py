@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import torch
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
@@ -18,7 +17,7 @@ from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.metrics import interval, summary
-from geoaim.prediction.segments import Segments, joined
+from geoaim.prediction.segments import joined
 from geoaim.prediction.training import Training
 from geoaim.prediction.windows import (
     OBSERVED,
@@ -28,14 +27,12 @@ from geoaim.prediction.windows import (
     backwards,
     read_windows,
     unchanged,
-    walkers,
 )
 from geoaim.progress import Progress
 
 VALIDATION = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
 SAMPLES = 20
 BLUR = 0.3  # m
-COPIES, JITTER = 4, 0.05  # m: without it minADE of 20 was 2 % worse
 SEES = Config(
     "pedestrian", "slide", SECONDS, size=32, resolution=0.75, every=12, modes=20, ahead=12
 )
@@ -100,23 +97,12 @@ def run(folder: Path, report: Progress) -> list[Path]:
 def _trained(name: str, config: Config, scenes: list[str], folder: Path, report: Progress) -> ITRA:
     def lessons() -> Lessons:
         windows = _windows(_data(), config, scenes)
-        return Lessons(_varied(windows.segments), windows.segments, windows.ground)
+        both = joined([windows.segments, backwards(windows.segments)])
+        # the log follows windows that are learnt; those of other scenes are judged afterwards
+        return Lessons(both, windows.segments, windows.ground)
 
     where = folder / "models" / f"stanford_{name.replace(',', '').replace(' ', '_')}"
     return kept_or_trained(where, config, TRAINING, lessons, report)
-
-
-def _varied(segments: Segments) -> Segments:
-    """Forwards and backwards, several times, with known places off by what annotators are off."""
-    generator = torch.Generator().manual_seed(0)
-    found = []
-    for way in (segments, backwards(segments)):
-        for _ in range(COPIES):
-            places = way.states[:, :, 0, :2].clone()
-            known = places[:, :OBSERVED]
-            known += JITTER * torch.randn(known.shape, generator=generator)
-            found.append(walkers(places))
-    return joined(found)
 
 
 def _windows(

@@ -37,7 +37,6 @@ from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
 from geoaim.mapping.video import Frame, Video, open_video
 from geoaim.progress import Progress, silent
 
-# Called with the name of a stage, how much of it is done, and how much there is (None: unknown).
 PROBES = 5  # frames that choose the reference and the model
 
 

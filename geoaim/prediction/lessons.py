@@ -1,9 +1,10 @@
 """What models learn from: segments of recordings, all on one ground, with their ends held out."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from geoaim.errors import TracksError
+from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.itra import Config
 from geoaim.prediction.segments import Segments, cut_segments, joined, shifted
@@ -46,12 +47,12 @@ def make_lessons(
     grounds = list({id(scene.ground): scene.ground for scene in scenes}.values())
     ground, offsets = make_atlas(grounds, config.view)
     places = {id(ground): offset for ground, offset in zip(grounds, offsets, strict=True)}
-    parts: tuple[list[Segments], list[Segments]] = [], []
-    why = ""
+    parts: dict[str, list[Segments]] = {"learn from": [], "check with": []}
+    whys: dict[str, list[str]] = {name: [] for name in parts}
     for number, scene in enumerate(scenes):
         progress("segments", number, len(scenes))
         edge = round(len(scene.times) * (1 - held_out))
-        for part, some in zip(parts, (slice(0, edge), slice(edge, None)), strict=True):
+        for name, some in zip(parts, (slice(0, edge), slice(edge, None)), strict=True):
             try:
                 found = cut_segments(
                     scene_steps(scene, some),
@@ -59,14 +60,18 @@ def make_lessons(
                     steps=STEPS[config.kind],
                     stride=STRIDES[config.kind],
                 )
-                part.append(shifted(found, places[id(scene.ground)]))
             except TracksError as error:
-                why = str(error)
+                whys[name].append(
+                    f"nothing to {name} in recording {number + 1} of {len(scenes)}, whose last "
+                    f"{100 * held_out:g} % are held out: {error}"
+                )
+            else:
+                parts[name].append(shifted(found, places[id(scene.ground)]))
     progress("segments", len(scenes), len(scenes))
-    for part, name in zip(parts, ("learn from", "check with"), strict=True):
+    for name, part in parts.items():
         if not part:
-            raise TracksError(
-                f"nothing to {name}: {why}. The last {100 * held_out:g} % are held out; give more "
-                "tracks, or hold out another share"
-            )
-    return Lessons(joined(parts[0]), joined(parts[1]), ground)
+            raise TracksError(f"{whys[name][0]}. Give more tracks, or hold out another share")
+        for why in whys[name]:
+            warnings.warn(why, GeoaimWarning, stacklevel=2)
+    learnt, checked = (joined(part) for part in parts.values())
+    return Lessons(learnt, checked, ground)

@@ -49,7 +49,8 @@ def predict(
             f"{model.config.seconds:g} s; resample the tracks"
         )
     first = max(0, start + 1 - OBSERVED)
-    segment = cut_ahead(scene, model.config.kind, first=first, start=start, steps=steps)
+    config = model.config
+    segment = cut_ahead(scene, config.kind, config.seconds, first=first, start=start, steps=steps)
     observed = start + 1 - first
     ground = fit_ground(scene.ground, model.config.resolution)
     found = model.sample(segment, ground, observed=observed, samples=samples, generator=generator)[

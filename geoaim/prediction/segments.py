@@ -125,12 +125,15 @@ def cut_segments(
     return joined(parts)
 
 
-def cut_ahead(scene: Scene, kind: str, *, first: int, start: int, steps: int) -> Segments:
+def cut_ahead(
+    scene: Scene, kind: str, seconds: float, *, first: int, start: int, steps: int
+) -> Segments:
     """One segment of everybody, in which all of a kind who are there at a step are controlled.
 
     Args:
         scene: evenly sampled; beyond its end others go straight on and lights stay.
         kind: "vehicle" or "pedestrian".
+        seconds: of a step, which a scene of one step does not tell.
         first: the first step that is known.
         start: the last one; it is at this step that they have to be there.
         steps: after it.
@@ -141,12 +144,12 @@ def cut_ahead(scene: Scene, kind: str, *, first: int, start: int, steps: int) ->
     controlled = of_kind(scene, kind) & scene.present[:, start]
     if not controlled.any():
         raise TracksError(f"no {kind} is there at {float(scene.times[start]):g} s")
-    longer = _extended(scene, start + 1 + steps - len(scene.times))
+    longer = _extended(scene, start + 1 + steps - len(scene.times), seconds)
     everybody = torch.arange(len(scene.ids), device=controlled.device)[None]
     segment = _cut(longer, everybody, controlled[None], slice(first, start + 1 + steps))
     present = segment.present.clone()
     present[:, start + 1 - first :, controlled] = True
-    return replace(segment, present=present)
+    return replace(segment, present=present, seconds=seconds)
 
 
 def of_kind(scene: Scene, kind: str) -> Bool[Tensor, "N"]:
@@ -210,11 +213,10 @@ def _cut(
     )
 
 
-def _extended(scene: Scene, steps: int) -> Scene:
+def _extended(scene: Scene, steps: int, seconds: float) -> Scene:
     """The scene so many steps on: all go straight on as fast as they do, and lights stay."""
     if steps <= 0:
         return scene
-    seconds = step_seconds(scene)
     states, still = [states_of(scene)[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
     for _ in range(steps):
         states.append(bicycle_step(states[-1], still, scene.sizes[:, 0], seconds))

@@ -16,6 +16,7 @@ from jaxtyping import Int
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
+from geoaim.errors import ModelError
 from geoaim.files import replacing
 from geoaim.prediction.atlas import ground_scaled
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
@@ -70,14 +71,13 @@ class Training:
 def from_scratch(kind: str, *, steps: int, batch: int, seed: int = 0) -> Training:
     """The training of a new model."""
     mirror = kind == "pedestrian"  # people keep to no side
-    save = min(steps, Training.save)
-    return Training(steps, batch, mirror=mirror, seed=seed, save=save)
+    return Training(steps, batch, mirror=mirror, seed=seed)
 
 
 def fine_tuning(kind: str, *, steps: int, batch: int, seed: int = 0) -> Training:
     """The training of a model that is good already: gentle, with its latents in use throughout."""
     training = from_scratch(kind, steps=steps, batch=batch, seed=seed)
-    return replace(training, rate=5e-4, warm_up=0.0, save=min(steps, 50))
+    return replace(training, rate=5e-4, warm_up=0.0, save=50)
 
 
 def train(
@@ -105,8 +105,7 @@ def train(
 
     Raises:
         ValueError: the folder holds another training.
-        ModelError: its checkpoint cannot be read.
-        FloatingPointError: the loss is not finite.
+        ModelError: its checkpoint cannot be read, or the loss is not finite.
     """
     path = Path(folder) / "checkpoint.pt"
     with _processes(lessons.ground.image.device) as (rank, count, device):
@@ -132,7 +131,10 @@ def train(
             losses = _losses(network, training, lessons.train, ground, step, (rank, count))
             loss = losses.fit + losses.plan * PLAN + _weight(training, step) * losses.divergence
             if not torch.isfinite(loss):
-                raise FloatingPointError(f"the loss of step {step} is {loss}; lower the rate")
+                raise ModelError(
+                    f"the loss of step {step} is {loss}: look for jumps in the tracks, or "
+                    "lower the rate of learning"
+                )
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(model.parameters(), CLIP)
@@ -241,7 +243,7 @@ def _weight(training: Training, step: int) -> float:
 
 def _check(model: ITRA, valid: Segments, ground: Ground, training: Training) -> float:
     """minADE of some segments that are not learnt from."""
-    every = max(1, len(valid) // CHECKED)
+    every = -(-len(valid) // CHECKED)
     some = segments_on(pick(valid, slice(None, None, every)), ground.image.device)
     generator = torch.Generator(ground.image.device).manual_seed(training.seed)
     observed = training.observed[1]

@@ -3,10 +3,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from geoaim.errors import TracksError
+from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.prediction import lessons
 from geoaim.prediction.lessons import make_lessons
 from geoaim.simulation.ground import in_world
+from geoaim.simulation.scene import scene_steps
 from tests.prediction.made import TINY, hill
 from tests.prediction.test_segments import scene
 
@@ -41,7 +42,10 @@ def test_scenes_of_one_place_share_its_ground():
 
 
 def test_too_short_a_recording_says_so():
-    with pytest.raises(TracksError, match=r"nothing to check with: .*5 % are held out"):
+    with pytest.raises(TracksError, match=r"nothing to check with .* 5 % are held out"):
         make_lessons([scene()], TINY)
-    with pytest.raises(TracksError, match="nothing to learn from"):
+    with pytest.raises(TracksError, match="nothing to learn from in recording 1 of 1"):
         make_lessons([scene()], TINY, held_out=0.9)
+    with pytest.warns(GeoaimWarning, match="nothing to learn from in recording 2 of 2"):
+        found = make_lessons([scene(), scene_steps(scene(), slice(0, 8))], TINY, held_out=0.7)
+    assert len(found.train) == len(make_lessons([scene()], TINY, held_out=0.7).train)

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.lights import RED
+from geoaim.lights import GREEN, RED
 from geoaim.prediction.baselines import BASELINES, predict_plainly
 from geoaim.prediction.evaluation import Asked, evaluate
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Measure, interval, measure, merged, summary
 from geoaim.prediction.report import markdown
+from geoaim.prediction.segments import pick
 from geoaim.simulation.episodes import Rules
 from geoaim.simulation.infractions import Drivable
 from tests.prediction.made import TINY, drive, hill
@@ -135,3 +136,20 @@ def test_lights_that_are_hidden_change_futures_and_count_all_the_same():
     hidden = evaluate(model, segments, hill(), replace(asked, lights=False))
     assert shown["red-light rate"].counts.sum() == hidden["red-light rate"].counts.sum() > 0
     assert not np.array_equal(shown["minADE"].sums, hidden["minADE"].sums)
+
+
+def test_red_lights_are_those_of_each_segment():
+    segments = drive(10, 3, curve=0.0)
+    red = torch.full_like(segments.lights, RED)
+    red[1] = GREEN
+    segments = replace(segments, lights=red)
+    lines = segments.lines.clone()
+    lines[..., 0] = (segments.states[:, 6, 0, 0] + 4.5 / 2)[:, None, None]  # each crosses his own
+    lines[2] += 1000.0  # but this one
+    segments = replace(segments, lines=lines)
+    together = measure(futures(segments, [0.0, 0.0]), segments, 4)["red-light rate"]
+    for number in range(3):
+        one = pick(segments, slice(number, number + 1))
+        alone = measure(futures(one, [0.0, 0.0]), one, 4)["red-light rate"]
+        assert together.sums[number] == alone.sums[0]
+    assert together.sums[0] > together.sums[1] == together.sums[2] == 0

@@ -20,7 +20,7 @@ from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import predict
 from geoaim.prediction.segments import cut_segments
 from geoaim.simulation.ground import fit_ground
-from geoaim.simulation.scene import make_scene
+from geoaim.simulation.scene import make_scene, scene_steps
 from geoaim.track_changes import resample
 from tests.prediction.made import TINY
 
@@ -90,6 +90,15 @@ def test_prediction_goes_on_beyond_the_recording(scene):
     assert moved.tolist() == pytest.approx(
         (1.5 * scene.speeds[walkers, -1].abs()).tolist(), abs=0.1
     )
+
+
+def test_one_step_is_enough_to_predict_from(scene):
+    model = read_model(shipped("vehicle"))
+    one = predict(model, scene_steps(scene, slice(12, 13)), samples=1, steps=4, generator=noise())
+    here = scene.present[:, 12]
+    way = (one[0, :, 0, :2] - scene.poses[:, 12, :2]).norm(dim=1)[here]
+    assert way.max() < 2.5  # a tenth of a second, not a second
+    assert torch.isfinite(one[0, here]).all()
 
 
 def test_what_cannot_be_predicted_is_refused(scene):

@@ -16,6 +16,7 @@ from geoaim.simulation import (
     make_ground,
     path_boxes,
     render,
+    render_layers,
 )
 from geoaim.simulation.birdview import _touched
 
@@ -333,3 +334,25 @@ def test_no_boxes_are_a_picture_of_the_ground():
     none = Boxes(torch.empty(1, 0, 3), torch.empty(0, 2), torch.empty(0, 3))
     picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.3), [none])
     torch.testing.assert_close(picture, torch.full_like(picture, 0.3))
+
+
+def test_layers_painted_at_once_are_those_painted_alone():
+    generator = torch.Generator().manual_seed(0)
+    ground, view, cameras = _ground(), View(24, 24, 0.7), torch.tensor([[0.0, 0.0, 0.3]] * 3)
+    cameras = cameras.to(ground.image)
+
+    def some(count, noses, present=None):
+        poses = torch.randn(3, count, 3, generator=generator).double() * 3
+        sizes = 1 + torch.rand(count, 2, generator=generator).double() * 3
+        colours = torch.rand(count, 3, generator=generator).double()
+        return Boxes(poses, sizes, colours, present, colours.flip(0) if noses else None)
+
+    there = torch.tensor([[True, False, True, True]] * 2 + [[False] * 4])
+    layers = [some(5, noses=True), some(4, noses=False, present=there), some(2, noses=True)]
+    planes = render_layers(view, cameras, ground, layers)
+    for number, layer in enumerate(layers):
+        alone = render_layers(view, cameras, ground, [layer])
+        torch.testing.assert_close(planes[:, [0, 1, 2, 3 + number]][:, -1], alone[:, -1])
+    picture = render(view, cameras, ground, layers)
+    wholly = [replace(layer, present=None) for layer in layers]
+    assert not torch.equal(picture, render(view, cameras, ground, wholly))
