@@ -1,5 +1,6 @@
 """Commands that predict, judge predictions, train, and repeat the paper's experiments."""
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from geoaim.cli.console import (
     stages,
 )
 from geoaim.cli.driving import HDMapFile, LightsFile, StopLinesFile, read_scene
+from geoaim.progress import Progress
 
 if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA
@@ -57,7 +59,8 @@ def predict(
     """Draw what may happen next: sampled futures of all vehicles, or of all people, jointly.
 
     Others replay what the tracks say. A .csv has a row for each sample, agent and time; pictures
-    show the map with all samples, and in white what really happened.
+    show the map with all samples, and in white what really happened, where --at leaves some of
+    it. --seconds of a model with plans are those that it was taught.
     """
     import torch
 
@@ -122,8 +125,8 @@ def train(
     """Teach a model what happens on your map: from the shipped weights on, or from scratch.
 
     An interrupted run goes on where it was when it is called again in the same way. Predict and
-    evaluate with --weights FOLDER/model.pt then; more recordings at once take the Python functions
-    make_lessons and train.
+    evaluate with --weights FOLDER/model.pt then, the latter with --last for what was held out. More
+    recordings at once take the Python functions make_lessons and train.
     """
     from geoaim.prediction.curves import write_curves
     from geoaim.prediction.lessons import make_lessons
@@ -150,7 +153,8 @@ def train(
         write_curves(output / "log.csv", output / "curves.png")
     console.print(
         f"{output / 'model.pt'}: learnt from {len(lessons.train)} segments, checked with "
-        f"{len(lessons.valid)}; {output / 'curves.png'} shows how"
+        f"{len(lessons.valid)} of the last {100 * held_out:g} %: {_progress(output / 'log.csv')}; "
+        f"{output / 'curves.png'} shows how"
     )
 
 
@@ -171,6 +175,9 @@ def evaluate(
     kind: Annotated[Kind, typer.Option(help="who is judged, on an AIM")] = "vehicle",
     weights: Weights = None,
     samples: Samples = 6,
+    last: Annotated[
+        float, typer.Option(help="share of the tracks' end to judge: what train held out", max=1.0)
+    ] = 1.0,
     seed: Seed = 0,
     lights: LightsFile = None,
     hdmap: Annotated[
@@ -194,7 +201,7 @@ def evaluate(
 
     with stages() as progress, plain_errors():
         if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
-            raise ValueError("give an AIM with --tracks, or --windows with --scenes")
+            raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
         if windows is not None:
             if scenes is None:
                 raise ValueError("--windows needs --scenes: metres a pixel of each scene")
@@ -212,7 +219,7 @@ def evaluate(
         else:
             model = _model(weights, kind)
             given = (aim, (tracks, tracks_world, metres_per_pixel), lights, hdmap, stop_lines)
-            judged, count = _judged(model, given, samples, seed, progress)
+            judged, count = _judged(model, given, last, (samples, seed), progress)
     found = {name: summary(measures) for name, measures in judged.items()}
     if as_json:
         flat = {name: value["mean"] for name, value in found["model"].items()}
@@ -220,6 +227,11 @@ def evaluate(
         print(json.dumps({**flat, name: count, "samples": samples, "methods": found}, indent=1))
     else:
         print(markdown(found))
+        ahead = "12 steps" if windows is not None else f"{USUAL[kind]:g} s"
+        console.print(
+            f"{count} pieces, {samples} samples of {ahead} ahead, m (px where a name says so); "
+            "rates are of agents, samples and steps; intervals of 95 %"
+        )
 
 
 def experiment(
@@ -231,7 +243,8 @@ def experiment(
     """Repeat an experiment: made places or real data, models, tables and figures.
 
     What is in the folder already is used, so that an interrupted run goes on where it was.
-    Results go to docs/experiments.
+    Results go to docs/experiments of the folder in which this is called; 'shipped' writes the
+    package's models anew. Real data are looked for in GEOAIM_DATA.
     """
     from geoaim.experiments import EXPERIMENTS
 
@@ -246,8 +259,17 @@ def experiment(
     console.print(", ".join(str(path) for path in written))
 
 
+def _progress(log: Path) -> str:
+    """How far minADE came, first and last row of a training's log."""
+    rows = list(csv.DictReader(log.read_text(encoding="utf-8").splitlines()))
+    first, last = (float(row["minADE"]) for row in (rows[0], rows[-1]))
+    return (
+        f"minADE {first:.2f} m after step {rows[0]['step']}, {last:.2f} m after {rows[-1]['step']}"
+    )
+
+
 def _judged(
-    model: "ITRA", given: tuple[Any, ...], samples: int, seed: int, progress: Any
+    model: "ITRA", given: tuple[Any, ...], last: float, draws: tuple[int, int], progress: Progress
 ) -> tuple[Any, int]:
     """Measures of everybody on joint segments of a scene, and how many segments there are."""
     from geoaim.prediction.evaluation import Asked, compare, evaluate
@@ -255,10 +277,13 @@ def _judged(
     from geoaim.prediction.segments import cut_segments
     from geoaim.simulation.episodes import check_place, rules_of
     from geoaim.simulation.ground import fit_ground
+    from geoaim.simulation.scene import scene_steps
 
     scene, known, _ = read_scene(*given, rate=1 / model.config.seconds)
     rules = rules_of(known)
     check_place(scene, rules)
+    samples, seed = draws
+    scene = scene_steps(scene, slice(round(len(scene.times) * (1 - last)), None))
     steps = OBSERVED + round(USUAL[model.config.kind] / model.config.seconds)
     segments = cut_segments(scene, model.config.kind, steps=steps, stride=steps, joint=True)
     ground = fit_ground(scene.ground, model.config.resolution)

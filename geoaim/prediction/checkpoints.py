@@ -29,6 +29,8 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         OSError: there is no such file.
     """
     state = read_state(path)
+    if "optimiser" in state:
+        raise ModelError(f"{path} is a training that goes on; name the model.pt beside it")
     try:
         model = ITRA(Config(**state["config"]))
         model.load_state_dict({name: value.float() for name, value in state["weights"].items()})
@@ -70,10 +72,14 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
     path = Path(path)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise IsADirectoryError(f"{path} is a folder; name the model.pt in it") from None
     except OSError:
         raise
-    except Exception as error:  # pickle, zip and torch each have their own
-        raise ModelError(f"{path} is no model: {str(error).splitlines()[0]}") from None
+    except Exception:  # pickle, zip and torch each have their own
+        raise ModelError(f"{path} is no model that geoaim train wrote; name a model.pt") from None
     if not isinstance(state, dict) or state.get("format") != FORMAT:
         raise ModelError(f"{path} is no model of the form {FORMAT}; train it anew")
     return state

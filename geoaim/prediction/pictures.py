@@ -41,7 +41,10 @@ def draw_futures(
     view, camera = _camera(scene, futures, start)
     after = scene.poses[None, :, start : start + 1 + futures.shape[2], :2]
     now = scene.poses[None, :, start : start + 1, :2].expand(len(futures), -1, -1, -1)
-    ways = torch.cat([now, _moved(futures)], dim=2)
+    moved = _moved(futures)
+    ways = torch.cat([now, moved], dim=2)
+    predicted = torch.isfinite(moved).flatten(2).any(dim=2).any(dim=0)
+    after = torch.where(predicted[:, None, None], after, torch.nan)
     layers = [
         _paths(after, TRUTH, LINE),
         _paths(ways.flatten(0, 1)[None], FUTURE, LINE / 2),

@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import math
 import os
 import time
 from collections.abc import Iterator
@@ -127,6 +128,9 @@ def train(
         log = _resume(path, kept, about)
         network: nn.Module = model if count == 1 else DistributedDataParallel(model)
         ground, began, sums = on_device(lessons.ground, device), time.perf_counter(), []
+        if start is not None and not log:
+            before = _check(model, lessons.valid, ground, training)
+            log.append((0, math.nan, math.nan, math.nan, before, math.nan))
         for step in range(int(log[-1][0]) if log else 0, training.steps):
             losses = _losses(network, training, lessons.train, ground, step, (rank, count))
             loss = losses.fit + losses.plan * PLAN + _weight(training, step) * losses.divergence
