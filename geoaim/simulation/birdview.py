@@ -134,11 +134,10 @@ def _flat(view: View, cameras: Float[Tensor, "B 3"], boxes: Boxes, plane: int = 
         present = boxes.present
     where = present.flatten().nonzero()[:, 0]
     poses = torch.where(present[..., None], boxes.poses, 0.0)
-    colours = boxes.colours
-    noses = colours if boxes.noses is None else boxes.noses
+    noses = boxes.colours if boxes.noses is None else boxes.noses
     middle, axis, sizes, colours, noses = (
         _by_box(values, views)[where]
-        for values in (*_in_pixels(view, cameras, poses), boxes.sizes, colours, noses)
+        for values in (*_in_pixels(view, cameras, poses), boxes.sizes, boxes.colours, noses)
     )
     return _Flat(
         picture=plane * views + where // max(count, 1),
@@ -177,16 +176,16 @@ def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor
     side = torch.stack([axis[:, 1], -axis[:, 0]], dim=1)
     ahead, aside = sizes[:, :1] / 2 * axis, sizes[:, 1:] / 2 * side
     ring = torch.stack([ahead + aside, ahead - aside, -ahead - aside, aside - ahead], 1)
-    colours = boxes.colours.t()
-    # boxes and triangles, the latter as squares with a corner twice, in one go
+    # triangles are squares with a corner twice, so that all polygons are measured in one go
     base = (1 - 2 * NOSE) * ahead
     tip = torch.stack([ahead, ahead, base - aside, base + aside], dim=1)
-    corners = torch.cat([middle[:, None] + ring, middle[:, None] + tip])
-    both = torch.cat([owner, owner + len(ring)]), torch.cat([place, place])
-    alpha, share = _covered(corners, *both, torch.cat([rim, front])).chunk(2)
-    share = torch.where(front, share, 0.0)
-    change = boxes.noses.t() - colours
-    light = alpha * colours[:, owner] + share * change[:, owner]
+    edges, noses = rim.nonzero()[:, 0], front.nonzero()[:, 0]
+    parts = [(ring, edges), (tip, noses)]
+    polygons = [(middle[:, None] + p)[owner[which]] - place[which, None] for p, which in parts]
+    share = pixel_coverage(torch.cat(polygons)).split([len(edges), len(noses)])
+    alpha = place.new_ones(len(owner)).index_copy(0, edges, share[0])
+    change = (boxes.noses - boxes.colours).t()[:, owner[noses]]
+    light = (alpha * boxes.colours.t()[:, owner]).index_add(1, noses, share[1] * change)
     return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
 
 
@@ -282,18 +281,6 @@ def _near_edges(
     along = x * right + y * down
     inside = torch.minimum(length - along.abs(), width - (x * down - y * right).abs())
     return inside < RIM, along > (1 - 2 * NOSE) * length - RIM
-
-
-def _covered(
-    corners: Float[Tensor, "N K 2"],
-    owner: Int[Tensor, "n"],
-    place: Float[Tensor, "n 2"],
-    near: Bool[Tensor, "n"],
-) -> Float[Tensor, "n"]:
-    """The share of each pixel that its polygon covers: all of it where no edge is near."""
-    which = near.nonzero()[:, 0]
-    share = pixel_coverage(corners[owner[which]] - place[which, None])
-    return place.new_ones(len(owner)).index_copy(0, which, share)
 
 
 def _turns(pixel: Int[Tensor, "n"], pixels: int) -> Iterator[Int[Tensor, "m"]]:
