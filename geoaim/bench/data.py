@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+from geoaim.errors import TracksError
+
 
 def data_folder() -> Path | None:
     """The folder of real data: $GEOAIM_DATA, else ../shared/data beside the repository.
@@ -17,3 +19,15 @@ def data_folder() -> Path | None:
         raise FileNotFoundError(f"GEOAIM_DATA={named} is not a folder; unset it or correct it")
     folder = Path(named) if named else Path(__file__).parents[2].parent / "shared" / "data"
     return folder if folder.is_dir() else None
+
+
+def needed(name: str) -> Path:
+    """A folder of real data that work cannot do without.
+
+    Raises:
+        TracksError: it is not here.
+    """
+    data = data_folder()
+    if data is None or not (data / name).is_dir():
+        raise TracksError(f"{name} is not here; name the folder of real data by GEOAIM_DATA")
+    return data / name

@@ -18,27 +18,26 @@ from geoaim.aim import whole_aim
 from geoaim.bench.report import medians, save, table
 from geoaim.prediction.checkpoints import read_model, shipped
 from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.lessons import STEPS
+from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import Segments, cut_segments, pick
 from geoaim.prediction.views import egos_of, egos_see
 from geoaim.simulation.ground import Ground, fit_ground
-from geoaim.simulation.scene import make_scene
+from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_sample, tracks_of, world_from_image
 from geoaim.track_changes import resample
 
-OBSERVED, AGENTS, SAMPLES, BATCH = 10, 20, 6, 48
-STEPS = {"vehicle": 40, "pedestrian": 30}
+AGENTS, SAMPLES, BATCH = 20, 6, 48
 RESOLUTION = 0.2
 
 
-def lessons(config: Config, steps: int) -> tuple[Segments, Ground]:
-    """Segments of a made junction, alone and with their neighbours."""
+def made_scene(config: Config) -> Scene:
+    """The traffic of a made junction."""
     sample = make_sample(1, minutes=3.0, video=None, metres_per_pixel=RESOLUTION)
     image = draw_place(sample.place, metres_per_pixel=RESOLUTION)
     place = world_from_image(sample.place, RESOLUTION)
     aim = whole_aim(image, place, sample.place.world, "drawn")
-    scene = make_scene(aim, resample(tracks_of(sample), 1 / config.seconds))
-    found = cut_segments(scene, config.kind, steps=steps, stride=10)
-    return found, fit_ground(scene.ground, config.resolution)
+    return make_scene(aim, resample(tracks_of(sample), 1 / config.seconds))
 
 
 def together(segments: Segments) -> Segments:
@@ -60,7 +59,9 @@ def row(kind: str, threads: int) -> dict[str, Any]:
     torch.set_num_threads(threads)
     model = read_model(shipped(kind)).train()
     config = model.config
-    segments, ground = lessons(config, STEPS[kind])
+    scene = made_scene(config)
+    ground = fit_ground(scene.ground, config.resolution)
+    segments = cut_segments(scene, kind, steps=STEPS[kind], stride=10)
     batch = pick(segments, slice(0, None, max(1, len(segments) // BATCH)))
     batch = pick(batch, slice(0, BATCH))
     generator = torch.Generator().manual_seed(0)
@@ -87,7 +88,7 @@ def row(kind: str, threads: int) -> dict[str, Any]:
         "ms of a view": 1000 * drawing / len(looks) / BATCH,
     }
     if kind == "vehicle":
-        longer, _ = lessons(config, OBSERVED + STEPS[kind])
+        longer = cut_segments(scene, kind, steps=OBSERVED + STEPS[kind], stride=10)
         found["s to sample 4 s"] = _sampling(model.eval(), together(longer), ground)
     return found
 

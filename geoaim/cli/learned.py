@@ -273,17 +273,17 @@ def _judged(
 ) -> tuple[Any, int]:
     """Measures of everybody on joint segments of a scene, and how many segments there are."""
     from geoaim.prediction.evaluation import Asked, compare, evaluate
+    from geoaim.prediction.lessons import split
     from geoaim.prediction.predict import OBSERVED
     from geoaim.prediction.segments import cut_segments
     from geoaim.simulation.episodes import check_place, rules_of
     from geoaim.simulation.ground import fit_ground
-    from geoaim.simulation.scene import scene_steps
 
     scene, known, _ = read_scene(*given, rate=1 / model.config.seconds)
     rules = rules_of(known)
     check_place(scene, rules)
     samples, seed = draws
-    scene = scene_steps(scene, slice(round(len(scene.times) * (1 - last)), None))
+    _, scene = split(scene, last)
     steps = OBSERVED + round(USUAL[model.config.kind] / model.config.seconds)
     segments = cut_segments(scene, model.config.kind, steps=steps, stride=steps, joint=True)
     ground = fit_ground(scene.ground, model.config.resolution)

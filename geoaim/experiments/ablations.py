@@ -10,14 +10,14 @@ from torch import nn
 from geoaim.experiments.learning import SAMPLES, VEHICLES, lessons_of
 from geoaim.experiments.models import kept_or_trained
 from geoaim.experiments.places import TRAIN, make_places
-from geoaim.experiments.results import write_results
+from geoaim.experiments.results import differences, write_results
 from geoaim.prediction.evaluation import Asked, evaluate
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import Measure, interval, summary
+from geoaim.prediction.metrics import Measure
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import pick
-from geoaim.prediction.training import from_scratch
+from geoaim.prediction.training import Training, from_scratch
 from geoaim.progress import Progress
 
 STEPS, BATCH = 250, 32
@@ -31,12 +31,12 @@ class Choice:
 
     Attributes:
         config: what the model is made of.
-        divergence: weight of the latents' divergence; None: that of the shipped models.
+        divergence: weight of the latents' divergence.
         start: weights to begin with.
     """
 
     config: Config
-    divergence: float | None = None
+    divergence: float = Training.divergence
     start: Callable[[Config], ITRA] | None = None
 
 
@@ -78,18 +78,15 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "pieces": len(valid),
         "judged on": "ends of recordings of places that were learnt from",
         "less the shipped choice": {
-            name: {key: interval(found[name][key], found["vehicles"][key]) for key in MEASURES}
-            for name in found
-            if "," in name
+            name: differences(found[name], found["vehicles"]) for name in found if "," in name
         },
     }
-    return write_results("ablations", {name: summary(t) for name, t in found.items()}, about)
+    return write_results("ablations", found, about)
 
 
 def _trained(name: str, choice: Choice, lessons: Lessons, folder: Path, report: Progress) -> ITRA:
     training = from_scratch(choice.config.kind, steps=STEPS, batch=BATCH)
-    if choice.divergence is not None:
-        training = replace(training, divergence=choice.divergence)
+    training = replace(training, divergence=choice.divergence)
     where = folder / "models" / "ablations" / name.replace(",", "").replace(" ", "_")
     start = None if choice.start is None else choice.start(choice.config)
     return kept_or_trained(where, choice.config, training, lambda: lessons, report, start=start)

@@ -8,7 +8,7 @@ from geoaim.errors import TracksError
 from geoaim.experiments.places import read_map, read_recordings, scene_of
 from geoaim.prediction.evaluation import Asked, evaluate
 from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.lessons import HELD_OUT, STEPS, Lessons, make_lessons
+from geoaim.prediction.lessons import HELD_OUT, STEPS, Lessons, make_lessons, split
 from geoaim.prediction.metrics import Measure, merged
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments
@@ -16,7 +16,7 @@ from geoaim.prediction.training import from_scratch
 from geoaim.progress import Progress, silent
 from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import fit_ground
-from geoaim.simulation.scene import Scene, scene_steps
+from geoaim.simulation.scene import Scene
 
 VEHICLES = Config("vehicle", "bicycle", seconds=0.1, size=48, resolution=1.0, every=5)
 PEOPLE = Config("pedestrian", "unicycle", seconds=0.4, size=48, resolution=0.5, every=3, lever=0.25)
@@ -65,8 +65,7 @@ def judge(
     for folder in folders:
         aim = read_map(folder, name)
         for recorded in read_recordings(folder):
-            scene = scene_of(recorded, aim, rate=1 / config.seconds)
-            scene = scene_steps(scene, slice(round(len(scene.times) * (1 - end)), None))
+            _, scene = split(scene_of(recorded, aim, rate=1 / config.seconds), end)
             # every other piece is enough to judge
             parts += judged(model, scene, config, asked, stride=2 * steps, rules=recorded.rules)
     if not parts:

@@ -12,7 +12,6 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, read_aim, whole_aim, write_aim
 from geoaim.lights import Lights, read_lights
 from geoaim.mapping.aligning import align_tiles
-from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import HDMap, read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.progress import Progress, silent
@@ -58,7 +57,7 @@ class Recorded:
     @property
     def rules(self) -> Rules:
         """What is off the road."""
-        return rules_of(self.hdmap, drivable_area(self.hdmap))
+        return rules_of(self.hdmap)
 
 
 def make_places(

@@ -6,18 +6,21 @@ from typing import Any
 
 from geoaim.bench.report import machine, write_json
 from geoaim.files import replacing
-from geoaim.prediction.report import Summary, markdown
+from geoaim.prediction.metrics import Measure, interval, summary
+from geoaim.prediction.report import markdown
 
 FOLDER = Path("docs/experiments")
+Measures = Mapping[str, Measure]
 
 
-def write_results(name: str, tables: Mapping[str, Summary], about: Mapping[str, Any]) -> list[Path]:
-    """Write means with their intervals, and what they are of; the files."""
+def write_results(name: str, found: Mapping[str, Measures], about: Mapping[str, Any]) -> list[Path]:
+    """Write means with their intervals of all methods, and what they are of; the files."""
+    tables = {method: summary(measures) for method, measures in found.items()}
     content = {
         "command": f"geoaim experiment {name}",
         "machine": machine(),
         **about,
-        "methods": {key: dict(table) for key, table in tables.items()},
+        "methods": tables,
     }
     paths = [FOLDER / f"{name}.json", FOLDER / f"{name}.md"]
     write_json(content, paths[0])
@@ -25,3 +28,8 @@ def write_results(name: str, tables: Mapping[str, Summary], about: Mapping[str, 
         text = f"`geoaim experiment {name}`\n\n{markdown(tables)}\n"
         temporary.write_text(text, encoding="utf-8")
     return paths
+
+
+def differences(one: Measures, other: Measures) -> dict[str, tuple[float, float]]:
+    """One method's measures less another's on the same segments, as intervals of 95 %."""
+    return {name: interval(one[name], other[name]) for name in one if name in other}

@@ -10,7 +10,6 @@ from geoaim.experiments.results import write_results
 from geoaim.files import replacing
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import shipped
-from geoaim.prediction.metrics import summary
 from geoaim.progress import Progress
 
 
@@ -23,9 +22,8 @@ def run(folder: Path, report: Progress) -> list[Path]:
         with replacing(shipped(config.kind)) as temporary:
             shutil.copyfile(folder / "models" / f"{config.kind}_aim" / "model.pt", temporary)
         written.append(shipped(config.kind))
-        tables[f"{name}, ITRA"] = summary(judge(model, places, config, "aim"))
+        tables[f"{name}, ITRA"] = judge(model, places, config, "aim")
         for who in BASELINES:
-            found = judge(who, places, config, "none")
-            tables[f"{name}, {who}"] = summary(found)
+            tables[f"{name}, {who}"] = judge(who, places, config, "none")
     about = {"places to learn from": TRAIN, "places to be judged on": TEST}
     return [*written, *write_results("shipped", tables, about)]

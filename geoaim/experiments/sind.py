@@ -14,11 +14,11 @@ import cv2
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM, whole_aim
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import needed
 from geoaim.errors import TracksError
 from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
 from geoaim.experiments.models import trained
-from geoaim.experiments.results import write_results
+from geoaim.experiments.results import Measures, differences, write_results
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import Georeference, georeference
 from geoaim.mapping.hdmap import HDMap, read_hdmap
@@ -26,12 +26,12 @@ from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.lessons import STEPS, make_lessons
-from geoaim.prediction.metrics import Measure, interval, merged, summary
+from geoaim.prediction.lessons import STEPS, make_lessons, split
+from geoaim.prediction.metrics import Measure, merged
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.training import fine_tuning, train
 from geoaim.progress import Progress
-from geoaim.simulation.scene import Scene, make_scene, scene_steps
+from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample
 from geoaim.track_formats import read_any
 
@@ -81,15 +81,20 @@ JUNCTIONS = {
         ),
     ),
 }
+DATA = "tracks/sind"
 MAPS = ("aim", "hdm")
 TUNING = fine_tuning("pedestrian", steps=150, batch=48)
 
 
 def run(folder: Path, report: Progress) -> list[Path]:
     """real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
-    found: dict[str, dict[str, Measure]] = {}
+    found: dict[str, Measures] = {}
+    fits = {name: fit(name) for name in JUNCTIONS}
     for kind in MAPS:
-        scenes = _scenes(kind)
+        scenes = [
+            _scene(name, image if kind == "aim" else draw_hdmap(hdmap))
+            for name, (image, _, hdmap) in fits.items()
+        ]
         model = trained(f"pedestrian_{kind}", folder, report=report)
         lessons = make_lessons(scenes, PEOPLE, held_out=0.5)
         where = folder / "models" / f"pedestrian_sind_{kind}"
@@ -101,10 +106,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
             report(f"judge {kind}", number, len(models))
             found[name] = _judge(who, scenes)
     gains = {
-        f"aim less hdm, {how}": {
-            measure: interval(found[f"aim, {how}"][measure], found[f"hdm, {how}"][measure])
-            for measure in found[f"aim, {how}"]
-        }
+        f"aim less hdm, {how}": differences(found[f"aim, {how}"], found[f"hdm, {how}"])
         for how in ("zero-shot", "fine-tuned")
     }
     about = {
@@ -112,10 +114,10 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "judged on": "second halves, all people of every 12 s jointly; vehicles have no tracks",
         "pieces": len(found["constant velocity"]["minADE"].sums),
         "people in them": int(found["constant velocity"]["minADE"].counts.sum()),
-        "georeference": {name: _said(fit(name)[1]) for name in JUNCTIONS},
+        "georeference": {name: _said(place) for name, (_, place, _) in fits.items()},
         **gains,
     }
-    return write_results("sind", {name: summary(t) for name, t in found.items()}, about)
+    return write_results("sind", found, about)
 
 
 def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
@@ -124,7 +126,7 @@ def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
     Raises:
         TracksError: the data are not here.
     """
-    given, junction = _data() / name, JUNCTIONS[name]
+    given, junction = needed(DATA) / name, JUNCTIONS[name]
     hdmap = read_hdmap(given / junction.hdmap)
     image = _read_image(given / "frame_4k.jpg")
     rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.places]
@@ -134,21 +136,16 @@ def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
     return whole_aim(image, found.world_from_image, hdmap.world, "SinD"), found, hdmap
 
 
-def _scenes(kind: str) -> list[Scene]:
-    """Both recordings on maps of a kind."""
-    scenes = []
-    for name, junction in JUNCTIONS.items():
-        image, _, hdmap = fit(name)
-        tracks = read_any(_data() / name / junction.tracks, world=hdmap.world)
-        tracks = resample(tracks, 1 / PEOPLE.seconds)
-        scenes.append(make_scene(image if kind == "aim" else draw_hdmap(hdmap), tracks))
-    return scenes
+def _scene(name: str, aim: AIM) -> Scene:
+    """A junction's recording on one of its maps."""
+    tracks = read_any(needed(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
+    return make_scene(aim, resample(tracks, 1 / PEOPLE.seconds))
 
 
 def _judge(model: ITRA | str, scenes: list[Scene]) -> dict[str, Measure]:
     parts = []
     for scene in scenes:
-        half = scene_steps(scene, slice(round(len(scene.times) / 2), None))
+        _, half = split(scene, 0.5)
         asked = Asked(OBSERVED, SAMPLES)
         parts += judged(model, half, PEOPLE, asked, stride=STEPS[PEOPLE.kind])
     return merged(parts)
@@ -164,10 +161,3 @@ def _read_image(path: Path) -> Array:
     if image is None:
         raise TracksError(f"{path} is no image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-
-
-def _data() -> Path:
-    folder = data_folder()
-    if folder is None or not (folder / "tracks/sind").is_dir():
-        raise TracksError("SinD's tracks are not here; name the data's folder by GEOAIM_DATA")
-    return folder / "tracks/sind"

@@ -4,17 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from geoaim.bench.data import data_folder
-from geoaim.errors import TracksError
+from geoaim.bench.data import needed
 from geoaim.experiments.learning import SAMPLES, VEHICLES
 from geoaim.experiments.models import trained
-from geoaim.experiments.results import write_results
+from geoaim.experiments.results import differences, write_results
 from geoaim.mapping.tiles import read_imagery
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked, evaluate
-from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import interval, summary
+from geoaim.prediction.lessons import STEPS, Lessons
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments, pick, shifted
 from geoaim.prediction.training import fine_tuning, train
@@ -24,7 +22,6 @@ from geoaim.track_changes import resample
 from geoaim.track_formats import read_geotrax
 
 MARGIN = 30.0  # m of the map around the tracks
-STEPS = 40  # of a segment; the recording has 50
 TUNING = fine_tuning("vehicle", steps=100, batch=32)
 
 
@@ -33,7 +30,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     scene = _scene()
     model = trained("vehicle_aim", folder, report=report)
     ground, offsets = make_atlas([scene.ground], VEHICLES.view)
-    every = cut_segments(scene, "vehicle", steps=STEPS, stride=len(scene.times))
+    every = cut_segments(scene, "vehicle", steps=STEPS["vehicle"], stride=len(scene.times))
     every = shifted(every, offsets[0])
     # five seconds leave no later time to hold out: every other vehicle is learnt from
     learnt, others = pick(every, slice(0, None, 2)), pick(every, slice(1, None, 2))
@@ -46,19 +43,13 @@ def run(folder: Path, report: Progress) -> list[Path]:
     found = {}
     for name, who in models.items():
         found[name] = evaluate(who, others, ground, asked, report=report)
-    tuning = {
-        name: interval(found["fine-tuned"][name], found["zero-shot"][name])
-        for name in found["zero-shot"]
-    }
+    tuning = differences(found["fine-tuned"], found["zero-shot"])
     about = {"vehicles": len(others), "fine-tuned less zero-shot": tuning}
-    return write_results("songdo", {name: summary(t) for name, t in found.items()}, about)
+    return write_results("songdo", found, about)
 
 
 def _scene() -> Scene:
-    data = data_folder()
-    if data is None or not (data / "tracks/songdo_u").is_dir():
-        raise TracksError("Songdo's tracks are not here; name the data's folder by GEOAIM_DATA")
-    given = data / "tracks/songdo_u"
+    given = needed("tracks/songdo_u")
     tracks = read_geotrax(given / "U_video_cut.csv", crs="EPSG:5186")
     tracks = resample(tracks, 1 / VEHICLES.seconds)
     places = tracks.states[tracks.present][:, :2]

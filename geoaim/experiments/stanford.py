@@ -7,16 +7,14 @@ from pathlib import Path
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.bench.data import data_folder
-from geoaim.errors import TracksError
+from geoaim.bench.data import needed
 from geoaim.experiments.models import kept_or_trained
 from geoaim.experiments.places import blurred_and_noisy
-from geoaim.experiments.results import write_results
+from geoaim.experiments.results import differences, write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import interval, summary
 from geoaim.prediction.segments import joined
 from geoaim.prediction.training import Training
 from geoaim.prediction.windows import (
@@ -30,6 +28,7 @@ from geoaim.prediction.windows import (
 )
 from geoaim.progress import Progress
 
+DATA = "tracks/sdd_trajnet"
 VALIDATION = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
 SAMPLES = 20
 BLUR = 0.3  # m
@@ -66,7 +65,7 @@ PUBLISHED = {
 
 def run(folder: Path, report: Progress) -> list[Path]:
     """real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20."""
-    given = _data()
+    given = needed(DATA)
     names = [path.stem for path in sorted((given / "windows").glob("*.csv"))]
     rest = [name for name in names if name not in VALIDATION]
     found = {}
@@ -79,24 +78,20 @@ def run(folder: Path, report: Progress) -> list[Path]:
             found["map, blurred and noisy"] = evaluate_windows(model, worse, SAMPLES, report=report)
     for name in BASELINES[:2]:  # headings that are not known do not turn
         found[name] = evaluate_windows(name, valid, SAMPLES, report=report)
-    gain = {
-        measure: interval(found["map"][measure], found["no map"][measure])
-        for measure in found["map"]
-    }
     _trained("all scenes", MODELS[BEST], names, folder, report)
-    tables = {name: summary(measures) for name, measures in found.items()}
     about = {
         "windows": len(valid.segments),
         "scenes": VALIDATION,
         "samples": SAMPLES,
         "published on the standard test part, not on these scenes": PUBLISHED,
+        "map less no map": differences(found["map"], found["no map"]),
     }
-    return write_results("stanford", tables, {**about, "map less no map": gain})
+    return write_results("stanford", found, about)
 
 
 def _trained(name: str, config: Config, scenes: list[str], folder: Path, report: Progress) -> ITRA:
     def lessons() -> Lessons:
-        windows = _windows(_data(), config, scenes)
+        windows = _windows(needed(DATA), config, scenes)
         both = joined([windows.segments, backwards(windows.segments)])
         # the log follows windows that are learnt; those of other scenes are judged afterwards
         return Lessons(both, windows.segments, windows.ground)
@@ -117,10 +112,3 @@ def _windows(
 def _degraded(image: Float32[Array, "H W 3"], metres_per_pixel: float) -> Float32[Array, "H W 3"]:
     """As the paper degrades images."""
     return blurred_and_noisy(image, BLUR / metres_per_pixel)
-
-
-def _data() -> Path:
-    folder = data_folder()
-    if folder is None or not (folder / "tracks/sdd_trajnet").is_dir():
-        raise TracksError("the Stanford windows are not here; name their folder by GEOAIM_DATA")
-    return folder / "tracks/sdd_trajnet"

@@ -1,6 +1,5 @@
 """The paper's tables on made places: HD map against AIM, lights, degraded and other imagery."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,11 +7,10 @@ from geoaim.experiments.figures import write_futures_on_maps
 from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
 from geoaim.experiments.models import RECIPES, trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
-from geoaim.experiments.results import write_results
+from geoaim.experiments.results import Measures, differences, write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import Config
 from geoaim.prediction.lessons import HELD_OUT
-from geoaim.prediction.metrics import Measure, interval, summary
 from geoaim.progress import Progress
 
 # of the paper's tables: minADE_6 (m), minFDE_6, then MFD or off-road and collision rates
@@ -46,7 +44,6 @@ PAIRS = (
     ("vehicles, imagery of another day", "vehicles, AIM"),
 )
 SHOWN = ("pedestrian_aim", "pedestrian_hdm", "vehicle_aim", "vehicle_hdm")
-Table = dict[str, dict[str, Measure]]
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "learnt": make_places(folder / "places", TRAIN, report=report),
     }
     models = {name: trained(name, folder, report=report) for name in RECIPES}
-    tables: Table = {}
+    tables: dict[str, Measures] = {}
     for number, (name, case) in enumerate(CASES.items()):
         report("judge", number, len(CASES))
         tables[name] = judge(
@@ -109,21 +106,12 @@ def run(folder: Path, report: Progress) -> list[Path]:
     about = {
         "places to learn from": TRAIN,
         "places to be judged on": TEST,
-        "differences": differences(tables),
+        "differences": {
+            f"{one}, less {two}": differences(tables[one], tables[two]) for one, two in PAIRS
+        },
         "paper": PAPER,
     }
-    written = write_results("synthetic", {name: summary(t) for name, t in tables.items()}, about)
+    written = write_results("synthetic", tables, about)
     shown = {name: models[name] for name in SHOWN}
     write_futures_on_maps(shown, new[0], written[0].with_suffix(".png"))
     return [*written, written[0].with_suffix(".png")]
-
-
-def differences(tables: Table) -> dict[str, Mapping[str, tuple[float, float]]]:
-    """Each pair's first less its second, as an interval of 95 % over the same segments."""
-    found: dict[str, Mapping[str, tuple[float, float]]] = {}
-    for one, two in PAIRS:
-        names = [name for name in tables[one] if name in tables[two]]
-        found[f"{one}, less {two}"] = {
-            name: interval(tables[one][name], tables[two][name]) for name in names
-        }
-    return found

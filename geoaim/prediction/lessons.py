@@ -51,11 +51,10 @@ def make_lessons(
     whys: dict[str, list[str]] = {name: [] for name in parts}
     for number, scene in enumerate(scenes):
         progress("segments", number, len(scenes))
-        edge = round(len(scene.times) * (1 - held_out))
-        for name, some in zip(parts, (slice(0, edge), slice(edge, None)), strict=True):
+        for name, some in zip(parts, split(scene, held_out), strict=True):
             try:
                 found = cut_segments(
-                    scene_steps(scene, some),
+                    some,
                     config.kind,
                     steps=STEPS[config.kind],
                     stride=STRIDES[config.kind],
@@ -75,3 +74,9 @@ def make_lessons(
             warnings.warn(why, GeoaimWarning, stacklevel=2)
     learnt, checked = (joined(part) for part in parts.values())
     return Lessons(learnt, checked, ground)
+
+
+def split(scene: Scene, end: float) -> tuple[Scene, Scene]:
+    """A scene without so much of its end, and that end: a share of its steps."""
+    edge = round(len(scene.times) * (1 - end))
+    return scene_steps(scene, slice(0, edge)), scene_steps(scene, slice(edge, None))

@@ -59,9 +59,9 @@ def film_futures(
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """The futures as they go on, all of them in one picture a step."""
     view, camera = _camera(scene, futures, start)
-    ground = fit_ground(scene.ground, view.resolution)
+    ground, moved = fit_ground(scene.ground, view.resolution), _moved(futures)
     for number in range(futures.shape[2]):
-        ways = _moved(futures)[:, :, : number + 1].flatten(0, 1)[None]
+        ways = moved[:, :, : number + 1].flatten(0, 1)[None]
         layers = [] if number == 0 else [_paths(ways, FUTURE, LINE / 2)]
         layers += [_agents(scene, future[:, number, :3]) for future in futures]
         yield _picture(view, camera, ground, layers)

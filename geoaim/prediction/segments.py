@@ -12,7 +12,7 @@ from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
 from geoaim.simulation.kinematics import bicycle_step
 from geoaim.simulation.layers import KINDS
-from geoaim.simulation.scene import Scene, states_of, step_seconds
+from geoaim.simulation.scene import Scene, scene_steps, states_of, step_seconds
 
 VEHICLE, PERSON = 0, 1  # planes of the views that agents are painted in
 NEAREST = 24  # agents that one segment keeps beside its ego
@@ -115,13 +115,9 @@ def cut_segments(
         )
     parts = []
     for number in whole.any(dim=0).nonzero()[:, 0].tolist():
-        some = slice(number * stride, number * stride + steps)
-        if joint:
-            who, controlled = _everyone(scene.present[:, some], whole[:, number])
-        else:
-            places = scene.poses[:, some, :2]
-            who, controlled = _nearest(places, scene.present[:, some], whole[:, number])
-        parts.append(_cut(scene, who, controlled, some))
+        piece = scene_steps(scene, slice(number * stride, number * stride + steps))
+        who, controlled = (_everyone if joint else _nearest)(piece, whole[:, number])
+        parts.append(_cut(piece, who, controlled, round(seconds, 6)))
     return joined(parts)
 
 
@@ -146,10 +142,11 @@ def cut_ahead(
         raise TracksError(f"no {kind} is there at {float(scene.times[start]):g} s")
     longer = _extended(scene, start + 1 + steps - len(scene.times), seconds)
     everybody = torch.arange(len(scene.ids), device=controlled.device)[None]
-    segment = _cut(longer, everybody, controlled[None], slice(first, start + 1 + steps))
+    piece = scene_steps(longer, slice(first, start + 1 + steps))
+    segment = _cut(piece, everybody, controlled[None], seconds)
     present = segment.present.clone()
     present[:, start + 1 - first :, controlled] = True
-    return replace(segment, present=present, seconds=seconds)
+    return replace(segment, present=present)
 
 
 def of_kind(scene: Scene, kind: str) -> Bool[Tensor, "N"]:
@@ -171,45 +168,44 @@ def scaled(segments: Segments, sides: Float[Tensor, "2"]) -> Segments:
 
 
 def _everyone(
-    present: Bool[Tensor, "N T"], whole: Bool[Tensor, "N"]
+    piece: Scene, whole: Bool[Tensor, "N"]
 ) -> tuple[Int[Tensor, "1 A"], Bool[Tensor, "1 A"]]:
     """All who are there at some step, in one segment."""
-    who = present.any(dim=1).nonzero()[:, 0]
+    who = piece.present.any(dim=1).nonzero()[:, 0]
     return who[None], whole[who][None]
 
 
 def _nearest(
-    places: Float[Tensor, "N T 2"], present: Bool[Tensor, "N T"], whole: Bool[Tensor, "N"]
+    piece: Scene, whole: Bool[Tensor, "N"]
 ) -> tuple[Int[Tensor, "S A"], Bool[Tensor, "S A"]]:
     """Each ego with those who come nearest to him, in a segment of his own.
 
     Nearest at any step, for these others replay: who comes later would be seen then all the same.
     """
     egos = whole.nonzero()[:, 0]
+    places = piece.poses[..., :2]
     apart = (places[egos, None] - places).norm(dim=-1)
-    apart = torch.where(present, apart, torch.inf).amin(dim=2)
+    apart = torch.where(piece.present, apart, torch.inf).amin(dim=2)
     apart[torch.arange(len(egos), device=egos.device), egos] = -1.0
     who = apart.argsort(dim=1)[:, : NEAREST + 1]
     return who, who == egos[:, None]
 
 
 def _cut(
-    scene: Scene, who: Int[Tensor, "S A"], controlled: Bool[Tensor, "S A"], some: slice
+    piece: Scene, who: Int[Tensor, "S A"], controlled: Bool[Tensor, "S A"], seconds: float
 ) -> Segments:
-    """Segments of the same steps, each with its own agents."""
-    present = scene.present[:, some]
-    states = torch.cat([scene.poses[:, some], scene.speeds[:, some, None]], dim=-1)
-    states = torch.where(present[..., None], states, 0.0)
+    """Segments of all steps of a piece of a scene, each with its own agents."""
+    states = torch.where(piece.present[..., None], states_of(piece), 0.0)
     count = len(who)
     return Segments(
         states=states[who].transpose(1, 2),
-        present=present[who].transpose(1, 2),
-        sizes=scene.sizes[who],
-        planes=torch.where(of_kind(scene, "vehicle"), VEHICLE, PERSON)[who],
+        present=piece.present[who].transpose(1, 2),
+        sizes=piece.sizes[who],
+        planes=torch.where(of_kind(piece, "vehicle"), VEHICLE, PERSON)[who],
         controlled=controlled,
-        lines=scene.stop_lines.expand(count, -1, -1, -1),
-        lights=scene.light_states[some].long().expand(count, -1, -1),
-        seconds=round(step_seconds(scene), 6),
+        lines=piece.stop_lines.expand(count, -1, -1, -1),
+        lights=piece.light_states.long().expand(count, -1, -1),
+        seconds=seconds,
     )
 
 

@@ -182,10 +182,10 @@ def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor
     edges, noses = rim.nonzero()[:, 0], front.nonzero()[:, 0]
     parts = [(ring, edges), (tip, noses)]
     polygons = [(middle[:, None] + p)[owner[which]] - place[which, None] for p, which in parts]
-    share = pixel_coverage(torch.cat(polygons)).split([len(edges), len(noses)])
-    alpha = place.new_ones(len(owner)).index_copy(0, edges, share[0])
+    shares = pixel_coverage(torch.cat(polygons))
+    alpha = place.new_ones(len(owner)).index_copy(0, edges, shares[: len(edges)])
     change = (boxes.noses - boxes.colours).t()[:, owner[noses]]
-    light = (alpha * boxes.colours.t()[:, owner]).index_add(1, noses, share[1] * change)
+    light = (alpha * boxes.colours.t()[:, owner]).index_add(1, noses, shares[len(edges) :] * change)
     return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
 
 
