@@ -1,5 +1,6 @@
 """Made places to learn from and to be judged on: written once, then read as any recording is."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,7 +44,8 @@ TEST: tuple[tuple[int, Kind], ...] = (
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
 MAPS = ("aim", "hdm", "degraded", "another day", "none")
-BLUR, NOISE = 3.0, 0.2  # px of 0.1 m, and of full brightness, as in the paper
+COARSE = 1.0  # m a pixel of degraded maps, as vehicles see them: finer noise would average out
+NOISE = 0.2  # of full brightness, as in the paper
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,15 +122,21 @@ def read_map(folder: Path, name: str) -> AIM:
 
 def degraded(aim: AIM) -> AIM:
     """A blurred and noisy map."""
-    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, BLUR)
+    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, COARSE / RESOLUTION)
     return replace(aim, image=np.rint(image * 255).astype(np.uint8))
 
 
-def blurred_and_noisy(image: Float32[Array, "H W 3"], blur: float) -> Float32[Array, "H W 3"]:
-    """Gaussian blur of so many pixels, then noise, as the paper degrades images; 0 to 1."""
-    soft = cv2.GaussianBlur(image, (0, 0), blur)
-    noise = np.random.default_rng(0).normal(0, NOISE, soft.shape)
-    return np.clip(soft + noise, 0, 1).astype(np.float32)
+def blurred_and_noisy(image: Float32[Array, "H W 3"], coarse: float) -> Float32[Array, "H W 3"]:
+    """Gaussian blur of so many pixels, then noise in squares as wide; 0 to 1.
+
+    The paper degrades images so, without saying at which size of pixels.
+    """
+    soft = cv2.GaussianBlur(image, (0, 0), coarse)
+    height, width = image.shape[:2]
+    sides = math.ceil(height / coarse), math.ceil(width / coarse)
+    noise = np.random.default_rng(0).normal(0, NOISE, (*sides, 3))
+    spread = cv2.resize(noise, (width, height), interpolation=cv2.INTER_NEAREST)
+    return np.clip(soft + spread, 0, 1).astype(np.float32)
 
 
 def scene_of(recorded: Recorded, aim: AIM, *, rate: float, lights: bool = True) -> Scene:

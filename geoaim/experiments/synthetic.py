@@ -38,7 +38,9 @@ PAPER = {
 }
 PAIRS = (
     ("people, AIM", "people, HD map"),
+    ("people, AIM", "people, no map"),
     ("vehicles, AIM", "vehicles, HD map"),
+    ("vehicles, AIM", "vehicles, no map"),
     ("vehicles at lights, AIM", "vehicles at lights, AIM, lights not shown"),
     ("vehicles, blurred and noisy AIM", "vehicles, AIM"),
     ("vehicles, imagery of another day", "vehicles, AIM"),
@@ -66,8 +68,10 @@ class Case:
 CASES = {
     "people, HD map": Case("pedestrian_hdm", "hdm", PEOPLE),
     "people, AIM": Case("pedestrian_aim", "aim", PEOPLE),
+    "people, no map": Case("pedestrian_no_map", "none", PEOPLE),
     "vehicles, HD map": Case("vehicle_hdm", "hdm", VEHICLES),
     "vehicles, AIM": Case("vehicle_aim", "aim", VEHICLES),
+    "vehicles, no map": Case("vehicle_no_map", "none", VEHICLES),
     "vehicles, blurred and noisy AIM": Case("vehicle_aim", "degraded", VEHICLES),
     "vehicles, imagery of another day": Case("vehicle_aim", "another day", VEHICLES),
     "vehicles at lights, AIM": Case("vehicle_aim", "aim", VEHICLES, "lights"),
