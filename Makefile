@@ -24,6 +24,8 @@ demo: install
 	@echo "     demo/view.gif  what a car of the sample has around it, on the map"
 	@echo "     demo/futures.png  what its vehicles may do in the next four seconds"
 
+# there is a worker for each core already
+test: export OMP_NUM_THREADS = 1
 test: lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
 	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -n auto -o addopts= --nbmake $(NOTEBOOKS))

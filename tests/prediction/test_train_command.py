@@ -9,7 +9,8 @@ from geoaim.prediction.checkpoints import read_model, shipped
 run = CliRunner().invoke
 
 
-def test_command_goes_on_from_the_shipped_model_and_draws_how(tmp_path):
+def test_command_goes_on_from_the_shipped_model_and_draws_how(tmp_path, monkeypatch):
+    monkeypatch.setattr("geoaim.prediction.training.CHECKED", 8)
     world = geoaim.read_tracks("samples/tracks.csv").world
     aim = str(tmp_path / "aim.tif")
     geoaim.write_aim(draw_hdmap(read_hdmap("samples/map_full.osm", world), resolution=0.5), aim)
