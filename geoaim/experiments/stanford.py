@@ -20,6 +20,7 @@ from geoaim.prediction.training import Training
 from geoaim.prediction.windows import (
     OBSERVED,
     SECONDS,
+    STEPS,
     Change,
     Windows,
     backwards,
@@ -31,14 +32,21 @@ from geoaim.progress import Progress
 DATA = "tracks/sdd_trajnet"
 VALIDATION = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
 SAMPLES = 20
-BLUR = 0.3  # m
 SEES = Config(
-    "pedestrian", "slide", SECONDS, size=32, resolution=0.75, every=12, modes=20, ahead=12
+    "pedestrian",
+    "slide",
+    SECONDS,
+    size=32,
+    resolution=0.75,
+    every=12,
+    modes=20,
+    known=OBSERVED,
+    ahead=STEPS - OBSERVED,
 )
 MODELS = {
     "map": SEES,
     "no map": replace(SEES, encoder="none"),
-    "no map, no plans": replace(SEES, encoder="none", modes=0, ahead=0),
+    "no map, no plans": replace(SEES, encoder="none", modes=0, known=0, ahead=0),
 }
 TRAINING = Training(
     steps=4000,
@@ -110,5 +118,5 @@ def _windows(
 
 
 def _degraded(image: Float32[Array, "H W 3"], metres_per_pixel: float) -> Float32[Array, "H W 3"]:
-    """As the paper degrades images."""
-    return blurred_and_noisy(image, BLUR / metres_per_pixel)
+    """Blurred and noisy by pixels of the view."""
+    return blurred_and_noisy(image, SEES.resolution / metres_per_pixel)

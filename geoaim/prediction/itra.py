@@ -9,24 +9,23 @@ In training z comes from q_phi(z | b, a, h), where a is the action that was real
 evidence lower bound is optimised through kinematics and renderer. Only the egos are rolled out;
 all others replay.
 
-Beyond the paper, a model may have `modes`: at the last observed step it proposes so many plans (a
-few points of the way ahead), of which one becomes a further input of f_theta. Plans are trained by
-the best of them, so that they spread over what may happen as a best-of-K measure rewards.
+Beyond the paper, a model may have `modes`: at the last observed step it proposes so many plans, of
+which one becomes a further input of f_theta (see `plans`).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from geoaim.prediction.encoders import make_encoder
+from geoaim.prediction.plans import JITTER, REACH, Planner, network, nth_plan, plan_loss
 from geoaim.prediction.segments import Segments, repeated
 from geoaim.prediction.views import CHANNELS, Egos, egos_of, egos_see
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.kinematics import (
-    ahead_of,
     bicycle_action,
     bicycle_step,
     displacement_action,
@@ -41,7 +40,6 @@ SCALES = {"bicycle": (2.0, 0.2), "unicycle": (1.0, 1.0), "slide": (0.5, 0.5)}  #
 LIMIT = 4.0  # scales: true actions beyond are noise of headings at standstill
 HASTE = 0.5  # s: metres that a metre a second is taken for
 FACTS = 3  # speed, length, width
-REACH = 10.0  # m, usual way to a plan's points
 
 
 @dataclass(frozen=True)
@@ -64,6 +62,7 @@ class Config:
         lever: metres that a radian of heading is taken for: half an agent's length.
         modes: plans to propose; 0 as in the paper.
         points: of a plan, evenly spaced in time, the last one at the end.
+        known: steps that are known when plans are made; 0 without plans.
         ahead: steps that plans reach; 0 without plans.
     """
 
@@ -81,6 +80,7 @@ class Config:
     lever: float = 2.0
     modes: int = 0
     points: int = 3
+    known: int = 0
     ahead: int = 0
 
     @property
@@ -96,7 +96,7 @@ class Losses:
     Attributes:
         fit: negative log likelihood of the true states, without its constant.
         divergence: of the latents from the prior, nats.
-        plan: metres from the best plan; 0 without plans.
+        plan: metres that the plans which learn are off, and a little for their logits; 0 without.
     """
 
     fit: Float[Tensor, ""]
@@ -110,6 +110,7 @@ class _Moment:
 
     number: int
     pose: Float[Tensor, "E 4"]
+    seen: Float[Tensor, "E F"]
     context: Float[Tensor, "E C"]
 
 
@@ -136,14 +137,25 @@ class ITRA(nn.Module):
         if config.encoder != "none":
             self.encoder = make_encoder(config.encoder, CHANNELS, config.size, config.features)
         self.remember = nn.GRUCell(config.features + 2 + FACTS, config.memory)
-        self.act = _network(context + config.latent + plan, config.memory, 2)
-        self.infer = _network(context + 2, config.memory, 2 * config.latent)
+        self.act = network(context + config.latent + plan, config.memory, 2)
+        self.infer = network(context + 2, config.memory, 2 * config.latent)
         if config.modes:
-            self.propose = _network(context, 2 * config.memory, config.modes * 2 * config.points)
-            self.weigh = _network(context, config.memory, config.modes)
+            self.plan = Planner(
+                config.known,
+                config.ahead,
+                config.modes,
+                config.points,
+                config.features,
+                config.memory,
+            )
 
     def forward(
-        self, segments: Segments, ground: Ground, observed: int, generator: torch.Generator
+        self,
+        segments: Segments,
+        ground: Ground,
+        observed: int,
+        generator: torch.Generator,
+        winners: int = 1,
     ) -> Losses:
         """The parts of the negative evidence lower bound, of all who are controlled.
 
@@ -151,7 +163,8 @@ class ITRA(nn.Module):
             segments: what happened.
             ground: the map.
             observed: first steps that are given.
-            generator: of the noise of the latents.
+            generator: of all noise.
+            winners: plans that learn from each ego, its best ones.
         """
         egos = self._egos(segments, observed)
         truth = segments.states[egos.segment, :, egos.agent]
@@ -165,15 +178,20 @@ class ITRA(nn.Module):
             log_scale = log_scale.clamp(-5, 3)
             scale = log_scale.exp()
             divergences.append((0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1))
-            z = mean + scale * torch.randn(mean.shape, generator=generator, device=mean.device)
-            if now.number == observed - 1 and self.config.modes:
-                plans.append(self._plan_loss(now, truth, segments.seconds))
-            return z
+            return mean + scale * torch.randn(mean.shape, generator=generator, device=mean.device)
 
-        steps = self._plan_steps(observed, truth.shape[1])
-        way = truth[:, steps, :2] if self.config.modes else None
+        def plan(now: _Moment) -> Tensor | None:
+            if not self.config.modes:
+                return None
+            past = truth[:, :observed, :2]
+            past = past + JITTER * torch.randn(past.shape, generator=generator, device=past.device)
+            found, logits = self.plan(now.pose, past, now.seen)
+            way = truth[:, [observed - 1 + k for k in self.plan.steps], :2]
+            plans.append(plan_loss(found, logits, way, winners))
+            return way
+
         mind = self._watch(segments, ground, egos, done, observed)
-        states = self._roll(segments, ground, egos, mind, observed, choose, lambda now: way)
+        states = self._roll(segments, ground, egos, mind, observed, choose, plan)
         found = states[egos.segment, observed:, egos.agent]
         error = _difference(found, truth[:, observed:]) * levers
         fit = 0.5 * error.square().sum(dim=2).mean()
@@ -218,9 +236,9 @@ class ITRA(nn.Module):
         def plan(now: _Moment) -> Tensor | None:
             if not self.config.modes:
                 return None
-            plans = self._plans(now, truth.shape[1], segments.seconds)
-            number = self._modes(now.context, all_egos.segment % samples)
-            return plans[torch.arange(len(number), device=number.device), number]
+            past = truth[which, :observed, :2]
+            plans, logits = self.plan(now.pose, past, now.seen)
+            return nth_plan(plans, logits, all_egos.segment % samples)
 
         found = self._roll(many, ground, all_egos, mind, observed, choose, plan)
         return found.view(len(segments), samples, *found.shape[1:])
@@ -265,7 +283,7 @@ class ITRA(nn.Module):
             pose = states[egos.segment, egos.agent]
             facts = _facts(pose, sizes)
             seen = self._look(segments, ground, egos, states, number, observed, seen)
-            now = _Moment(number, pose, torch.cat([seen, memory, facts], dim=1))
+            now = _Moment(number, pose, seen, torch.cat([seen, memory, facts], dim=1))
             if number == observed - 1:
                 way = plan(now)
             parts = [now.context, choose(now)]
@@ -288,13 +306,19 @@ class ITRA(nn.Module):
             )
         if not 1 <= observed < total:
             raise ValueError(f"{observed} of {total} steps are observed; 1 to {total - 1} can be")
-        if self.config.modes and total - observed != self.config.ahead:
+        plans = (self.config.known, self.config.ahead)
+        if self.config.modes and (observed, total - observed) != plans:
             raise ValueError(
-                f"{total - observed} steps ahead; the model plans {self.config.ahead} of them"
+                f"{observed} of {total} steps known; the model plans {plans[1]} after {plans[0]}"
             )
         if not segments.controlled.any():
             raise ValueError("nobody in these segments is controlled")
-        return egos_of(segments)
+        egos = egos_of(segments)
+        if self.config.modes and not segments.present[egos.segment, :observed, egos.agent].all():
+            raise ValueError(
+                f"plans need everybody who is moved to be there in all {observed} steps"
+            )
+        return egos
 
     def _look(
         self,
@@ -339,47 +363,6 @@ class ITRA(nn.Module):
         if self.config.motion == "unicycle":
             return unicycle_step(pose, action, seconds)
         return slide_step(pose, action, seconds)
-
-    def _plan_steps(self, observed: int, total: int) -> list[int]:
-        ahead = total - observed
-        return [
-            observed - 1 + round(ahead * (k + 1) / self.config.points)
-            for k in range(self.config.points)
-        ]
-
-    def _plans(self, now: _Moment, total: int, seconds: float) -> Float[Tensor, "E M P 2"]:
-        """Proposed points of the way ahead, in the world: constant velocity, and what is off it."""
-        shape = (-1, self.config.modes, self.config.points, 2)
-        points = REACH * self.propose(now.context).view(shape)
-        steps = self._plan_steps(now.number + 1, total)
-        ahead = now.pose[:, 3:] * seconds * points.new_tensor([k - now.number for k in steps])
-        straight = torch.stack([ahead, torch.zeros_like(ahead)], dim=-1)
-        return ahead_of(now.pose[:, None, None], points + straight[:, None])
-
-    def _plan_loss(self, now: _Moment, truth: Tensor, seconds: float) -> Float[Tensor, ""]:
-        """How far off the best plan is, all of it and its end; a little of all; its weight."""
-        steps = self._plan_steps(now.number + 1, truth.shape[1])
-        plans = self._plans(now, truth.shape[1], seconds)
-        off = (plans - truth[:, None, steps, :2]).norm(dim=-1)
-        whole, best = off.mean(dim=2).min(dim=1)
-        chance = nn.functional.cross_entropy(self.weigh(now.context), best)
-        end = off[..., -1].min(dim=1).values
-        return whole.mean() + end.mean() / 2 + off.mean() / 50 + chance / 10
-
-    def _modes(self, context: Float[Tensor, "E C"], rank: Int[Tensor, "E"]) -> Int[Tensor, "E"]:
-        """Which plan each sample follows: each of the likeliest ones once, then again."""
-        order = self.weigh(context).argsort(dim=1, descending=True)
-        return order.gather(1, (rank % self.config.modes)[:, None])[:, 0]
-
-
-def _network(inputs: int, width: int, outputs: int) -> nn.Sequential:
-    return nn.Sequential(
-        nn.Linear(inputs, width),
-        nn.ReLU(),
-        nn.Linear(width, width),
-        nn.ReLU(),
-        nn.Linear(width, outputs),
-    )
 
 
 def _facts(pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]) -> Float[Tensor, "E 3"]:

@@ -37,7 +37,8 @@ def predict(
 
     Raises:
         TracksError: nobody of the kind is there at that step.
-        ValueError: the scene's steps are not the model's, or there is no such step.
+        ValueError: the scene's steps are not the model's, there is no such step, or a model with
+            plans needs more known ones.
     """
     total = len(scene.times)
     start = total - 1 if start is None else start
@@ -48,8 +49,8 @@ def predict(
             f"the scene's steps are {step_seconds(scene):g} s and the model's "
             f"{model.config.seconds:g} s; resample the tracks"
         )
-    first = max(0, start + 1 - OBSERVED)
     config = model.config
+    first = max(0, start + 1 - (config.known or OBSERVED))
     segment = cut_ahead(scene, config.kind, config.seconds, first=first, start=start, steps=steps)
     observed = start + 1 - first
     ground = fit_ground(scene.ground, model.config.resolution)

@@ -30,8 +30,9 @@ from geoaim.simulation.ground import Ground, on_device
 
 CHECKED = 256  # segments at most that are predicted for the log
 SAMPLES = 6
-PLAN = 12.0  # weight of metres from the best plan; the fit is in sigmas, squared
+PLAN = 12.0  # weight of metres from the best plans; the fit is in sigmas, squared
 CLIP = 1.0  # of the gradient's norm
+NARROWING = 0.8  # share of the steps over which fewer and fewer plans learn from each segment
 LOG = ("step", "fit", "divergence", "plan", "minADE", "segments a second")
 
 
@@ -132,7 +133,8 @@ def train(
             before = _check(model, lessons.valid, ground, training)
             log.append((0, math.nan, math.nan, math.nan, before, math.nan))
         for step in range(int(log[-1][0]) if log else 0, training.steps):
-            losses = _losses(network, training, lessons.train, ground, step, (rank, count))
+            winners = _winners(training, step, config.modes) if start is None else 1
+            losses = _losses(network, training, lessons.train, ground, step, winners, (rank, count))
             loss = losses.fit + losses.plan * PLAN + _weight(training, step) * losses.divergence
             if not torch.isfinite(loss):
                 raise ModelError(
@@ -166,6 +168,7 @@ def _resume(path: Path, kept: dict[str, Any], about: dict[str, Any]) -> list[tup
         return []
     state = read_state(path)
     found: dict[str, Any] = {name: state.get(name, {}) for name in about}
+    found["config"] = asdict(Config(**found["config"])) if found["config"] else {}
     if found != about:
         odd = [
             f"{key} {found[name].get(key)} instead of {value}"
@@ -200,6 +203,7 @@ def _losses(
     segments: Segments,
     ground: Ground,
     step: int,
+    winners: int,
     share: tuple[int, int],
 ) -> Losses:
     """Of one step's batch, or this process's share of it; the same at each run."""
@@ -220,7 +224,7 @@ def _losses(
     some = scaled(segments_on(pick(segments, batch), ground.image.device), sides)
     noise = torch.Generator(ground.image.device)
     noise.manual_seed(_seed(training.seed, 2 * step + 1) + rank)
-    return network(some, ground_scaled(ground, sides), observed, noise)
+    return network(some, ground_scaled(ground, sides), observed, noise, winners)
 
 
 def _numbers(total: int, training: Training, step: int) -> Int[Tensor, "B"]:
@@ -243,6 +247,12 @@ def _seed(seed: int, number: int) -> int:
 def _weight(training: Training, step: int) -> float:
     rising = training.warm_up * training.steps
     return training.divergence * min(1.0, (step + 1) / max(rising, 1.0))
+
+
+def _winners(training: Training, step: int, modes: int) -> int:
+    """From all plans to one; see `plan_loss`."""
+    left = 1 - step / (NARROWING * training.steps)
+    return max(1, round(modes ** max(0.0, left)))
 
 
 def _check(model: ITRA, valid: Segments, ground: Ground, training: Training) -> float:

@@ -12,7 +12,7 @@ from tests.prediction.made import TINY, drive, hill
 KINDS = {
     "bicycle": TINY,
     "unicycle": replace(TINY, motion="unicycle"),
-    "slide with plans": replace(TINY, motion="slide", modes=3, ahead=5),
+    "slide with plans": replace(TINY, motion="slide", modes=3, known=2, ahead=5),
     "sees nothing": replace(TINY, encoder="none"),
 }
 
@@ -32,7 +32,9 @@ def test_gradient_of_the_bound_goes_through_a_whole_rollout(kind):
     ground = hill(torch.float64)
     weights = dict(itra.named_parameters())
     # what acts first moves all later states, views and memories: a few weights show it all
-    names = [name for name in ("act.4.bias", "infer.4.bias", "propose.4.bias") if name in weights]
+    names = [
+        name for name in ("act.4.bias", "infer.4.bias", "plan.propose.4.bias") if name in weights
+    ]
 
     def bound(*some):
         changed = weights | dict(zip(names, some, strict=True))
@@ -69,7 +71,9 @@ def test_model_learns_one_segment_by_heart():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_samples_keep_what_is_known_and_do_not_look_ahead(kind):
-    itra, segments = model(KINDS[kind]).eval(), drive(10)
+    config = KINDS[kind]
+    config = replace(config, known=5) if config.modes else config
+    itra, segments = model(config).eval(), drive(10)
     found = itra.sample(segments, hill(), observed=5, samples=5, generator=noise())
     assert found.shape == (3, 5, 10, 2, 4)
     truth = segments.states[:, None].expand_as(found)
@@ -125,8 +129,16 @@ def test_what_does_not_fit_the_model_is_refused():
     segments = drive(6)
     with pytest.raises(ValueError, match=r"steps of 0.1 s; the model was made for 0.4 s"):
         model(replace(TINY, seconds=0.4))(segments, hill(), 2, noise())
-    with pytest.raises(ValueError, match="4 steps ahead; the model plans 5"):
+    with pytest.raises(ValueError, match="2 of 6 steps known; the model plans 5 after 2"):
         model(KINDS["slide with plans"])(segments, hill(), 2, noise())
+    absent = segments.present.clone()
+    absent[:, 0] = False
+    with pytest.raises(ValueError, match="to be there in all 2 steps"):
+        model(replace(KINDS["slide with plans"], ahead=4))(
+            replace(segments, present=absent), hill(), 2, noise()
+        )
+    with pytest.raises(ValueError, match="plans from 1 known steps"):
+        model(replace(KINDS["slide with plans"], known=1))
     with pytest.raises(ValueError, match="6 of 6 steps are observed"):
         model()(segments, hill(), 6, noise())
     nobody = replace(segments, controlled=torch.zeros_like(segments.controlled))

@@ -10,7 +10,8 @@ from geoaim.errors import ModelError
 from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.itra import Losses
 from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.training import LOG, Training, _losses, train
+from geoaim.prediction.plans import plan_loss
+from geoaim.prediction.training import LOG, Training, _losses, _winners, train
 from tests.prediction.made import TINY, drive, hill
 
 TRAINING = Training(steps=6, batch=4, observed=(2, 4), mirror=True, resize=0.1, colour=0.1, save=2)
@@ -76,7 +77,7 @@ def test_training_goes_on_from_a_model(tmp_path):
 
 
 def test_loss_falls(tmp_path):
-    longer = replace(TRAINING, steps=60, save=30, mirror=False, colour=0.0, rate=1e-2)
+    longer = replace(TRAINING, steps=30, save=15, mirror=False, colour=0.0, rate=1e-2)
     train(TINY, longer, lessons(), tmp_path)
     rows = [line.split(",") for line in (tmp_path / "log.csv").read_text().splitlines()[1:]]
     assert float(rows[-1][1]) < float(rows[0][1]) / 2
@@ -123,7 +124,32 @@ def test_half_of_the_batches_are_mirrored_where_asked(mirror, monkeypatch):
             return nothing
 
     for step in range(60):
-        _losses(Still(), plain, drive(10, 6), hill(), step, (0, 1))
+        _losses(Still(), plain, drive(10, 6), hill(), step, 1, (0, 1))
     mirrored = sum(float(sides[1]) < 0 for sides in seen)
     assert 15 < mirrored < 45 if mirror else mirrored == 0
     assert all(float(sides.abs().max()) == 1 for sides in seen)
+
+
+def test_fewer_and_fewer_plans_learn_from_each_segment():
+    many = [_winners(replace(TRAINING, steps=100), step, 20) for step in range(100)]
+    assert many[0] == 20
+    assert many == sorted(many, reverse=True)
+    assert many.index(1) == 70  # 20 ** (1 - 70 / 80) is less than 1.5
+    assert _winners(TRAINING, 0, 0) == 1  # of a model without plans
+
+
+def test_plans_are_taught_by_fewer_and_fewer(tmp_path, monkeypatch):
+    seen = []
+
+    def loss(plans, logits, way, winners):
+        seen.append(winners)
+        return plan_loss(plans, logits, way, winners)
+
+    monkeypatch.setattr("geoaim.prediction.itra.plan_loss", loss)
+    plans = replace(TINY, motion="slide", modes=3, known=4, ahead=6)
+    training = replace(TRAINING, observed=(4, 4))
+    first = train(plans, training, lessons(), tmp_path / "a")
+    assert seen[0] == 3 and seen[-1] == 1  # noqa: PT018
+    seen.clear()
+    train(plans, training, lessons(), tmp_path / "b", start=first)
+    assert set(seen) == {1}  # what is spread already stays so

@@ -16,7 +16,7 @@ from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.windows import SECONDS, STEPS, backwards, read_windows, walkers
 
 CONFIG = Config(
-    "pedestrian", "slide", SECONDS, size=16, resolution=1.0, every=12, modes=4, ahead=12
+    "pedestrian", "slide", SECONDS, size=16, resolution=1.0, every=12, modes=4, known=8, ahead=12
 )
 
 
