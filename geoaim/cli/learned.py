@@ -176,7 +176,10 @@ def evaluate(
     weights: Weights = None,
     samples: Samples = 6,
     last: Annotated[
-        float, typer.Option(help="share of the tracks' end to judge: what train held out", max=1.0)
+        float,
+        typer.Option(
+            help="share of the tracks' end to judge: what train held out", min=0.01, max=1.0
+        ),
     ] = 1.0,
     seed: Seed = 0,
     lights: LightsFile = None,
