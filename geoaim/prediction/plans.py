@@ -27,6 +27,9 @@ class Planner(nn.Module):
         points: of a plan, evenly spaced in time, the last one at the end.
         features: width of what a view is encoded to.
         width: of the networks' layers.
+
+    Raises:
+        ValueError: fewer than two steps are known.
     """
 
     def __init__(
