@@ -1,6 +1,5 @@
 """Made places to learn from and to be judged on: written once, then read as any recording is."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, read_aim, whole_aim, write_aim
+from geoaim.aim import AIM, pixel_size, read_aim, whole_aim, write_aim
 from geoaim.lights import Lights, read_lights
 from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.hdmap import HDMap, read_hdmap
@@ -122,7 +121,7 @@ def read_map(folder: Path, name: str) -> AIM:
 
 def degraded(aim: AIM) -> AIM:
     """A blurred and noisy map."""
-    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, COARSE / RESOLUTION)
+    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, COARSE / pixel_size(aim))
     return replace(aim, image=np.rint(image * 255).astype(np.uint8))
 
 
@@ -133,7 +132,7 @@ def blurred_and_noisy(image: Float32[Array, "H W 3"], coarse: float) -> Float32[
     """
     soft = cv2.GaussianBlur(image, (0, 0), coarse)
     height, width = image.shape[:2]
-    sides = math.ceil(height / coarse), math.ceil(width / coarse)
+    sides = round(height / coarse), round(width / coarse)
     noise = np.random.default_rng(0).normal(0, NOISE, (*sides, 3))
     spread = cv2.resize(noise, (width, height), interpolation=cv2.INTER_NEAREST)
     return np.clip(soft + spread, 0, 1).astype(np.float32)

@@ -7,6 +7,7 @@ well: ends of stop lines, corners of crossings.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from geoaim.aim import AIM, whole_aim
 from geoaim.bench.data import needed
 from geoaim.errors import TracksError
 from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
-from geoaim.experiments.models import trained
+from geoaim.experiments.models import kept_or_trained, trained
 from geoaim.experiments.results import Measures, differences, write_results
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import Georeference, georeference
@@ -29,7 +30,7 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.lessons import STEPS, make_lessons, split
 from geoaim.prediction.metrics import Measure, merged
 from geoaim.prediction.predict import OBSERVED
-from geoaim.prediction.training import fine_tuning, train
+from geoaim.prediction.training import fine_tuning
 from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample
@@ -96,9 +97,9 @@ def run(folder: Path, report: Progress) -> list[Path]:
             for name, (image, _, hdmap) in fits.items()
         ]
         model = trained(f"pedestrian_{kind}", folder, report=report)
-        lessons = make_lessons(scenes, PEOPLE, held_out=0.5)
+        lessons = partial(make_lessons, scenes, PEOPLE, held_out=0.5)
         where = folder / "models" / f"pedestrian_sind_{kind}"
-        tuned = train(PEOPLE, TUNING, lessons, where, start=model, progress=report)
+        tuned = kept_or_trained(where, PEOPLE, TUNING, lessons, report, start=model)
         models: dict[str, ITRA | str] = {f"{kind}, zero-shot": model, f"{kind}, fine-tuned": tuned}
         if kind == MAPS[-1]:
             models |= {name: name for name in BASELINES}

@@ -6,7 +6,7 @@ import numpy as np
 
 from geoaim.bench.data import needed
 from geoaim.experiments.learning import SAMPLES, VEHICLES
-from geoaim.experiments.models import trained
+from geoaim.experiments.models import kept_or_trained, trained
 from geoaim.experiments.results import differences, write_results
 from geoaim.mapping.tiles import read_imagery
 from geoaim.prediction.atlas import make_atlas
@@ -15,7 +15,7 @@ from geoaim.prediction.evaluation import Asked, evaluate
 from geoaim.prediction.lessons import STEPS, Lessons
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments, pick, shifted
-from geoaim.prediction.training import fine_tuning, train
+from geoaim.prediction.training import fine_tuning
 from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample
@@ -34,10 +34,9 @@ def run(folder: Path, report: Progress) -> list[Path]:
     every = shifted(every, offsets[0])
     # five seconds leave no later time to hold out: every other vehicle is learnt from
     learnt, others = pick(every, slice(0, None, 2)), pick(every, slice(1, None, 2))
+    lessons = Lessons(learnt, others, ground)
     where = folder / "models" / "vehicle_songdo"
-    tuned = train(
-        VEHICLES, TUNING, Lessons(learnt, others, ground), where, start=model, progress=report
-    )
+    tuned = kept_or_trained(where, VEHICLES, TUNING, lambda: lessons, report, start=model)
     asked = Asked(OBSERVED, SAMPLES)
     models = {"zero-shot": model, "fine-tuned": tuned} | {name: name for name in BASELINES}
     found = {}

@@ -15,7 +15,7 @@ def write_curves(log: str | os.PathLike[str], path: str | os.PathLike[str]) -> N
     names = {
         "fit": "fit, sigmas² / 2",
         "divergence": "divergence of latents, nats",
-        "plan": "best plan, m",
+        "plan": "plans that learn, m",
         "minADE": "minADE of what is held out, m",
     }
     shown = [name for name in names if table[name].any()]

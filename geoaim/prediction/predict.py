@@ -40,20 +40,19 @@ def predict(
         ValueError: the scene's steps are not the model's, there is no such step, or a model with
             plans needs more known ones.
     """
-    total = len(scene.times)
+    config, total = model.config, len(scene.times)
     start = total - 1 if start is None else start
     if not 0 <= start < total:
         raise ValueError(f"step {start} is not among the scene's {total}")
-    if total > 1 and abs(step_seconds(scene) - model.config.seconds) > 1e-3:
+    if total > 1 and abs(step_seconds(scene) - config.seconds) > 1e-3:
         raise ValueError(
             f"the scene's steps are {step_seconds(scene):g} s and the model's "
-            f"{model.config.seconds:g} s; resample the tracks"
+            f"{config.seconds:g} s; resample the tracks"
         )
-    config = model.config
     first = max(0, start + 1 - (config.known or OBSERVED))
     segment = cut_ahead(scene, config.kind, config.seconds, first=first, start=start, steps=steps)
     observed = start + 1 - first
-    ground = fit_ground(scene.ground, model.config.resolution)
+    ground = fit_ground(scene.ground, config.resolution)
     found = model.sample(segment, ground, observed=observed, samples=samples, generator=generator)[
         0, :, observed:
     ]

@@ -168,7 +168,6 @@ def _resume(path: Path, kept: dict[str, Any], about: dict[str, Any]) -> list[tup
         return []
     state = read_state(path)
     found: dict[str, Any] = {name: state.get(name, {}) for name in about}
-    found["config"] = asdict(Config(**found["config"])) if found["config"] else {}
     if found != about:
         odd = [
             f"{key} {found[name].get(key)} instead of {value}"

@@ -1,12 +1,15 @@
 from dataclasses import replace
 
+import cv2
 import pytest
 import torch
 
+from geoaim.aim import pixel_size
 from geoaim.experiments import EXPERIMENTS, places
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, lessons_of
 from geoaim.experiments.models import RECIPES
 from geoaim.experiments.places import (
+    COARSE,
     MAPS,
     TEST,
     TRAIN,
@@ -43,10 +46,12 @@ def test_every_map_lies_where_the_place_does(folder, name):
     assert (found.corners.min(axis=0) < middle).all()
     assert (middle < found.corners.max(axis=0)).all()
     if name == "degraded":
-        apart = found.image.astype(float) - aim.image
-        assert 30 < apart.std() < 70  # noise of 51, cut off at both ends, and what the blur took
-        height, width = (side // 10 * 10 for side in apart.shape[:2])
-        squares = apart[:height, :width].reshape(height // 10, 10, width // 10, 10, 3)
+        coarse = round(COARSE / pixel_size(aim))
+        apart = found.image.astype(float) - cv2.GaussianBlur(aim.image, (0, 0), coarse)
+        assert 30 < apart.std() < 60  # noise of 51, cut off at both ends
+        rows, columns = (side // coarse for side in apart.shape[:2])
+        whole = apart[: rows * coarse, : columns * coarse]
+        squares = whole.reshape(rows, coarse, columns, coarse, 3)
         assert squares.mean(axis=(1, 3)).std() > 30  # it does not average out over a metre
     if name == "none":
         assert found.image.std() == 0
