@@ -26,10 +26,14 @@ class Recipe:
 RECIPES = {
     "vehicle_aim": Recipe(VEHICLES, "aim"),
     "vehicle_hdm": Recipe(VEHICLES, "hdm"),
+    "vehicle_roads": Recipe(VEHICLES, "roads"),
+    "vehicle_full": Recipe(VEHICLES, "full"),
     "vehicle_no_map": Recipe(VEHICLES, "none"),
     "vehicle_aim_no_lights": Recipe(VEHICLES, "aim", lights=False),
     "pedestrian_aim": Recipe(PEOPLE, "aim"),
     "pedestrian_hdm": Recipe(PEOPLE, "hdm"),
+    "pedestrian_roads": Recipe(PEOPLE, "roads"),
+    "pedestrian_full": Recipe(PEOPLE, "full"),
     "pedestrian_no_map": Recipe(PEOPLE, "none"),
 }
 

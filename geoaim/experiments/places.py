@@ -12,7 +12,8 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, pixel_size, read_aim, whole_aim, write_aim
 from geoaim.lights import Lights, read_lights
 from geoaim.mapping.aligning import align_tiles
-from geoaim.mapping.hdmap import HDMap, read_hdmap
+from geoaim.mapping.drivable import drivable_area
+from geoaim.mapping.hdmap import Area, HDMap, read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.progress import Progress, silent
 from geoaim.simulation.episodes import Rules, rules_of
@@ -42,7 +43,8 @@ TEST: tuple[tuple[int, Kind], ...] = (
 )
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
-MAPS = ("aim", "hdm", "degraded", "another day", "none")
+MAPS = ("aim", "roads", "hdm", "full", "degraded", "another day", "none")
+ANNOTATED = {"roads": "map.osm", "hdm": "map.osm", "full": "map_full.osm"}  # more and more of it
 COARSE = 1.0  # m a pixel of degraded maps, as vehicles see them: finer noise would average out
 NOISE = 0.2  # of full brightness, as in the paper
 
@@ -105,8 +107,9 @@ def read_map(folder: Path, name: str) -> AIM:
     if not path.exists():
         write_aim(_drawn(folder), path)
     aim = read_aim(path)
-    if name == "hdm":
-        return draw_hdmap(read_hdmap(folder / "map.osm", aim.world))
+    if name in ANNOTATED:
+        hdmap = read_hdmap(folder / ANNOTATED[name], aim.world)
+        return draw_hdmap(roads_only(hdmap) if name == "roads" else hdmap)
     if name == "degraded":
         return degraded(aim)
     if name == "none":
@@ -117,6 +120,12 @@ def read_map(folder: Path, name: str) -> AIM:
             write_aim(align_tiles(folder / "ortho.tif", aim=aim), path)
         return read_aim(path)
     return aim
+
+
+def roads_only(hdmap: HDMap) -> HDMap:
+    """Where vehicles may drive and no more, as the plainest HD maps have it."""
+    lines = tuple(replace(line, kind="", subtype="") for line in hdmap.lines)  # none is drawn
+    return replace(hdmap, lines=lines, lanelets=(), areas=(Area("", drivable_area(hdmap)),))
 
 
 def degraded(aim: AIM) -> AIM:

@@ -4,17 +4,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.bench.data import needed
 from geoaim.experiments.models import kept_or_trained
 from geoaim.experiments.places import blurred_and_noisy
-from geoaim.experiments.results import differences, write_results
+from geoaim.experiments.results import Measures, differences, write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
+from geoaim.prediction.metrics import pooled
 from geoaim.prediction.segments import joined
 from geoaim.prediction.training import Training
 from geoaim.prediction.windows import (
@@ -42,11 +44,13 @@ SEES = Config(
     modes=20,
     known=OBSERVED,
     ahead=STEPS - OBSERVED,
+    unlike=True,
 )
 MODELS = {
     "map": SEES,
-    "no map": replace(SEES, encoder="none"),
-    "no map, no plans": replace(SEES, encoder="none", modes=0, known=0, ahead=0),
+    "map, colours alone": replace(SEES, unlike=False),
+    "no map": replace(SEES, unlike=False, encoder="none"),
+    "no map, no plans": replace(SEES, unlike=False, encoder="none", modes=0, known=0, ahead=0),
 }
 TRAINING = Training(
     steps=4000,
@@ -58,7 +62,15 @@ TRAINING = Training(
     resize=0.2,
     colour=0.2,
 )
-BEST = "no map"  # on validation scenes the map adds nothing yet; this one learns from all scenes
+COMPARED = ("map", "no map")  # each trained by every seed: chance is as large as what maps give
+SEEDS = (0, 1, 2)
+BEST = "map"  # learns from all scenes as well
+PAIRS = (
+    ("map", "no map"),
+    ("map", "map, colours alone"),
+    ("map, blurred and noisy", "map"),
+    ("no map", "no map, no plans"),
+)
 # minADE and minFDE of 20 on the standard test part, pixels, as their authors or later papers say
 PUBLISHED = {
     "S-GAN": (27.23, 41.44),
@@ -76,36 +88,65 @@ def run(folder: Path, report: Progress) -> list[Path]:
     given = needed(DATA)
     names = [path.stem for path in sorted((given / "windows").glob("*.csv"))]
     rest = [name for name in names if name not in VALIDATION]
-    found = {}
+    found: dict[str, Measures] = {}
+
+    def judge(name: str, models: Sequence[ITRA | str], windows: Windows) -> None:
+        each = [evaluate_windows(model, windows, SAMPLES, report=report) for model in models]
+        found[name] = pooled(each)
+
     for name, config in MODELS.items():
-        model = _trained(name, config, rest, folder, report)
+        seeds = SEEDS if name in COMPARED else SEEDS[:1]
+        models = [_trained(name, config, rest, folder, report, seed) for seed in seeds]
         valid = _windows(given, config, VALIDATION)
-        found[name] = evaluate_windows(model, valid, SAMPLES, report=report)
+        judge(name, models, valid)
         if name == "map":
             worse = _windows(given, config, VALIDATION, change=_degraded)
-            found["map, blurred and noisy"] = evaluate_windows(model, worse, SAMPLES, report=report)
+            judge("map, blurred and noisy", models, worse)
     for name in BASELINES[:2]:  # headings that are not known do not turn
-        found[name] = evaluate_windows(name, valid, SAMPLES, report=report)
+        judge(name, [name], valid)
     _trained("all scenes", MODELS[BEST], names, folder, report)
     about = {
         "windows": len(valid.segments),
         "scenes": VALIDATION,
         "samples": SAMPLES,
+        "trainings of each that is compared": len(SEEDS),
         "published on the standard test part, not on these scenes": PUBLISHED,
-        "map less no map": differences(found["map"], found["no map"]),
+        "differences": {
+            f"{one}, less {other}": differences(found[one], found[other]) for one, other in PAIRS
+        },
+        "by scene": {
+            name: {scene: _mean_of(found[name], valid, scene) for scene in VALIDATION}
+            for name in COMPARED
+        },
     }
     return write_results("stanford", found, about)
 
 
-def _trained(name: str, config: Config, scenes: list[str], folder: Path, report: Progress) -> ITRA:
+def _trained(
+    name: str,
+    config: Config,
+    scenes: list[str],
+    folder: Path,
+    report: Progress,
+    seed: int = 0,
+) -> ITRA:
     def lessons() -> Lessons:
         windows = _windows(needed(DATA), config, scenes)
         both = joined([windows.segments, backwards(windows.segments)])
         # the log follows windows that are learnt; those of other scenes are judged afterwards
         return Lessons(both, windows.segments, windows.ground)
 
-    where = folder / "models" / f"stanford_{name.replace(',', '').replace(' ', '_')}"
-    return kept_or_trained(where, config, TRAINING, lessons, report)
+    label = f"stanford_{name.replace(',', '').replace(' ', '_')}" + f"_{seed}" * (seed > 0)
+    training = replace(TRAINING, seed=seed)
+    return kept_or_trained(folder / "models" / label, config, training, lessons, report)
+
+
+def _mean_of(found: Measures, windows: Windows, scene: str) -> dict[str, float]:
+    here = np.array(windows.scenes) == scene
+    return {
+        name: float(measure.sums[here].sum() / measure.counts[here].sum())
+        for name, measure in found.items()
+    }
 
 
 def _windows(

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from geoaim.prediction.encoders import make_encoder
 from geoaim.prediction.plans import JITTER, REACH, Planner, network, nth_plan, plan_loss
 from geoaim.prediction.segments import Segments, repeated
-from geoaim.prediction.views import CHANNELS, Egos, egos_of, egos_see
+from geoaim.prediction.views import CHANNELS, Egos, egos_of, egos_see, unlike_underfoot
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.kinematics import (
     bicycle_action,
@@ -53,6 +53,7 @@ class Config:
         encoder: of views, "cnn" or "resnet18"; "none": the model sees nothing.
         size: pixels of a view's side.
         resolution: metres a pixel.
+        unlike: whether views also show how unlike the ground is to that under the agent.
         every: steps from one look to the next; 1 as in the paper. In the steps between, what was
             seen last is taken to be there still.
         memory: width of the recurrent state.
@@ -72,6 +73,7 @@ class Config:
     encoder: str = "cnn"
     size: int = 64
     resolution: float = 0.8
+    unlike: bool = False
     every: int = 5
     memory: int = 128
     features: int = 96
@@ -135,7 +137,8 @@ class ITRA(nn.Module):
         context = config.features + config.memory + FACTS
         plan = 2 * config.points + 1 if config.modes else 0
         if config.encoder != "none":
-            self.encoder = make_encoder(config.encoder, CHANNELS, config.size, config.features)
+            channels = CHANNELS + config.unlike
+            self.encoder = make_encoder(config.encoder, channels, config.size, config.features)
         self.remember = nn.GRUCell(config.features + 2 + FACTS, config.memory)
         self.act = network(context + config.latent + plan, config.memory, 2)
         self.infer = network(context + 2, config.memory, 2 * config.latent)
@@ -334,6 +337,8 @@ class ITRA(nn.Module):
         if self.config.encoder == "none" or (number - observed + 1) % self.config.every:
             return seen
         pictures = egos_see(self.config.view, ground, segments, egos, states, number)
+        if self.config.unlike:
+            pictures = torch.cat([pictures, unlike_underfoot(pictures)], dim=1)
         kind = pictures.device.type
         with torch.autocast(kind, dtype=torch.bfloat16, enabled=kind == "cuda"):
             found = self.encoder((pictures - 0.5).to(memory_format=torch.channels_last))

@@ -3,7 +3,7 @@
 All numbers are kept for each segment, so that intervals come from drawing segments anew.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,6 +106,17 @@ def merged(parts: list[dict[str, Measure]]) -> dict[str, Measure]:
             np.concatenate([row.counts for row in rows]),
         )
     return found
+
+
+def pooled(trainings: Sequence[Mapping[str, Measure]]) -> dict[str, Measure]:
+    """Measures of several models on the same segments as of one, whose segments stay as many."""
+    return {
+        name: Measure(
+            np.sum([found[name].sums for found in trainings], axis=0),
+            np.sum([found[name].counts for found in trainings], axis=0),
+        )
+        for name in trainings[0]
+    }
 
 
 def _nothing(part: dict[str, Measure]) -> Measure:

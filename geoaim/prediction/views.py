@@ -12,6 +12,7 @@ from geoaim.simulation.birdview import Boxes, render_layers
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.lines import light_boxes
 
+UNLIKE = 0.4  # of full brightness apart, in red, green and blue: another surface
 CHANNELS = 7  # ground, vehicles, people, lights that stop, lights that let go
 
 
@@ -63,3 +64,22 @@ def egos_see(
         for shown in (stops, lights == GREEN)
     ]
     return render_layers(view, cameras, ground, [*layers, *for_lights])
+
+
+def unlike_underfoot(views: Float[Tensor, "E 7 H W"]) -> Float[Tensor, "E 1 H W"]:
+    """How unlike the ground is to that under the ego, 0 to 1.
+
+    Who walks on slabs mostly stays on them, whatever slabs look like elsewhere: likeness can be
+    learnt from few places, where colours need many.
+
+    >>> views = torch.zeros(1, 7, 4, 4)
+    >>> views[:, :3, 0] = 0.1  # a row that is a little brighter
+    >>> unlike_underfoot(views)[0, 0, :, 0].round(decimals=2)
+    tensor([0.4300, 0.0000, 0.0000, 0.0000])
+    """
+    ground = views[:, :3]
+    rows, columns = (slice((side - 1) // 2, side // 2 + 1) for side in ground.shape[2:])
+    here = ground[:, :, rows, columns].mean(dim=(2, 3), keepdim=True)
+    apart = (ground - here).square().sum(dim=1, keepdim=True)
+    smooth = (apart + 1e-8).sqrt() - 1e-4  # where nothing is apart too
+    return (smooth / UNLIKE).clamp(max=1)

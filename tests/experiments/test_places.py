@@ -9,6 +9,7 @@ from geoaim.experiments import EXPERIMENTS, places
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, lessons_of
 from geoaim.experiments.models import RECIPES
 from geoaim.experiments.places import (
+    ANNOTATED,
     COARSE,
     MAPS,
     TEST,
@@ -16,6 +17,7 @@ from geoaim.experiments.places import (
     make_places,
     read_map,
 )
+from geoaim.mapping.hdmap_image import GROUND, ROAD, SURFACES
 
 SMALL = replace(VEHICLES, size=16, resolution=3.0)
 
@@ -57,6 +59,16 @@ def test_every_map_lies_where_the_place_does(folder, name):
         assert found.image.std() == 0
     with pytest.raises(ValueError, match="no map 'best'"):
         read_map(folder, "best")
+
+
+def test_hd_maps_say_more_and_more(folder):
+    roads, lanes, whole = (read_map(folder, name).image for name in ANNOTATED)
+    assert (roads.max(axis=(0, 1)) == ROAD).all()
+    assert (roads.min(axis=(0, 1)) == GROUND).all()
+    assert lanes.max() > 200  # lines
+    for kind in ("walkway", "crosswalk", "parking"):
+        shown = [(image == SURFACES[kind]).all(axis=2).mean() for image in (lanes, whole)]
+        assert 10 * shown[0] < shown[1], kind
 
 
 def test_models_learn_from_places_and_are_judged_on_them(folder):

@@ -14,6 +14,7 @@ KINDS = {
     "unicycle": replace(TINY, motion="unicycle"),
     "slide with plans": replace(TINY, motion="slide", modes=3, known=2, ahead=5),
     "sees nothing": replace(TINY, encoder="none"),
+    "sees what is unlike": replace(TINY, unlike=True),
 }
 
 

@@ -8,7 +8,7 @@ from geoaim.lights import GREEN, RED
 from geoaim.prediction.baselines import BASELINES, predict_plainly
 from geoaim.prediction.evaluation import Asked, evaluate
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Measure, interval, measure, merged, summary
+from geoaim.prediction.metrics import Measure, interval, measure, merged, pooled, summary
 from geoaim.prediction.report import markdown
 from geoaim.prediction.segments import pick
 from geoaim.simulation.episodes import Rules
@@ -153,3 +153,12 @@ def test_red_lights_are_those_of_each_segment():
         alone = measure(futures(one, [0.0, 0.0]), one, 4)["red-light rate"]
         assert together.sums[number] == alone.sums[0]
     assert together.sums[0] > together.sums[1] == together.sums[2] == 0
+
+
+def test_pooled_trainings_are_no_more_segments():
+    one = {"minADE": Measure(np.array([1.0, 4.0]), np.array([1.0, 2.0]))}
+    other = {"minADE": Measure(np.array([3.0, 2.0]), np.array([1.0, 2.0]))}
+    both = pooled([one, other])["minADE"]
+    assert len(both.sums) == 2
+    assert both.mean == pytest.approx(10 / 6)
+    assert interval(pooled([one, one])["minADE"]) == interval(one["minADE"])

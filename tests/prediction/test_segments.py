@@ -7,7 +7,7 @@ import torch
 from geoaim.errors import TracksError
 from geoaim.prediction.atlas import ground_scaled, make_atlas
 from geoaim.prediction.segments import cut_segments, joined, repeated, scaled, shifted
-from geoaim.prediction.views import egos_of, egos_see
+from geoaim.prediction.views import egos_of, egos_see, unlike_underfoot
 from geoaim.simulation.ground import View, fit_ground, make_ground
 from geoaim.simulation.scene import Scene
 from tests.prediction.made import drive, hill
@@ -119,3 +119,16 @@ def test_egos_see_others_and_not_themselves():
     assert (views[:, 4].sum(dim=(1, 2)) > 0).all()  # the walker
     assert (views[:, 5].sum(dim=(1, 2)) == 0).all()  # no light stops
     assert (views[:, 6].sum(dim=(1, 2)) > 0).all()  # a green one
+
+
+def test_what_is_unlike_the_ground_underfoot_is_so_in_any_light():
+    segments, dim = drive(4, 2), hill()
+    bright = replace(dim, image=dim.image + 0.1)
+    egos = egos_of(segments)
+    one, two = (
+        egos_see(VIEW, ground, segments, egos, segments.states[:, 0], 0) for ground in (dim, bright)
+    )
+    assert (one[:, :3] - two[:, :3]).abs().mean() > 0.09
+    unlike = unlike_underfoot(one)
+    torch.testing.assert_close(unlike, unlike_underfoot(two))
+    assert 0 <= unlike.min() <= unlike[:, :, 11:13, 11:13].max() < unlike.mean() < unlike.max() <= 1
