@@ -27,7 +27,6 @@ RECIPES = {
     "vehicle_aim": Recipe(VEHICLES, "aim"),
     "vehicle_hdm": Recipe(VEHICLES, "hdm"),
     "vehicle_roads": Recipe(VEHICLES, "roads"),
-    "vehicle_full": Recipe(VEHICLES, "full"),
     "vehicle_no_map": Recipe(VEHICLES, "none"),
     "vehicle_aim_no_lights": Recipe(VEHICLES, "aim", lights=False),
     "pedestrian_aim": Recipe(PEOPLE, "aim"),

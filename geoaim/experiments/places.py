@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -57,7 +58,7 @@ class Recorded:
     lights: Lights | None
     hdmap: HDMap
 
-    @property
+    @cached_property
     def rules(self) -> Rules:
         """What is off the road."""
         return rules_of(self.hdmap)
@@ -81,8 +82,9 @@ def make_places(
     return found
 
 
-def read_recordings(folder: Path) -> list[Recorded]:
-    """All recordings of a made place."""
+@lru_cache(maxsize=8)
+def read_recordings(folder: Path) -> tuple[Recorded, ...]:
+    """All recordings of a made place; of the last places they are kept."""
     found = []
     for path in sorted(folder.glob("tracks*.csv")):
         tracks = read_tracks(path)
@@ -92,7 +94,7 @@ def read_recordings(folder: Path) -> list[Recorded]:
         if changes.exists():
             lights = read_lights(changes, hdmap.stop_lines, tracks.world)
         found.append(Recorded(tracks, lights, hdmap))
-    return found
+    return tuple(found)
 
 
 def read_map(folder: Path, name: str) -> AIM:

@@ -38,8 +38,11 @@ PAPER = {
 }
 PAIRS = (
     ("people, AIM", "people, HD map"),
+    ("people, AIM", "people, HD map of roads alone"),
+    ("people, HD map with walkways", "people, AIM"),
     ("people, AIM", "people, no map"),
     ("vehicles, AIM", "vehicles, HD map"),
+    ("vehicles, HD map of roads alone", "vehicles, HD map"),
     ("vehicles, AIM", "vehicles, no map"),
     ("vehicles at lights, AIM", "vehicles at lights, AIM, lights not shown"),
     ("vehicles, blurred and noisy AIM", "vehicles, AIM"),
@@ -66,9 +69,12 @@ class Case:
 
 
 CASES = {
+    "people, HD map of roads alone": Case("pedestrian_roads", "roads", PEOPLE),
     "people, HD map": Case("pedestrian_hdm", "hdm", PEOPLE),
+    "people, HD map with walkways": Case("pedestrian_full", "full", PEOPLE),
     "people, AIM": Case("pedestrian_aim", "aim", PEOPLE),
     "people, no map": Case("pedestrian_no_map", "none", PEOPLE),
+    "vehicles, HD map of roads alone": Case("vehicle_roads", "roads", VEHICLES),
     "vehicles, HD map": Case("vehicle_hdm", "hdm", VEHICLES),
     "vehicles, AIM": Case("vehicle_aim", "aim", VEHICLES),
     "vehicles, no map": Case("vehicle_no_map", "none", VEHICLES),
