@@ -45,7 +45,8 @@ TEST: tuple[tuple[int, Kind], ...] = (
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
 MAPS = ("aim", "roads", "hdm", "full", "degraded", "another day", "none")
-ANNOTATED = {"roads": "map.osm", "hdm": "map.osm", "full": "map_full.osm"}  # more and more of it
+# what is annotated: where vehicles may drive; lanes; walkways, crossings and the car park as well
+ANNOTATED = {"roads": "map.osm", "hdm": "map.osm", "full": "map_full.osm"}
 COARSE = 1.0  # m a pixel of degraded maps, as vehicles see them: finer noise would average out
 NOISE = 0.2  # of full brightness, as in the paper
 
@@ -82,9 +83,9 @@ def make_places(
     return found
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=len(TRAIN) + len(TEST))
 def read_recordings(folder: Path) -> tuple[Recorded, ...]:
-    """All recordings of a made place; of the last places they are kept."""
+    """All recordings of a made place; they stay in memory, since every case is judged on them."""
     found = []
     for path in sorted(folder.glob("tracks*.csv")):
         tracks = read_tracks(path)
@@ -125,8 +126,13 @@ def read_map(folder: Path, name: str) -> AIM:
 
 
 def roads_only(hdmap: HDMap) -> HDMap:
-    """Where vehicles may drive and no more, as the plainest HD maps have it."""
-    lines = tuple(replace(line, kind="", subtype="") for line in hdmap.lines)  # none is drawn
+    """To be drawn: where vehicles may drive and no more, as the plainest HD maps have it.
+
+    Raises:
+        MapError: the map has no lane for vehicles.
+    """
+    # lines stay without their kinds, by which they would be drawn: the picture's extent is theirs
+    lines = tuple(replace(line, kind="", subtype="") for line in hdmap.lines)
     return replace(hdmap, lines=lines, lanelets=(), areas=(Area("", drivable_area(hdmap)),))
 
 

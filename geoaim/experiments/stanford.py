@@ -1,8 +1,9 @@
 """Real pedestrians: the Stanford Drone Dataset's windows, with published numbers beside ours."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -16,7 +17,7 @@ from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import evaluate_windows
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import pooled
+from geoaim.prediction.metrics import Measure, pooled
 from geoaim.prediction.segments import joined
 from geoaim.prediction.training import Training
 from geoaim.prediction.windows import (
@@ -62,8 +63,7 @@ TRAINING = Training(
     resize=0.2,
     colour=0.2,
 )
-COMPARED = ("map", "no map")  # each trained by every seed: chance is as large as what maps give
-SEEDS = (0, 1, 2)
+TRAININGS = {"map": 3, "no map": 3}  # chance is as large as what maps give; the others have one
 BEST = "map"  # learns from all scenes as well
 PAIRS = (
     ("map", "no map"),
@@ -89,37 +89,41 @@ def run(folder: Path, report: Progress) -> list[Path]:
     names = [path.stem for path in sorted((given / "windows").glob("*.csv"))]
     rest = [name for name in names if name not in VALIDATION]
     found: dict[str, Measures] = {}
-
-    def judge(name: str, models: Sequence[ITRA | str], windows: Windows) -> None:
-        each = [evaluate_windows(model, windows, SAMPLES, report=report) for model in models]
-        found[name] = pooled(each)
-
     for name, config in MODELS.items():
-        seeds = SEEDS if name in COMPARED else SEEDS[:1]
-        models = [_trained(name, config, rest, folder, report, seed) for seed in seeds]
+        models = [
+            _trained(name, config, rest, folder, report, seed=seed)
+            for seed in range(TRAININGS.get(name, 1))
+        ]
         valid = _windows(given, config, VALIDATION)
-        judge(name, models, valid)
+        found[name] = _judged(models, valid, report)
         if name == "map":
             worse = _windows(given, config, VALIDATION, change=_degraded)
-            judge("map, blurred and noisy", models, worse)
-    for name in BASELINES[:2]:  # headings that are not known do not turn
-        judge(name, [name], valid)
+            found["map, blurred and noisy"] = _judged(models, worse, report)
+    for who in BASELINES[:2]:  # headings that are not known do not turn
+        found[who] = _judged([who], valid, report)
     _trained("all scenes", MODELS[BEST], names, folder, report)
-    about = {
-        "windows": len(valid.segments),
+    return write_results("stanford", found, _about(found, valid))
+
+
+def _judged(models: Sequence[ITRA | str], windows: Windows, report: Progress) -> dict[str, Measure]:
+    return pooled([evaluate_windows(model, windows, SAMPLES, report=report) for model in models])
+
+
+def _about(found: Mapping[str, Measures], windows: Windows) -> dict[str, Any]:
+    return {
+        "windows": len(windows.segments),
         "scenes": VALIDATION,
         "samples": SAMPLES,
-        "trainings of each that is compared": len(SEEDS),
+        "trainings, where more than one": TRAININGS,
         "published on the standard test part, not on these scenes": PUBLISHED,
         "differences": {
             f"{one}, less {other}": differences(found[one], found[other]) for one, other in PAIRS
         },
         "by scene": {
-            name: {scene: _mean_of(found[name], valid, scene) for scene in VALIDATION}
-            for name in COMPARED
+            name: {scene: _means_in(scene, found[name], windows) for scene in VALIDATION}
+            for name in TRAININGS
         },
     }
-    return write_results("stanford", found, about)
 
 
 def _trained(
@@ -128,6 +132,7 @@ def _trained(
     scenes: list[str],
     folder: Path,
     report: Progress,
+    *,
     seed: int = 0,
 ) -> ITRA:
     def lessons() -> Lessons:
@@ -136,17 +141,15 @@ def _trained(
         # the log follows windows that are learnt; those of other scenes are judged afterwards
         return Lessons(both, windows.segments, windows.ground)
 
-    label = f"stanford_{name.replace(',', '').replace(' ', '_')}" + f"_{seed}" * (seed > 0)
+    seeds = [str(seed)] if seed else []
+    label = "_".join(["stanford", *name.replace(",", "").split(), *seeds])
     training = replace(TRAINING, seed=seed)
     return kept_or_trained(folder / "models" / label, config, training, lessons, report)
 
 
-def _mean_of(found: Measures, windows: Windows, scene: str) -> dict[str, float]:
+def _means_in(scene: str, found: Measures, windows: Windows) -> dict[str, float]:
     here = np.array(windows.scenes) == scene
-    return {
-        name: float(measure.sums[here].sum() / measure.counts[here].sum())
-        for name, measure in found.items()
-    }
+    return {name: Measure(m.sums[here], m.counts[here]).mean for name, m in found.items()}
 
 
 def _windows(

@@ -39,9 +39,11 @@ PAPER = {
 PAIRS = (
     ("people, AIM", "people, HD map"),
     ("people, AIM", "people, HD map of roads alone"),
-    ("people, HD map with walkways", "people, AIM"),
+    ("people, AIM", "people, HD map with walkways"),
+    ("people, HD map of roads alone", "people, HD map"),
     ("people, AIM", "people, no map"),
     ("vehicles, AIM", "vehicles, HD map"),
+    ("vehicles, AIM", "vehicles, HD map of roads alone"),
     ("vehicles, HD map of roads alone", "vehicles, HD map"),
     ("vehicles, AIM", "vehicles, no map"),
     ("vehicles at lights, AIM", "vehicles at lights, AIM, lights not shown"),

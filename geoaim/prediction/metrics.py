@@ -109,7 +109,10 @@ def merged(parts: list[dict[str, Measure]]) -> dict[str, Measure]:
 
 
 def pooled(trainings: Sequence[Mapping[str, Measure]]) -> dict[str, Measure]:
-    """Measures of several models on the same segments as of one, whose segments stay as many."""
+    """Measures of several trainings on the same segments as of one, whose segments stay as many.
+
+    Intervals are narrower by what the trainings differ; they do not say by how much they do.
+    """
     return {
         name: Measure(
             np.sum([found[name].sums for found in trainings], axis=0),

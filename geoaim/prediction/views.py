@@ -12,7 +12,7 @@ from geoaim.simulation.birdview import Boxes, render_layers
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.lines import light_boxes
 
-UNLIKE = 0.4  # of full brightness apart, in red, green and blue: another surface
+UNLIKE = 0.4  # distance of colours, each 0 to 1, from which on it is another surface
 CHANNELS = 7  # ground, vehicles, people, lights that stop, lights that let go
 
 
@@ -81,5 +81,5 @@ def unlike_underfoot(views: Float[Tensor, "E 7 H W"]) -> Float[Tensor, "E 1 H W"
     rows, columns = (slice((side - 1) // 2, side // 2 + 1) for side in ground.shape[2:])
     here = ground[:, :, rows, columns].mean(dim=(2, 3), keepdim=True)
     apart = (ground - here).square().sum(dim=1, keepdim=True)
-    smooth = (apart + 1e-8).sqrt() - 1e-4  # where nothing is apart too
+    smooth = (apart + 1e-8).sqrt() - 1e-4  # gradients stay finite where colours are equal
     return (smooth / UNLIKE).clamp(max=1)

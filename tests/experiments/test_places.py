@@ -63,9 +63,11 @@ def test_every_map_lies_where_the_place_does(folder, name):
 
 def test_hd_maps_say_more_and_more(folder):
     roads, lanes, whole = (read_map(folder, name).image for name in ANNOTATED)
+    assert roads.shape == lanes.shape
     assert (roads.max(axis=(0, 1)) == ROAD).all()
     assert (roads.min(axis=(0, 1)) == GROUND).all()
     assert lanes.max() > 200  # lines
+    assert (lanes[(roads == GROUND).all(axis=2)] != ROAD).any(axis=1).mean() > 0.99  # same roads
     for kind in ("walkway", "crosswalk", "parking"):
         shown = [(image == SURFACES[kind]).all(axis=2).mean() for image in (lanes, whole)]
         assert 10 * shown[0] < shown[1], kind

@@ -121,7 +121,7 @@ def test_egos_see_others_and_not_themselves():
     assert (views[:, 6].sum(dim=(1, 2)) > 0).all()  # a green one
 
 
-def test_what_is_unlike_the_ground_underfoot_is_so_in_any_light():
+def test_unlike_the_ground_underfoot_stays_so_whatever_is_added_to_all_of_it():
     segments, dim = drive(4, 2), hill()
     bright = replace(dim, image=dim.image + 0.1)
     egos = egos_of(segments)
