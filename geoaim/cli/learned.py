@@ -2,6 +2,7 @@
 
 import csv
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -19,6 +20,7 @@ from geoaim.cli.console import (
     stages,
 )
 from geoaim.cli.driving import HDMapFile, LightsFile, StopLinesFile, read_scene
+from geoaim.errors import GeoaimWarning
 from geoaim.progress import Progress
 
 if TYPE_CHECKING:
@@ -213,6 +215,12 @@ def evaluate(
                     "--windows needs --weights, of a model that was trained on windows"
                 )
             model = _model(weights, None)
+            if images is None and model.config.encoder != "none":
+                warnings.warn(
+                    "the model learnt to see maps, and sees grey without --images",
+                    GeoaimWarning,
+                    stacklevel=1,
+                )
             there = read_windows(windows, images, scenes, model.config.view)
             judged = compare(
                 model,

@@ -90,6 +90,9 @@ def test_command_prints_what_was_asked_for(folder, tmp_path):
     done = CliRunner().invoke(app, command)
     assert "| model |" in done.stdout
     assert "| constant velocity |" in done.stdout
+    done = CliRunner().invoke(app, [part for part in command if part not in command[3:5]])
+    assert done.exit_code == 0, done.output
+    assert "sees grey without --images" in " ".join(done.output.split())
     done = CliRunner().invoke(app, command[:-2])
     assert done.exit_code == 1
     assert "--windows needs --weights" in " ".join(done.output.split())
