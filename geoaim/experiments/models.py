@@ -1,7 +1,7 @@
-"""The models that experiments compare, each trained once and kept in its folder."""
+"""The models that experiments compare; each training is kept in its folder."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from geoaim.errors import ModelError
@@ -37,16 +37,24 @@ RECIPES = {
 }
 
 
-def trained(name: str, folder: Path, *, report: Progress = silent) -> ITRA:
-    """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet."""
+def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = silent) -> ITRA:
+    """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet.
+
+    Args:
+        name: of the recipe.
+        folder: where places and models are kept.
+        seed: of its training; each has a folder of its own.
+        report: takes stage, done and total.
+    """
     recipe = RECIPES[name]
 
     def lessons() -> Lessons:
         places = make_places(folder / "places", TRAIN, report=report)
         return lessons_of(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
 
-    training = TRAININGS[recipe.config.kind]
-    return kept_or_trained(folder / "models" / name, recipe.config, training, lessons, report)
+    training = replace(TRAININGS[recipe.config.kind], seed=seed)
+    where = folder / "models" / (f"{name}_{seed}" if seed else name)
+    return kept_or_trained(where, recipe.config, training, lessons, report)
 
 
 def kept_or_trained(

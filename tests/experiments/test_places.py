@@ -1,11 +1,12 @@
 from dataclasses import replace
 
 import cv2
+import numpy as np
 import pytest
 import torch
 
 from geoaim.aim import pixel_size
-from geoaim.experiments import EXPERIMENTS, places
+from geoaim.experiments import EXPERIMENTS, models, places, synthetic
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, lessons_of
 from geoaim.experiments.models import RECIPES
 from geoaim.experiments.places import (
@@ -18,6 +19,9 @@ from geoaim.experiments.places import (
     read_map,
 )
 from geoaim.mapping.hdmap_image import GROUND, ROAD, SURFACES
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import Measure
+from geoaim.progress import silent
 
 SMALL = replace(VEHICLES, size=16, resolution=3.0)
 
@@ -91,3 +95,46 @@ def test_every_experiment_says_what_it_is():
     assert all(run.__doc__ for run in EXPERIMENTS.values())
     assert {recipe.config.kind for recipe in RECIPES.values()} == set(TRAININGS)
     assert RECIPES["pedestrian_aim"].config == PEOPLE
+
+
+def test_each_training_of_a_model_has_its_own_folder_and_seed(monkeypatch, tmp_path):
+    asked = []
+
+    def kept(where, config, training, lessons, report):
+        asked.append((where.name, training.seed, config))
+        return ITRA(SMALL)
+
+    monkeypatch.setattr(models, "kept_or_trained", kept)
+    for seed in (0, 1):
+        models.trained("pedestrian_aim", tmp_path, seed=seed)
+    assert asked == [("pedestrian_aim", 0, PEOPLE), ("pedestrian_aim_1", 1, PEOPLE)]
+
+
+def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
+    """Two trainings that are wrong by 1 m and 3 m are wrong by 2 m."""
+
+    def judge(model, *_, **__):
+        return {"minADE": Measure(np.full(4, float(model)), np.ones(4))}
+
+    written = {}
+
+    def write_results(name, tables, about):
+        written.update(tables=tables, about=about)
+        return [tmp_path / "synthetic.json"]
+
+    fakes = {
+        "CASES": {"people, AIM": synthetic.CASES["people, AIM"]},
+        "PAIRS": (("people, AIM", "people, AIM"),),
+        "SHOWN": (),
+        "write_futures_on_maps": lambda *_: None,
+        "make_places": lambda *_, **__: [tmp_path / "junction_1"],
+        "trained": lambda name, folder, seed, report: str(1 + 2 * seed),
+        "judge": judge,
+        "write_results": write_results,
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(synthetic, name, fake)
+    synthetic.run(tmp_path, silent)
+    assert written["tables"]["people, AIM"]["minADE"].mean == 2
+    each = written["about"]["each training, where there are more than one"]["people, AIM"]
+    assert [one["minADE"] for one in each] == [1, 3]
