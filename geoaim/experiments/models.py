@@ -53,8 +53,13 @@ def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = silent
         return lessons_of(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
 
     training = replace(TRAININGS[recipe.config.kind], seed=seed)
-    where = folder / "models" / (f"{name}_{seed}" if seed else name)
+    where = training_folder(folder, name, seed)
     return kept_or_trained(where, recipe.config, training, lessons, report)
+
+
+def training_folder(folder: Path, label: str, seed: int) -> Path:
+    """Where a training of a model is kept; the first one's folder has the model's label alone."""
+    return folder / "models" / (f"{label}_{seed}" if seed else label)
 
 
 def kept_or_trained(

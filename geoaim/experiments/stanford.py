@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.bench.data import needed
-from geoaim.experiments.models import kept_or_trained
+from geoaim.experiments.models import kept_or_trained, training_folder
 from geoaim.experiments.places import blurred_and_noisy
 from geoaim.experiments.results import Measures, differences, write_results
 from geoaim.prediction.baselines import BASELINES
@@ -63,7 +63,8 @@ TRAINING = Training(
     resize=0.2,
     colour=0.2,
 )
-TRAININGS = {"map": 3, "no map": 3}  # chance is as large as what maps give; the others have one
+# trainings: chance is as large as what maps give; the others have one
+REPEATED = {"map": 3, "no map": 3}
 BEST = "map"  # learns from all scenes as well
 PAIRS = (
     ("map", "no map"),
@@ -92,7 +93,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     for name, config in MODELS.items():
         models = [
             _trained(name, config, rest, folder, report, seed=seed)
-            for seed in range(TRAININGS.get(name, 1))
+            for seed in range(REPEATED.get(name, 1))
         ]
         valid = _windows(given, config, VALIDATION)
         found[name] = _judged(models, valid, report)
@@ -114,14 +115,14 @@ def _about(found: Mapping[str, Measures], windows: Windows) -> dict[str, Any]:
         "windows": len(windows.segments),
         "scenes": VALIDATION,
         "samples": SAMPLES,
-        "trainings, where more than one": TRAININGS,
+        "trainings, where more than one": REPEATED,
         "published on the standard test part, not on these scenes": PUBLISHED,
         "differences": {
             f"{one}, less {other}": differences(found[one], found[other]) for one, other in PAIRS
         },
         "by scene": {
             name: {scene: _means_in(scene, found[name], windows) for scene in VALIDATION}
-            for name in TRAININGS
+            for name in REPEATED
         },
     }
 
@@ -141,10 +142,10 @@ def _trained(
         # the log follows windows that are learnt; those of other scenes are judged afterwards
         return Lessons(both, windows.segments, windows.ground)
 
-    seeds = [str(seed)] if seed else []
-    label = "_".join(["stanford", *name.replace(",", "").split(), *seeds])
+    label = "_".join(["stanford", *name.replace(",", "").split()])
     training = replace(TRAINING, seed=seed)
-    return kept_or_trained(folder / "models" / label, config, training, lessons, report)
+    where = training_folder(folder, label, seed)
+    return kept_or_trained(where, config, training, lessons, report)
 
 
 def _means_in(scene: str, found: Measures, windows: Windows) -> dict[str, float]:

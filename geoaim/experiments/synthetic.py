@@ -52,8 +52,8 @@ PAIRS = (
     ("vehicles, blurred and noisy AIM", "vehicles, AIM"),
     ("vehicles, imagery of another day", "vehicles, AIM"),
 )
-# chance is as large as what maps give; the others have one
-TRAININGS = {"pedestrian_aim": 2, "pedestrian_hdm": 2}
+# trainings: chance is as large as what maps give; the others have one
+REPEATED = {"pedestrian_aim": 2, "pedestrian_hdm": 2}
 SHOWN = ("pedestrian_aim", "pedestrian_hdm", "vehicle_aim", "vehicle_hdm")
 
 
@@ -109,8 +109,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     }
     models = {
         name: [
-            trained(name, folder, seed=seed, report=report)
-            for seed in range(TRAININGS.get(name, 1))
+            trained(name, folder, seed=seed, report=report) for seed in range(REPEATED.get(name, 1))
         ]
         for name in RECIPES
     }
@@ -118,7 +117,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     single: dict[str, list[dict[str, float]]] = {}
     for number, (name, case) in enumerate(CASES.items()):
         report("judge", number, len(CASES))
-        found = [judged(case, model, places) for model in models.get(case.model, [case.model])]
+        found = [_judged(case, model, places) for model in models.get(case.model, [case.model])]
         tables[name] = pooled(found)
         if len(found) > 1:
             single[name] = [{key: one[key].mean for key in one} for one in found]
@@ -137,7 +136,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     return [*written, written[0].with_suffix(".png")]
 
 
-def judged(
+def _judged(
     case: Case, model: ITRA | str, places: Mapping[str, Sequence[Path]]
 ) -> dict[str, Measure]:
     """A case by one of its model's trainings, or by a baseline."""
