@@ -1,12 +1,12 @@
 """What agents see: the ground, who is around, and lights, around each of them, heading up."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from geoaim.lights import GREEN, RED, UNKNOWN, YELLOW
+from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.prediction.segments import PERSON, VEHICLE, Segments
 from geoaim.simulation.birdview import Boxes, render_layers
 from geoaim.simulation.ground import Ground, View
@@ -58,11 +58,10 @@ def egos_see(
         for plane in (VEHICLE, PERSON)
     ]
     lines, lights = segments.lines[egos.segment], segments.lights[egos.segment, number]
+    bars = light_boxes(lines, lights)
+    assert bars.present is not None
     stops = (lights == RED) | (lights == YELLOW)
-    for_lights = [
-        light_boxes(lines, torch.where(shown, lights, UNKNOWN))
-        for shown in (stops, lights == GREEN)
-    ]
+    for_lights = [replace(bars, present=bars.present & shown) for shown in (stops, lights == GREEN)]
     return render_layers(view, cameras, ground, [*layers, *for_lights])
 
 

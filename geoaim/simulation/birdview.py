@@ -5,8 +5,8 @@ All views of one texture are one `grid_sample`. A box is evaluated only at the p
 touches, whose coverage is exact, so that gradients by its pose and size are exact as well.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -72,7 +72,7 @@ def render(
                 raise ValueError(f"colours of {found} channels on a ground of {len(ground.image)}")
     flat = ground_seen(view, cameras, ground.image, ground.image_from_world)
     if boxes:
-        flat = _paint(flat, view, _laid([_flat(view, cameras, layer) for layer in boxes]))
+        flat = _paint(flat, view, _laid(view, cameras, boxes))
     return unfolded(flat, view, cameras)
 
 
@@ -93,13 +93,10 @@ def render_layers(
     _check(cameras, ground, boxes)
     seen = ground_seen(view, cameras, ground.image, ground.image_from_world)
     if boxes:
-        layers = []
-        for number, layer in enumerate(boxes):  # a plane's pictures come after the last one's
-            one = torch.ones_like(layer.poses[..., :1])
-            noses = None if layer.noses is None else one / 2
-            layers.append(_flat(view, cameras, replace(layer, colours=one, noses=noses), number))
-        planes = _paint(seen.new_zeros(1, len(boxes) * seen.shape[1]), view, _laid(layers))
-        seen = torch.cat([seen, planes.view(len(boxes), -1)])
+        planes = [_plain(layer) for layer in boxes]
+        flat = seen.new_zeros(1, len(boxes) * seen.shape[1])
+        flat = _paint(flat, view, _laid(view, cameras, planes, apart=True))
+        seen = torch.cat([seen, flat.view(len(boxes), -1)])
     return unfolded(seen, view, cameras)
 
 
@@ -126,39 +123,51 @@ class _Flat:
     pointed: Bool[Tensor, "N"]
 
 
-def _flat(view: View, cameras: Float[Tensor, "B 3"], boxes: Boxes, plane: int = 0) -> _Flat:
-    """The boxes of a layer that are there; whatever absent ones hold reaches no gradient."""
-    views, count = boxes.poses.shape[:2]
-    present = torch.ones_like(boxes.poses[..., 0], dtype=torch.bool)
-    if boxes.present is not None:
-        present = boxes.present
-    where = present.flatten().nonzero()[:, 0]
-    poses = torch.where(present[..., None], boxes.poses, 0.0)
-    noses = boxes.colours if boxes.noses is None else boxes.noses
-    middle, axis, sizes, colours, noses = (
-        _by_box(values, views)[where]
-        for values in (*_in_pixels(view, cameras, poses), boxes.sizes, boxes.colours, noses)
-    )
+def _plain(layer: Boxes) -> Boxes:
+    """For a plane: 1, and one half in triangles."""
+    one = torch.ones_like(layer.poses[..., :1])
+    return replace(layer, colours=one, noses=None if layer.noses is None else one / 2)
+
+
+def _laid(
+    view: View, cameras: Float[Tensor, "B 3"], layers: Sequence[Boxes], *, apart: bool = False
+) -> _Flat:
+    """All boxes that are there, layer over layer; what absent ones hold reaches no gradient.
+
+    Args:
+        view: its size and resolution.
+        cameras: of the pictures.
+        layers: in paint order.
+        apart: whether each layer has pictures of its own, which come after the last one's.
+    """
+    views = len(cameras)
+    everyone = [layer.poses.new_ones(layer.poses.shape[:2], dtype=torch.bool) for layer in layers]
+    there = [
+        full if layer.present is None else layer.present
+        for layer, full in zip(layers, everyone, strict=True)
+    ]
+    present = torch.cat(there, dim=1)
+    camera, column = present.nonzero().unbind(1)
+    where = camera * present.shape[1] + column
+
+    def chosen(values: Iterable[Float[Tensor, "... A C"]]) -> Float[Tensor, "N C"]:
+        every = torch.cat([value.expand(views, *value.shape[-2:]) for value in values], dim=1)
+        return every.flatten(0, 1).index_select(0, where)
+
+    poses = chosen(layer.poses for layer in layers)
+    middle, axis = _in_pixels(view, cameras.index_select(0, camera), poses)
+    counts = torch.tensor([layer.poses.shape[1] for layer in layers], device=where.device)
+    layer_of = torch.repeat_interleave(counts)[column]
+    pointed = torch.tensor([layer.noses is not None for layer in layers], device=where.device)
     return _Flat(
-        picture=plane * views + where // max(count, 1),
+        picture=camera + views * layer_of if apart else camera,
         middle=middle,
         axis=axis,
-        sizes=sizes / view.resolution,
-        colours=colours,
-        noses=noses,
-        pointed=torch.full_like(where, boxes.noses is not None, dtype=torch.bool),
+        sizes=chosen(layer.sizes for layer in layers) / view.resolution,
+        colours=chosen(layer.colours for layer in layers),
+        noses=chosen(layer.colours if layer.noses is None else layer.noses for layer in layers),
+        pointed=pointed[layer_of],
     )
-
-
-def _laid(layers: Sequence[_Flat]) -> _Flat:
-    """All layers, one over the other."""
-    names = [field.name for field in fields(_Flat)]
-    return _Flat(*(torch.cat([getattr(layer, name) for layer in layers]) for name in names))
-
-
-def _by_box(values: Float[Tensor, "... A C"], views: int) -> Float[Tensor, "N C"]:
-    """Of all boxes of all views."""
-    return values.expand(views, *values.shape[-2:]).flatten(0, 1)
 
 
 def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor, "C P"]:
@@ -217,18 +226,14 @@ class _Over(torch.autograd.Function):
 
 
 def _in_pixels(
-    view: View, cameras: Float[Tensor, "B 3"], poses: Float[Tensor, "B A 3"]
-) -> tuple[Float[Tensor, "B A 2"], Float[Tensor, "B A 2"]]:
+    view: View, cameras: Float[Tensor, "N 3"], poses: Float[Tensor, "N 3"]
+) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
     """Middles in pixels of the views, and directions there (right, down)."""
-    apart = poses[..., :2] - cameras[:, None, :2]
-    cosine, sine = cameras[:, 2:].cos(), cameras[:, 2:].sin()
-    right = apart[..., 0] * sine - apart[..., 1] * cosine
-    ahead = apart[..., 0] * cosine + apart[..., 1] * sine
-    u = view.width / 2 + right / view.resolution
-    v = view.height / 2 - ahead / view.resolution
-    turn = poses[..., 2] - cameras[:, 2:]
-    axis = torch.stack([-turn.sin(), -turn.cos()], dim=-1)
-    return torch.stack([u, v], dim=-1), axis
+    x, y, turn = (poses - cameras).unbind(1)
+    cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
+    u = view.width / 2 + (x * sine - y * cosine) / view.resolution
+    v = view.height / 2 - (x * cosine + y * sine) / view.resolution
+    return torch.stack([u, v], dim=1), torch.stack([-turn.sin(), -turn.cos()], dim=1)
 
 
 def _touched(
