@@ -1,4 +1,4 @@
-"""Four kinds of place: how their arms lie, and what controls the traffic."""
+"""Five kinds of place: how their arms lie, and what controls the traffic."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,8 +9,10 @@ import numpy as np
 from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.arms import Arm, half_width
 
-Kind = Literal["junction", "t", "roundabout", "street"]
+Kind = Literal["junction", "t", "roundabout", "street", "park"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+ALONG_ROADS: tuple[Kind, ...] = KINDS[:4]  # where people walk along roads and across them alone
+STRETCHES: tuple[Kind, ...] = ("street", "park")  # of one road
 
 CROSSING = 4.0  # m, how long a stripe of a crossing is
 CYCLES = 2.4  # m between a crossing and the stop line, for a strip on which cycles cross
@@ -51,6 +53,7 @@ def lay_out(kind: Kind, generator: np.random.Generator) -> Layout:
         "t": _t,
         "roundabout": _roundabout,
         "street": _street,
+        "park": _park,
     }
     if kind not in makers:
         raise ValueError(f"kind {kind!r} is not one of {', '.join(KINDS)}")
@@ -127,6 +130,11 @@ def _street(generator: np.random.Generator) -> Layout:
         replace(arm, name="west", angle=tilt + np.pi, bend=-bend),
     )
     return Layout("street", arms, corner=6.0, signalised=True, informal=(("east", 45.0),))
+
+
+def _park(generator: np.random.Generator) -> Layout:
+    """A street through a park."""
+    return replace(_street(generator), kind="park")
 
 
 def corner_along(arm: Arm, other: Arm) -> float:

@@ -17,7 +17,7 @@ from geoaim.synthetic.roads.arms import (
 from geoaim.synthetic.roads.car_park import AISLE, BAY, NEAR, CarPark
 from geoaim.synthetic.roads.curves import Line
 from geoaim.synthetic.roads.lanes import FAR
-from geoaim.synthetic.roads.layouts import CROSSING, CYCLES, Layout
+from geoaim.synthetic.roads.layouts import CROSSING, CYCLES, STRETCHES, Layout
 from geoaim.synthetic.roads.paving import Crossing, lot_polygon
 from geoaim.synthetic.roads.plan import Roads
 
@@ -197,7 +197,7 @@ def _stripes(crossing: Crossing) -> list[Line]:
 
 def _arrows(arm: Arm, layout: Layout) -> list[Line]:
     """The turns that each lane serves, where there is more than one lane or a light."""
-    if layout.ring or not np.isfinite(arm.stop) or layout.kind == "street":
+    if layout.ring or not np.isfinite(arm.stop) or layout.kind in STRETCHES:
         return []
     possible = {turn_between(arm, other) for other in layout.arms if other is not arm}
     arrows = []

@@ -49,7 +49,7 @@ def make_roads(kind: Kind, generator: np.random.Generator) -> Roads:
     wide = generator.uniform(4.0, 5.2)
     paving = pave(layout, lanes, car_park, page, wide)
     crossings = make_crossings(layout, car_park, paving)
-    walks = make_walks(paving, crossings, page, wide, generator)
+    walks = make_walks(paving, crossings, page, wide, generator, park=kind == "park")
     return Roads(layout, lanes, passages, car_park, crossings, paving, walks, page)
 
 
@@ -69,7 +69,7 @@ def signal_of(roads: Roads, lane: str, turn: str) -> str:
 
 def _park(layout: Layout, generator: np.random.Generator) -> CarPark | None:
     """A car park beside the east arm, where its plot has room for one."""
-    if layout.kind == "roundabout":
+    if layout.kind in ("roundabout", "park"):
         return None
     arm = arm_named(layout, "east")
     along = {"junction": 46.0, "t": 42.0, "street": 26.0}[layout.kind]

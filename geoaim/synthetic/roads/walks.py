@@ -1,4 +1,4 @@
-"""Where people walk: lines along the pavements, paths to doors, crossings, and routes over them."""
+"""Where people walk: along pavements, over crossings, on paths off them; and routes over these."""
 
 import heapq
 from dataclasses import dataclass
@@ -12,13 +12,8 @@ from shapely import Geometry, LineString, Point, Polygon
 from shapely.ops import substring
 
 from geoaim.synthetic.roads.curves import Line, even
+from geoaim.synthetic.roads.paths import BEYOND, doors, footpaths
 from geoaim.synthetic.roads.paving import VERGE, Crossing, Paving, outer_kerbs
-
-BEYOND = 8.0  # m past the page where people appear and vanish
-PATH = 2.0  # m, width of a path to a door
-DOOR = (9.0, 16.0)  # m from the middle of a pavement to a door
-DOORS = 2  # on each side, where there is room
-APART = 15.0  # m between two doors
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,7 @@ class Walks:
     Attributes:
         legs: its edges.
         gates: nodes at which people appear and vanish: the page's edge, doors.
-        paths: paved ways to doors.
+        paths: paved ways to doors and through parks.
     """
 
     legs: tuple[Leg, ...]
@@ -59,30 +54,41 @@ def make_walks(
     page: Polygon,
     wide: float,
     generator: np.random.Generator,
+    *,
+    park: bool = False,
 ) -> Walks:
-    """Lines along the pavements (`wide` metres), joined by crossings, with paths to doors."""
+    """Lines along the pavements (`wide` metres), joined by crossings, with paths off them.
+
+    Paths lead to doors, or through a park.
+    """
     whole = outer_kerbs(paving)
     middle = whole.buffer((VERGE + wide) / 2, quad_segs=16).exterior
     inside = shapely.line_merge(middle.intersection(page.buffer(BEYOND)))
     sides = [line for line in shapely.get_parts(inside) if line.length > 20]
-    doors = [door for side in sides for door in _doors(side, paving, generator)]
+    off = footpaths if park else doors
+    nets = [net for side in sides for net in off(side, paving, generator)]
     feet = [(side, at) for side, line in enumerate(sides) for at in (0.0, line.length)]
     rims = len(feet)
-    ends = [end for crossing in crossings for end in crossing.ends] + [door[0] for door in doors]
+    ends = [end for crossing in crossings for end in crossing.ends]
+    ends += [foot for net in nets for foot in net.feet]
     feet += [_nearest(sides, end) for end in ends]
     node = _same_place(feet)
     legs = [*_over(sides, crossings, feet[rims:], node[rims:])]
     along_drive = _same_side(crossings, feet[rims:], node[rims:])
     legs += _along(sides, feet, node, along_drive)
-    door_feet, free = node[rims + 2 * len(crossings) :], len(feet) + 2 * len(crossings)
-    gates = [*node[:rims], *range(free, free + len(doors))]
-    legs += [
-        Leg(even(door), -1, foot, free + k)
-        for k, (door, foot) in enumerate(zip(doors, door_feet, strict=True))
-    ]
-    paths = [LineString(door).buffer(PATH / 2, cap_style="flat") for door in doors]
+    free, used = len(feet) + 2 * len(crossings), rims + 2 * len(crossings)
+    gates = node[:rims]
+    for net in nets:
+        mine = [*node[used : used + len(net.feet)], *range(free, free + net.others)]
+        free, used = free + net.others, used + len(net.feet)
+        gates += [mine[k] for k in net.gates]
+        legs += [
+            Leg(even(line), -1, mine[a], mine[b])
+            for line, (a, b) in zip(net.lines, net.ends, strict=True)
+        ]
     paved = shapely.union_all([whole, paving.pavement])
-    return Walks(tuple(legs), tuple(gates), shapely.union_all(paths).difference(paved))
+    paths = shapely.union_all([net.paved for net in nets]).difference(paved)
+    return Walks(tuple(legs), tuple(gates), paths)
 
 
 def route(walks: Walks, start: int, end: int, favour: Float[Array, "_"]) -> list[tuple[Line, int]]:
@@ -111,26 +117,6 @@ def route(walks: Walks, start: int, end: int, favour: Float[Array, "_"]) -> list
         found.append((leg.line if leg.end == end else leg.line[::-1], leg.crossing))
         end = before
     return found[::-1]
-
-
-def _doors(side: LineString, paving: Paving, generator: np.random.Generator) -> list[Line]:
-    """Straight paths from a pavement into the plots, where nothing is in their way."""
-    plots = shapely.union_all(list(paving.plots))
-    found: list[Line] = []
-    for at, reach in zip(
-        generator.uniform(0.1, 0.9, 12), generator.uniform(*DOOR, 12), strict=True
-    ):
-        spot, ahead = (
-            np.array(side.interpolate(at * side.length + d).coords[0]) for d in (0.0, 0.5)
-        )
-        x, y = (ahead - spot) / np.hypot(*(ahead - spot))
-        for across in (np.array([y, -x]), np.array([-y, x])):
-            line = np.stack([spot, spot + reach * across])
-            clear = LineString([spot + 5.5 * across, line[1] + 2 * across]).buffer(2.0)
-            apart = all(np.hypot(*(spot - other[0])) > APART for other in found)
-            if len(found) < DOORS and apart and plots.contains(clear):
-                found.append(line)
-    return found
 
 
 def _nearest(sides: list[LineString], point: Float[Array, "2"]) -> tuple[int, float]:

@@ -55,7 +55,8 @@ def furnish(roads: Roads, generator: np.random.Generator) -> Scenery:
         for area in _divided(plot, angle, generator):
             beside_lot = area.distance(roads.paving.lot) < 3 if roads.car_park else False
             small = beside_lot or area.area < 350
-            use = "field" if small else USES[int(generator.integers(len(USES)))]
+            rough = small or roads.layout.kind == "park"  # lawns and ponds bring paths of their own
+            use = "field" if rough else USES[int(generator.integers(len(USES)))]
             parcels.append(Parcel(use, area))
             free = area.buffer(-0.5).difference(roads.walks.paths.buffer(1.0))
             part = max(shapely.get_parts(free), key=lambda part: part.area, default=Polygon())

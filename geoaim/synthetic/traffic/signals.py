@@ -7,6 +7,7 @@ from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
 from geoaim.lights import GREEN, RED, YELLOW
+from geoaim.synthetic.roads.layouts import STRETCHES
 from geoaim.synthetic.roads.plan import Roads
 
 AMBER, CLEAR = 3.0, 2.0  # s of yellow, and of red for all
@@ -37,7 +38,7 @@ def plan_signals(roads: Roads, generator: np.random.Generator) -> Signals:
     if not roads.layout.signalised:
         return Signals((), 0.0, (), ())
     long, short = generator.uniform(24, 32), generator.uniform(16, 20)
-    if roads.layout.kind == "street":
+    if roads.layout.kind in STRETCHES:
         walk = 10.0 + _length(roads, "east") / STRIDE
         return _cycle([(long + 8, ("east", "west"), ()), (walk - AMBER, (), ("east",))], roads)
     main = [arm for arm in roads.layout.arms if arm.name in ("east", "west")]
