@@ -75,7 +75,7 @@ def main(
 
 
 def _show_places(path: Path) -> None:
-    """The four kinds of made place on days of four seasons, with half a minute of traffic."""
+    """Four kinds of made place on days of four seasons, with half a minute of traffic."""
     figure, axes = plt.subplots(2, 2, figsize=(14, 8.6), layout="constrained")
     for axis, (kind, day) in zip(axes.ravel(), DAYS.items(), strict=True):
         sample = make_sample(2, kind=kind, minutes=0.5, video=None)

@@ -1,4 +1,4 @@
-"""Sampled futures side by side: what a model of each kind thinks on each map of a new place."""
+"""Sampled futures side by side: what a model of each kind thinks on each map of new places."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,17 +19,23 @@ from geoaim.simulation.scene import step_at_time
 TIME = 60.0  # s of the recording after which futures are drawn
 
 
-def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, path: Path) -> None:
-    """Draw a panel for each of `RECIPES` by name, on its map of a place."""
+def write_futures_on_maps(
+    models: Mapping[str, ITRA], places: Mapping[str, Path], path: Path
+) -> None:
+    """Draw a panel for each of `RECIPES` by name, on its map of the place for its kind."""
     figure = Figure(figsize=(14, 5.2 * len(models) / 2), layout="constrained")
-    recorded = read_recordings(place)[0]
     rows = figure.subplots(-(-len(models) // 2), 2, squeeze=False)
     for axes in rows.flat:
         axes.axis("off")
     for axes, (name, model) in zip(rows.flat, models.items(), strict=False):
-        recipe = RECIPES[name]
+        recipe, place = RECIPES[name], places[model.config.kind]
         rate = 1 / model.config.seconds
-        scene = scene_of(recorded, read_map(place, recipe.map), rate=rate, lights=recipe.lights)
+        scene = scene_of(
+            read_recordings(place)[0],
+            read_map(place, recipe.map),
+            rate=rate,
+            lights=recipe.lights,
+        )
         steps = STEPS[model.config.kind] - OBSERVED
         start = step_at_time(scene, TIME)
         generator = torch.Generator().manual_seed(0)

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from geoaim.errors import ModelError
-from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, lessons_of
+from geoaim.experiments.learning import LIKENESS, PEOPLE, TRAININGS, VEHICLES, lessons_of
 from geoaim.experiments.places import TRAIN, make_places
 from geoaim.prediction.checkpoints import kept_model, read_state
 from geoaim.prediction.itra import ITRA, Config
@@ -24,16 +24,23 @@ class Recipe:
 
 
 RECIPES = {
-    "vehicle_aim": Recipe(VEHICLES, "aim"),
+    "vehicle_aim": Recipe(LIKENESS, "aim"),
+    "vehicle_aim_colours": Recipe(VEHICLES, "aim"),
     "vehicle_hdm": Recipe(VEHICLES, "hdm"),
     "vehicle_roads": Recipe(VEHICLES, "roads"),
     "vehicle_no_map": Recipe(VEHICLES, "none"),
-    "vehicle_aim_no_lights": Recipe(VEHICLES, "aim", lights=False),
+    "vehicle_aim_no_lights": Recipe(LIKENESS, "aim", lights=False),
     "pedestrian_aim": Recipe(PEOPLE, "aim"),
     "pedestrian_hdm": Recipe(PEOPLE, "hdm"),
     "pedestrian_roads": Recipe(PEOPLE, "roads"),
     "pedestrian_full": Recipe(PEOPLE, "full"),
     "pedestrian_no_map": Recipe(PEOPLE, "none"),
+}
+
+# trainings: chance may be as large as what maps give; the others have one
+REPEATED = {
+    **dict.fromkeys(("pedestrian_aim", "pedestrian_hdm"), 3),
+    **dict.fromkeys(("vehicle_aim", "vehicle_aim_colours", "vehicle_hdm"), 2),
 }
 
 
@@ -49,7 +56,7 @@ def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = silent
     recipe = RECIPES[name]
 
     def lessons() -> Lessons:
-        places = make_places(folder / "places", TRAIN, report=report)
+        places = make_places(folder / "places", TRAIN[recipe.config.kind], report=report)
         return lessons_of(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
 
     training = replace(TRAININGS[recipe.config.kind], seed=seed)

@@ -1,6 +1,6 @@
 """Made places to learn from and to be judged on: written once, then read as any recording is."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -24,7 +24,8 @@ from geoaim.synthetic.roads.layouts import Kind
 from geoaim.track_changes import resample
 from geoaim.tracks import Tracks, read_tracks
 
-TRAIN: tuple[tuple[int, Kind], ...] = (
+Places = Sequence[tuple[int, Kind]]
+ROADS: Places = (
     (201, "junction"),
     (202, "junction"),
     (203, "t"),
@@ -36,12 +37,17 @@ TRAIN: tuple[tuple[int, Kind], ...] = (
     (209, "junction"),
     (210, "roundabout"),
 )
-TEST: tuple[tuple[int, Kind], ...] = (
+NEW_ROADS: Places = (
     (301, "junction"),
     (302, "junction"),
     (303, "t"),
     (304, "roundabout"),
 )
+PARKS: Places = ((241, "park"), (242, "park"), (243, "park"), (244, "park"))
+NEW_PARKS: Places = ((341, "park"), (342, "park"))
+# in parks, only people do what they do not do along roads
+TRAIN: Mapping[str, Places] = {"vehicle": ROADS, "pedestrian": (*ROADS, *PARKS)}
+TEST: Mapping[str, Places] = {"vehicle": NEW_ROADS, "pedestrian": (*NEW_ROADS, *NEW_PARKS)}
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
 MAPS = ("aim", "roads", "hdm", "full", "degraded", "another day", "none")
@@ -65,9 +71,7 @@ class Recorded:
         return rules_of(self.hdmap)
 
 
-def make_places(
-    folder: Path, places: Sequence[tuple[int, Kind]], *, report: Progress = silent
-) -> list[Path]:
+def make_places(folder: Path, places: Places, *, report: Progress = silent) -> list[Path]:
     """The folders of places; those that are not there yet are made."""
     found = []
     for number, (seed, kind) in enumerate(places):
@@ -83,7 +87,7 @@ def make_places(
     return found
 
 
-@lru_cache(maxsize=len(TRAIN) + len(TEST))
+@lru_cache(maxsize=len(TRAIN["pedestrian"]) + len(TEST["pedestrian"]))
 def read_recordings(folder: Path) -> tuple[Recorded, ...]:
     """All recordings of a made place; they stay in memory, since every case is judged on them."""
     found = []

@@ -1,6 +1,6 @@
 """What experiments leave behind: a small JSON file and a Markdown table of each."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,11 @@ def write_results(name: str, found: Mapping[str, Measures], about: Mapping[str, 
         text = f"`geoaim experiment {name}`\n\n{markdown(tables)}\n"
         temporary.write_text(text, encoding="utf-8")
     return paths
+
+
+def means(trainings: Sequence[Measures]) -> list[dict[str, float]]:
+    """What each training of a model comes to: how far chance goes."""
+    return [{name: measure.mean for name, measure in one.items()} for one in trainings]
 
 
 def differences(one: Measures, other: Measures) -> dict[str, tuple[float, float]]:

@@ -16,8 +16,8 @@ from geoaim.progress import Progress
 def run(folder: Path, report: Progress) -> list[Path]:
     """the two shipped models, taught by made places and judged at others; into the package."""
     written, tables = [], {}
-    places = make_places(folder / "places", TEST, report=report)
     for name, config in (("vehicles", VEHICLES), ("people", PEOPLE)):
+        places = make_places(folder / "places", TEST[config.kind], report=report)
         model = trained(f"{config.kind}_aim", folder, report=report)
         with replacing(shipped(config.kind)) as temporary:
             shutil.copyfile(folder / "models" / f"{config.kind}_aim" / "model.pt", temporary)

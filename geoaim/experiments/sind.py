@@ -6,7 +6,7 @@ well: ends of stop lines, corners of crossings.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from geoaim.aim import AIM, whole_aim
 from geoaim.bench.data import needed
 from geoaim.errors import TracksError
 from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
-from geoaim.experiments.models import kept_or_trained, trained
-from geoaim.experiments.results import Measures, differences, write_results
+from geoaim.experiments.models import REPEATED, kept_or_trained, trained, training_folder
+from geoaim.experiments.results import Measures, differences, means, write_results
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import Georeference, georeference
 from geoaim.mapping.hdmap import HDMap, read_hdmap
@@ -28,7 +28,7 @@ from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.lessons import STEPS, make_lessons, split
-from geoaim.prediction.metrics import Measure, merged
+from geoaim.prediction.metrics import Measure, merged, pooled
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.training import fine_tuning
 from geoaim.progress import Progress
@@ -90,22 +90,30 @@ TUNING = fine_tuning("pedestrian", steps=150, batch=48)
 def run(folder: Path, report: Progress) -> list[Path]:
     """real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
     found: dict[str, Measures] = {}
+    single: dict[str, list[dict[str, float]]] = {}
     fits = {name: fit(name) for name in JUNCTIONS}
     for kind in MAPS:
         scenes = [
             _scene(name, image if kind == "aim" else draw_hdmap(hdmap))
             for name, (image, _, hdmap) in fits.items()
         ]
-        model = trained(f"pedestrian_{kind}", folder, report=report)
         lessons = partial(make_lessons, scenes, PEOPLE, held_out=0.5)
-        where = folder / "models" / f"pedestrian_sind_{kind}"
-        tuned = kept_or_trained(where, PEOPLE, TUNING, lessons, report, start=model)
-        models: dict[str, ITRA | str] = {f"{kind}, zero-shot": model, f"{kind}, fine-tuned": tuned}
+        models: dict[str, list[ITRA | str]] = {f"{kind}, zero-shot": [], f"{kind}, fine-tuned": []}
+        for seed in range(REPEATED[f"pedestrian_{kind}"]):
+            model = trained(f"pedestrian_{kind}", folder, seed=seed, report=report)
+            where = training_folder(folder, f"pedestrian_sind_{kind}", seed)
+            tuning = replace(TUNING, seed=seed)
+            tuned = kept_or_trained(where, PEOPLE, tuning, lessons, report, start=model)
+            models[f"{kind}, zero-shot"].append(model)
+            models[f"{kind}, fine-tuned"].append(tuned)
         if kind == MAPS[-1]:
-            models |= {name: name for name in BASELINES}
-        for number, (name, who) in enumerate(models.items()):
+            models |= {name: [name] for name in BASELINES}
+        for number, (name, trainings) in enumerate(models.items()):
             report(f"judge {kind}", number, len(models))
-            found[name] = _judge(who, scenes)
+            parts = [_judge(who, scenes) for who in trainings]
+            found[name] = pooled(parts)
+            if len(parts) > 1:
+                single[name] = means(parts)
     gains = {
         f"aim less hdm, {how}": differences(found[f"aim, {how}"], found[f"hdm, {how}"])
         for how in ("zero-shot", "fine-tuned")
@@ -116,6 +124,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "pieces": len(found["constant velocity"]["minADE"].sums),
         "people in them": int(found["constant velocity"]["minADE"].counts.sum()),
         "georeference": {name: _said(place) for name, (_, place, _) in fits.items()},
+        "each training": single,
         **gains,
     }
     return write_results("sind", found, about)

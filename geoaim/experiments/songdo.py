@@ -36,7 +36,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     learnt, others = pick(every, slice(0, None, 2)), pick(every, slice(1, None, 2))
     lessons = Lessons(learnt, others, ground)
     where = folder / "models" / "vehicle_songdo"
-    tuned = kept_or_trained(where, VEHICLES, TUNING, lambda: lessons, report, start=model)
+    tuned = kept_or_trained(where, model.config, TUNING, lambda: lessons, report, start=model)
     asked = Asked(OBSERVED, SAMPLES)
     models = {"zero-shot": model, "fine-tuned": tuned} | {name: name for name in BASELINES}
     found = {}

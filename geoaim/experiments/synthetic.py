@@ -6,14 +6,15 @@ from pathlib import Path
 
 from geoaim.experiments.figures import write_futures_on_maps
 from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
-from geoaim.experiments.models import RECIPES, trained
+from geoaim.experiments.models import RECIPES, REPEATED, trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
-from geoaim.experiments.results import Measures, differences, write_results
+from geoaim.experiments.results import Measures, differences, means, write_results
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import Measure, pooled
 from geoaim.progress import Progress
+from geoaim.synthetic.roads.layouts import ALONG_ROADS, KINDS, Kind
 
 # of the paper's tables: minADE_6 (m), minFDE_6, then MFD or off-road and collision rates
 PAPER = {
@@ -44,17 +45,29 @@ PAIRS = (
     ("people, AIM", "people, HD map with walkways"),
     ("people, HD map of roads alone", "people, HD map"),
     ("people, AIM", "people, no map"),
+    ("people in parks, AIM", "people in parks, HD map"),
+    ("people in parks, AIM", "people in parks, HD map with walkways"),
+    ("people in parks, AIM", "people in parks, no map"),
+    ("people along roads, AIM", "people along roads, HD map"),
     ("vehicles, AIM", "vehicles, HD map"),
     ("vehicles, AIM", "vehicles, HD map of roads alone"),
     ("vehicles, HD map of roads alone", "vehicles, HD map"),
+    ("vehicles, AIM", "vehicles, AIM in colours alone"),
     ("vehicles, AIM", "vehicles, no map"),
     ("vehicles at lights, AIM", "vehicles at lights, AIM, lights not shown"),
     ("vehicles, blurred and noisy AIM", "vehicles, AIM"),
     ("vehicles, imagery of another day", "vehicles, AIM"),
 )
-# trainings: chance is as large as what maps give; the others have one
-REPEATED = {"pedestrian_aim": 2, "pedestrian_hdm": 2}
 SHOWN = ("pedestrian_aim", "pedestrian_hdm", "vehicle_aim", "vehicle_hdm")
+
+
+WHERE: Mapping[str, Sequence[Kind]] = {
+    "new": KINDS,
+    "learnt": KINDS,
+    "lights": ("junction",),
+    "roads": ALONG_ROADS,
+    "parks": ("park",),
+}
 
 
 @dataclass(frozen=True)
@@ -65,7 +78,7 @@ class Case:
         model: one of `RECIPES` or of `BASELINES`.
         map: one of `MAPS`.
         config: whose segments.
-        where: "new" places, those of them with "lights", or the ends of recordings "learnt" from.
+        where: one of `WHERE`: new places, or the ends of recordings "learnt" from.
     """
 
     model: str
@@ -80,9 +93,16 @@ CASES = {
     "people, HD map with walkways": Case("pedestrian_full", "full", PEOPLE),
     "people, AIM": Case("pedestrian_aim", "aim", PEOPLE),
     "people, no map": Case("pedestrian_no_map", "none", PEOPLE),
+    "people in parks, HD map": Case("pedestrian_hdm", "hdm", PEOPLE, "parks"),
+    "people in parks, HD map with walkways": Case("pedestrian_full", "full", PEOPLE, "parks"),
+    "people in parks, AIM": Case("pedestrian_aim", "aim", PEOPLE, "parks"),
+    "people in parks, no map": Case("pedestrian_no_map", "none", PEOPLE, "parks"),
+    "people along roads, HD map": Case("pedestrian_hdm", "hdm", PEOPLE, "roads"),
+    "people along roads, AIM": Case("pedestrian_aim", "aim", PEOPLE, "roads"),
     "vehicles, HD map of roads alone": Case("vehicle_roads", "roads", VEHICLES),
     "vehicles, HD map": Case("vehicle_hdm", "hdm", VEHICLES),
     "vehicles, AIM": Case("vehicle_aim", "aim", VEHICLES),
+    "vehicles, AIM in colours alone": Case("vehicle_aim_colours", "aim", VEHICLES),
     "vehicles, no map": Case("vehicle_no_map", "none", VEHICLES),
     "vehicles, blurred and noisy AIM": Case("vehicle_aim", "degraded", VEHICLES),
     "vehicles, imagery of another day": Case("vehicle_aim", "another day", VEHICLES),
@@ -99,14 +119,16 @@ CASES = {
 }
 
 
+SHOWN_AT = (  # the first place of each
+    CASES["people in parks, AIM"],
+    CASES["vehicles, AIM"],
+)
+
+
 def run(folder: Path, report: Progress) -> list[Path]:
     """the paper's tables on made places that no model has seen, and on recordings' last 5 %."""
-    new = make_places(folder / "places", TEST, report=report)
-    places = {
-        "new": new,
-        "lights": [place for place in new if place.name.startswith("junction")],
-        "learnt": make_places(folder / "places", TRAIN, report=report),
-    }
+    every = (*TRAIN["pedestrian"], *TEST["pedestrian"])  # vehicles' places are among them
+    make_places(folder / "places", every, report=report)
     models = {
         name: [
             trained(name, folder, seed=seed, report=report) for seed in range(REPEATED.get(name, 1))
@@ -117,10 +139,10 @@ def run(folder: Path, report: Progress) -> list[Path]:
     single: dict[str, list[dict[str, float]]] = {}
     for number, (name, case) in enumerate(CASES.items()):
         report("judge", number, len(CASES))
-        found = [_judged(case, model, places) for model in models.get(case.model, [case.model])]
+        found = [_judged(case, model, folder) for model in models.get(case.model, [case.model])]
         tables[name] = pooled(found)
         if len(found) > 1:
-            single[name] = [{key: one[key].mean for key in one} for one in found]
+            single[name] = means(found)
     about = {
         "places to learn from": TRAIN,
         "places to be judged on": TEST,
@@ -132,19 +154,25 @@ def run(folder: Path, report: Progress) -> list[Path]:
     }
     written = write_results("synthetic", tables, about)
     shown = {name: models[name][0] for name in SHOWN}
-    write_futures_on_maps(shown, new[0], written[0].with_suffix(".png"))
+    where = {case.config.kind: _places(folder, case)[0] for case in SHOWN_AT}
+    write_futures_on_maps(shown, where, written[0].with_suffix(".png"))
     return [*written, written[0].with_suffix(".png")]
 
 
-def _judged(
-    case: Case, model: ITRA | str, places: Mapping[str, Sequence[Path]]
-) -> dict[str, Measure]:
+def _judged(case: Case, model: ITRA | str, folder: Path) -> dict[str, Measure]:
     """A case by one of its model's trainings, or by a baseline."""
     return judge(
         model,
-        places[case.where],
+        _places(folder, case),
         case.config,
         case.map,
         end=HELD_OUT if case.where == "learnt" else 1.0,
         lights=case.model not in RECIPES or RECIPES[case.model].lights,
     )
+
+
+def _places(folder: Path, case: Case) -> list[Path]:
+    """The places of a case, which are there already."""
+    kinds = WHERE[case.where]
+    places = (TRAIN if case.where == "learnt" else TEST)[case.config.kind]
+    return make_places(folder / "places", [place for place in places if place[1] in kinds])

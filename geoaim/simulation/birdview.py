@@ -132,7 +132,9 @@ def _plain(layer: Boxes) -> Boxes:
 def _laid(
     view: View, cameras: Float[Tensor, "B 3"], layers: Sequence[Boxes], *, apart: bool = False
 ) -> _Flat:
-    """All boxes that are there, layer over layer; what absent ones hold reaches no gradient.
+    """All boxes that are there, picture by picture, in each layer over layer.
+
+    What absent ones hold reaches no gradient.
 
     Args:
         view: its size and resolution.
@@ -141,10 +143,11 @@ def _laid(
         apart: whether each layer has pictures of its own, which come after the last one's.
     """
     views = len(cameras)
-    everyone = [layer.poses.new_ones(layer.poses.shape[:2], dtype=torch.bool) for layer in layers]
     there = [
-        full if layer.present is None else layer.present
-        for layer, full in zip(layers, everyone, strict=True)
+        layer.poses.new_ones(layer.poses.shape[:2], dtype=torch.bool)
+        if layer.present is None
+        else layer.present
+        for layer in layers
     ]
     present = torch.cat(there, dim=1)
     camera, column = present.nonzero().unbind(1)

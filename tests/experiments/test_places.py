@@ -39,9 +39,10 @@ def folder(tmp_path_factory):
 
 
 def test_places_to_learn_from_are_not_those_to_be_judged_on():
-    assert not {seed for seed, _ in TRAIN} & {seed for seed, _ in TEST}
-    assert {kind for _, kind in TEST} <= {kind for _, kind in TRAIN}
-    assert 1 not in {seed for seed, _ in TRAIN}  # the bundled sample's
+    for who, learnt in TRAIN.items():
+        assert not {seed for seed, _ in learnt} & {seed for seed, _ in TEST[who]}
+        assert {kind for _, kind in TEST[who]} <= {kind for _, kind in learnt}
+        assert 1 not in {seed for seed, _ in learnt}  # the bundled sample's
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -110,6 +111,24 @@ def test_each_training_of_a_model_has_its_own_folder_and_seed(monkeypatch, tmp_p
     assert asked == [("pedestrian_aim", 0, PEOPLE), ("pedestrian_aim_1", 1, PEOPLE)]
 
 
+def test_cases_are_judged_where_they_say(monkeypatch, tmp_path):
+    monkeypatch.setattr(
+        synthetic, "make_places", lambda folder, places: [folder / kind for _, kind in places]
+    )
+    found = {
+        name: sorted(place.name for place in synthetic._places(tmp_path, case))
+        for name, case in synthetic.CASES.items()
+    }
+    assert set(found["people in parks, AIM"]) == {"park"}
+    assert "park" not in found["people along roads, AIM"]
+    parts = found["people in parks, AIM"] + found["people along roads, AIM"]
+    assert found["people, AIM"] == sorted(parts)
+    assert "park" not in found["vehicles, AIM"]  # vehicles drive there as on any street
+    assert set(found["vehicles at lights, AIM"]) == {"junction"}
+    assert len(found["people, AIM, last 5 %"]) == len(TRAIN["pedestrian"])
+    assert {name for pair in synthetic.PAIRS for name in pair} <= set(found)
+
+
 def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     """Two trainings that are wrong by 1 m and 3 m are wrong by 2 m."""
 
@@ -125,6 +144,7 @@ def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     fakes = {
         "CASES": {"people, AIM": synthetic.CASES["people, AIM"]},
         "PAIRS": (("people, AIM", "people, AIM"),),
+        "REPEATED": {"pedestrian_aim": 2},
         "SHOWN": (),
         "write_futures_on_maps": lambda *_: None,
         "make_places": lambda *_, **__: [tmp_path / "junction_1"],

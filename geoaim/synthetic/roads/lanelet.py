@@ -157,7 +157,7 @@ def _right_of_way(roads: Roads, arm: Arm, names: list[str]) -> tuple[list[str], 
 
 
 def _add_walkways(draft: _Draft, roads: Roads) -> None:
-    """Crossings that are marked, and the pavements' lines."""
+    """Crossings that are marked, and the lines of pavements and paths."""
     for leg in roads.walks.legs:
         crossing = roads.crossings[leg.crossing] if leg.crossing >= 0 else None
         marked = crossing is not None and crossing.marked

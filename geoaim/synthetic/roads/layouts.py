@@ -10,8 +10,9 @@ from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.arms import Arm, half_width
 
 Kind = Literal["junction", "t", "roundabout", "street", "park"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-ALONG_ROADS: tuple[Kind, ...] = KINDS[:4]  # where people walk along roads and across them alone
+KINDS: tuple[Kind, ...] = get_args(Kind)  # a new one goes last: seeds of imagery count them
+# where people walk along roads and across them alone
+ALONG_ROADS: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "park")
 STRETCHES: tuple[Kind, ...] = ("street", "park")  # of one road
 
 CROSSING = 4.0  # m, how long a stripe of a crossing is

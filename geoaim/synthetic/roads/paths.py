@@ -12,21 +12,20 @@ from shapely import Geometry, LineString, Point
 from geoaim.synthetic.roads.curves import Line, left_of
 from geoaim.synthetic.roads.paving import Paving, outer_kerbs
 
-BEYOND = 8.0  # m past the page where people appear and vanish
 PATH = 2.0  # m, width of a path to a door
 DOOR = (9.0, 16.0)  # m from the middle of a pavement to a door
 DOORS = 2  # on each side, where there is room
 APART = 15.0  # m between two doors
-WALK = 3.0  # m, width of a footpath
+FOOTPATH = 3.0  # m, width of a way through a park
 FEET = (0.2, 0.5, 0.8)  # of a pavement's length: where footpaths leave it, about
 DEEP = (12.0, 30.0)  # m from the pavement to where footpaths meet
-FAR = 60.0  # m from the pavement, beyond the page
+OUT = 60.0  # m from the pavement, beyond the page
 BULGE = 0.2  # of its length by which a footpath leaves the straight line at most
 
 
 @dataclass(frozen=True, eq=False)
 class Net:
-    """Paths that leave a pavement and end off it; nodes are the feet, then the others.
+    """Paths off a pavement, joined to each other; nodes are the feet, then the others.
 
     Attributes:
         feet: where they leave the pavement.
@@ -69,19 +68,20 @@ def doors(side: LineString, paving: Paving, generator: np.random.Generator) -> l
 def footpaths(side: LineString, paving: Paving, generator: np.random.Generator) -> list[Net]:
     """Winding paths through the green on the outer side of a pavement, and out of the page.
 
-    One runs along the road, now nearer, now further; others lead to it from the pavement, and on
-    from it.
+    One runs along the road, now nearer, now further; three lead to it from the pavement, and two on
+    from it. Where bends cut each other, nobody turns from one path into the other.
     """
     road = outer_kerbs(paving)
     shares = np.array([*FEET, 0.0, *FEET, 1.0])
     shares += generator.uniform(-0.1, 0.1, 8) * (shares % 1 > 0)
     deep = np.array([0.0, 0.0, 0.0, *generator.uniform(*DEEP, 5)])
     on = generator.choice((4, 5, 6), 2, replace=False)
-    shares, deep = np.append(shares, shares[on]), np.append(deep, [FAR, FAR])
+    shares, deep = np.append(shares, shares[on]), np.append(deep, [OUT, OUT])
     nodes = [_beside(side, road, *where) for where in zip(shares, deep, strict=True)]
+    # nodes: 0 to 2 on the pavement, 3 to 7 along the road, 8 and 9 beyond the page
     ends = [(0, 4), (1, 5), (2, 6), *pairwise(range(3, 8)), (int(on[0]), 8), (int(on[1]), 9)]
     lines = tuple(_winding(nodes[a], nodes[b], generator) for a, b in ends)
-    paved = shapely.union_all([LineString(line).buffer(WALK / 2) for line in lines])
+    paved = shapely.union_all([LineString(line).buffer(FOOTPATH / 2) for line in lines])
     return [Net(tuple(nodes[:3]), 7, lines, tuple(ends), (3, 7, 8, 9), paved)]
 
 

@@ -12,8 +12,10 @@ from shapely import Geometry, LineString, Point, Polygon
 from shapely.ops import substring
 
 from geoaim.synthetic.roads.curves import Line, even
-from geoaim.synthetic.roads.paths import BEYOND, doors, footpaths
+from geoaim.synthetic.roads.paths import doors, footpaths
 from geoaim.synthetic.roads.paving import VERGE, Crossing, Paving, outer_kerbs
+
+BEYOND = 8.0  # m past the page where people appear and vanish
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Walks:
 
     Attributes:
         legs: its edges.
-        gates: nodes at which people appear and vanish: the page's edge, doors.
+        gates: nodes at which people appear and vanish: the page's edge, doors, ends of footpaths.
         paths: paved ways to doors and through parks.
     """
 

@@ -90,7 +90,7 @@ def _draw_plots(page: Page, scenery: Scenery) -> None:
 
 
 def _draw_pavement(page: Page, roads: Roads, scenery: Scenery, day: Day) -> None:
-    """Slabs between kerb and plots, paths to doors, verges of grass."""
+    """Slabs between kerb and plots, paths off them, verges of grass."""
     paved = shapely.union_all([roads.paving.pavement, roads.walks.paths])
     fill(page, paved, SLAB, grain=[(PATCH, 4), (GRAIN, 4.5)])
     _draw_joints(page, paved, 0.6, 0.22)

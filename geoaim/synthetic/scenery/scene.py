@@ -53,7 +53,7 @@ class Scenery:
         parcels: what the plots are used for.
         verges: grass between kerb and pavement.
         slabs: paved yards and squares.
-        gravel: paths of parks.
+        gravel: paths of parcels that are parks.
         ponds: water.
         soil: bare ground of fields.
         buildings: houses and blocks.
