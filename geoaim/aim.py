@@ -268,7 +268,8 @@ def _read_frame(dataset: Any, path: str | os.PathLike[str]) -> dict[str, Any]:
     if tag is None:
         raise AimError(
             f"{path} is a {dataset.driver} with {found}, and no GEOAIM tag: it is a picture, and "
-            "an AIM also has a world, coverage and a report; give a file that write_aim wrote"
+            "an AIM also has a world, coverage and a report; give what `geoaim build`, "
+            "`align` or `draw` wrote, or write_aim"
         )
     frame: dict[str, Any] = json.loads(tag)
     if frame["format"] != FORMAT:

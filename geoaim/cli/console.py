@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 console = Console(stderr=True)
 
-AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build")]
+AimFile = Annotated[Path, typer.Argument(help="an AIM written by geoaim build, align or draw")]
 TracksFile = Annotated[
     Path,
     typer.Option(help="tracks: geoaim's, INTERACTION, SinD, inD, highD, geo-trax, Stanford Drone"),

@@ -40,7 +40,8 @@ RECIPES = {
 # trainings: chance may be as large as what maps give; the others have one
 REPEATED = {
     **dict.fromkeys(("pedestrian_aim", "pedestrian_hdm"), 3),
-    **dict.fromkeys(("vehicle_aim", "vehicle_aim_colours", "vehicle_hdm"), 2),
+    **dict.fromkeys(("vehicle_aim", "vehicle_aim_colours", "vehicle_aim_no_lights"), 2),
+    "vehicle_hdm": 2,
 }
 
 
