@@ -1,3 +1,5 @@
+from typing import get_args
+
 import numpy as np
 import pytest
 import rasterio
@@ -7,11 +9,13 @@ from typer.testing import CliRunner
 
 from geoaim.aim import read_aim, write_aim
 from geoaim.cli import app
+from geoaim.cli.made import PlaceKind
 from geoaim.geojson import Feature, write_features
 from geoaim.mapping.drivable import write_area
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.synthetic.camera import render_frame
+from geoaim.synthetic.roads.layouts import KINDS
 from geoaim.tracks import read_tracks
 
 run = CliRunner().invoke
@@ -253,6 +257,10 @@ def test_neither_map_nor_look_replaces_what_is_read(tmp_path, monkeypatch, given
     assert (tmp_path / given[-1]).exists() == (given[-1] == "points.tif")
     for name in ("shot.png", "points.tif", "points.csv", "tiles/19/7.png"):
         assert (tmp_path / name).read_text() == name
+
+
+def test_sample_offers_every_kind_of_place():
+    assert get_args(PlaceKind) == KINDS
 
 
 def test_sample_is_not_written_among_other_files(tmp_path):

@@ -19,23 +19,16 @@ from geoaim.simulation.scene import step_at_time
 TIME = 60.0  # s of the recording after which futures are drawn
 
 
-def write_futures_on_maps(
-    models: Mapping[str, ITRA], places: Mapping[str, Path], path: Path
-) -> None:
-    """Draw a panel for each of `RECIPES` by name, on its map of the place for its kind."""
-    figure = Figure(figsize=(14, 5.2 * len(models) / 2), layout="constrained")
-    rows = figure.subplots(-(-len(models) // 2), 2, squeeze=False)
+def write_futures_on_maps(panels: Mapping[str, tuple[ITRA, Path]], path: Path) -> None:
+    """Draw a panel for each of `RECIPES` by name: its model on its map of a place."""
+    figure = Figure(figsize=(14, 5.2 * len(panels) / 2), layout="constrained")
+    rows = figure.subplots(-(-len(panels) // 2), 2, squeeze=False)
     for axes in rows.flat:
         axes.axis("off")
-    for axes, (name, model) in zip(rows.flat, models.items(), strict=False):
-        recipe, place = RECIPES[name], places[model.config.kind]
+    for axes, (name, (model, place)) in zip(rows.flat, panels.items(), strict=False):
+        recipe, recorded = RECIPES[name], read_recordings(place)[0]
         rate = 1 / model.config.seconds
-        scene = scene_of(
-            read_recordings(place)[0],
-            read_map(place, recipe.map),
-            rate=rate,
-            lights=recipe.lights,
-        )
+        scene = scene_of(recorded, read_map(place, recipe.map), rate=rate, lights=recipe.lights)
         steps = STEPS[model.config.kind] - OBSERVED
         start = step_at_time(scene, TIME)
         generator = torch.Generator().manual_seed(0)

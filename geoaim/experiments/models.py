@@ -16,33 +16,40 @@ from geoaim.progress import Progress, silent
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a model is made of and what it sees."""
+    """What a model is made of, what it sees, and how often it is trained.
+
+    Attributes:
+        config: of the model.
+        map: one of `MAPS`.
+        lights: whether they are shown.
+        trainings: more than one where chance may be as large as what is asked.
+    """
 
     config: Config
     map: str
     lights: bool = True
+    trainings: int = 1
 
 
 RECIPES = {
-    "vehicle_aim": Recipe(LIKENESS, "aim"),
-    "vehicle_aim_colours": Recipe(VEHICLES, "aim"),
-    "vehicle_hdm": Recipe(VEHICLES, "hdm"),
+    "vehicle_aim": Recipe(LIKENESS, "aim", trainings=2),
+    "vehicle_aim_colours": Recipe(VEHICLES, "aim", trainings=2),
+    "vehicle_hdm": Recipe(VEHICLES, "hdm", trainings=2),
     "vehicle_roads": Recipe(VEHICLES, "roads"),
     "vehicle_no_map": Recipe(VEHICLES, "none"),
-    "vehicle_aim_no_lights": Recipe(LIKENESS, "aim", lights=False),
-    "pedestrian_aim": Recipe(PEOPLE, "aim"),
-    "pedestrian_hdm": Recipe(PEOPLE, "hdm"),
+    "vehicle_aim_no_lights": Recipe(LIKENESS, "aim", lights=False, trainings=2),
+    "pedestrian_aim": Recipe(PEOPLE, "aim", trainings=3),
+    "pedestrian_hdm": Recipe(PEOPLE, "hdm", trainings=3),
     "pedestrian_roads": Recipe(PEOPLE, "roads"),
     "pedestrian_full": Recipe(PEOPLE, "full"),
     "pedestrian_no_map": Recipe(PEOPLE, "none"),
 }
 
-# trainings: chance may be as large as what maps give; the others have one
-REPEATED = {
-    **dict.fromkeys(("pedestrian_aim", "pedestrian_hdm"), 3),
-    **dict.fromkeys(("vehicle_aim", "vehicle_aim_colours", "vehicle_aim_no_lights"), 2),
-    "vehicle_hdm": 2,
-}
+
+def all_trained(name: str, folder: Path, *, report: Progress = silent) -> list[ITRA]:
+    """Every training of one of `RECIPES`."""
+    seeds = range(RECIPES[name].trainings)
+    return [trained(name, folder, seed=seed, report=report) for seed in seeds]
 
 
 def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = silent) -> ITRA:

@@ -18,7 +18,7 @@ from geoaim.aim import AIM, whole_aim
 from geoaim.bench.data import needed
 from geoaim.errors import TracksError
 from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
-from geoaim.experiments.models import REPEATED, kept_or_trained, trained, training_folder
+from geoaim.experiments.models import all_trained, kept_or_trained, training_folder
 from geoaim.experiments.results import Measures, differences, means, write_results
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import Georeference, georeference
@@ -99,8 +99,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
         ]
         lessons = partial(make_lessons, scenes, PEOPLE, held_out=0.5)
         models: dict[str, list[ITRA | str]] = {f"{kind}, zero-shot": [], f"{kind}, fine-tuned": []}
-        for seed in range(REPEATED[f"pedestrian_{kind}"]):
-            model = trained(f"pedestrian_{kind}", folder, seed=seed, report=report)
+        for seed, model in enumerate(all_trained(f"pedestrian_{kind}", folder, report=report)):
             where = training_folder(folder, f"pedestrian_sind_{kind}", seed)
             tuning = replace(TUNING, seed=seed)
             tuned = kept_or_trained(where, PEOPLE, tuning, lessons, report, start=model)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geoaim.experiments.figures import write_futures_on_maps
 from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
-from geoaim.experiments.models import RECIPES, REPEATED, trained
+from geoaim.experiments.models import RECIPES, all_trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import Measures, differences, means, write_results
 from geoaim.prediction.baselines import BASELINES
@@ -58,9 +58,12 @@ PAIRS = (
     ("vehicles, blurred and noisy AIM", "vehicles, AIM"),
     ("vehicles, imagery of another day", "vehicles, AIM"),
 )
-SHOWN = ("pedestrian_aim", "pedestrian_hdm", "vehicle_aim", "vehicle_hdm")
-
-
+SHOWN = (  # each at the first of its places
+    "people in parks, AIM",
+    "people in parks, HD map",
+    "vehicles, AIM",
+    "vehicles, HD map",
+)
 WHERE: Mapping[str, Sequence[Kind]] = {
     "new": KINDS,
     "learnt": KINDS,
@@ -119,22 +122,11 @@ CASES = {
 }
 
 
-SHOWN_AT = (  # the first place of each
-    CASES["people in parks, AIM"],
-    CASES["vehicles, AIM"],
-)
-
-
 def run(folder: Path, report: Progress) -> list[Path]:
     """the paper's tables on made places that no model has seen, and on recordings' last 5 %."""
     every = (*TRAIN["pedestrian"], *TEST["pedestrian"])  # vehicles' places are among them
     make_places(folder / "places", every, report=report)
-    models = {
-        name: [
-            trained(name, folder, seed=seed, report=report) for seed in range(REPEATED.get(name, 1))
-        ]
-        for name in RECIPES
-    }
+    models = {name: all_trained(name, folder, report=report) for name in RECIPES}
     tables: dict[str, Measures] = {}
     single: dict[str, list[dict[str, float]]] = {}
     for number, (name, case) in enumerate(CASES.items()):
@@ -153,9 +145,9 @@ def run(folder: Path, report: Progress) -> list[Path]:
         "paper": PAPER,
     }
     written = write_results("synthetic", tables, about)
-    shown = {name: models[name][0] for name in SHOWN}
-    where = {case.config.kind: _places(folder, case)[0] for case in SHOWN_AT}
-    write_futures_on_maps(shown, where, written[0].with_suffix(".png"))
+    shown = [CASES[name] for name in SHOWN]
+    panels = {case.model: (models[case.model][0], _places(folder, case)[0]) for case in shown}
+    write_futures_on_maps(panels, written[0].with_suffix(".png"))
     return [*written, written[0].with_suffix(".png")]
 
 

@@ -1,6 +1,6 @@
 """What agents see: the ground, who is around, and lights, around each of them, heading up."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, Int
@@ -10,7 +10,7 @@ from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.prediction.segments import PERSON, VEHICLE, Segments
 from geoaim.simulation.birdview import Boxes, render_layers
 from geoaim.simulation.ground import Ground, View
-from geoaim.simulation.lines import light_boxes
+from geoaim.simulation.lines import light_layers
 
 UNLIKE = 0.4  # distance of colours, each 0 to 1, from which on it is another surface
 CHANNELS = 7  # ground, vehicles, people, lights that stop, lights that let go
@@ -58,11 +58,8 @@ def egos_see(
         for plane in (VEHICLE, PERSON)
     ]
     lines, lights = segments.lines[egos.segment], segments.lights[egos.segment, number]
-    bars = light_boxes(lines, lights)
-    assert bars.present is not None
-    stops = (lights == RED) | (lights == YELLOW)
-    for_lights = [replace(bars, present=bars.present & shown) for shown in (stops, lights == GREEN)]
-    return render_layers(view, cameras, ground, [*layers, *for_lights])
+    layers += light_layers(lines, lights, [(RED, YELLOW), (GREEN,)])
+    return render_layers(view, cameras, ground, layers)
 
 
 def unlike_underfoot(views: Float[Tensor, "E 7 H W"]) -> Float[Tensor, "E 1 H W"]:

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.lights import STATES, UNKNOWN
+from geoaim.lights import STATES
 from geoaim.simulation.birdview import Boxes
-from geoaim.simulation.lines import light_boxes, path_boxes
+from geoaim.simulation.lines import light_boxes, light_layers, path_boxes
 from geoaim.simulation.scene import Scene, step_seconds
 
 EGO = (1.0, 0.35, 0.0)
@@ -70,10 +70,8 @@ def layers_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> 
     for name in (*KINDS, "other"):
         masks[name] = ~ego & ego.new_tensor([other == name for other in names])
     layers = {name: replace(everyone, present=present & mask) for name, mask in masks.items()}
-    for number, state in enumerate(STATES):
-        only = torch.where(states == number, states, UNKNOWN)
-        layers[state] = light_boxes(scene.stop_lines, only)
-    return layers
+    groups = [(number,) for number in range(len(STATES))]
+    return layers | dict(zip(STATES, light_layers(scene.stop_lines, states, groups), strict=True))
 
 
 def usual_colours(scene: Scene) -> Float[Tensor, "N 3"]:

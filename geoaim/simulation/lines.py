@@ -1,5 +1,6 @@
 """Straight lines as boxes that the renderer paints: lights at stop lines, trails, routes."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -52,6 +53,20 @@ def path_boxes(
     lines = line_boxes(ends, every, width=width, present=present)
     longer = lines.sizes + lines.sizes.new_tensor([width, 0.0])  # no gap at bends
     return replace(lines, sizes=longer)
+
+
+def light_layers(
+    lines: Float[Tensor, "... L 2 2"],
+    states: Int[Tensor, "B L"],
+    groups: Sequence[tuple[int, ...]],
+) -> list[Boxes]:
+    """For `render_layers`: the bars of `light_boxes`, a layer for each group of states."""
+    bars = light_boxes(lines, states)
+    assert bars.present is not None
+    return [
+        replace(bars, present=bars.present & torch.isin(states, states.new_tensor(group)))
+        for group in groups
+    ]
 
 
 def light_boxes(lines: Float[Tensor, "... L 2 2"], states: Int[Tensor, "B L"]) -> Boxes:

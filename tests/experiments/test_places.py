@@ -144,11 +144,10 @@ def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     fakes = {
         "CASES": {"people, AIM": synthetic.CASES["people, AIM"]},
         "PAIRS": (("people, AIM", "people, AIM"),),
-        "REPEATED": {"pedestrian_aim": 2},
         "SHOWN": (),
         "write_futures_on_maps": lambda *_: None,
         "make_places": lambda *_, **__: [tmp_path / "junction_1"],
-        "trained": lambda name, folder, seed, report: str(1 + 2 * seed),
+        "all_trained": lambda name, folder, report: ["1", "3"],
         "judge": judge,
         "write_results": write_results,
     }

@@ -45,7 +45,7 @@ def make_roads(kind: Kind, generator: np.random.Generator) -> Roads:
     layout = lay_out(kind, generator)
     lanes, passages = make_lanes(layout)
     page = page_area(HEIGHT, WIDTH)
-    car_park = _park(layout, generator)
+    car_park = _car_park(layout, generator)
     wide = generator.uniform(4.0, 5.2)
     paving = pave(layout, lanes, car_park, page, wide)
     crossings = make_crossings(layout, car_park, paving)
@@ -67,7 +67,7 @@ def signal_of(roads: Roads, lane: str, turn: str) -> str:
     return f"{name} left" if protected and turn == "L" else name
 
 
-def _park(layout: Layout, generator: np.random.Generator) -> CarPark | None:
+def _car_park(layout: Layout, generator: np.random.Generator) -> CarPark | None:
     """A car park beside the east arm, where its plot has room for one."""
     if layout.kind in ("roundabout", "park"):
         return None
