@@ -34,7 +34,7 @@ from geoaim.mapping.alignment import Alignment
 from geoaim.mapping.image_evidence import align_image
 from geoaim.mapping.tiles import read_imagery
 from geoaim.mapping.track_evidence import align_tracks
-from geoaim.synthetic.roads.layouts import ALONG_ROADS
+from geoaim.synthetic.roads.layouts import PLAIN
 from geoaim.track_formats import read_geotrax
 from geoaim.tracks import Tracks
 
@@ -172,7 +172,7 @@ def songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
 def made_tracks(pairs: list[Pair]) -> list[dict[str, Any]]:
     """A minute of made traffic on other days' pictures, by kind of place."""
     rows = []
-    for kind in ALONG_ROADS:
+    for kind in PLAIN:
         mine = [pair for pair in pairs if pair.name.startswith(kind)]
         parts = [
             _by_tracks(kind, pair.picture, pair.tracks, None, 2)

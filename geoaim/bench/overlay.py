@@ -28,7 +28,7 @@ from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import HDMap, read_hdmap
 from geoaim.synthetic import draw_place, make_place, world_from_image
 from geoaim.synthetic.roads.lanelet import lanelet_map
-from geoaim.synthetic.roads.layouts import ALONG_ROADS, Kind
+from geoaim.synthetic.roads.layouts import PLAIN, Kind
 
 FEWEST = 20  # places for a figure
 REACH = 0.5  # m to each side
@@ -105,7 +105,7 @@ def main(
     """Look for the HD maps' lines on the sample's AIM and on drawn places of each kind."""
     built = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
     rows = [row("sample, built of its video", built, read_hdmap("samples/map.osm", built.world))]
-    rows += [row(f"{kind}, drawn", *drawn(kind)) for kind in ALONG_ROADS]
+    rows += [row(f"{kind}, drawn", *drawn(kind)) for kind in PLAIN]
     print(table(rows))
     save(rows, json, command="python -m geoaim.bench.overlay")
 

@@ -26,7 +26,7 @@ from geoaim.errors import GeoaimWarning
 from geoaim.synthetic import Sample, draw_place, make_sample, tracks_of
 from geoaim.synthetic.camera import paste
 from geoaim.synthetic.filming import draw_agents, image_poses
-from geoaim.synthetic.roads.layouts import ALONG_ROADS
+from geoaim.synthetic.roads.layouts import PLAIN
 from geoaim.track_formats import read_geotrax, read_interaction, read_sdd
 from geoaim.tracks import Tracks
 
@@ -58,7 +58,7 @@ def main(
         raise SystemExit("no real data: set GEOAIM_DATA")
     samples = [
         make_sample(seed, kind=kind, minutes=minutes, video=None)
-        for kind in ALONG_ROADS
+        for kind in PLAIN
         for seed in range(1, seeds + 1)
     ]
     made, real = [_picture(s) for s in samples], _real_pictures(folder)

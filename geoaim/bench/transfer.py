@@ -42,7 +42,7 @@ from geoaim.bench.registration import (
 from geoaim.bench.report import save, table
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
-from geoaim.synthetic.roads.layouts import ALONG_ROADS, Kind
+from geoaim.synthetic.roads.layouts import PLAIN, Kind
 from geoaim.tracks import Tracks
 
 EQUAL = 0.1  # relative difference below which two figures are not told apart
@@ -109,7 +109,7 @@ def registration(frames: int) -> Figures:
         "ECC quarter": ecc_method,
     }
     videos = {f"still {still}": _over_still(still, frames) for still in STILLS}
-    for kind in ALONG_ROADS:
+    for kind in PLAIN:
         made = make_sample(1, kind=kind, video=(1080, 1920), hover=Hover(count=frames))
         assert made.clip is not None
         videos[f"made {kind}"] = MadeVideo(made.clip, "plain", np.ones(frames, bool))
@@ -134,7 +134,7 @@ def _over_still(still: str, frames: int) -> MadeVideo:
 
 def prediction(folder: Path, minutes: float) -> Iterator[tuple[str, Figures]]:
     """Mean displacement of each rule after 3 s: vehicles, then people on foot."""
-    samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in ALONG_ROADS]
+    samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in PLAIN]
     made = {f"made {s.place.roads.layout.kind}": [tracks_of(s)] for s in samples}
     for task, real, types in (
         ("vehicles, m", real_vehicles(folder), VEHICLES),
@@ -205,7 +205,7 @@ def alignment(folder: Path) -> Figures:
         "orientation": _orientation,
     }
     found: Figures = {}
-    made = {f"made {kind}": _made_pairs(kind) for kind in ALONG_ROADS}
+    made = {f"made {kind}": _made_pairs(kind) for kind in PLAIN}
     for source, pairs in (made | {"rotterdam": _real_pairs(folder)}).items():
         wrong: list[Array] = []
         for one, two in pairs:

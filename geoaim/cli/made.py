@@ -7,7 +7,7 @@ import typer
 
 from geoaim.cli.console import console, plain_errors, stages
 
-PlaceKind = Literal["junction", "t", "roundabout", "street", "park"]
+PlaceKind = Literal["junction", "t", "roundabout", "street", "park", "kerbside"]
 VideoSize = Literal["none", "720p", "1080p", "4k"]
 
 

@@ -1,10 +1,11 @@
 """The paper's tables and more, each by one name of `geoaim experiment`."""
 
-from geoaim.experiments import ablations, shipping, sind, songdo, stanford, synthetic
+from geoaim.experiments import ablations, people, shipping, sind, songdo, stanford, vehicles
 
 EXPERIMENTS = {
     "shipped": shipping.run,
-    "synthetic": synthetic.run,
+    "people": people.run,
+    "vehicles": vehicles.run,
     "stanford": stanford.run,
     "songdo": songdo.run,
     "sind": sind.run,

@@ -60,19 +60,31 @@ def judge(
     lights: bool = True,
 ) -> dict[str, Measure]:
     """Measures of a model or a baseline, all of the kind jointly, on so much of each end."""
-    asked = Asked(OBSERVED, SAMPLES, lights=lights)
-    parts: list[dict[str, Measure]] = []
-    steps = STEPS[config.kind]
-    for folder in folders:
-        aim = read_map(folder, name)
-        for recorded in read_recordings(folder):
-            _, scene = split(scene_of(recorded, aim, rate=1 / config.seconds), end)
-            rules = recorded.rules if config.kind == "vehicle" else NO_RULES
-            # every other piece is enough to judge
-            parts += judged(model, scene, config, asked, stride=2 * steps, rules=rules)
+    parts = [
+        part
+        for folder in folders
+        for part in judge_at(model, folder, config, name, end=end, lights=lights)
+    ]
     if not parts:
-        raise TracksError(f"no {config.kind} is there for {steps} steps in {len(folders)} places")
+        raise TracksError(
+            f"no {config.kind} is there for {STEPS[config.kind]} steps in {len(folders)} places"
+        )
     return merged(parts)
+
+
+def judge_at(
+    model: ITRA | str, folder: Path, config: Config, name: str, *, end: float, lights: bool
+) -> list[dict[str, Measure]]:
+    """Measures at one place, of each recording in which somebody is there for long enough."""
+    asked = Asked(OBSERVED, SAMPLES, lights=lights)
+    aim, parts = read_map(folder, name), []
+    for recorded in read_recordings(folder):
+        _, scene = split(scene_of(recorded, aim, rate=1 / config.seconds), end)
+        rules = recorded.rules if config.kind == "vehicle" else NO_RULES
+        # every other piece is enough to judge
+        stride = 2 * STEPS[config.kind]
+        parts += judged(model, scene, config, asked, stride=stride, rules=rules)
+    return parts
 
 
 def judged(

@@ -45,9 +45,14 @@ NEW_ROADS: Places = (
 )
 PARKS: Places = ((241, "park"), (242, "park"), (243, "park"), (244, "park"))
 NEW_PARKS: Places = ((341, "park"), (342, "park"))
-# in parks, only people do what they do not do along roads
-TRAIN: Mapping[str, Places] = {"vehicle": ROADS, "pedestrian": (*ROADS, *PARKS)}
-TEST: Mapping[str, Places] = {"vehicle": NEW_ROADS, "pedestrian": (*NEW_ROADS, *NEW_PARKS)}
+KERBSIDE: Places = ((251, "kerbside"), (252, "kerbside"), (253, "kerbside"), (254, "kerbside"))
+NEW_KERBSIDE: Places = ((351, "kerbside"), (352, "kerbside"))
+# in parks people do what they do not do along roads, and vehicles where cars are parked
+TRAIN: Mapping[str, Places] = {"vehicle": (*ROADS, *KERBSIDE), "pedestrian": (*ROADS, *PARKS)}
+TEST: Mapping[str, Places] = {
+    "vehicle": (*NEW_ROADS, *NEW_KERBSIDE),
+    "pedestrian": (*NEW_ROADS, *NEW_PARKS),
+}
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
 MAPS = ("aim", "roads", "hdm", "full", "degraded", "another day", "none")

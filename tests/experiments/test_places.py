@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from geoaim.aim import pixel_size
-from geoaim.experiments import EXPERIMENTS, models, places, synthetic
+from geoaim.experiments import EXPERIMENTS, cases, models, people, places, vehicles
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, lessons_of
 from geoaim.experiments.models import RECIPES
 from geoaim.experiments.places import (
@@ -113,47 +113,51 @@ def test_each_training_of_a_model_has_its_own_folder_and_seed(monkeypatch, tmp_p
 
 def test_cases_are_judged_where_they_say(monkeypatch, tmp_path):
     monkeypatch.setattr(
-        synthetic, "make_places", lambda folder, places: [folder / kind for _, kind in places]
+        cases, "make_places", lambda folder, places: [folder / kind for _, kind in places]
     )
-    found = {
-        name: sorted(place.name for place in synthetic._places(tmp_path, case))
-        for name, case in synthetic.CASES.items()
-    }
-    assert set(found["people in parks, AIM"]) == {"park"}
-    assert "park" not in found["people along roads, AIM"]
-    parts = found["people in parks, AIM"] + found["people along roads, AIM"]
-    assert found["people, AIM"] == sorted(parts)
-    assert "park" not in found["vehicles, AIM"]  # vehicles drive there as on any street
-    assert set(found["vehicles at lights, AIM"]) == {"junction"}
-    assert len(found["people, AIM, last 5 %"]) == len(TRAIN["pedestrian"])
-    assert {name for pair in synthetic.PAIRS for name in pair} <= set(found)
+    on_foot, driving = (
+        {
+            name: sorted(place.name for place in cases.places_of(case, table.config.kind, tmp_path))
+            for name, case in table.cases.items()
+        }
+        for table in (people.TABLE, vehicles.TABLE)
+    )
+    assert set(on_foot["in parks, AIM"]) == {"park"}
+    assert on_foot["AIM"] == sorted(on_foot["in parks, AIM"] + on_foot["along roads, AIM"])
+    assert len(on_foot["AIM, last 5 %"]) == len(TRAIN["pedestrian"])
+    assert set(driving["past parked cars, AIM"]) == {"kerbside"}
+    parts = driving["past parked cars, AIM"] + driving["in the middle of lanes, AIM"]
+    assert driving["AIM"] == sorted(parts)
+    assert set(driving["at lights, AIM"]) == {"junction"}
+    for table in (people.TABLE, vehicles.TABLE):
+        assert {*table.shown, *(name for pair in table.pairs for name in pair)} <= set(table.cases)
 
 
 def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     """Two trainings that are wrong by 1 m and 3 m are wrong by 2 m."""
 
-    def judge(model, *_, **__):
-        return {"minADE": Measure(np.full(4, float(model)), np.ones(4))}
+    def judge_at(model, *_, **__):
+        return [{"minADE": Measure(np.full(4, float(model)), np.ones(4))}]
 
     written = {}
 
     def write_results(name, tables, about):
         written.update(tables=tables, about=about)
-        return [tmp_path / "synthetic.json"]
+        return [tmp_path / "people.json"]
 
+    table = replace(
+        people.TABLE, cases={"AIM": people.TABLE.cases["AIM"]}, pairs=(("AIM", "AIM"),), shown=()
+    )
     fakes = {
-        "CASES": {"people, AIM": synthetic.CASES["people, AIM"]},
-        "PAIRS": (("people, AIM", "people, AIM"),),
-        "SHOWN": (),
         "write_futures_on_maps": lambda *_: None,
         "make_places": lambda *_, **__: [tmp_path / "junction_1"],
         "all_trained": lambda name, folder, report: ["1", "3"],
-        "judge": judge,
+        "judge_at": judge_at,
         "write_results": write_results,
     }
     for name, fake in fakes.items():
-        monkeypatch.setattr(synthetic, name, fake)
-    synthetic.run(tmp_path, silent)
-    assert written["tables"]["people, AIM"]["minADE"].mean == 2
-    each = written["about"]["each training, where there are more than one"]["people, AIM"]
+        monkeypatch.setattr(cases, name, fake)
+    cases.run_table("people", table, tmp_path, silent)
+    assert written["tables"]["AIM"]["minADE"].mean == 2
+    each = written["about"]["each training, where there are more than one"]["AIM"]
     assert [one["minADE"] for one in each] == [1, 3]

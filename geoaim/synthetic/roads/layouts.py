@@ -1,4 +1,4 @@
-"""Five kinds of place: how their arms lie, and what controls the traffic."""
+"""Six kinds of place: how their arms lie, and what controls the traffic."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,15 +9,16 @@ import numpy as np
 from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.arms import Arm, half_width
 
-Kind = Literal["junction", "t", "roundabout", "street", "park"]
+Kind = Literal["junction", "t", "roundabout", "street", "park", "kerbside"]
 KINDS: tuple[Kind, ...] = get_args(Kind)  # a new one goes last: seeds of imagery count them
-# where people walk along roads and across them alone
-ALONG_ROADS: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "park")
-STRETCHES: tuple[Kind, ...] = ("street", "park")  # of one road
+# of which a map of lanes says all: people keep beside roads, vehicles to the middle of lanes
+PLAIN: tuple[Kind, ...] = ("junction", "t", "roundabout", "street")
+STRETCHES: tuple[Kind, ...] = ("street", "park", "kerbside")  # of one road
 
 CROSSING = 4.0  # m, how long a stripe of a crossing is
 CYCLES = 2.4  # m between a crossing and the stop line, for a strip on which cycles cross
 SETBACK = 1.0  # m from the crossing or strip to the stop line
+BROAD = 4.1  # m, width of a lane past whose parked cars one has room
 RING_LANE = 5.4  # m, width of the lane of a roundabout
 AROUND = 0.8 * np.pi  # arms further apart than this make one straight road, with no corner
 
@@ -55,6 +56,7 @@ def lay_out(kind: Kind, generator: np.random.Generator) -> Layout:
         "roundabout": _roundabout,
         "street": _street,
         "park": _park,
+        "kerbside": _kerbside,
     }
     if kind not in makers:
         raise ValueError(f"kind {kind!r} is not one of {', '.join(KINDS)}")
@@ -136,6 +138,13 @@ def _street(generator: np.random.Generator) -> Layout:
 def _park(generator: np.random.Generator) -> Layout:
     """A street through a park."""
     return replace(_street(generator), kind="park")
+
+
+def _kerbside(generator: np.random.Generator) -> Layout:
+    """A street of two broad lanes, slow, with room for cars that are parked on it."""
+    street = _street(generator)
+    arms = [replace(arm, turns=("S",), lanes_out=1, lane=BROAD, speed=8.3) for arm in street.arms]
+    return replace(street, kind="kerbside", arms=tuple(arms))
 
 
 def corner_along(arm: Arm, other: Arm) -> float:

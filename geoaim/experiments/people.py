@@ -1,0 +1,50 @@
+"""People of made places: HD maps against AIM, in parks and along roads."""
+
+from pathlib import Path
+
+from geoaim.experiments.cases import Case, Table, run_table
+from geoaim.experiments.learning import PEOPLE
+from geoaim.prediction.baselines import BASELINES
+from geoaim.progress import Progress
+
+TABLE = Table(
+    config=PEOPLE,
+    cases={
+        "HD map of roads alone": Case("pedestrian_roads", "roads"),
+        "HD map": Case("pedestrian_hdm", "hdm"),
+        "HD map with walkways": Case("pedestrian_full", "full"),
+        "AIM": Case("pedestrian_aim", "aim"),
+        "no map": Case("pedestrian_no_map", "none"),
+        "in parks, HD map": Case("pedestrian_hdm", "hdm", "parks"),
+        "in parks, HD map with walkways": Case("pedestrian_full", "full", "parks"),
+        "in parks, AIM": Case("pedestrian_aim", "aim", "parks"),
+        "in parks, no map": Case("pedestrian_no_map", "none", "parks"),
+        "along roads, HD map": Case("pedestrian_hdm", "hdm", "plain"),
+        "along roads, AIM": Case("pedestrian_aim", "aim", "plain"),
+        **{name: Case(name, "none") for name in BASELINES},
+        "HD map, last 5 %": Case("pedestrian_hdm", "hdm", "learnt"),
+        "AIM, last 5 %": Case("pedestrian_aim", "aim", "learnt"),
+    },
+    pairs=(
+        ("AIM", "HD map"),
+        ("AIM", "HD map of roads alone"),
+        ("AIM", "HD map with walkways"),
+        ("HD map of roads alone", "HD map"),
+        ("AIM", "no map"),
+        ("in parks, AIM", "in parks, HD map"),
+        ("in parks, AIM", "in parks, HD map with walkways"),
+        ("in parks, AIM", "in parks, no map"),
+        ("along roads, AIM", "along roads, HD map"),
+    ),
+    shown=("in parks, AIM", "in parks, HD map"),
+    # minADE_6 and minFDE_6 (m), MFD
+    paper={
+        "HD map": {"joint minADE": 0.90, "joint minFDE": 2.01, "MFD": 0.29},
+        "AIM": {"joint minADE": 0.74, "joint minFDE": 1.56, "MFD": 0.51},
+    },
+)
+
+
+def run(folder: Path, report: Progress) -> list[Path]:
+    """the paper's table of people, on made places that no model has seen and on last 5 %."""
+    return run_table("people", TABLE, folder, report)
