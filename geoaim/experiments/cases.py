@@ -10,7 +10,7 @@ from geoaim.experiments.learning import judge_at
 from geoaim.experiments.models import RECIPES, all_trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import Measures, differences, means, write_results
-from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.itra import Config
 from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import merged, pooled
 from geoaim.progress import Progress

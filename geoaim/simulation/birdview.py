@@ -91,13 +91,11 @@ def render_layers(
     torch.Size([1, 5, 4, 4])
     """
     _check(cameras, ground, boxes)
-    seen = ground_seen(view, cameras, ground.image, ground.image_from_world)
+    flat = ground_seen(view, cameras, ground.image, ground.image_from_world)
     if boxes:
         planes = [_plain(layer) for layer in boxes]
-        flat = seen.new_zeros(1, len(boxes) * seen.shape[1])
-        flat = _paint(flat, view, _laid(view, cameras, planes, apart=True))
-        seen = torch.cat([seen, flat.view(len(boxes), -1)])
-    return unfolded(seen, view, cameras)
+        flat = _paint(flat, view, _laid(view, cameras, planes, apart=True), len(boxes))
+    return unfolded(flat, view, cameras)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,8 +171,10 @@ def _laid(
     )
 
 
-def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor, "C P"]:
-    """The pictures with boxes laid over them, in place."""
+def _paint(
+    flat: Float[Tensor, "C P"], view: View, boxes: _Flat, planes: int = 0
+) -> Float[Tensor, "K P"]:
+    """The pictures with boxes laid over them, in place; or over so many empty planes after them."""
     middle, axis, sizes = boxes.middle, boxes.axis, boxes.sizes
     with torch.no_grad():
         owner, place = _touched(view, middle, axis, sizes)
@@ -183,8 +183,6 @@ def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor
         column, row = place.unbind(1)
         pixel = (boxes.picture[owner] * view.height + row) * view.width + column
         place = place.to(middle)
-    if len(owner) == 0:
-        return flat
     side = torch.stack([axis[:, 1], -axis[:, 0]], dim=1)
     ahead, aside = sizes[:, :1] / 2 * axis, sizes[:, 1:] / 2 * side
     ring = torch.stack([ahead + aside, ahead - aside, -ahead - aside, aside - ahead], 1)
@@ -198,21 +196,30 @@ def _paint(flat: Float[Tensor, "C P"], view: View, boxes: _Flat) -> Float[Tensor
     alpha = place.new_ones(len(owner)).index_copy(0, edges, shares[: len(edges)])
     change = (boxes.noses - boxes.colours).t()[:, owner[noses]]
     light = (alpha * boxes.colours.t()[:, owner]).index_add(1, noses, shares[len(edges) :] * change)
-    return _Over.apply(flat, light, alpha, pixel)  # type: ignore[no-untyped-call]
+    return _Over.apply(flat, light, alpha, pixel, planes)  # type: ignore[no-untyped-call]
 
 
 class _Over(torch.autograd.Function):
-    """Fragments laid over the pictures, in place; the gradient needs one copy of the pictures'."""
+    """Fragments laid over the pictures, in place, or over empty planes that come after them.
+
+    The gradient needs one copy of what they are laid over.
+    """
 
     @staticmethod
-    def forward(ctx, flat, light, alpha, pixel):  # type: ignore[no-untyped-def]
-        turns = list(_turns(pixel, flat.shape[1]))
-        below = torch.empty_like(light)
+    def forward(ctx, flat, light, alpha, pixel, planes):  # type: ignore[no-untyped-def]
+        if planes:
+            ground, count = flat, len(flat)
+            flat = ground.new_empty(count + planes, ground.shape[1])
+            flat[:count], flat[count:] = ground, 0
+        else:
+            ctx.mark_dirty(flat)
+        below, canvas = torch.empty_like(light), flat[-planes:].view(len(light), -1)
+        turns = list(_turns(pixel, canvas.shape[1]))
         for turn in turns:
             here = pixel[turn]
-            below[:, turn] = seen = flat[:, here]
-            flat[:, here] = light[:, turn] + (1 - alpha[turn]) * seen
-        ctx.mark_dirty(flat)
+            below[:, turn] = seen = canvas[:, here]
+            canvas[:, here] = light[:, turn] + (1 - alpha[turn]) * seen
+        ctx.planes = planes
         ctx.save_for_backward(alpha, pixel, below, *turns)
         return flat
 
@@ -220,12 +227,14 @@ class _Over(torch.autograd.Function):
     @once_differentiable
     def backward(ctx, *grads):  # type: ignore[no-untyped-def]
         alpha, pixel, below, *turns = ctx.saved_tensors
-        of_flat, of_light = grads[0].clone(), torch.empty_like(below)
+        changed = grads[0][-ctx.planes :].clone(memory_format=torch.contiguous_format)
+        canvas, of_light = changed.view(len(below), -1), torch.empty_like(below)
         for turn in reversed(turns):
             here = pixel[turn]
-            of_light[:, turn] = grad = of_flat[:, here]
-            of_flat[:, here] = (1 - alpha[turn]) * grad
-        return of_flat, of_light, -(of_light * below).sum(0), None
+            of_light[:, turn] = grad = canvas[:, here]
+            canvas[:, here] = (1 - alpha[turn]) * grad
+        of_flat = grads[0][: -ctx.planes] if ctx.planes else changed
+        return of_flat, of_light, -(of_light * below).sum(0), None, None
 
 
 def _in_pixels(

@@ -16,7 +16,7 @@ def pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     edge in the square, of how far each point moves along with it.
 
     Args:
-        corners: of convex polygons, in either sense.
+        corners: of convex polygons, from x towards y; the other way round the area is negative.
 
     >>> square = torch.tensor([[[0.5, 0.5], [9.0, 0.5], [9.0, 9.0], [0.5, 9.0]]])
     >>> pixel_coverage(square).tolist()
@@ -28,31 +28,22 @@ def pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
 class _Coverage(torch.autograd.Function):
     @staticmethod
     def forward(ctx, corners):  # type: ignore[no-untyped-def]
-        sense = _sense(corners)
-        ctx.save_for_backward(corners, sense)
-        return _signed_area(corners) * sense
+        ctx.save_for_backward(corners)
+        return _area(corners)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, *grads):  # type: ignore[no-untyped-def]
-        corners, sense = ctx.saved_tensors
-        (grad,) = grads
-        return _area_gradient(corners) * (grad * sense)[:, None, None]
+        return _area_gradient(*ctx.saved_tensors) * grads[0][:, None, None]
 
 
-def _sense(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
-    """Plus or minus one: which way round the corners go."""
-    arm = corners - corners[:, :1]
-    after = arm.roll(-1, 1)
-    return (arm[..., 0] * after[..., 1] - arm[..., 1] * after[..., 0]).sum(1).sign()
-
-
-def _signed_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
+def _area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     """The integral of x dy around each polygon, with both held to [0, 1]."""
     x, y = corners.unbind(-1)
-    run, rise = x.roll(-1, 1) - x, y.roll(-1, 1) - y
+    below = y.roll(-1, 1)
+    run, rise = x.roll(-1, 1) - x, below - y
     slope = run / torch.where(rise == 0, 1.0, rise)
-    start, end = y.clamp(0, 1), y.roll(-1, 1).clamp(0, 1)
+    start, end = y.clamp(0, 1), below.clamp(0, 1)
     left = x + (start - y) * slope
     right = x + (end - y) * slope
     across = right - left
@@ -69,7 +60,7 @@ def _held(x: Tensor) -> Tensor:
 
 
 def _area_gradient(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n K 2"]:
-    """The gradient of the signed area by each corner."""
+    """The gradient of the area by each corner."""
     edge = corners.roll(-1, 1) - corners
     safe = torch.where(edge.abs() < 1e-9, 1e-9, edge)
     enter, leave = -corners / safe, (1 - corners) / safe

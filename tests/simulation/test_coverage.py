@@ -24,10 +24,11 @@ def test_coverage_is_the_area_in_the_pixel():
 
 
 @pytest.mark.parametrize(
-    "corners", [[[0, 0], [0, 1], [1, 1], [1, 0]], [[0, 0], [1, 0], [1, 1], [0, 1]]]
+    ("corners", "area"),
+    [([[0, 0], [0, 1], [1, 1], [1, 0]], -1), ([[0, 0], [1, 0], [1, 1], [0, 1]], 1)],
 )
-def test_either_sense_and_edges_on_the_rim(corners):
-    assert pixel_coverage(torch.tensor([corners], dtype=torch.float64)).item() == 1
+def test_the_sense_is_the_sign_and_edges_may_lie_on_the_rim(corners, area):
+    assert pixel_coverage(torch.tensor([corners], dtype=torch.float64)).item() == area
 
 
 def test_gradient_is_that_of_the_area():
