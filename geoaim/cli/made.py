@@ -7,7 +7,7 @@ import typer
 
 from geoaim.cli.console import console, plain_errors, stages
 
-PlaceKind = Literal["junction", "t", "roundabout", "street", "park", "kerbside"]
+PlaceKind = Literal["junction", "t", "roundabout", "street", "park", "campus"]
 VideoSize = Literal["none", "720p", "1080p", "4k"]
 
 

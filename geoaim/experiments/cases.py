@@ -1,28 +1,30 @@
 """Cases of the paper's tables: whose model, on which map, of which made places."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from geoaim.errors import TracksError
 from geoaim.experiments.figures import write_futures_on_maps
 from geoaim.experiments.learning import judge_at
 from geoaim.experiments.models import RECIPES, all_trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import Measures, differences, means, write_results
-from geoaim.prediction.itra import Config
+from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import HELD_OUT
-from geoaim.prediction.metrics import merged, pooled
+from geoaim.prediction.metrics import Measure, merged, pooled
 from geoaim.progress import Progress
 from geoaim.synthetic.roads.layouts import KINDS, PLAIN, Kind
 
+Judge = Callable[..., list[dict[str, Measure]]]
 WHERE: Mapping[str, Sequence[Kind]] = {
     "new": KINDS,
     "learnt": KINDS,
     "lights": ("junction",),
     "plain": PLAIN,
     "parks": ("park",),
-    "kerbside": ("kerbside",),
+    "campus": ("campus",),
 }
 
 
@@ -49,7 +51,8 @@ class Table:
         config: whose segments.
         cases: by name.
         pairs: names of cases whose difference is asked for.
-        shown: names of cases to draw, each at the first of its places.
+        shown: names of cases to draw, of different models, on the maps that they learnt from, each
+            at the first of its places.
         paper: figures of the paper's tables.
     """
 
@@ -65,21 +68,17 @@ def run_table(name: str, table: Table, folder: Path, report: Progress) -> list[P
     kind = table.config.kind
     make_places(folder / "places", (*TRAIN[kind], *TEST[kind]), report=report)
     asked = dict.fromkeys(case.model for case in table.cases.values())
-    models = {name: all_trained(name, folder, report=report) for name in asked if name in RECIPES}
+    models = {one: all_trained(one, folder, report=report) for one in asked if one in RECIPES}
     judge_once = cache(judge_at)  # places of some kinds are among all the new ones
     tables: dict[str, Measures] = {}
     single: dict[str, list[dict[str, float]]] = {}
     for number, (title, case) in enumerate(table.cases.items()):
         report("judge", number, len(table.cases))
-        end = HELD_OUT if case.where == "learnt" else 1.0
-        lights = case.model not in RECIPES or RECIPES[case.model].lights
-        found = []
-        for model in models.get(case.model, [case.model]):
-            parts = [
-                judge_once(model, place, table.config, case.map, end=end, lights=lights)
-                for place in places_of(case, kind, folder)
-            ]
-            found.append(merged([one for part in parts for one in part]))
+        places = places_of(case, kind, folder)
+        found = [
+            _judged(judge_once, model, case, table.config, places)
+            for model in models.get(case.model, [case.model])
+        ]
         tables[title] = pooled(found)
         if len(found) > 1:
             single[title] = means(found)
@@ -95,11 +94,25 @@ def run_table(name: str, table: Table, folder: Path, report: Progress) -> list[P
     written = write_results(name, tables, about)
     picture = written[0].with_suffix(".png")
     shown = [table.cases[title] for title in table.shown]
-    first = {case.model: places_of(case, kind, folder)[0] for case in shown}
-    write_futures_on_maps(
-        {name: (models[name][0], place) for name, place in first.items()}, picture
-    )
+    panels = {
+        case.model: (models[case.model][0], places_of(case, kind, folder)[0]) for case in shown
+    }
+    write_futures_on_maps(panels, picture)
     return [*written, picture]
+
+
+def _judged(
+    judge_once: Judge, model: ITRA | str, case: Case, config: Config, places: Sequence[Path]
+) -> dict[str, Measure]:
+    """A case by one of its model's trainings, or by a baseline."""
+    end = HELD_OUT if case.where == "learnt" else 1.0
+    lights = case.model not in RECIPES or RECIPES[case.model].lights
+    parts = [judge_once(model, at, config, case.map, end=end, lights=lights) for at in places]
+    if not any(parts):
+        raise TracksError(
+            f"{case}: no {config.kind} is there for long enough at {len(places)} places"
+        )
+    return merged([one for part in parts for one in part])
 
 
 def places_of(case: Case, kind: str, folder: Path) -> list[Path]:

@@ -23,7 +23,7 @@ LIKENESS = replace(VEHICLES, unlike=True)  # tar mostly leads on over tar of the
 PEOPLE = Config("pedestrian", "unicycle", seconds=0.4, size=48, resolution=0.5, every=3, lever=0.25)
 SAMPLES = 6
 TRAININGS = {
-    "vehicle": from_scratch("vehicle", steps=1000, batch=48),
+    "vehicle": from_scratch("vehicle", steps=1600, batch=48),
     "pedestrian": from_scratch("pedestrian", steps=900, batch=48),
 }
 

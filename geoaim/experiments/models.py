@@ -33,9 +33,7 @@ class Recipe:
 
 RECIPES = {
     "vehicle_aim": Recipe(LIKENESS, "aim", trainings=2),
-    "vehicle_aim_colours": Recipe(VEHICLES, "aim", trainings=2),
     "vehicle_hdm": Recipe(VEHICLES, "hdm", trainings=2),
-    "vehicle_roads": Recipe(VEHICLES, "roads"),
     "vehicle_no_map": Recipe(VEHICLES, "none"),
     "vehicle_aim_no_lights": Recipe(LIKENESS, "aim", lights=False, trainings=2),
     "pedestrian_aim": Recipe(PEOPLE, "aim", trainings=3),

@@ -45,18 +45,18 @@ NEW_ROADS: Places = (
 )
 PARKS: Places = ((241, "park"), (242, "park"), (243, "park"), (244, "park"))
 NEW_PARKS: Places = ((341, "park"), (342, "park"))
-KERBSIDE: Places = ((251, "kerbside"), (252, "kerbside"), (253, "kerbside"), (254, "kerbside"))
-NEW_KERBSIDE: Places = ((351, "kerbside"), (352, "kerbside"))
-# in parks people do what they do not do along roads, and vehicles where cars are parked
-TRAIN: Mapping[str, Places] = {"vehicle": (*ROADS, *KERBSIDE), "pedestrian": (*ROADS, *PARKS)}
+CAMPUS: Places = ((251, "campus"), (252, "campus"), (253, "campus"), (254, "campus"))
+NEW_CAMPUS: Places = ((351, "campus"), (352, "campus"))
+# where people, and vehicles, go where HD maps do not
+TRAIN: Mapping[str, Places] = {"vehicle": (*ROADS, *CAMPUS), "pedestrian": (*ROADS, *PARKS)}
 TEST: Mapping[str, Places] = {
-    "vehicle": (*NEW_ROADS, *NEW_KERBSIDE),
+    "vehicle": (*NEW_ROADS, *NEW_CAMPUS),
     "pedestrian": (*NEW_ROADS, *NEW_PARKS),
 }
 MINUTES = 10.0
 RESOLUTION = 0.1  # m a pixel of drawn places
 MAPS = ("aim", "roads", "hdm", "full", "degraded", "another day", "none")
-# what is annotated: where vehicles may drive; lanes; walkways, crossings and the car park as well
+# what is annotated: where vehicles may drive; lanes; walkways, car park, private roads as well
 ANNOTATED = {"roads": "map.osm", "hdm": "map.osm", "full": "map_full.osm"}
 COARSE = 1.0  # m a pixel of degraded maps, as vehicles see them: finer noise would average out
 NOISE = 0.2  # of full brightness, as in the paper
@@ -64,7 +64,7 @@ NOISE = 0.2  # of full brightness, as in the paper
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A recording at a place: who was there, the lights, and what its HD map says."""
+    """A recording at a place: who was there, the lights, and a map of all that may be driven on."""
 
     tracks: Tracks
     lights: Lights | None
@@ -98,7 +98,7 @@ def read_recordings(folder: Path) -> tuple[Recorded, ...]:
     found = []
     for path in sorted(folder.glob("tracks*.csv")):
         tracks = read_tracks(path)
-        hdmap = read_hdmap(folder / "map.osm", tracks.world)
+        hdmap = read_hdmap(folder / ANNOTATED["full"], tracks.world)
         changes = path.with_name(path.name.replace("tracks", "lights"))
         lights = None
         if changes.exists():

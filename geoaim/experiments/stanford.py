@@ -40,7 +40,7 @@ SEES = Config(
     "slide",
     SECONDS,
     size=32,
-    resolution=0.75,
+    resolution=1.5,
     every=12,
     modes=20,
     known=OBSERVED,
@@ -49,7 +49,6 @@ SEES = Config(
 )
 MODELS = {
     "map": SEES,
-    "map, colours alone": replace(SEES, unlike=False),
     "no map": replace(SEES, unlike=False, encoder="none"),
     "no map, no plans": replace(SEES, unlike=False, encoder="none", modes=0, known=0, ahead=0),
 }
@@ -68,7 +67,6 @@ REPEATED = {"map": 3, "no map": 3}
 BEST = "map"  # learns from all scenes as well
 PAIRS = (
     ("map", "no map"),
-    ("map", "map, colours alone"),
     ("map, blurred and noisy", "map"),
     ("no map", "no map, no plans"),
 )

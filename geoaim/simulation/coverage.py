@@ -16,7 +16,8 @@ def pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     edge in the square, of how far each point moves along with it.
 
     Args:
-        corners: of convex polygons, from x towards y; the other way round the area is negative.
+        corners: of convex polygons, in the order that turns +x towards +y; in the other one the
+            area is negative.
 
     >>> square = torch.tensor([[[0.5, 0.5], [9.0, 0.5], [9.0, 9.0], [0.5, 9.0]]])
     >>> pixel_coverage(square).tolist()

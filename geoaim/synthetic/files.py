@@ -146,7 +146,7 @@ def _write_maps(sample: Sample, folder: Path) -> None:
     place = sample.place
     given = place.roads, place.world_from_plan, place.world
     _write_bytes(folder / "map.osm", lanelet_map(*given))
-    _write_bytes(folder / "map_full.osm", lanelet_map(*given, walkways=True, parking=True))
+    _write_bytes(folder / "map_full.osm", lanelet_map(*given, whole=True))
     paving = place.roads.paving
     surfaces = {
         "carriageway": paving.carriageway,

@@ -42,7 +42,7 @@ class Place:
 
 
 def make_place(seed: int, *, kind: Kind = "junction") -> Place:
-    """A place of some kind: "junction", "t", "roundabout", "street", "park" or "kerbside".
+    """A place of some kind: "junction", "t", "roundabout", "street", "park" or "campus".
 
     Raises:
         ValueError: there is no such kind.

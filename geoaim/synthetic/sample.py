@@ -65,7 +65,7 @@ def make_sample(
 
     Args:
         seed: the same seed gives the same numbers and frames on every machine.
-        kind: "junction", "t", "roundabout", "street", "park" or "kerbside".
+        kind: "junction", "t", "roundabout", "street", "park" or "campus".
         minutes: of traffic.
         video: height and width of its frames, pixels; None for no video.
         hover: how the drone films.

@@ -19,7 +19,9 @@ from geoaim.experiments.places import (
     read_map,
 )
 from geoaim.mapping.hdmap_image import GROUND, ROAD, SURFACES
+from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import Measure
 from geoaim.progress import silent
 
@@ -125,39 +127,50 @@ def test_cases_are_judged_where_they_say(monkeypatch, tmp_path):
     assert set(on_foot["in parks, AIM"]) == {"park"}
     assert on_foot["AIM"] == sorted(on_foot["in parks, AIM"] + on_foot["along roads, AIM"])
     assert len(on_foot["AIM, last 5 %"]) == len(TRAIN["pedestrian"])
-    assert set(driving["past parked cars, AIM"]) == {"kerbside"}
-    parts = driving["past parked cars, AIM"] + driving["in the middle of lanes, AIM"]
+    assert set(driving["with private roads, AIM"]) == {"campus"}
+    parts = driving["with private roads, AIM"] + driving["along public roads, AIM"]
     assert driving["AIM"] == sorted(parts)
     assert set(driving["at lights, AIM"]) == {"junction"}
     for table in (people.TABLE, vehicles.TABLE):
         assert {*table.shown, *(name for pair in table.pairs for name in pair)} <= set(table.cases)
+        for case in table.cases.values():
+            assert case.model in {*RECIPES, *BASELINES}
+            assert case.map in MAPS
 
 
 def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     """Two trainings that are wrong by 1 m and 3 m are wrong by 2 m."""
 
-    def judge_at(model, *_, **__):
+    def judge_at(model, at, config, name, *, end, lights):
+        asked.append((model, at.name, name, end, lights))
         return [{"minADE": Measure(np.full(4, float(model)), np.ones(4))}]
 
-    written = {}
+    asked, written = [], {}
 
     def write_results(name, tables, about):
         written.update(tables=tables, about=about)
         return [tmp_path / "people.json"]
 
-    table = replace(
-        people.TABLE, cases={"AIM": people.TABLE.cases["AIM"]}, pairs=(("AIM", "AIM"),), shown=()
-    )
+    every = vehicles.TABLE.cases
+    some = {name: every[name] for name in ("AIM", "at lights, AIM", "AIM, last 5 %")}
+    unlit = {"no lights": every["at lights, AIM, lights not shown"]}
+    table = replace(vehicles.TABLE, cases=some | unlit, pairs=(("AIM", "AIM"),), shown=())
     fakes = {
         "write_futures_on_maps": lambda *_: None,
-        "make_places": lambda *_, **__: [tmp_path / "junction_1"],
+        "make_places": lambda folder, places, **_: [
+            tmp_path / kind for kind in {k for _, k in places}
+        ],
         "all_trained": lambda name, folder, report: ["1", "3"],
         "judge_at": judge_at,
         "write_results": write_results,
     }
     for name, fake in fakes.items():
         monkeypatch.setattr(cases, name, fake)
-    cases.run_table("people", table, tmp_path, silent)
+    cases.run_table("vehicles", table, tmp_path, silent)
     assert written["tables"]["AIM"]["minADE"].mean == 2
+    assert len(asked) == len(set(asked))  # nothing is judged twice
+    assert ("1", "junction", "aim", 1.0, True) in asked
+    assert ("3", "junction", "aim", 1.0, False) in asked
+    assert ("3", "street", "aim", HELD_OUT, True) in asked  # learnt from, not among the new ones
     each = written["about"]["each training, where there are more than one"]["AIM"]
     assert [one["minADE"] for one in each] == [1, 3]

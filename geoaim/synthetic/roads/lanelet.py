@@ -1,7 +1,8 @@
 """The HD map of a made place, as a lanelet2 file (OpenStreetMap XML).
 
-Lanelets of all lanes with their boundaries, stop lines, and lights and rights of way as regulatory
-elements. Like many real maps it leaves out where people walk and the car park, unless asked for.
+Lanelets of lanes with their boundaries, stop lines, and lights and rights of way as regulatory
+elements. Like many real maps it leaves out where people walk, the car park and private roads,
+unless asked for.
 The format is that of Poggenhans et al. 2018 (github.com/fzi-forschungszentrum-informatik/Lanelet2).
 """
 
@@ -50,18 +51,19 @@ def lanelet_map(
     world_from_plan: Float[Array, "3 3"],
     world: World,
     *,
-    walkways: bool = False,
-    parking: bool = False,
+    whole: bool = False,
 ) -> bytes:
-    """The map as a file's content; with walkways and crossings, or the car park, if asked for."""
+    """The map as a file's content; with walkways, crossings, car park, private roads if whole."""
     draft = _Draft()
-    lanes = {lane.name: _add_lane(draft, roads, lane) for lane in roads.lanes}
+    private = () if whole else roads.layout.private
+    mapped = [lane for lane in roads.lanes if not {*lane.name.split()} & {*private}]
+    lanes = {lane.name: _add_lane(draft, roads, lane) for lane in mapped}
     for arm in roads.layout.arms:
-        if np.isfinite(arm.stop):
+        if np.isfinite(arm.stop) and arm.name not in private:
             _add_rule(draft, roads, arm, lanes)
-    if walkways:
+    if whole:
         _add_walkways(draft, roads)
-    if parking and roads.car_park is not None:
+    if whole and roads.car_park is not None:
         ground = shapely.union_all([roads.paving.lot, roads.paving.drive])
         _add_area(draft, ground, {"type": "multipolygon", "subtype": "parking"})
     root = ET.Element("osm", version="0.6", generator="geoaim")
@@ -138,6 +140,7 @@ def _add_rule(draft: _Draft, roads: Roads, arm: Arm, lanes: dict[str, ET.Element
             tags |= {"subtype": "traffic_light", "name": signal}
         else:
             names, others = _right_of_way(roads, arm, names)
+            others = [name for name in others if name in lanes]
             members += [("relation", int(lanes[n].attrib["id"]), "yield") for n in names]
             members += [("relation", int(lanes[n].attrib["id"]), "right_of_way") for n in others]
         rule = _relation(draft, members, tags)

@@ -9,16 +9,16 @@ import numpy as np
 from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.arms import Arm, half_width
 
-Kind = Literal["junction", "t", "roundabout", "street", "park", "kerbside"]
+Kind = Literal["junction", "t", "roundabout", "street", "park", "campus"]
 KINDS: tuple[Kind, ...] = get_args(Kind)  # a new one goes last: seeds of imagery count them
-# of which a map of lanes says all: people keep beside roads, vehicles to the middle of lanes
+# where nothing that leads anywhere is missing from a map of lanes but pavements and a car park
 PLAIN: tuple[Kind, ...] = ("junction", "t", "roundabout", "street")
-STRETCHES: tuple[Kind, ...] = ("street", "park", "kerbside")  # of one road
+STRETCHES: tuple[Kind, ...] = ("street", "park")  # of one road
 
 CROSSING = 4.0  # m, how long a stripe of a crossing is
 CYCLES = 2.4  # m between a crossing and the stop line, for a strip on which cycles cross
 SETBACK = 1.0  # m from the crossing or strip to the stop line
-BROAD = 4.1  # m, width of a lane past whose parked cars one has room
+WINDING = (0.006, 0.011)  # 1/m, bends of private roads
 RING_LANE = 5.4  # m, width of the lane of a roundabout
 AROUND = 0.8 * np.pi  # arms further apart than this make one straight road, with no corner
 
@@ -34,6 +34,7 @@ class Layout:
         ring: radius of the middle of a roundabout's lane, metres; 0: there is none.
         signalised: whether lights control it.
         informal: across which arms people walk where there is no crossing, and where along it.
+        private: arms that lead through private ground, which maps of lanes leave out.
     """
 
     kind: Kind
@@ -42,6 +43,7 @@ class Layout:
     ring: float = 0.0
     signalised: bool = False
     informal: tuple[tuple[str, float], ...] = ()
+    private: tuple[str, ...] = ()
 
 
 def lay_out(kind: Kind, generator: np.random.Generator) -> Layout:
@@ -56,7 +58,7 @@ def lay_out(kind: Kind, generator: np.random.Generator) -> Layout:
         "roundabout": _roundabout,
         "street": _street,
         "park": _park,
-        "kerbside": _kerbside,
+        "campus": _campus,
     }
     if kind not in makers:
         raise ValueError(f"kind {kind!r} is not one of {', '.join(KINDS)}")
@@ -140,11 +142,13 @@ def _park(generator: np.random.Generator) -> Layout:
     return replace(_street(generator), kind="park")
 
 
-def _kerbside(generator: np.random.Generator) -> Layout:
-    """A street of two broad lanes, slow, with room for cars that are parked on it."""
-    street = _street(generator)
-    arms = [replace(arm, turns=("S",), lanes_out=1, lane=BROAD, speed=8.3) for arm in street.arms]
-    return replace(street, kind="kerbside", arms=tuple(arms))
+def _campus(generator: np.random.Generator) -> Layout:
+    """A T at the gate of private ground: one arm of the main road winds on there."""
+    layout = _t(generator)
+    bend = generator.uniform(*WINDING) * (1 if generator.uniform() < 0.5 else -1)
+    east, *others = layout.arms
+    arms = (replace(east, bend=bend), *others)
+    return replace(layout, kind="campus", arms=arms, private=(east.name,))
 
 
 def corner_along(arm: Arm, other: Arm) -> float:

@@ -7,7 +7,6 @@ from shapely import Polygon
 
 from geoaim.synthetic.roads.arms import Arm
 from geoaim.synthetic.roads.car_park import CarPark, make_car_park
-from geoaim.synthetic.roads.kerbside import Row, make_rows
 from geoaim.synthetic.roads.lanes import Lane, Passage, make_lanes
 from geoaim.synthetic.roads.layouts import Kind, Layout, lay_out
 from geoaim.synthetic.roads.paving import Crossing, Paving, make_crossings, page_area, pave
@@ -25,7 +24,6 @@ class Roads:
         lanes: all lanes of the roads.
         passages: all ways through the place.
         car_park: beside one of the arms, or None.
-        parked: rows of cars on the carriageway.
         crossings: where people cross.
         paving: surfaces.
         walks: where people walk.
@@ -36,7 +34,6 @@ class Roads:
     lanes: tuple[Lane, ...]
     passages: tuple[Passage, ...]
     car_park: CarPark | None
-    parked: tuple[Row, ...]
     crossings: tuple[Crossing, ...]
     paving: Paving
     walks: Walks
@@ -53,8 +50,7 @@ def make_roads(kind: Kind, generator: np.random.Generator) -> Roads:
     paving = pave(layout, lanes, car_park, page, wide)
     crossings = make_crossings(layout, car_park, paving)
     walks = make_walks(paving, crossings, page, wide, generator, park=kind == "park")
-    parked = make_rows(layout, generator) if kind == "kerbside" else ()
-    return Roads(layout, lanes, passages, car_park, parked, crossings, paving, walks, page)
+    return Roads(layout, lanes, passages, car_park, crossings, paving, walks, page)
 
 
 def arm_named(layout: Layout, name: str) -> Arm:
@@ -73,7 +69,7 @@ def signal_of(roads: Roads, lane: str, turn: str) -> str:
 
 def _car_park(layout: Layout, generator: np.random.Generator) -> CarPark | None:
     """A car park beside the east arm, where its plot has room for one."""
-    if layout.kind in ("roundabout", "park", "kerbside"):
+    if layout.kind in ("roundabout", "park", "campus"):
         return None
     arm = arm_named(layout, "east")
     along = {"junction": 46.0, "t": 42.0, "street": 26.0}[layout.kind]

@@ -11,7 +11,6 @@ from geoaim.geometry import transform_points
 from geoaim.synthetic.exact import blur
 from geoaim.synthetic.roads.arms import Arm, divider, half_width, lane_in, on_arm, strip
 from geoaim.synthetic.roads.curves import parallel
-from geoaim.synthetic.roads.kerbside import driven
 from geoaim.synthetic.roads.lanes import FAR
 from geoaim.synthetic.roads.markings import cycle_strips, manholes, paint, tactile_strips
 from geoaim.synthetic.roads.paving import outer_kerbs
@@ -123,7 +122,7 @@ def _draw_tar(page: Page, roads: Roads) -> None:
     grey += np.float32(5.5) * noise(page, GRAIN, window) + np.float32(3) * noise(page, HILL, window)
     grey += _ages(page, roads, window)
     grey -= np.float32(6) * _strokes(page, window, _wheel_tracks(roads), 0.28)
-    grey -= np.float32(6) * _strokes(page, window, _driven(roads), 0.4)
+    grey -= np.float32(6) * _strokes(page, window, _middles(roads), 0.4)
     grey -= np.float32(9) * _strokes(page, window, _waiting(roads), 0.45)
     tar = np.asarray(TAR, np.float32) + grey[..., None]
     lay(page.image[window], mask.astype(np.float32) / np.float32(255), tar)
@@ -174,11 +173,11 @@ def _strokes(
 
 
 def _wheel_tracks(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [parallel(line, side) for line in _driven(roads) for side in (-WHEELS, WHEELS)]
+    return [parallel(lane.centre, side) for lane in roads.lanes for side in (-WHEELS, WHEELS)]
 
 
-def _driven(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [driven(lane, roads.layout.arms, roads.parked) for lane in roads.lanes]
+def _middles(roads: Roads) -> list[Float[Array, "_ 2"]]:
+    return [lane.centre for lane in roads.lanes]
 
 
 def _waiting(roads: Roads) -> list[Float[Array, "_ 2"]]:

@@ -13,14 +13,13 @@ from shapely.geometry import box
 
 from geoaim.synthetic.roads.arms import Arm, half_width, on_arm
 from geoaim.synthetic.roads.car_park import AISLE, BAY, NEAR
-from geoaim.synthetic.roads.kerbside import parked
 from geoaim.synthetic.roads.paving import (
     VERGE,
     crossing_area,
     lot_polygon,
     outer_kerbs,
 )
-from geoaim.synthetic.roads.plan import Roads, arm_named
+from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.parcels import (
     make_block,
     make_field,
@@ -42,8 +41,7 @@ def furnish(roads: Roads, generator: np.random.Generator) -> Scenery:
     empty = Scenery(
         (), verges, nothing, nothing, nothing, nothing, (), (), (), _lamps(roads), (), ()
     )
-    spots = (*_bay_spots(roads), *_kerb_spots(roads))
-    scenery = replace(empty, trees=_street_trees(roads, verges, generator), spots=spots)
+    scenery = replace(empty, trees=_street_trees(roads, verges, generator), spots=_bay_spots(roads))
     makers: dict[str, Callable[[Scenery, Polygon, float, np.random.Generator], Scenery]] = {
         "block": make_block,
         "houses": make_houses,
@@ -138,16 +136,6 @@ def _lamps(roads: Roads) -> Float[Array, "L 2 2"]:
             mast = np.array([[arm.stop - 0.8, half + 0.7], [arm.stop - 0.8, 0.35 * half]])
             rows.append(on_arm(arm, mast))
     return np.array(rows)
-
-
-def _kerb_spots(roads: Roads) -> tuple[Spot, ...]:
-    """Cars at the kerb: traffic drives round them, so that they are there on all days."""
-    rows = [parked(row, arm_named(roads.layout, row.arm)) for row in roads.parked]
-    return tuple(
-        Spot((x, y), heading, 1.0)
-        for places, angles in rows
-        for (x, y), heading in zip(places.tolist(), angles.tolist(), strict=True)
-    )
 
 
 def _bay_spots(roads: Roads) -> tuple[Spot, ...]:

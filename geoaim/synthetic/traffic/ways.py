@@ -13,7 +13,6 @@ from numpy import ndarray as Array
 from geoaim.synthetic.roads.arms import Arm, lane_in, on_arm
 from geoaim.synthetic.roads.car_park import SLOW, CarPark, Manoeuvre, manoeuvres
 from geoaim.synthetic.roads.curves import STEP, Line, bends, even, headings, run
-from geoaim.synthetic.roads.kerbside import driven
 from geoaim.synthetic.roads.lanes import Lane, Passage
 from geoaim.synthetic.roads.plan import Roads, arm_named, signal_of
 
@@ -75,14 +74,12 @@ def _passing(roads: Roads, passage: Passage, lanes: dict[str, Lane]) -> Way:
     """The way of a passage."""
     come = arm_named(roads.layout, passage.come)
     rank = RANKS[passage.turn]
-    if roads.layout.kind == "t" and np.isfinite(come.stop):
+    if roads.layout.kind in ("t", "campus") and np.isfinite(come.stop):
         rank += FROM_SIDE
     share = SHARES[passage.turn] * (1.0 if come.name in ("east", "west") else SIDE_SHARE)
-    chain = [lanes[name] for name in passage.lanes]
-    lines = [driven(lane, roads.layout.arms, roads.parked) for lane in chain]
     return _way(
         " to ".join((passage.lanes[0], passage.go)),
-        [_Part(line, lane.speed, rank) for line, lane in zip(lines, chain, strict=True)],
+        [_Part(lanes[name].centre, lanes[name].speed, rank) for name in passage.lanes],
         stop=_stop_line(roads, passage.lanes[0]),
         signal=signal_of(roads, passage.lanes[0], passage.turn),
         entry=passage.lanes[0],

@@ -28,7 +28,7 @@ def _parsed(roads, **options):
 
 
 def test_every_reference_exists(roads):
-    root, _ = _parsed(roads, walkways=True, parking=True)
+    root, _ = _parsed(roads, whole=True)
     known = {(element.tag, element.attrib["id"]) for element in root}
     assert len(known) == len(root)
     for way in root.findall("way"):
@@ -39,7 +39,7 @@ def test_every_reference_exists(roads):
 
 
 def test_each_lane_is_a_lanelet_and_neighbours_share_their_boundary(roads):
-    _, lanelets = _parsed(roads)
+    _, lanelets = _parsed(roads, whole=True)
     assert set(lanelets) == {lane.name for lane in roads.lanes}
     for arm in roads.layout.arms:
         for rank in range(1, len(arm.turns)):
@@ -48,7 +48,7 @@ def test_each_lane_is_a_lanelet_and_neighbours_share_their_boundary(roads):
 
 
 def test_lanelets_that_follow_each_other_share_their_end_nodes(roads):
-    root, lanelets = _parsed(roads)
+    root, lanelets = _parsed(roads, whole=True)
     ends = {}
     for way in root.findall("way"):
         nodes = [nd.attrib["ref"] for nd in way.findall("nd")]
@@ -69,7 +69,7 @@ def test_places_are_longitude_and_latitude(roads):
 def test_people_and_the_car_park_are_left_out_unless_asked_for(roads):
     kinds = [
         {_tags(r).get("subtype") for r in _parsed(roads, **options)[0].findall("relation")}
-        for options in ({}, {"walkways": True, "parking": True})
+        for options in ({}, {"whole": True})
     ]
     assert not kinds[0] & {"crosswalk", "walkway", "parking"}
     assert {"crosswalk", "walkway"} <= kinds[1]
@@ -85,7 +85,7 @@ def test_lights_and_give_way_lines_are_regulatory_elements(roads):
     assert len(rules) >= stops
 
 
-@pytest.mark.parametrize("options", [{}, {"walkways": True}])
+@pytest.mark.parametrize("options", [{}, {"whole": True}])
 def test_same_plan_gives_the_same_bytes(roads, options):
     one, again = (lanelet_map(roads, np.eye(3), WORLD, **options) for _ in range(2))
     assert one == again
@@ -104,11 +104,23 @@ def test_who_enters_a_ring_yields_to_those_who_come_round_it():
 
 def test_crossings_at_lights_name_the_light_of_those_on_foot():
     roads = make_roads("junction", np.random.default_rng(5))
-    root, _ = _parsed(roads, walkways=True)
+    root, _ = _parsed(roads, whole=True)
     found = {_tags(r).get("name", "") for r in root.findall("relation")}
     wanted = {f"walk {c.name}" for c in roads.crossings if c.marked and c.signalised}
     assert wanted
     assert wanted <= found
+
+
+def test_private_roads_are_on_the_whole_map_alone():
+    roads = make_roads("campus", np.random.default_rng(5))
+    (private,) = roads.layout.private
+    missing = {lane.name for lane in roads.lanes if private in lane.name.split()}
+    assert {f"{private} in 0", f"{private} out 0", f"south 0 to {private} 0"} <= missing
+    root, lanelets = _parsed(roads)
+    assert set(lanelets) == {lane.name for lane in roads.lanes} - missing
+    assert set(_parsed(roads, whole=True)[1]) == set(lanelets) | missing
+    known = {element.attrib["id"] for element in root}
+    assert all(member.attrib["ref"] in known for member in root.iter("member"))
 
 
 def test_no_island_lies_in_a_lane(roads):
@@ -121,7 +133,7 @@ def test_no_island_lies_in_a_lane(roads):
 def test_car_park_is_one_area_without_slivers(roads):
     if roads.car_park is None:
         return
-    root, _ = _parsed(roads, parking=True)
+    root, _ = _parsed(roads, whole=True)
     nodes = {n.attrib["id"]: (n.attrib["lon"], n.attrib["lat"]) for n in root.iter("node")}
     [area] = [r for r in root.findall("relation") if _tags(r).get("subtype") == "parking"]
     [ring] = [m.attrib["ref"] for m in area.findall("member")]
