@@ -139,6 +139,9 @@ def _laid(
         cameras: of the pictures.
         layers: in paint order.
         apart: whether each layer has pictures of its own, which come after the last one's.
+
+    Raises:
+        ValueError: a pose is not finite, or a size is not positive.
     """
     views = len(cameras)
     there = [
@@ -155,7 +158,12 @@ def _laid(
         every = torch.cat([value.expand(views, *value.shape[-2:]) for value in values], dim=1)
         return every.flatten(0, 1).index_select(0, where)
 
-    poses = chosen(layer.poses for layer in layers)
+    poses, sizes = chosen(layer.poses for layer in layers), chosen(layer.sizes for layer in layers)
+    if not (torch.isfinite(torch.cat([poses, sizes], dim=1)).all() and (sizes > 0).all()):
+        raise ValueError(
+            "a box that is present has a pose that is not finite, or a size that is not "
+            "a positive number; mask absent ones by `present`"
+        )
     middle, axis = _in_pixels(view, cameras.index_select(0, camera), poses)
     counts = torch.tensor([layer.poses.shape[1] for layer in layers], device=where.device)
     layer_of = torch.repeat_interleave(counts)[column]
@@ -164,7 +172,7 @@ def _laid(
         picture=camera + views * layer_of if apart else camera,
         middle=middle,
         axis=axis,
-        sizes=chosen(layer.sizes for layer in layers) / view.resolution,
+        sizes=sizes / view.resolution,
         colours=chosen(layer.colours for layer in layers),
         noses=chosen(layer.colours if layer.noses is None else layer.noses for layer in layers),
         pointed=pointed[layer_of],
@@ -338,11 +346,3 @@ def _check(cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[Boxes]
                 raise ValueError(
                     f"{name} for {tuple(shape)} boxes, where {views} views have {count} each"
                 )
-        known = torch.isfinite(layer.poses).all(dim=-1)
-        real = (layer.sizes > 0) & torch.isfinite(layer.sizes)
-        right = real.all(dim=-1).expand(known.shape) & known
-        if not (right if layer.present is None else right | ~layer.present).all():
-            raise ValueError(
-                "a box that is present has a pose that is not finite, or a size that is not "
-                "a positive number; mask absent ones by `present`"
-            )
