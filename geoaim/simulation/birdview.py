@@ -198,9 +198,10 @@ def _paint(
     base = (1 - 2 * NOSE) * ahead
     tip = torch.stack([ahead, ahead, base - aside, base + aside], dim=1)
     edges, noses = rim.nonzero()[:, 0], front.nonzero()[:, 0]
-    parts = [(ring, edges), (tip, noses)]
-    polygons = [(middle[:, None] + p)[owner[which]] - place[which, None] for p, which in parts]
-    shares = pixel_coverage(torch.cat(polygons))
+    corners = (torch.cat([ring, tip]) + middle.repeat(2, 1)[:, None]).flatten(1)
+    polygons = corners.index_select(0, torch.cat([owner[edges], owner[noses] + len(middle)]))
+    polygons = polygons - place.index_select(0, torch.cat([edges, noses])).repeat(1, 4)
+    shares = pixel_coverage(polygons.view(-1, 4, 2))
     alpha = place.new_ones(len(owner)).index_copy(0, edges, shares[: len(edges)])
     change = (boxes.noses - boxes.colours).t()[:, owner[noses]]
     light = (alpha * boxes.colours.t()[:, owner]).index_add(1, noses, shares[len(edges) :] * change)
