@@ -51,8 +51,9 @@ class Table:
         config: whose segments.
         cases: by name.
         pairs: names of cases whose difference is asked for.
-        shown: names of cases to draw, of different models, on the maps that they learnt from, each
-            at the first of its places.
+        shown: names of cases to draw, of different models, on the maps that they learnt from, at
+            the first place of the first of them.
+        time: s of its recording after which futures are drawn.
         paper: figures of the paper's tables.
     """
 
@@ -60,6 +61,7 @@ class Table:
     cases: Mapping[str, Case]
     pairs: Sequence[tuple[str, str]]
     shown: Sequence[str]
+    time: float
     paper: Mapping[str, Mapping[str, float]]
 
 
@@ -94,10 +96,8 @@ def run_table(name: str, table: Table, folder: Path, report: Progress) -> list[P
     written = write_results(name, tables, about)
     picture = written[0].with_suffix(".png")
     shown = [table.cases[title] for title in table.shown]
-    panels = {
-        case.model: (models[case.model][0], places_of(case, kind, folder)[0]) for case in shown
-    }
-    write_futures_on_maps(panels, picture)
+    place = places_of(shown[0], kind, folder)[0]
+    write_futures_on_maps({c.model: models[c.model][0] for c in shown}, place, table.time, picture)
     return [*written, picture]
 
 

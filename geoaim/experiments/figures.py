@@ -12,29 +12,37 @@ from geoaim.experiments.places import read_map, read_recordings, scene_of
 from geoaim.files import write_figure
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.lessons import STEPS
-from geoaim.prediction.pictures import draw_futures
+from geoaim.prediction.pictures import all_futures, draw_futures
 from geoaim.prediction.predict import OBSERVED, predict
 from geoaim.simulation.scene import step_at_time
 
-TIME = 60.0  # s of the recording after which futures are drawn
+HIGH = 5.2  # inches of a picture
 
 
-def write_futures_on_maps(panels: Mapping[str, tuple[ITRA, Path]], path: Path) -> None:
-    """Draw a panel for each of `RECIPES` by name: its model on its map of a place."""
-    figure = Figure(figsize=(14, 5.2 * len(panels) / 2), layout="constrained")
-    rows = figure.subplots(-(-len(panels) // 2), 2, squeeze=False)
-    for axes in rows.flat:
-        axes.axis("off")
-    for axes, (name, (model, place)) in zip(rows.flat, panels.items(), strict=False):
-        recipe, recorded = RECIPES[name], read_recordings(place)[0]
+def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, path: Path) -> None:
+    """Draw a panel for each of `RECIPES` by name, all of the same ground: its model on its map.
+
+    Args:
+        models: by name.
+        place: a made place.
+        time: s of its first recording after which futures are drawn.
+        path: of the picture.
+    """
+    figure = Figure(figsize=(HIGH, HIGH), layout="constrained")
+    seen, recorded = None, read_recordings(place)[0]
+    for axes, (name, model) in zip(figure.subplots(1, len(models)), models.items(), strict=True):
+        recipe = RECIPES[name]
         rate = 1 / model.config.seconds
         scene = scene_of(recorded, read_map(place, recipe.map), rate=rate, lights=recipe.lights)
-        steps = STEPS[model.config.kind] - OBSERVED
-        start = step_at_time(scene, TIME)
+        steps, start = STEPS[model.config.kind] - OBSERVED, step_at_time(scene, time)
         generator = torch.Generator().manual_seed(0)
         futures = predict(
             model, scene, samples=SAMPLES, steps=steps, start=start, generator=generator
         )
-        axes.imshow(draw_futures(scene, futures, start))
+        seen = seen or all_futures(scene, futures, start)
+        picture = draw_futures(scene, futures, start, seen)
+        figure.set_figwidth(HIGH * len(models) * picture.shape[1] / picture.shape[0])
+        axes.imshow(picture)
+        axes.axis("off")
         axes.set_title(f"{model.config.kind}s, {recipe.map.upper()}, {place.name}")
     write_figure(figure, path)

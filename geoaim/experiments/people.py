@@ -37,6 +37,7 @@ TABLE = Table(
         ("along roads, AIM", "along roads, HD map"),
     ),
     shown=("in parks, AIM", "in parks, HD map"),
+    time=60.0,
     # minADE_6 and minFDE_6 (m), MFD
     paper={
         "HD map": {"joint minADE": 0.90, "joint minFDE": 2.01, "MFD": 0.29},

@@ -38,6 +38,7 @@ TABLE = Table(
         ("imagery of another day", "AIM"),
     ),
     shown=("with private roads, AIM", "with private roads, HD map"),
+    time=90.0,
     # minADE_6 and minFDE_6 (m), rates
     paper={
         "HD map": {

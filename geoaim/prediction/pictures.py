@@ -28,8 +28,11 @@ LINE = 0.5  # m that a path is wide
 AROUND = 15.0  # m around all paths that a picture shows
 
 
+Seen = tuple[View, Float[Tensor, "1 3"]]
+
+
 def draw_futures(
-    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
+    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int, seen: Seen | None = None
 ) -> UInt8[Array, "H W 3"]:
     """The map, north up, with all futures, what really happened, and everybody at the start.
 
@@ -37,8 +40,9 @@ def draw_futures(
         scene: map, agents and lights.
         futures: from `predict`.
         start: the step after which they begin.
+        seen: view and camera; if left out, `all_futures`.
     """
-    view, camera = _camera(scene, futures, start)
+    view, camera = seen or all_futures(scene, futures, start)
     after = scene.poses[None, :, start : start + 1 + futures.shape[2], :2]
     now = scene.poses[None, :, start : start + 1, :2].expand(len(futures), -1, -1, -1)
     moved = _moved(futures)
@@ -54,11 +58,26 @@ def draw_futures(
     return _picture(view, camera, fit_ground(scene.ground, view.resolution), layers)
 
 
+def all_futures(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> Seen:
+    """A view of all futures, as far as the map goes, north up."""
+    places = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
+    places = places[torch.isfinite(places).all(dim=1)]
+    first, last = bounds_of(scene.ground).to(places)
+    low = (places.amin(dim=0) - AROUND).clamp(first, last - AROUND)
+    high = (places.amax(dim=0) + AROUND).clamp(low + AROUND, last)
+    width, height = (high - low).tolist()
+    metres = max(width, height) / WIDE
+    rows, columns = (2 * max(1, round(side / metres / 2)) for side in (height, width))
+    middle = (low + high) / 2
+    camera = torch.cat([middle, middle.new_tensor([math.pi / 2])])[None]
+    return View(rows, columns, metres), camera
+
+
 def film_futures(
     scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
 ) -> Iterator[UInt8[Array, "H W 3"]]:
     """The futures as they go on, all of them in one picture a step."""
-    view, camera = _camera(scene, futures, start)
+    view, camera = all_futures(scene, futures, start)
     ground, moved = fit_ground(scene.ground, view.resolution), _moved(futures)
     for number in range(futures.shape[2]):
         ways = moved[:, :, : number + 1].flatten(0, 1)[None]
@@ -105,23 +124,6 @@ def _moved(futures: Float[Tensor, "K N T 4"]) -> Float[Tensor, "K N T 2"]:
         return places
     same = ((places - places[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
     return torch.where(same[:, None, None], torch.nan, places)
-
-
-def _camera(
-    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
-) -> tuple[View, Float[Tensor, "1 3"]]:
-    """A view of all futures, as far as the map goes, north up."""
-    places = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
-    places = places[torch.isfinite(places).all(dim=1)]
-    first, last = bounds_of(scene.ground).to(places)
-    low = (places.amin(dim=0) - AROUND).clamp(first, last - AROUND)
-    high = (places.amax(dim=0) + AROUND).clamp(low + AROUND, last)
-    width, height = (high - low).tolist()
-    metres = max(width, height) / WIDE
-    rows, columns = (2 * max(1, round(side / metres / 2)) for side in (height, width))
-    middle = (low + high) / 2
-    camera = torch.cat([middle, middle.new_tensor([math.pi / 2])])[None]
-    return View(rows, columns, metres), camera
 
 
 def _paths(
