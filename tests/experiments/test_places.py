@@ -145,7 +145,7 @@ def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
         asked.append((model, at.name, name, end, lights))
         return [{"minADE": Measure(np.full(4, float(model)), np.ones(4))}]
 
-    asked, written = [], {}
+    asked, written, drawn = [], {}, {}
 
     def write_results(name, tables, about):
         written.update(tables=tables, about=about)
@@ -154,9 +154,9 @@ def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     every = vehicles.TABLE.cases
     some = {name: every[name] for name in ("AIM", "at lights, AIM", "AIM, last 5 %")}
     unlit = {"no lights": every["at lights, AIM, lights not shown"]}
-    table = replace(vehicles.TABLE, cases=some | unlit, pairs=(("AIM", "AIM"),), shown=())
+    table = replace(vehicles.TABLE, cases=some | unlit, pairs=(("AIM", "AIM"),), shown=("AIM",))
     fakes = {
-        "write_futures_on_maps": lambda *_: None,
+        "write_futures_on_maps": lambda models, *_: drawn.update(models),
         "make_places": lambda folder, places, **_: [
             tmp_path / kind for kind in {k for _, k in places}
         ],
@@ -172,5 +172,6 @@ def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     assert ("1", "junction", "aim", 1.0, True) in asked
     assert ("3", "junction", "aim", 1.0, False) in asked
     assert ("3", "street", "aim", HELD_OUT, True) in asked  # learnt from, not among the new ones
+    assert drawn == {"vehicle_aim": "1"}
     each = written["about"]["each training, where there are more than one"]["AIM"]
     assert [one["minADE"] for one in each] == [1, 3]
