@@ -28,6 +28,7 @@ from geoaim.synthetic import draw_place, make_sample, tracks_of, world_from_imag
 from geoaim.track_changes import resample
 
 AGENTS, SAMPLES, BATCH = 20, 6, 48
+REPEATS = 25
 RESOLUTION = 0.2
 
 
@@ -79,7 +80,7 @@ def row(kind: str, threads: int) -> dict[str, Any]:
             if views.requires_grad:
                 views.sum().backward()  # type: ignore[no-untyped-call]
 
-    step, drawing = medians([learn, draw], 5)
+    step, drawing = medians([learn, draw], REPEATS)
     found = {
         "model": kind,
         "threads": threads,
@@ -99,7 +100,7 @@ def _sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
     def sample() -> None:
         model.sample(segments, ground, observed=OBSERVED, samples=SAMPLES, generator=generator)
 
-    return medians([sample], 5)[0]
+    return medians([sample], REPEATS)[0]
 
 
 def main(json: Annotated[Path | None, typer.Option(help="file to write")] = None) -> None:

@@ -18,7 +18,8 @@ from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import Scene
 
-VEHICLES = Config("vehicle", "bicycle", seconds=0.1, size=48, resolution=1.0, every=5)
+# bars of lights that are one pixel wide are never learnt
+VEHICLES = Config("vehicle", "bicycle", seconds=0.1, size=48, resolution=1.0, bar=8.0, every=5)
 LIKENESS = replace(VEHICLES, unlike=True)  # tar mostly leads on over tar of the same colour
 PEOPLE = Config("pedestrian", "unicycle", seconds=0.4, size=48, resolution=0.5, every=3, lever=0.25)
 SAMPLES = 6

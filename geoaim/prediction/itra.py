@@ -23,8 +23,8 @@ from torch import Tensor, nn
 from geoaim.prediction.encoders import make_encoder
 from geoaim.prediction.plans import JITTER, REACH, Planner, network, nth_plan, plan_loss
 from geoaim.prediction.segments import Segments, repeated
-from geoaim.prediction.views import CHANNELS, Egos, egos_of, egos_see, unlike_underfoot
-from geoaim.simulation.ground import Ground, View
+from geoaim.prediction.views import CHANNELS, Egos, Sight, egos_of, egos_see, unlike_underfoot
+from geoaim.simulation.ground import Ground
 from geoaim.simulation.kinematics import (
     bicycle_action,
     bicycle_step,
@@ -35,6 +35,7 @@ from geoaim.simulation.kinematics import (
     unicycle_step,
     wrapped,
 )
+from geoaim.simulation.lines import BAR
 
 SCALES = {"bicycle": (2.0, 0.2), "unicycle": (1.0, 1.0), "slide": (0.5, 0.5)}  # usual actions
 LIMIT = 4.0  # scales: true actions beyond are noise of headings at standstill
@@ -54,6 +55,7 @@ class Config:
         size: pixels of a view's side.
         resolution: metres a pixel.
         unlike: whether views also show how unlike the ground is to that under the agent.
+        bar: metres that a light's bar is wide, on its stop line.
         every: steps from one look to the next; 1 as in the paper. In the steps between, what was
             seen last is taken to be there still.
         memory: width of the recurrent state.
@@ -74,6 +76,7 @@ class Config:
     size: int = 64
     resolution: float = 0.8
     unlike: bool = False
+    bar: float = BAR
     every: int = 5
     memory: int = 128
     features: int = 96
@@ -86,9 +89,9 @@ class Config:
     ahead: int = 0
 
     @property
-    def view(self) -> View:
+    def view(self) -> Sight:
         """The view of an agent."""
-        return View(self.size, self.size, self.resolution)
+        return Sight(self.size, self.size, self.resolution, self.bar)
 
 
 @dataclass(frozen=True, eq=False)

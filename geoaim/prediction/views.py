@@ -10,10 +10,21 @@ from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.prediction.segments import PERSON, VEHICLE, Segments
 from geoaim.simulation.birdview import Boxes, render_layers
 from geoaim.simulation.ground import Ground, View
-from geoaim.simulation.lines import light_layers
+from geoaim.simulation.lines import BAR, light_layers
 
 UNLIKE = 0.4  # distance of colours, each 0 to 1, from which on it is another surface
 CHANNELS = 7  # ground, vehicles, people, lights that stop, lights that let go
+
+
+@dataclass(frozen=True)
+class Sight(View):
+    """A view of models.
+
+    Attributes:
+        bar: metres that a light's bar is wide, on its stop line.
+    """
+
+    bar: float = BAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +41,7 @@ def egos_of(segments: Segments) -> Egos:
 
 
 def egos_see(
-    view: View,
+    view: Sight,
     ground: Ground,
     segments: Segments,
     egos: Egos,
@@ -40,7 +51,7 @@ def egos_see(
     """Views of all egos at a step; the ego, always in the middle, is not drawn.
 
     Args:
-        view: size and resolution.
+        view: size and resolution, and how wide lights are.
         ground: what lies below.
         segments: sizes, lights, and who is there at the step.
         egos: whose views.
@@ -58,7 +69,7 @@ def egos_see(
         for plane in (VEHICLE, PERSON)
     ]
     lines, lights = segments.lines[egos.segment], segments.lights[egos.segment, number]
-    layers += light_layers(lines, lights, [(RED, YELLOW), (GREEN,)])
+    layers += light_layers(lines, lights, [(RED, YELLOW), (GREEN,)], width=view.bar)
     return render_layers(view, cameras, ground, layers)
 
 

@@ -59,9 +59,11 @@ def light_layers(
     lines: Float[Tensor, "... L 2 2"],
     states: Int[Tensor, "B L"],
     groups: Sequence[tuple[int, ...]],
+    *,
+    width: float = BAR,
 ) -> list[Boxes]:
     """For `render_layers`: the bars of `light_boxes`, a layer for each group of states."""
-    bars = light_boxes(lines, states)
+    bars = light_boxes(lines, states, width=width)
     assert bars.present is not None
     return [
         replace(bars, present=bars.present & torch.isin(states, states.new_tensor(group)))
@@ -69,11 +71,13 @@ def light_layers(
     ]
 
 
-def light_boxes(lines: Float[Tensor, "... L 2 2"], states: Int[Tensor, "B L"]) -> Boxes:
+def light_boxes(
+    lines: Float[Tensor, "... L 2 2"], states: Int[Tensor, "B L"], *, width: float = BAR
+) -> Boxes:
     """A bar on each stop line in the colour of its light; none where the state is not known, -1.
 
     Lines are the same in all views, or each view's own.
     """
     colours = lines.new_tensor(LIGHTS)[states.long().clamp_min(0)]
     ends = lines.expand(len(states), *lines.shape[-3:])
-    return line_boxes(ends, colours, width=BAR, present=states >= 0)
+    return line_boxes(ends, colours, width=width, present=states >= 0)

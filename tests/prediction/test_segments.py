@@ -7,12 +7,12 @@ import torch
 from geoaim.errors import TracksError
 from geoaim.prediction.atlas import ground_scaled, make_atlas
 from geoaim.prediction.segments import cut_segments, joined, repeated, scaled, shifted
-from geoaim.prediction.views import egos_of, egos_see, unlike_underfoot
-from geoaim.simulation.ground import View, fit_ground, make_ground
+from geoaim.prediction.views import Sight, egos_of, egos_see, unlike_underfoot
+from geoaim.simulation.ground import fit_ground, make_ground
 from geoaim.simulation.scene import Scene
 from tests.prediction.made import drive, hill
 
-VIEW = View(24, 24, 1.0)
+VIEW = Sight(24, 24, 1.0)
 
 
 def scene(steps=20):
@@ -79,7 +79,7 @@ def test_views_are_larger_or_mirrored_with_the_world(sides):
     before = egos_see(VIEW, hill(), segments, egos, segments.states[:, 0], 0)
     other = scaled(segments, sides)
     other = replace(other, sizes=segments.sizes * sides[0])
-    larger = View(24, 24, float(sides[0]))
+    larger = Sight(24, 24, float(sides[0]))
     after = egos_see(larger, ground_scaled(hill(), sides), other, egos, other.states[:, 0], 0)
     after = after.flip(3) if sides[1] < 0 else after
     assert torch.allclose(before[:, :5], after[:, :5], atol=1e-4)  # lights' bars keep their width
@@ -119,6 +119,16 @@ def test_egos_see_others_and_not_themselves():
     assert (views[:, 4].sum(dim=(1, 2)) > 0).all()  # the walker
     assert (views[:, 5].sum(dim=(1, 2)) == 0).all()  # no light stops
     assert (views[:, 6].sum(dim=(1, 2)) > 0).all()  # a green one
+
+
+def test_lights_are_seen_as_wide_as_a_model_needs_them():
+    segments = drive(4, 2)
+    thin, wide = (
+        egos_see(view, hill(), segments, egos_of(segments), segments.states[:, 0], 0)
+        for view in (VIEW, replace(VIEW, bar=3.0))
+    )
+    torch.testing.assert_close(wide[:, 6].sum(), 3 * thin[:, 6].sum())
+    torch.testing.assert_close(wide[:, :6], thin[:, :6])
 
 
 def test_unlike_the_ground_underfoot_stays_so_whatever_is_added_to_all_of_it():
