@@ -10,7 +10,7 @@ from geoaim.experiments.places import TRAIN, make_places
 from geoaim.prediction.checkpoints import kept_model, read_state
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.training import Training, train
+from geoaim.prediction.training import Training, digest, train
 from geoaim.progress import Progress, silent
 
 
@@ -88,13 +88,16 @@ def kept_or_trained(
     Always as its file has it, so that what starts from it is the same in a later run.
 
     Raises:
-        ModelError: the folder's was trained otherwise.
+        ModelError: the folder's was trained otherwise, or from other weights.
     """
     kept = where / "model.pt"
     if kept.exists():
-        how = read_state(where / "checkpoint.pt")["training"]
+        state = read_state(where / "checkpoint.pt")
+        how = state["training"]
         if how != asdict(training):
             raise ModelError(f"{kept} was trained otherwise, {how}; delete its folder")
+        if state["start"]["weights"] != digest(start):
+            raise ModelError(f"{kept} began with other weights; delete its folder")
     else:
         train(config, training, lessons(), where, start=start, progress=report)
     return kept_model(kept, config)

@@ -124,7 +124,7 @@ def train(
         about = {
             "config": asdict(config),
             "training": asdict(training),
-            "start": {"lessons": _digest(lessons), "weights": _digest(start)},
+            "start": {"lessons": digest(lessons), "weights": digest(start)},
         }
         log = _resume(path, kept, about)
         network: nn.Module = model if count == 1 else DistributedDataParallel(model)
@@ -181,7 +181,7 @@ def _resume(path: Path, kept: dict[str, Any], about: dict[str, Any]) -> list[tup
     return [tuple(row) for row in state["log"]]
 
 
-def _digest(what: Lessons | ITRA | None) -> str:
+def digest(what: Lessons | ITRA | None) -> str:
     """Tells one set of lessons, or of weights to begin with, from another."""
     if what is None:
         return "none"
