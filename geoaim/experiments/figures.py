@@ -28,9 +28,9 @@ def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, 
         time: s of its first recording after which futures are drawn.
         path: of the picture.
     """
-    figure = Figure(figsize=(HIGH, HIGH), layout="constrained")
-    seen, recorded = None, read_recordings(place)[0]
-    for axes, (name, model) in zip(figure.subplots(1, len(models)), models.items(), strict=True):
+    recorded, seen = read_recordings(place)[0], None
+    panels = []
+    for name, model in models.items():
         recipe = RECIPES[name]
         rate = 1 / model.config.seconds
         scene = scene_of(recorded, read_map(place, recipe.map), rate=rate, lights=recipe.lights)
@@ -40,9 +40,13 @@ def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, 
             model, scene, samples=SAMPLES, steps=steps, start=start, generator=generator
         )
         seen = seen or all_futures(scene, futures, start)
-        picture = draw_futures(scene, futures, start, seen)
-        figure.set_figwidth(HIGH * len(models) * picture.shape[1] / picture.shape[0])
+        title = f"{model.config.kind}s, {recipe.map.upper()}, {place.name}"
+        panels.append((title, draw_futures(scene, futures, start, seen)))
+    wide = sum(picture.shape[1] / picture.shape[0] for _, picture in panels)
+    figure = Figure(figsize=(HIGH * wide, HIGH), layout="constrained")
+    rows = figure.subplots(1, len(panels), squeeze=False)
+    for axes, (title, picture) in zip(rows.flat, panels, strict=True):
         axes.imshow(picture)
         axes.axis("off")
-        axes.set_title(f"{model.config.kind}s, {recipe.map.upper()}, {place.name}")
+        axes.set_title(title)
     write_figure(figure, path)

@@ -27,7 +27,6 @@ TRUTH = (0.95, 0.95, 0.95)
 LINE = 0.5  # m that a path is wide
 AROUND = 15.0  # m around all paths that a picture shows
 
-
 Seen = tuple[View, Float[Tensor, "1 3"]]
 
 

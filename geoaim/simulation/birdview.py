@@ -222,6 +222,7 @@ class _Over(torch.autograd.Function):
             flat[:count], flat[count:] = ground, 0
         else:
             ctx.mark_dirty(flat)
+        # from -0 on is all of it
         below, canvas = torch.empty_like(light), flat[-planes:].view(len(light), -1)
         turns = list(_turns(pixel, canvas.shape[1]))
         for turn in turns:

@@ -1,5 +1,6 @@
 """Roads: the whole plan of a place, from its kind and a generator."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from geoaim.synthetic.roads.paving import Crossing, Paving, make_crossings, page
 from geoaim.synthetic.roads.walks import Walks, make_walks
 
 HEIGHT, WIDTH = 104.0, 176.0  # m, of the drawn page
+CAR_PARKS: Mapping[Kind, float] = {"junction": 46.0, "t": 42.0, "street": 26.0}  # m along the arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,7 @@ def signal_of(roads: Roads, lane: str, turn: str) -> str:
 
 def _car_park(layout: Layout, generator: np.random.Generator) -> CarPark | None:
     """A car park beside the east arm, where its plot has room for one."""
-    if layout.kind in ("roundabout", "park", "campus"):
+    if layout.kind not in CAR_PARKS:
         return None
-    arm = arm_named(layout, "east")
-    along = {"junction": 46.0, "t": 42.0, "street": 26.0}[layout.kind]
-    return make_car_park(arm, along + generator.uniform(-2, 2), bays=9)
+    along = CAR_PARKS[layout.kind] + generator.uniform(-2, 2)
+    return make_car_park(arm_named(layout, "east"), along, bays=9)
