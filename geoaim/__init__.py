@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from geoaim.aim import write_aim as write_aim
     from geoaim.errors import GeoaimError as GeoaimError
     from geoaim.errors import GeoaimWarning as GeoaimWarning
-    from geoaim.mapping.aligning import align_tiles as align_tiles
+    from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
     from geoaim.mapping.pipeline import build_aim as build_aim
     from geoaim.mapping.texture import export_texture as export_texture
     from geoaim.tracks import Tracks as Tracks
@@ -59,7 +59,7 @@ _HOMES = {
     "GeoaimWarning": "geoaim.errors",
     "Tracks": "geoaim.tracks",
     "World": "geoaim.world",
-    "align_tiles": "geoaim.mapping.aligning",
+    "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
     "export_texture": "geoaim.mapping.texture",
     "read_aim": "geoaim.aim",

@@ -29,11 +29,11 @@ from geoaim.bench.data import data_folder
 from geoaim.bench.report import medians, save, table
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, from_opencv, transform_points
-from geoaim.mapping import correlation
-from geoaim.mapping.alignment import Alignment
-from geoaim.mapping.image_evidence import align_image
-from geoaim.mapping.tiles import read_imagery
-from geoaim.mapping.track_evidence import align_tracks
+from geoaim.imagery.alignment import template_matching
+from geoaim.imagery.alignment.by_image import align_image
+from geoaim.imagery.alignment.by_tracks import align_tracks
+from geoaim.imagery.alignment.result import Alignment
+from geoaim.imagery.mosaic import read_imagery
 from geoaim.synthetic.roads.layouts import PLAIN
 from geoaim.track_formats import read_geotrax
 from geoaim.tracks import Tracks
@@ -83,11 +83,11 @@ def ways() -> dict[str, Callable[[Pair], tuple[Float[Array, "3 3"], float]]]:
         return found.true_from_stated, found.uncertainty
 
     def with_shadows(pair: Pair) -> tuple[Float[Array, "3 3"], float]:
-        kept, correlation.SURROUNDINGS = correlation.SURROUNDINGS, 0.0
+        kept, template_matching.SURROUNDINGS = template_matching.SURROUNDINGS, 0.0
         try:
             return ours(pair)
         finally:
-            correlation.SURROUNDINGS = kept
+            template_matching.SURROUNDINGS = kept
 
     return {
         "geoaim": ours,

@@ -13,9 +13,9 @@ from geoaim.aim import pixel_size
 from geoaim.bench.alignment_pairs import Pair, error, misplaced
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.mapping.correlation import Grid, grey_on, picture_of
-from geoaim.mapping.image_evidence import align_image
-from geoaim.mapping.tiles import read_imagery
+from geoaim.imagery.alignment.by_image import align_image
+from geoaim.imagery.alignment.template_matching import Grid, grey_on, picture_of
+from geoaim.imagery.mosaic import read_imagery
 
 
 def rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
@@ -79,7 +79,7 @@ def _by_brightness(pair: Pair) -> Float[Array, "2"]:
 
 def zooms(folder: Path) -> list[dict[str, Any]]:
     """Tiles of three zooms of one place laid on each other: by how much they are said to be off."""
-    from geoaim.mapping.sources import Tiles
+    from geoaim.imagery.sources import Tiles
 
     tiles = folder / "tiles/kampala_xyz"
     whole = read_imagery(Tiles(tiles, zoom=19))

@@ -110,8 +110,8 @@ def align(
     """
     from geoaim.aim import read_aim, rectify, write_aim
     from geoaim.files import write_figure
-    from geoaim.mapping.aligning import align_tiles
-    from geoaim.mapping.alignment import Prior
+    from geoaim.imagery.alignment.pipeline import align_tiles
+    from geoaim.imagery.alignment.result import Prior
     from geoaim.quicklook import draw_alignment
     from geoaim.track_changes import tracks_in
 

@@ -11,8 +11,8 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM, pixel_size, read_aim, whole_aim, write_aim
+from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import Lights, read_lights
-from geoaim.mapping.aligning import align_tiles
 from geoaim.mapping.drivable import drivable_area
 from geoaim.mapping.hdmap import Area, HDMap, read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap

@@ -8,7 +8,7 @@ from geoaim.bench.data import needed
 from geoaim.experiments.learning import SAMPLES, VEHICLES
 from geoaim.experiments.models import kept_or_trained, trained
 from geoaim.experiments.results import differences, write_results
-from geoaim.mapping.tiles import read_imagery
+from geoaim.imagery.mosaic import read_imagery
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked, evaluate

@@ -7,13 +7,10 @@ from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration import register, write_registration
-from geoaim.mapping.sources import Tiles
 from geoaim.mapping.texture import export_texture
-from geoaim.mapping.tiles import read_imagery
 from geoaim.mapping.video import open_video
 
 __all__ = [
-    "Tiles",
     "average_frames",
     "build_aim",
     "export_texture",
@@ -21,7 +18,6 @@ __all__ = [
     "open_video",
     "read_boxes",
     "read_control_points",
-    "read_imagery",
     "register",
     "remove_traffic",
     "transform_boxes",

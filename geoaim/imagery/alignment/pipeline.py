@@ -15,21 +15,21 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, rectify
 from geoaim.errors import AlignmentError, GeoaimWarning, ImageryError, TracksError
 from geoaim.geometry import transform_points, translation
-from geoaim.mapping.alignment import CHI2, PRIOR, Alignment, Prior, moved, report_alignment
-from geoaim.mapping.control_points import read_control_points
-from geoaim.mapping.georeference import georeference
-from geoaim.mapping.image_evidence import align_image
-from geoaim.mapping.rasters import (
+from geoaim.imagery.alignment.by_image import align_image
+from geoaim.imagery.alignment.by_tracks import align_tracks
+from geoaim.imagery.alignment.result import CHI2, PRIOR, Alignment, Prior, moved, report_alignment
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.rasters import (
     HALF_SEEN,
     colours_of,
     describe_raster,
     find_stretch,
     place_raster,
 )
+from geoaim.imagery.sources import Source
+from geoaim.mapping.control_points import read_control_points
+from geoaim.mapping.georeference import georeference
 from geoaim.mapping.report import report_georeference
-from geoaim.mapping.sources import Source
-from geoaim.mapping.tiles import read_imagery
-from geoaim.mapping.track_evidence import align_tracks
 from geoaim.mapping.video import open_video
 from geoaim.track_changes import tracks_in
 from geoaim.tracks import Tracks

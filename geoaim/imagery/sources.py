@@ -14,7 +14,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, ImageryError
-from geoaim.mapping.rasters import Raster, describe_raster, raster_outline
+from geoaim.imagery.rasters import Raster, describe_raster, raster_outline
 from geoaim.world import World, crs_from_world
 
 MERCATOR = "EPSG:3857"

@@ -6,12 +6,12 @@ import pytest
 from geoaim.aim import pixel_size
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.mapping.alignment import Prior, moved
-from geoaim.mapping.correlation import orientation, window_shifts
-from geoaim.mapping.image_evidence import align_image
+from geoaim.imagery.alignment.by_image import align_image
+from geoaim.imagery.alignment.result import Prior, moved
+from geoaim.imagery.alignment.template_matching import orientation, window_shifts
 from geoaim.world import World
 from tests.conftest import textured
-from tests.mapping.alignment_pairs import PHOTO, as_aim, made, misplaced
+from tests.imagery.alignment.alignment_pairs import PHOTO, as_aim, made, misplaced
 
 
 def _error(found, matrix, aim):

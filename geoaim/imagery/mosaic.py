@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, north_up_grid
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
 from geoaim.geometry import transform_points, translation
-from geoaim.mapping.rasters import (
+from geoaim.imagery.rasters import (
     HALF_SEEN,
     Raster,
     Stretch,
@@ -27,7 +27,7 @@ from geoaim.mapping.rasters import (
     place_raster,
     touches,
 )
-from geoaim.mapping.sources import Area, Layer, Source, Tiles, find_layer
+from geoaim.imagery.sources import Area, Layer, Source, Tiles, find_layer
 from geoaim.world import LONLAT, World, choose_world, crs_from_world, transform_crs, world_from_crs
 
 BLOCK = 1024  # px: side of the blocks that are drawn at a time

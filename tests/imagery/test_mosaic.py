@@ -18,9 +18,9 @@ from rasterio.transform import Affine, from_origin
 from geoaim.aim import AIM, read_aim, write_aim
 from geoaim.errors import AimError, GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
-from geoaim.mapping import rasters
-from geoaim.mapping.sources import HALF_WORLD, Tiles
-from geoaim.mapping.tiles import read_imagery
+from geoaim.imagery import rasters
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.sources import HALF_WORLD, Tiles
 from geoaim.world import World, choose_world, lonlat_from_world, transform_crs, world_from_crs
 
 WORLD = World("EPSG:32633", (600_000.0, 5_340_000.0))  # Vienna
@@ -686,7 +686,7 @@ def test_blocks_meet_without_a_seam(tmp_path, monkeypatch):
     for resolution in (0.4, 1.3):
         whole = read_imagery(path, world=WORLD, resolution=resolution)
         with monkeypatch.context() as small:
-            small.setattr("geoaim.mapping.tiles.BLOCK", 64)
+            small.setattr("geoaim.imagery.mosaic.BLOCK", 64)
             parts = read_imagery(path, world=WORLD, resolution=resolution)
         both = (whole.coverage > 0) & (parts.coverage > 0)
         assert both.sum() > whole.coverage.sum() - 9  # on the very edge either may be right
@@ -783,7 +783,7 @@ def test_half_the_world_is_not_read_as_a_whole(tmp_path):
 
 @pytest.mark.usefixtures("unchecked")
 def test_compressed_images_of_gigapixels_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("geoaim.mapping.rasters.MOST_PIXELS", 1000)
+    monkeypatch.setattr("geoaim.imagery.rasters.MOST_PIXELS", 1000)
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 40, 3), np.uint8))
     with pytest.raises(ImageryError, match="40 x 40 pixels in one piece"):
         read_imagery(tmp_path / "a.png")

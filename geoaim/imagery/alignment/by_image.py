@@ -18,8 +18,8 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, north_up_grid, pixel_size
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, image_corners, transform_points, translation
-from geoaim.mapping.alignment import PRIOR, Alignment, Prior
-from geoaim.mapping.correlation import (
+from geoaim.imagery.alignment.result import PRIOR, Alignment, Prior
+from geoaim.imagery.alignment.template_matching import (
     Grid,
     Picture,
     Shifts,

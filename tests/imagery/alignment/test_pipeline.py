@@ -16,14 +16,14 @@ from geoaim.errors import (
     TracksError,
 )
 from geoaim.geometry import about, transform_points
-from geoaim.mapping.aligning import align_tiles
-from geoaim.mapping.alignment import Prior
+from geoaim.imagery.alignment.pipeline import align_tiles
+from geoaim.imagery.alignment.result import Prior
 from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.quicklook import draw_alignment, summary
 from geoaim.track_changes import tracks_in
 from geoaim.world import World, lonlat_from_world
-from tests.mapping.alignment_pairs import as_aim
+from tests.imagery.alignment.alignment_pairs import as_aim
 
 TRUTH = json.loads(Path("samples/truth.json").read_text())
 OFFSET = np.array(TRUTH["imagery"]["offset_east_north_m"])
@@ -206,7 +206,7 @@ def test_of_a_video_no_more_than_two_frames_are_read(tmp_path, monkeypatch):
             assert index < 2
             yield SimpleNamespace(image=np.zeros((4, 6, 3), np.uint8))
 
-    monkeypatch.setattr("geoaim.mapping.aligning.open_video", lambda _: frames())
+    monkeypatch.setattr("geoaim.imagery.alignment.pipeline.open_video", lambda _: frames())
     with pytest.raises(ValueError, match="holds several pictures"):
         align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
 

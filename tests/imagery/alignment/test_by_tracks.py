@@ -6,12 +6,12 @@ import pytest
 
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.mapping.alignment import Prior
-from geoaim.mapping.track_evidence import align_tracks, driven_places
+from geoaim.imagery.alignment.by_tracks import align_tracks, driven_places
+from geoaim.imagery.alignment.result import Prior
 from geoaim.tracks import Tracks
 from geoaim.world import World
 from tests.conftest import textured
-from tests.mapping.alignment_pairs import as_aim, made, misplaced
+from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced
 
 RANGE = Prior(reach=10.0, turn=0.06)
 

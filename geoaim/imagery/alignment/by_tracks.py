@@ -22,8 +22,14 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, pixel_size
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, to_opencv, transform_points
-from geoaim.mapping.alignment import LOOSE, PRIOR, Alignment, Prior
-from geoaim.mapping.correlation import Grid, grey_on, orientation, picture_of, smoothed
+from geoaim.imagery.alignment.result import LOOSE, PRIOR, Alignment, Prior
+from geoaim.imagery.alignment.template_matching import (
+    Grid,
+    grey_on,
+    orientation,
+    picture_of,
+    smoothed,
+)
 from geoaim.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel

@@ -1,0 +1,1 @@
+"""Where imagery lies: its correction from tracks, from an AIM, or from control points."""
