@@ -11,9 +11,9 @@ from geoaim.aim import read_aim, write_aim
 from geoaim.cli import app
 from geoaim.cli.made import PlaceKind
 from geoaim.geojson import Feature, write_features
-from geoaim.mapping.drivable import write_area
-from geoaim.mapping.hdmap import read_hdmap
-from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.hdmap.drivable import write_area
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.synthetic.camera import render_frame
 from geoaim.synthetic.roads.layouts import KINDS
 from geoaim.tracks import read_tracks

@@ -116,7 +116,7 @@ def test_drawing_without_signals_is_refused(tmp_path):
 
 
 def test_bundled_lights_stop_traffic_at_the_maps_lines():
-    from geoaim.mapping.hdmap import read_hdmap
+    from geoaim.hdmap.lanelet2 import read_hdmap
 
     hdmap = read_hdmap("samples/map.osm")
     lights = read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)

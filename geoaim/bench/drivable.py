@@ -19,8 +19,8 @@ from shapely import MultiPolygon
 
 from geoaim.bench.data import data_folder
 from geoaim.bench.report import save, table
-from geoaim.mapping.drivable import drivable_area
-from geoaim.mapping.hdmap import read_hdmap
+from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.simulation.layers import KINDS
 from geoaim.track_formats import read_interaction
 from geoaim.tracks import Tracks, read_tracks

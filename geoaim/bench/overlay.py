@@ -24,8 +24,8 @@ import geoaim
 from geoaim.aim import AIM, pixel_size, whole_aim
 from geoaim.bench.report import save, table
 from geoaim.geometry import transform_points
-from geoaim.mapping.drivable import drivable_area
-from geoaim.mapping.hdmap import HDMap, read_hdmap
+from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.synthetic import draw_place, make_place, world_from_image
 from geoaim.synthetic.roads.lanelet import lanelet_map
 from geoaim.synthetic.roads.layouts import PLAIN, Kind

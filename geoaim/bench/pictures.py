@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 
 from geoaim.aim import AIM
 from geoaim.geometry import transform_points
+from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import read_lights
 from geoaim.mapping import (
@@ -22,7 +23,6 @@ from geoaim.mapping import (
     read_boxes,
     transform_boxes,
 )
-from geoaim.mapping.hdmap import read_hdmap
 from geoaim.mapping.registration import choose_reference, place_frames
 from geoaim.prediction import predict, read_model, shipped
 from geoaim.prediction.pictures import draw_futures

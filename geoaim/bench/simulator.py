@@ -16,8 +16,8 @@ import torch
 import typer
 
 from geoaim.bench.report import medians, save, table
-from geoaim.mapping.drivable import drivable_area, points_along
-from geoaim.mapping.hdmap import HDMap, read_hdmap
+from geoaim.hdmap.drivable import drivable_area, points_along
+from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.simulation.infractions import offroad_distance
 from geoaim.simulation.overlap import box_corners, box_iou
 from geoaim.simulation.scene import drivable_of

@@ -22,7 +22,7 @@ from geoaim.progress import Progress
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from geoaim.mapping.hdmap import HDMap
+    from geoaim.hdmap.lanelet2 import HDMap
     from geoaim.simulation.scene import Scene
     from geoaim.world import World
 
@@ -96,7 +96,7 @@ def simulate(
     constant-turn-rate, idm (along the recorded way, keeping distance), replay. --drivable and
     --stop-lines are drawn by hand, where there is no HD map or in its place.
     """
-    from geoaim.mapping.drivable import read_area
+    from geoaim.hdmap.drivable import read_area
     from geoaim.simulation.episodes import rules_of, simulate_scene
     from geoaim.simulation.scene import agent_number, tracks_of
     from geoaim.tracks import write_tracks
@@ -134,8 +134,8 @@ def read_scene(
     At a rate in Hz, if one is given.
     """
     from geoaim.aim import read_aim
+    from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.lights import read_lights, read_stop_lines
-    from geoaim.mapping.hdmap import read_hdmap
     from geoaim.simulation.scene import make_scene
     from geoaim.track_changes import resample
 

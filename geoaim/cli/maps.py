@@ -193,8 +193,8 @@ def draw(
     A map of metres about (0, 0), as INTERACTION's and SinD's, needs no --aim.
     """
     from geoaim.aim import read_aim, write_aim
-    from geoaim.mapping.hdmap import read_hdmap
-    from geoaim.mapping.hdmap_image import draw_hdmap
+    from geoaim.hdmap.lanelet2 import read_hdmap
+    from geoaim.hdmap.rasterize import draw_hdmap
 
     with plain_errors():
         refuse_output(output, GEOTIFF, [hdmap, aim])

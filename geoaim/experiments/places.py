@@ -11,11 +11,11 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM, pixel_size, read_aim, whole_aim, write_aim
+from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.lanelet2 import Area, HDMap, read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import Lights, read_lights
-from geoaim.mapping.drivable import drivable_area
-from geoaim.mapping.hdmap import Area, HDMap, read_hdmap
-from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.progress import Progress, silent
 from geoaim.simulation.episodes import Rules, rules_of
 from geoaim.simulation.scene import Scene, make_scene

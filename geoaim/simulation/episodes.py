@@ -9,9 +9,9 @@ from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.errors import TracksError
+from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.lights import UNKNOWN
-from geoaim.mapping.drivable import drivable_area
-from geoaim.mapping.hdmap import HDMap
 from geoaim.simulation.ground import bounds_of, in_world
 from geoaim.simulation.infractions import (
     Drivable,

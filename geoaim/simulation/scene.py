@@ -11,9 +11,9 @@ from torch import Tensor
 
 from geoaim.aim import AIM, rectify
 from geoaim.errors import MapError, TracksError
+from geoaim.hdmap.drivable import lane_directions, signed_distance
+from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.lights import UNKNOWN, Lights, states_at
-from geoaim.mapping.drivable import lane_directions, signed_distance
-from geoaim.mapping.hdmap import HDMap
 from geoaim.simulation.ground import Ground, make_ground, on_device
 from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.track_changes import tracks_in

@@ -18,7 +18,7 @@ from geoaim.experiments.places import (
     make_places,
     read_map,
 )
-from geoaim.mapping.hdmap_image import GROUND, ROAD, SURFACES
+from geoaim.hdmap.rasterize import GROUND, ROAD, SURFACES
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.lessons import HELD_OUT

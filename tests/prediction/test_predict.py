@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim.cli import app
 from geoaim.errors import ModelError, TracksError
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.lights import read_lights
-from geoaim.mapping.hdmap import read_hdmap
-from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.prediction.baselines import predict_plainly
 from geoaim.prediction.checkpoints import read_model, shipped, write_model
 from geoaim.prediction.encoders import make_encoder

@@ -2,8 +2,8 @@ from typer.testing import CliRunner
 
 import geoaim
 from geoaim.cli import app
-from geoaim.mapping.hdmap import read_hdmap
-from geoaim.mapping.hdmap_image import draw_hdmap
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, shipped
 
 run = CliRunner().invoke

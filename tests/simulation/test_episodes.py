@@ -5,9 +5,9 @@ import torch
 from shapely import MultiPolygon, box
 
 from geoaim.errors import TracksError
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.lights import UNKNOWN, read_lights
-from geoaim.mapping.hdmap import read_hdmap
-from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.simulation.episodes import OBSERVED, POLICIES, Rules, rules_of, simulate_scene
 from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.scene import make_scene, tracks_of

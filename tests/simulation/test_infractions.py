@@ -3,8 +3,8 @@ import pytest
 import torch
 from shapely import MultiPolygon, Point, Polygon, box
 
+from geoaim.hdmap.drivable import signed_distance
 from geoaim.lights import GREEN, RED, UNKNOWN
-from geoaim.mapping.drivable import signed_distance
 from geoaim.simulation.infractions import (
     Drivable,
     Lanes,

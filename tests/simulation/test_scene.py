@@ -9,8 +9,8 @@ from shapely import MultiPolygon, box
 from geoaim.aim import AIM
 from geoaim.errors import MapError, TracksError
 from geoaim.geometry import to_opencv
+from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
-from geoaim.mapping.hdmap import HDMap, Lanelet
 from geoaim.simulation import (
     View,
     agents_at,

@@ -16,10 +16,10 @@ from geoaim.errors import (
     TracksError,
 )
 from geoaim.geometry import about, transform_points
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.imagery.alignment.result import Prior
-from geoaim.mapping.hdmap import read_hdmap
-from geoaim.mapping.hdmap_image import draw_hdmap
 from geoaim.quicklook import draw_alignment, summary
 from geoaim.track_changes import tracks_in
 from geoaim.world import World, lonlat_from_world

@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from geoaim.aim import north_up_grid
 from geoaim.errors import GeoaimWarning, MapError
 from geoaim.geojson import Feature, read_features, write_features
-from geoaim.mapping.hdmap import HDMap, Lanelet
+from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 from geoaim.world import World
 
 NOT_DRIVEN = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")

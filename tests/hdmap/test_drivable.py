@@ -9,16 +9,16 @@ from shapely.geometry import mapping
 
 from geoaim.errors import GeoaimWarning, MapError
 from geoaim.geometry import transform_points
-from geoaim.mapping import drivable
-from geoaim.mapping.drivable import (
+from geoaim.hdmap import drivable
+from geoaim.hdmap.drivable import (
     drivable_area,
     lane_directions,
     read_area,
     signed_distance,
     write_area,
 )
-from geoaim.mapping.hdmap import HDMap, Lanelet, MapLine, read_hdmap
-from geoaim.mapping.hdmap_image import GROUND, LINES, draw_hdmap
+from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine, read_hdmap
+from geoaim.hdmap.rasterize import GROUND, LINES, draw_hdmap
 from geoaim.tracks import read_tracks
 from geoaim.world import World
 

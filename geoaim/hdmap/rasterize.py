@@ -11,8 +11,8 @@ from shapely.geometry.base import BaseGeometry
 
 from geoaim.aim import AIM, north_up_grid, whole_aim
 from geoaim.geometry import transform_points
-from geoaim.mapping.drivable import NOT_DRIVEN, outline, points_along, polygons_of
-from geoaim.mapping.hdmap import HDMap, Lanelet, MapLine
+from geoaim.hdmap.drivable import NOT_DRIVEN, outline, points_along, polygons_of
+from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
 
 Colour = tuple[int, int, int]
 GROUND: Colour = (40, 42, 46)

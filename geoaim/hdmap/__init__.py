@@ -1,0 +1,1 @@
+"""HD maps: lanelet2 files read, their drivable area, and maps drawn from them."""
