@@ -29,11 +29,11 @@ from geoaim.bench.hover import made_video
 from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.encode import write_video
 from geoaim.mapping.background import Background, average_frames, remove_traffic, spread_order
-from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.canvas import compare_exposure, expose, first_exposure, warp
-from geoaim.mapping.frames import Frame
 from geoaim.mapping.registration import register
-from geoaim.mapping.video import Video, open_video
+from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import Video, open_video
 from geoaim.synthetic import clean_frame, frame_boxes, reference_from_frames, traffic_share
 
 MARGIN = 100  # px; the camera's drift leaves the rim to fewer frames

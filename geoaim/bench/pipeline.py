@@ -25,7 +25,7 @@ from geoaim.mapping.background import average_frames
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration import choose_reference, place_frames
 from geoaim.mapping.sampling import RegisteredFrames
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.video import open_video
 from geoaim.progress import silent
 from geoaim.synthetic import write_video
 

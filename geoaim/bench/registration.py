@@ -25,7 +25,7 @@ from geoaim.geometry import from_opencv, image_corners, transform_points
 from geoaim.mapping.keyframes import Placement
 from geoaim.mapping.patches import align, make_template, reduce
 from geoaim.mapping.registration import choose_reference, place_frames
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import frame_boxes, reference_from_frames, write_video
 
 Matrices = Float[Array, "T 3 3"]

@@ -56,7 +56,7 @@ def build(
     from geoaim.aim import rectify, write_aim
     from geoaim.mapping.approximate import local_georeference
     from geoaim.mapping.pipeline import build_aim
-    from geoaim.mapping.video import open_video
+    from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook
 
     with stages() as progress, plain_errors():

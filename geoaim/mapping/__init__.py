@@ -2,13 +2,13 @@
 
 from geoaim.geometry import transform_boxes, transform_points
 from geoaim.mapping.background import average_frames, remove_traffic
-from geoaim.mapping.boxes import read_boxes
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration import register, write_registration
 from geoaim.mapping.texture import export_texture
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.detections import read_boxes
+from geoaim.mapping.video.video import open_video
 
 __all__ = [
     "average_frames",

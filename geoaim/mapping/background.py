@@ -15,7 +15,6 @@ from numpy import ndarray as Array
 
 from geoaim.errors import BackgroundError
 from geoaim.geometry import transform_boxes
-from geoaim.mapping.boxes import Boxes, grow_boxes
 from geoaim.mapping.canvas import (
     Plane,
     add_frame,
@@ -29,8 +28,9 @@ from geoaim.mapping.canvas import (
     shrink_frame,
     warp,
 )
-from geoaim.mapping.frames import Frame
 from geoaim.mapping.ghosts import FEWEST, Traffic, find_traffic
+from geoaim.mapping.video.detections import Boxes, grow_boxes
+from geoaim.mapping.video.frames import Frame
 
 Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its reference_from_frame
 View = tuple[Frame, Float[Array, "3 3"], UInt8[Array, "H W"] | None]  # image_from_frame and mask

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, to_opencv, transform_points, translation
-from geoaim.mapping.frames import Frame, image_from_planes
+from geoaim.mapping.video.frames import Frame, image_from_planes
 
 INSET = 0.5  # px: a frame shows what lies between the centres of its outermost pixels
 SAMPLES = 120  # points along the longest side where exposure is compared

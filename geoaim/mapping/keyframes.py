@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.mapping.boxes import Boxes, mask_of_boxes
 from geoaim.mapping.features import Features, detect, match
 from geoaim.mapping.motion import Model
 from geoaim.mapping.patches import (
@@ -23,7 +22,8 @@ from geoaim.mapping.patches import (
     make_template,
     reduce,
 )
-from geoaim.mapping.video import Frame
+from geoaim.mapping.video.detections import Boxes, mask_of_boxes
+from geoaim.mapping.video.video import Frame
 
 COARSE_WIDTH = 480  # px of the level that widens the search
 LEAST_PATCHES = 16  # in agreement, of about 300

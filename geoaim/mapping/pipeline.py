@@ -12,7 +12,6 @@ from geoaim.aim import AIM
 from geoaim.errors import BackgroundError, GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
 from geoaim.mapping.background import Background, average_frames, remove_traffic
-from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import Georeference, distort_points
 from geoaim.mapping.ghosts import FEWEST
@@ -25,7 +24,8 @@ from geoaim.mapping.registration import (
 )
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.sampling import Count, RegisteredFrames
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.video import open_video
 from geoaim.progress import Progress, silent
 
 ENOUGH = 50  # frames for a pixel of "all", beyond which stripes share the frames: twice as fast

@@ -8,11 +8,11 @@ import numpy as np
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import transform_points
 from geoaim.mapping.approximate import approximate_georeference
-from geoaim.mapping.boxes import Boxes
 from geoaim.mapping.control_points import ControlPoints, merge_observations
 from geoaim.mapping.georeference import Georeference, georeference
 from geoaim.mapping.registration import Reference, place_frames
-from geoaim.mapping.video import Video
+from geoaim.mapping.video.detections import Boxes
+from geoaim.mapping.video.video import Video
 from geoaim.world import choose_world, transform_crs
 
 STEEP = np.radians(10.0)  # of a camera's axis from straight down, placed by telemetry

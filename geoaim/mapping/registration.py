@@ -20,7 +20,6 @@ from numpy import ndarray as Array
 from geoaim.errors import RegistrationError
 from geoaim.files import replacing
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.boxes import Boxes, read_boxes
 from geoaim.mapping.features import Features, detect, match
 from geoaim.mapping.keyframes import (
     LEAST_PATCHES,
@@ -34,7 +33,8 @@ from geoaim.mapping.keyframes import (
     share_in_view,
 )
 from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
-from geoaim.mapping.video import Frame, Video, open_video
+from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.video import Frame, Video, open_video
 from geoaim.progress import Progress, silent
 
 PROBES = 5  # frames that choose the reference and the model

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.mapping.boxes import Boxes
 from geoaim.mapping.keyframes import Placement
 from geoaim.mapping.registration import Reference, place_frames
-from geoaim.mapping.video import Frame, Video
+from geoaim.mapping.video.detections import Boxes
+from geoaim.mapping.video.video import Frame, Video
 from geoaim.progress import Progress
 
 Count = int | Literal["auto", "all"]

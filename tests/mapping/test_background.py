@@ -4,9 +4,9 @@ import pytest
 
 from geoaim.errors import BackgroundError
 from geoaim.mapping.background import average_frames, remove_traffic, spread_order
-from geoaim.mapping.frames import Frame
 from geoaim.mapping.ghosts import find_traffic
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import open_video
 
 SIZE = (120, 200)
 CAR = (60, 40, 100, 60)  # left, top, right, bottom

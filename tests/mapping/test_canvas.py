@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geoaim.mapping.canvas import compare_exposure, first_exposure, sharpen, softness
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.video import open_video
 
 
 def shifted(right: float) -> np.ndarray:

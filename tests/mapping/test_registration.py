@@ -6,7 +6,7 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.features import detect, match
 from geoaim.mapping.patches import align, corner_uncertainty, make_template
 from geoaim.mapping.registration import choose_reference, place_frames, register
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.video import open_video
 from geoaim.synthetic.camera import reference_from_frames, render_frame
 from tests.conftest import textured
 

@@ -12,7 +12,7 @@ import shapely
 import geoaim
 from geoaim.geometry import transform_points
 from geoaim.mapping import open_video, read_boxes
-from geoaim.mapping.telemetry import read_srt
+from geoaim.mapping.video.telemetry import read_srt
 from geoaim.synthetic import (
     Hover,
     clean_frame,

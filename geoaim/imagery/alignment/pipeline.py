@@ -30,7 +30,7 @@ from geoaim.imagery.sources import Source
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import georeference
 from geoaim.mapping.report import report_georeference
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.video import open_video
 from geoaim.track_changes import tracks_in
 from geoaim.tracks import Tracks
 from geoaim.world import World

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoaimError
-from geoaim.mapping.boxes import mask_of_boxes, read_boxes
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.detections import mask_of_boxes, read_boxes
+from geoaim.mapping.video.video import open_video
 
 
 @pytest.fixture

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoaimWarning, VideoError
-from geoaim.mapping.frames import Colour, Frame, image_from_planes
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.frames import Colour, Frame, image_from_planes
+from geoaim.mapping.video.video import open_video
 
 HEIGHT, WIDTH = 48, 64
 RATE = 30
@@ -196,7 +196,7 @@ def test_more_samples_than_frames_are_all_frames(clips: dict[str, Path]) -> None
 
 def test_samples_decode_keyframes_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A video ten times as long costs no more: the packets that are decoded are as many."""
-    from geoaim.mapping import decoding
+    from geoaim.mapping.video import decoding
 
     decoded: list[int] = []
     original = decoding._decoded

@@ -14,7 +14,7 @@ import av
 import numpy as np
 
 from geoaim.errors import GeoaimWarning, VideoError
-from geoaim.mapping.frames import UPRIGHT, Frame, Turn
+from geoaim.mapping.video.frames import UPRIGHT, Frame, Turn
 
 TICK = 1e-3  # seconds; Matroska rounds timestamps to milliseconds
 

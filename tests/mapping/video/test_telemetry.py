@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoreferenceError
-from geoaim.mapping.telemetry import angle_from_compass, read_exif, read_srt
-from geoaim.mapping.video import open_video
+from geoaim.mapping.video.telemetry import angle_from_compass, read_exif, read_srt
+from geoaim.mapping.video.video import open_video
 
 BRACKETS = """\ufeff1\r
 00:00:00,000 --> 00:00:00,033\r

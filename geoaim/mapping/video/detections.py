@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimError
-from geoaim.mapping.video import Frame
+from geoaim.mapping.video.video import Frame
 
 GROW = 1.12  # boxes as detectors draw them leave out shadows and mirrors
 # Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None where nothing is known.

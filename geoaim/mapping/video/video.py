@@ -16,9 +16,9 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError, VideoError
-from geoaim.mapping.decoding import open_clip, read_clip, seek_clip
-from geoaim.mapping.frames import Colour, Frame, image_from_planes
-from geoaim.mapping.telemetry import Telemetry, read_exif, read_srt
+from geoaim.mapping.video.decoding import open_clip, read_clip, seek_clip
+from geoaim.mapping.video.frames import Colour, Frame, image_from_planes
+from geoaim.mapping.video.telemetry import Telemetry, read_exif, read_srt
 
 __all__ = ["Colour", "Frame", "Video", "image_from_planes", "open_video"]
 

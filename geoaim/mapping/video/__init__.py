@@ -1,0 +1,1 @@
+"""Frames with their times, telemetry and detections."""
