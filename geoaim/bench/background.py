@@ -30,7 +30,7 @@ from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.encode import write_video
 from geoaim.mapping.background import Background, average_frames, remove_traffic, spread_order
 from geoaim.mapping.canvas import compare_exposure, expose, first_exposure, warp
-from geoaim.mapping.registration import register
+from geoaim.mapping.registration.register import register
 from geoaim.mapping.video.detections import Boxes, read_boxes
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, open_video

@@ -23,7 +23,7 @@ from geoaim.mapping import (
     read_boxes,
     transform_boxes,
 )
-from geoaim.mapping.registration import choose_reference, place_frames
+from geoaim.mapping.registration.register import choose_reference, place_frames
 from geoaim.prediction import predict, read_model, shipped
 from geoaim.prediction.pictures import draw_futures
 from geoaim.quicklook import draw_alignment, write_quicklook

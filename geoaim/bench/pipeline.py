@@ -23,7 +23,7 @@ from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.geometry import transform_points
 from geoaim.mapping.background import average_frames
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.registration import choose_reference, place_frames
+from geoaim.mapping.registration.register import choose_reference, place_frames
 from geoaim.mapping.sampling import RegisteredFrames
 from geoaim.mapping.video.video import open_video
 from geoaim.progress import silent

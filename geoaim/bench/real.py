@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 from geoaim.bench.data import data_folder
 from geoaim.bench.report import save, table
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.registration import Registration, register
+from geoaim.mapping.registration.register import Registration, register
 from geoaim.mapping.video.detections import Boxes, read_boxes
 
 SEQUENCES = ("minsk_junction", "minsk_street", "munich_mos074", "munich_street02")

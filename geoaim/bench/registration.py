@@ -22,9 +22,9 @@ from numpy import ndarray as Array
 from geoaim.bench.hover import STILLS, Kind, MadeVideo, made_video
 from geoaim.bench.report import save, table
 from geoaim.geometry import from_opencv, image_corners, transform_points
-from geoaim.mapping.keyframes import Placement
-from geoaim.mapping.patches import align, make_template, reduce
-from geoaim.mapping.registration import choose_reference, place_frames
+from geoaim.mapping.registration.keyframes import Placement
+from geoaim.mapping.registration.patches import align, make_template, reduce
+from geoaim.mapping.registration.register import choose_reference, place_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import frame_boxes, reference_from_frames, write_video
 

@@ -152,8 +152,8 @@ def register(
     m00 to m22 map a frame's pixels to the reference's. With --reference 0 these are the pixels of
     a map built with control points on the first frame.
     """
-    from geoaim.mapping.registration import register as register_frames
-    from geoaim.mapping.registration import tally, write_registration
+    from geoaim.mapping.registration.register import register as register_frames
+    from geoaim.mapping.registration.register import tally, write_registration
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"))

@@ -5,7 +5,7 @@ from geoaim.mapping.background import average_frames, remove_traffic
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.registration import register, write_registration
+from geoaim.mapping.registration.register import register, write_registration
 from geoaim.mapping.texture import export_texture
 from geoaim.mapping.video.detections import read_boxes
 from geoaim.mapping.video.video import open_video

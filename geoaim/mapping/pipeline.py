@@ -16,7 +16,7 @@ from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import Georeference, distort_points
 from geoaim.mapping.ghosts import FEWEST
 from geoaim.mapping.placing import find_place, points_on_reference, reference_time
-from geoaim.mapping.registration import (
+from geoaim.mapping.registration.register import (
     Registration,
     choose_reference,
     collect,

@@ -10,7 +10,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.approximate import approximate_georeference
 from geoaim.mapping.control_points import ControlPoints, merge_observations
 from geoaim.mapping.georeference import Georeference, georeference
-from geoaim.mapping.registration import Reference, place_frames
+from geoaim.mapping.registration.register import Reference, place_frames
 from geoaim.mapping.video.detections import Boxes
 from geoaim.mapping.video.video import Video
 from geoaim.world import choose_world, transform_crs

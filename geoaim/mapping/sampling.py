@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.mapping.keyframes import Placement
-from geoaim.mapping.registration import Reference, place_frames
+from geoaim.mapping.registration.keyframes import Placement
+from geoaim.mapping.registration.register import Reference, place_frames
 from geoaim.mapping.video.detections import Boxes
 from geoaim.mapping.video.video import Frame, Video
 from geoaim.progress import Progress

@@ -30,7 +30,14 @@ from geoaim.imagery.alignment.template_matching import (
     seen,
     window_shifts,
 )
-from geoaim.mapping.motion import Match, Model, Motion, basis, choose_model, fit_match
+from geoaim.mapping.registration.motion_models import (
+    Match,
+    Model,
+    Motion,
+    basis,
+    choose_model,
+    fit_match,
+)
 
 ALIGNED: tuple[Model, ...] = ("translation", "rigid", "similarity", "affine", "homography")
 

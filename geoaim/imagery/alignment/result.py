@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.geometry import transform_points
-from geoaim.mapping.motion import Model
+from geoaim.mapping.registration.motion_models import Model
 
 CHI2 = 5.99  # 95 % of the sum of two squared normal variables
 ONE = 3.84  # 95 % of one

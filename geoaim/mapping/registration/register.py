@@ -20,8 +20,8 @@ from numpy import ndarray as Array
 from geoaim.errors import RegistrationError
 from geoaim.files import replacing
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.features import Features, detect, match
-from geoaim.mapping.keyframes import (
+from geoaim.mapping.registration.features import Features, detect, match
+from geoaim.mapping.registration.keyframes import (
     LEAST_PATCHES,
     OVERLAP,
     Keyframe,
@@ -32,7 +32,7 @@ from geoaim.mapping.keyframes import (
     place,
     share_in_view,
 )
-from geoaim.mapping.motion import Match, Model, ModelChoice, choose_model
+from geoaim.mapping.registration.motion_models import Match, Model, ModelChoice, choose_model
 from geoaim.mapping.video.detections import Boxes, read_boxes
 from geoaim.mapping.video.video import Frame, Video, open_video
 from geoaim.progress import Progress, silent

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.mapping.motion import Model, fit_motion
-from geoaim.mapping.patches import reduce
+from geoaim.mapping.registration.motion_models import Model, fit_motion
+from geoaim.mapping.registration.patches import reduce
 
 WIDTH = 960  # px: the size at which features are looked for
 FEATURES = 2500  # kept, spread over a grid; the library's default of 500 fails in traffic

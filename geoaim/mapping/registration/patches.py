@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, to_opencv, transform_points
-from geoaim.mapping.motion import Model, Motion, basis, fit_motion
+from geoaim.mapping.registration.motion_models import Model, Motion, basis, fit_motion
 
 SIDE = 13  # px of a patch; 9 halves the basin, 17 sees more cars
 CELLS = 340  # patches wanted: one for each cell of a grid over the reference

@@ -11,9 +11,9 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.mapping.features import Features, detect, match
-from geoaim.mapping.motion import Model
-from geoaim.mapping.patches import (
+from geoaim.mapping.registration.features import Features, detect, match
+from geoaim.mapping.registration.motion_models import Model
+from geoaim.mapping.registration.patches import (
     SIDE,
     Alignment,
     Template,

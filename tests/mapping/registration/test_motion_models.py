@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geoaim.geometry import transform_points
-from geoaim.mapping.motion import (
+from geoaim.mapping.registration.motion_models import (
     MODELS,
     Match,
     basis,

@@ -3,9 +3,9 @@ import pytest
 
 from geoaim.errors import RegistrationError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.features import detect, match
-from geoaim.mapping.patches import align, corner_uncertainty, make_template
-from geoaim.mapping.registration import choose_reference, place_frames, register
+from geoaim.mapping.registration.features import detect, match
+from geoaim.mapping.registration.patches import align, corner_uncertainty, make_template
+from geoaim.mapping.registration.register import choose_reference, place_frames, register
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic.camera import reference_from_frames, render_frame
 from tests.conftest import textured
