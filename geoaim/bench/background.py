@@ -28,8 +28,13 @@ from geoaim.bench.data import data_folder
 from geoaim.bench.hover import made_video
 from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.encode import write_video
-from geoaim.mapping.background import Background, average_frames, remove_traffic, spread_order
-from geoaim.mapping.canvas import compare_exposure, expose, first_exposure, warp
+from geoaim.mapping.background.accumulate import compare_exposure, expose, first_exposure, warp
+from geoaim.mapping.background.estimate import (
+    Background,
+    average_frames,
+    remove_traffic,
+    spread_order,
+)
 from geoaim.mapping.registration.register import register
 from geoaim.mapping.video.detections import Boxes, read_boxes
 from geoaim.mapping.video.frames import Frame

@@ -21,7 +21,7 @@ import typer
 from geoaim.bench.hover import made_video
 from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.geometry import transform_points
-from geoaim.mapping.background import average_frames
+from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, place_frames
 from geoaim.mapping.sampling import RegisteredFrames

@@ -1,7 +1,7 @@
 """Video and imagery to AIM: numpy, OpenCV, rasterio; never torch. `pipeline` is the contents."""
 
 from geoaim.geometry import transform_boxes, transform_points
-from geoaim.mapping.background import average_frames, remove_traffic
+from geoaim.mapping.background.estimate import average_frames, remove_traffic
 from geoaim.mapping.control_points import read_control_points
 from geoaim.mapping.georeference import georeference
 from geoaim.mapping.pipeline import build_aim

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.background import Background
+from geoaim.mapping.background.estimate import Background
 from geoaim.mapping.control_points import ControlPoints
 from geoaim.mapping.georeference import Georeference, predict_uncertainty, world_points
 from geoaim.mapping.registration.register import Registration, tally

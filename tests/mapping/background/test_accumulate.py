@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.mapping.canvas import compare_exposure, first_exposure, sharpen, softness
+from geoaim.mapping.background.accumulate import compare_exposure, first_exposure, sharpen, softness
 from geoaim.mapping.video.video import open_video
 
 

@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import BackgroundError
 from geoaim.geometry import transform_boxes
-from geoaim.mapping.canvas import (
+from geoaim.mapping.background.accumulate import (
     Plane,
     add_frame,
     compare_exposure,
@@ -28,7 +28,7 @@ from geoaim.mapping.canvas import (
     shrink_frame,
     warp,
 )
-from geoaim.mapping.ghosts import FEWEST, Traffic, find_traffic
+from geoaim.mapping.background.traffic_removal import FEWEST, Traffic, find_traffic
 from geoaim.mapping.video.detections import Boxes, grow_boxes
 from geoaim.mapping.video.frames import Frame
 

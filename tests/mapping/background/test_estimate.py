@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from geoaim.errors import BackgroundError
-from geoaim.mapping.background import average_frames, remove_traffic, spread_order
-from geoaim.mapping.ghosts import find_traffic
+from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_order
+from geoaim.mapping.background.traffic_removal import find_traffic
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 

@@ -1,0 +1,1 @@
+"""The ground without its traffic: a mean of the registered frames."""
