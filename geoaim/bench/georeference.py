@@ -18,8 +18,8 @@ from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.control_points import ControlPoints
-from geoaim.mapping.georeference import (
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.estimate import (
     Georeference,
     compose,
     georeference,
@@ -27,8 +27,14 @@ from geoaim.mapping.georeference import (
     undistort_points,
     world_points,
 )
-from geoaim.mapping.ground_fit import MODELS, PRIOR, apply, ellipse_factor, fit_terms
-from geoaim.mapping.point_layout import fit_similarity, plane_points
+from geoaim.mapping.georeference.point_checks import fit_similarity, plane_points
+from geoaim.mapping.georeference.transform_models import (
+    MODELS,
+    PRIOR,
+    apply,
+    ellipse_factor,
+    fit_terms,
+)
 
 HEIGHT, WIDTH = 1080, 1920
 GROUND = 0.05  # metres per pixel
@@ -45,7 +51,7 @@ COUNTS = (4, 5, 6, 8, 12, 20)
 
 @dataclass(frozen=True)
 class Truth:
-    """A true transform: terms of `geoaim.mapping.ground_fit`, with random signs and directions."""
+    """A true transform: terms of `transform_models`, with random signs and directions."""
 
     stretch: float = 0.0
     perspective: float = 0.0

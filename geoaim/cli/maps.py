@@ -54,7 +54,7 @@ def build(
     telemetry beside the video gives an approximate place, or --pixel-size a local one.
     """
     from geoaim.aim import rectify, write_aim
-    from geoaim.mapping.approximate import local_georeference
+    from geoaim.mapping.georeference.from_telemetry import local_georeference
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook

@@ -22,8 +22,8 @@ from geoaim.experiments.models import all_trained, kept_or_trained, training_fol
 from geoaim.experiments.results import Measures, differences, means, write_results
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.mapping.control_points import read_control_points
-from geoaim.mapping.georeference import Georeference, georeference
+from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.estimate import Georeference, georeference
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked
 from geoaim.prediction.itra import ITRA

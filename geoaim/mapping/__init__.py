@@ -2,8 +2,8 @@
 
 from geoaim.geometry import transform_boxes, transform_points
 from geoaim.mapping.background.estimate import average_frames, remove_traffic
-from geoaim.mapping.control_points import read_control_points
-from geoaim.mapping.georeference import georeference
+from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.estimate import georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import register, write_registration
 from geoaim.mapping.texture import export_texture

@@ -13,9 +13,9 @@ from geoaim.errors import BackgroundError, GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import Background, average_frames, remove_traffic
 from geoaim.mapping.background.traffic_removal import FEWEST
-from geoaim.mapping.control_points import read_control_points
-from geoaim.mapping.georeference import Georeference, distort_points
-from geoaim.mapping.placing import find_place, points_on_reference, reference_time
+from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.estimate import Georeference, distort_points
+from geoaim.mapping.georeference.from_video import find_place, points_on_reference, reference_time
 from geoaim.mapping.registration.register import (
     Registration,
     choose_reference,

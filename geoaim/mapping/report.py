@@ -6,8 +6,8 @@ import numpy as np
 
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.background.estimate import Background
-from geoaim.mapping.control_points import ControlPoints
-from geoaim.mapping.georeference import Georeference, predict_uncertainty, world_points
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.estimate import Georeference, predict_uncertainty, world_points
 from geoaim.mapping.registration.register import Registration, tally
 
 MOST_OF_PATH = 1000  # points of the drift that are kept

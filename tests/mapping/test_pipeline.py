@@ -3,7 +3,7 @@ import pytest
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.approximate import local_georeference
+from geoaim.mapping.georeference.from_telemetry import local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.synthetic.camera import clean_frame, reference_from_frames, render_frame
 from tests.conftest import textured

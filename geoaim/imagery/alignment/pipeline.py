@@ -27,8 +27,8 @@ from geoaim.imagery.rasters import (
     place_raster,
 )
 from geoaim.imagery.sources import Source
-from geoaim.mapping.control_points import read_control_points
-from geoaim.mapping.georeference import georeference
+from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.estimate import georeference
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
 from geoaim.track_changes import tracks_in

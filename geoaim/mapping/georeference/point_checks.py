@@ -8,7 +8,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import image_corners
-from geoaim.mapping.control_points import ControlPoints
+from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.world import LONLAT, parse_crs, transform_crs
 
 FEWEST = 4

@@ -5,9 +5,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoreferenceError
-from geoaim.mapping.georeference import Georeference, compose
-from geoaim.mapping.ground_fit import PRIOR
-from geoaim.mapping.point_layout import half_diagonal
+from geoaim.mapping.georeference.estimate import Georeference, compose
+from geoaim.mapping.georeference.point_checks import half_diagonal
+from geoaim.mapping.georeference.transform_models import PRIOR
 from geoaim.world import World, choose_world, world_from_lonlat
 
 GPS = 3.0  # m, one sigma, per axis

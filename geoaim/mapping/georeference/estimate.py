@@ -10,8 +10,16 @@ from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.control_points import ControlPoints
-from geoaim.mapping.ground_fit import (
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.point_checks import (
+    fit_similarity,
+    half_diagonal,
+    plane_from_image,
+    plane_points,
+    refuse_coordinates,
+    refuse_layout,
+)
+from geoaim.mapping.georeference.transform_models import (
     Candidate,
     Posterior,
     apply,
@@ -21,14 +29,6 @@ from geoaim.mapping.ground_fit import (
     find_suspects,
     fit_candidates,
     fit_posterior,
-)
-from geoaim.mapping.point_layout import (
-    fit_similarity,
-    half_diagonal,
-    plane_from_image,
-    plane_points,
-    refuse_coordinates,
-    refuse_layout,
 )
 from geoaim.world import (
     LONLAT,
@@ -66,7 +66,7 @@ class Georeference:
         candidates: root mean square leave-one-out error of each model that was tried, metres.
         noise: one sigma of one coordinate of a control point, metres.
         dof: degrees of freedom behind the noise.
-        parameters: (9,) most probable values of the nine terms of `geoaim.mapping.ground_fit`.
+        parameters: (9,) most probable values of the nine terms of `transform_models`.
         covariance: (9, 9) of `parameters`.
         chosen: (9,) the terms of the chosen model, zero where it has none.
         world_from_plane: (3, 3) similarity from that module's normalised plane to the world.
@@ -105,7 +105,7 @@ def georeference(
 
     The model is chosen by leave-one-out error, the least that does nearly as well as the best; one
     clearly wrong point is left out, with a warning. What the points cannot show (tilt, stretch,
-    lens) is part of the uncertainty at its expected size: see `geoaim.mapping.ground_fit`.
+    lens) is part of the uncertainty at its expected size: see `transform_models`.
 
     Args:
         points: at least four on one image, better six or more, spread over it.

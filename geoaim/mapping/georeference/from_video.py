@@ -7,9 +7,9 @@ import numpy as np
 
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import transform_points
-from geoaim.mapping.approximate import approximate_georeference
-from geoaim.mapping.control_points import ControlPoints, merge_observations
-from geoaim.mapping.georeference import Georeference, georeference
+from geoaim.mapping.georeference.control_points import ControlPoints, merge_observations
+from geoaim.mapping.georeference.estimate import Georeference, georeference
+from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.registration.register import Reference, place_frames
 from geoaim.mapping.video.detections import Boxes
 from geoaim.mapping.video.video import Video

@@ -5,7 +5,7 @@ import pytest
 from rasterio.control import GroundControlPoint
 
 from geoaim.errors import GeoreferenceError
-from geoaim.mapping.control_points import merge_observations, read_control_points
+from geoaim.mapping.georeference.control_points import merge_observations, read_control_points
 
 PIXELS = [[100.5, 200.25], [1800.0, 150.0], [1700.0, 1000.0]]
 UTM = [[235269.88, 3811198.11], [235262.54, 3811203.5], [235248.03, 3811227.25]]

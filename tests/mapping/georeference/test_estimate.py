@@ -7,16 +7,16 @@ import pytest
 from geoaim.bench.georeference import HEIGHT, WIDTH, run_cell
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.approximate import approximate_georeference, local_georeference
-from geoaim.mapping.control_points import ControlPoints
-from geoaim.mapping.georeference import (
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.estimate import (
     distort_points,
     georeference,
     predict_uncertainty,
     undistort_points,
     world_points,
 )
-from geoaim.mapping.ground_fit import (
+from geoaim.mapping.georeference.from_telemetry import approximate_georeference, local_georeference
+from geoaim.mapping.georeference.transform_models import (
     apply,
     ellipse_factor,
     fit_candidates,

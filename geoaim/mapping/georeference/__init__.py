@@ -1,0 +1,1 @@
+"""Where the reference frame lies in the world."""
