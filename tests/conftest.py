@@ -22,11 +22,11 @@ def unchecked() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of real data; a test that asks for it is skipped where there is none."""
-    from geoaim.bench.data import data_folder
+    from geoaim.bench.data import find_data
 
-    folder = data_folder()
+    folder = find_data()
     if folder is None:
-        pytest.skip("no real data: GEOAIM_DATA is not set and ../shared/data does not exist")
+        pytest.skip("no real data: GEOAIM_DATA is not set")
     return folder
 
 

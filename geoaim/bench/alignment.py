@@ -25,7 +25,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM, pixel_size, whole_aim
 from geoaim.bench.alignment_pairs import GROUND, Pair, error, made_pairs, misplaced
 from geoaim.bench.alignment_real import rotterdam, zooms
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.bench.report import medians, save, table
 from geoaim.errors import AlignmentError
 from geoaim.geometry import about, from_opencv, transform_points
@@ -285,7 +285,7 @@ def main(
     """Compare on made pairs, then measure real pairs, tracks and tiles where they are at hand."""
     cv2.setNumThreads(2)
     pairs = list(made_pairs(seeds))
-    folder = data_folder()
+    folder = find_data()
     made = compare_on_made(pairs, trials)
     parts: list[Callable[[], list[dict[str, Any]]]] = [
         lambda: made,

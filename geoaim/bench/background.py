@@ -24,7 +24,7 @@ import typer
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.bench.hover import made_video
 from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.encode import write_video
@@ -241,7 +241,7 @@ def made_table(stills: list[str], size: str, count: int, threads: int) -> list[d
 
 def real_table() -> list[dict[str, Any]]:
     """Real sequences without truth: how far the methods are apart, and what stays contested."""
-    data = data_folder()
+    data = find_data()
     if data is None:
         return []
     rows = []

@@ -1,4 +1,4 @@
-"""Where the shared real data lie; none of them is part of the project."""
+"""The folder of real data that GEOAIM_DATA names; none of it is part of the project."""
 
 import os
 from pathlib import Path
@@ -6,28 +6,29 @@ from pathlib import Path
 from geoaim.errors import TracksError
 
 
-def data_folder() -> Path | None:
-    """The folder of real data: $GEOAIM_DATA, else ../shared/data beside the repository.
-
-    None where there is none, so that a test can skip and a benchmark can say what it misses.
+def find_data() -> Path | None:
+    """Return the folder that GEOAIM_DATA names, or None where it is not set.
 
     Raises:
         FileNotFoundError: GEOAIM_DATA is set and is not a folder.
     """
-    named = os.environ.get("GEOAIM_DATA")
-    if named and not Path(named).is_dir():
-        raise FileNotFoundError(f"GEOAIM_DATA={named} is not a folder; unset it or correct it")
-    folder = Path(named) if named else Path(__file__).parents[2].parent / "shared" / "data"
-    return folder if folder.is_dir() else None
+    name = os.environ.get("GEOAIM_DATA")
+    if not name:
+        return None
+    if not Path(name).is_dir():
+        raise FileNotFoundError(f"GEOAIM_DATA={name} is not a folder; unset it or correct it")
+    return Path(name)
 
 
-def needed(name: str) -> Path:
-    """A folder of real data that work cannot do without.
+def require_data(name: str = ".") -> Path:
+    """Return a folder of the real data.
 
     Raises:
-        TracksError: it is not here.
+        TracksError: GEOAIM_DATA is not set, or its folder does not hold this one.
     """
-    data = data_folder()
-    if data is None or not (data / name).is_dir():
-        raise TracksError(f"{name} is not here; name the folder of real data by GEOAIM_DATA")
+    data = find_data()
+    if data is None:
+        raise TracksError(f"{name} is needed; set GEOAIM_DATA to the folder of real data")
+    if not (data / name).is_dir():
+        raise TracksError(f"{data} holds no folder {name}; set GEOAIM_DATA to the folder that does")
     return data / name

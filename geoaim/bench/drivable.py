@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import MultiPolygon
 
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.bench.report import save, table
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
@@ -39,7 +39,7 @@ def places_of(tracks: Tracks) -> Float[Array, "m 2"]:
 
 def karlsruhe(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
     """The drivable area of a junction about its tracks' origin, and the places of its vehicles."""
-    data = data_folder()
+    data = find_data()
     if data is None:
         raise FileNotFoundError("no folder of real data; name it in GEOAIM_DATA")
     folder = data / "tracks" / "karlsruhe"

@@ -1,6 +1,6 @@
 """Made hover videos over real stills: exact truth, real texture, and ways to make them hard.
 
-The stills (Songdo Vision, CC BY 4.0) are looked for in `data_folder()`; nothing made from them
+The stills (Songdo Vision, CC BY 4.0) are looked for in `find_data()`; nothing made from them
 belongs into the repository. A video is a sequence of frames: index it, iterate it, encode it.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.encode import write_video
 from geoaim.synthetic.camera import (
     Clip,
@@ -221,7 +221,7 @@ def cache_folder() -> Path:
 
 
 def _read_still(still: str) -> tuple[UInt8[Array, "2160 3840 3"], Array]:
-    data = data_folder()
+    data = find_data()
     if data is None:
         raise FileNotFoundError("made videos need the stills of hover/songdo_stills: GEOAIM_DATA")
     folder = data / "hover" / "songdo_stills"

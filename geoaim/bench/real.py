@@ -16,7 +16,7 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.bench.report import save, table
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.register import Registration, register
@@ -78,7 +78,7 @@ def main(
     json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
 ) -> None:
     """Measure all sequences, with and without boxes."""
-    data = data_folder()
+    data = find_data()
     if data is None:
         raise SystemExit("no real data: set GEOAIM_DATA to a folder that holds hover/")
     rows = []

@@ -20,7 +20,7 @@ import typer
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.bench.report import save, table
 from geoaim.errors import GeoaimWarning
 from geoaim.synthetic import Sample, draw_place, make_sample, tracks_of
@@ -53,7 +53,7 @@ def main(
     ] = None,
 ) -> None:
     """Compare made places with the shared real data."""
-    folder = data_folder()
+    folder = find_data()
     if folder is None:
         raise SystemExit("no real data: set GEOAIM_DATA")
     samples = [

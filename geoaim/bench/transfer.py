@@ -28,7 +28,7 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.bench.hover import STILLS, MadeVideo, clean_still, lane_traffic
 from geoaim.bench.realism import SMOOTH, STEP, VEHICLES, real_people, real_vehicles, resample
 from geoaim.bench.registration import (
@@ -61,7 +61,7 @@ def main(
     minutes: Annotated[float, typer.Option(help="of made traffic in each place")] = 3.0,
 ) -> None:
     """Measure all three tasks on made and real data; print tables, and write JSON when asked."""
-    folder = data_folder()
+    folder = find_data()
     if folder is None:
         raise SystemExit("no real data: set GEOAIM_DATA to a folder that holds hover/ and tracks/")
     rows: list[dict[str, Any]] = []

@@ -15,7 +15,7 @@ import cv2
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM, whole_aim
-from geoaim.bench.data import needed
+from geoaim.bench.data import require_data
 from geoaim.errors import TracksError
 from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
 from geoaim.experiments.models import all_trained, kept_or_trained, training_folder
@@ -135,7 +135,7 @@ def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
     Raises:
         TracksError: the data are not here.
     """
-    given, junction = needed(DATA) / name, JUNCTIONS[name]
+    given, junction = require_data(DATA) / name, JUNCTIONS[name]
     hdmap = read_hdmap(given / junction.hdmap)
     image = _read_image(given / "frame_4k.jpg")
     rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.places]
@@ -147,7 +147,7 @@ def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
 
 def _scene(name: str, aim: AIM) -> Scene:
     """A junction's recording on one of its maps."""
-    tracks = read_any(needed(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
+    tracks = read_any(require_data(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
     return make_scene(aim, resample(tracks, 1 / PEOPLE.seconds))
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geoaim.bench.data import needed
+from geoaim.bench.data import require_data
 from geoaim.experiments.learning import SAMPLES, VEHICLES
 from geoaim.experiments.models import kept_or_trained, trained
 from geoaim.experiments.results import differences, write_results
@@ -48,7 +48,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
 
 
 def _scene() -> Scene:
-    given = needed("tracks/songdo_u")
+    given = require_data("tracks/songdo_u")
     tracks = read_geotrax(given / "U_video_cut.csv", crs="EPSG:5186")
     tracks = resample(tracks, 1 / VEHICLES.seconds)
     places = tracks.states[tracks.present][:, :2]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.bench.data import needed
+from geoaim.bench.data import require_data
 from geoaim.experiments.models import kept_or_trained, training_folder
 from geoaim.experiments.places import blurred_and_noisy
 from geoaim.experiments.results import Measures, differences, write_results
@@ -84,7 +84,7 @@ PUBLISHED = {
 
 def run(folder: Path, report: Progress) -> list[Path]:
     """real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20."""
-    given = needed(DATA)
+    given = require_data(DATA)
     names = [path.stem for path in sorted((given / "windows").glob("*.csv"))]
     rest = [name for name in names if name not in VALIDATION]
     found: dict[str, Measures] = {}
@@ -135,7 +135,7 @@ def _trained(
     seed: int = 0,
 ) -> ITRA:
     def lessons() -> Lessons:
-        windows = _windows(needed(DATA), config, scenes)
+        windows = _windows(require_data(DATA), config, scenes)
         both = joined([windows.segments, backwards(windows.segments)])
         # the log follows windows that are learnt; those of other scenes are judged afterwards
         return Lessons(both, windows.segments, windows.ground)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from geoaim.bench import hover as made
-from geoaim.bench.data import data_folder
+from geoaim.bench.data import find_data
 from geoaim.synthetic import Hover, render_frame
 from geoaim.synthetic.scenery.texture import natural_noise
 
@@ -96,7 +96,7 @@ def test_box_is_filled_with_what_lies_around_it():
     assert np.abs(clean[80:110, 120:180].astype(int) - 110).mean() < 6
 
 
-@pytest.mark.skipif(data_folder() is None, reason="needs hover/songdo_stills: set GEOAIM_DATA")
+@pytest.mark.skipif(find_data() is None, reason="needs hover/songdo_stills: set GEOAIM_DATA")
 def test_sprites_are_cut_from_the_stills(monkeypatch):
     monkeypatch.undo()
     sprites = made.car_sprites("00972")
@@ -107,4 +107,4 @@ def test_sprites_are_cut_from_the_stills(monkeypatch):
 def test_data_folder_that_is_named_wrongly_is_an_error(monkeypatch, tmp_path):
     monkeypatch.setenv("GEOAIM_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(FileNotFoundError, match="GEOAIM_DATA"):
-        data_folder()
+        find_data()
