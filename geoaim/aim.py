@@ -21,7 +21,7 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geoaim.errors import AimError
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.geometry import image_corners, to_opencv, transform_points
 from geoaim.world import World
 
@@ -67,6 +67,29 @@ class AIM:
         _check_place(self.world_from_image, height, width)
         object.__setattr__(self, "report", _plain_json(self.report))
 
+    @classmethod
+    def from_image(
+        cls,
+        image: UInt8[Array, "H W 3"],
+        world_from_image: Float[Array, "3 3"],
+        world: World,
+        source: str,
+    ) -> "AIM":
+        """Make an AIM from one georeferenced image that covers each of its pixels.
+
+        Args:
+            image: (H, W, 3) RGB.
+            world_from_image: (3, 3) pixels to world metres.
+            world: the plane that those metres lie in.
+            source: where the image comes from; the whole report.
+
+        Returns:
+            An AIM with a coverage of 1 everywhere and no contested pixels.
+        """
+        size = np.shape(image)[:2]
+        coverage, contested = np.ones(size, np.uint16), np.zeros(size, bool)
+        return cls(image, world_from_image, world, coverage, contested, {"source": source})
+
     @property
     def corners(self) -> Float[Array, "4 2"]:
         """Corner frame: image corners in world metres, top-left, then clockwise in the image."""
@@ -74,33 +97,18 @@ class AIM:
         return transform_points(self.world_from_image, image_corners(height, width))
 
     @property
+    def resolution(self) -> float:
+        """Metres per pixel at the image centre."""
+        height, width = self.image.shape[:2]
+        middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+        origin, right, down = transform_points(self.world_from_image, middle)
+        (a, b), (c, d) = right - origin, down - origin
+        return float(np.sqrt(abs(a * d - b * c)))
+
+    @property
     def is_affine(self) -> bool:
         """Whether straight pixels lie evenly on the ground, as a GeoTIFF or a texture needs."""
         return bool(np.array_equal(self.world_from_image[2], [0.0, 0.0, 1.0]))
-
-
-def whole_aim(
-    image: UInt8[Array, "H W 3"], world_from_image: Float[Array, "3 3"], world: World, source: str
-) -> AIM:
-    """A picture that is known everywhere, as an AIM; its source is all that there is to report."""
-    size = np.shape(image)[:2]
-    return AIM(
-        image,
-        world_from_image,
-        world,
-        coverage=np.ones(size, np.uint16),
-        contested=np.zeros(size, bool),
-        report={"source": source},
-    )
-
-
-def pixel_size(aim: AIM) -> float:
-    """Metres of a pixel's side in the middle of an image."""
-    height, width = aim.image.shape[:2]
-    middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-    origin, right, down = transform_points(aim.world_from_image, middle)
-    (a, b), (c, d) = right - origin, down - origin
-    return float(np.sqrt(abs(a * d - b * c)))
 
 
 def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | None = None) -> None:
@@ -137,7 +145,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
     }
     try:
         with (
-            replacing(path) as temporary,
+            atomic_write(path) as temporary,
             _unplaced_is_fine(),
             rasterio.open(temporary, "w", **profile) as dataset,
         ):

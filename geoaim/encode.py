@@ -8,7 +8,7 @@ import av
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 
 
 def write_video(
@@ -24,7 +24,7 @@ def write_video(
     At constant quality `crf`, or at about so many megabits a second.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
-    with replacing(path) as part, av.open(str(part), "w") as container:
+    with atomic_write(path) as part, av.open(str(part), "w") as container:
         second = str(round(frame_rate))
         options = {"preset": "medium", "g": second, "keyint_min": second}
         options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path whose file takes the place of `path` when the block ends well.
 
     The folder is made when it is missing. When the block fails, an old file stays as it was.
@@ -26,5 +26,5 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
     """Write a drawn figure as a PNG."""
-    with replacing(path) as part:
+    with atomic_write(path) as part:
         figure.savefig(part, dpi=100, format="png")

@@ -12,7 +12,7 @@ from shapely.geometry import mapping, shape
 from shapely.geometry.base import BaseGeometry
 
 from geoaim.errors import MapError
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.world import World, lonlat_from_world, world_from_lonlat
 
 
@@ -60,6 +60,6 @@ def write_features(features: list[Feature], world: World, path: str | os.PathLik
         rows.append(
             {"type": "Feature", "properties": dict(feature.properties), "geometry": mapping(found)}
         )
-    with replacing(Path(path)) as temporary:
+    with atomic_write(Path(path)) as temporary:
         content = {"type": "FeatureCollection", "features": rows}
         Path(temporary).write_text(json.dumps(content), encoding="utf-8")

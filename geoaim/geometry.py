@@ -64,7 +64,7 @@ def translation(x: float, y: float) -> Float[Array, "3 3"]:
     return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
 
-def about(middle: Float[Array, "2"], turn: float, zoom: float) -> Float[Array, "3 3"]:
+def similarity_about(middle: Float[Array, "2"], turn: float, zoom: float) -> Float[Array, "3 3"]:
     """A turn (radians, counter-clockwise) and a zoom about a place, as a matrix."""
     cosine, sine = zoom * np.cos(turn), zoom * np.sin(turn)
     turned = np.array([[cosine, -sine], [sine, cosine]])

@@ -66,7 +66,7 @@ class Lights:
     world: World
 
 
-def states_at(lights: Lights, times: Float[Array, "T"]) -> Int8[Array, "T L"]:
+def find_light_states(lights: Lights, times: Float[Array, "T"]) -> Int8[Array, "T L"]:
     """The state of each light at each time; `UNKNOWN` before the first one is told."""
     last = np.searchsorted(lights.times, np.asarray(times), side="right") - 1
     states = lights.states[np.maximum(last, 0)]

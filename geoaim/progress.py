@@ -5,5 +5,5 @@ from collections.abc import Callable
 Progress = Callable[[str, float, float | None], None]  # stage, done, and of how much, if known
 
 
-def silent(stage: str, done: float, total: float | None) -> None:
+def no_progress(stage: str, done: float, total: float | None) -> None:
     """Tell nobody."""

@@ -12,7 +12,7 @@ from geoaim.tracks import MOST, TICKS, Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
 
 
-def tracks_in(tracks: Tracks, world: World) -> Tracks:
+def to_world(tracks: Tracks, world: World) -> Tracks:
     """The same tracks in another world: places and headings; lengths and speeds stay.
 
     Raises:
@@ -37,7 +37,7 @@ def tracks_in(tracks: Tracks, world: World) -> Tracks:
     return replace(tracks, states=states, world=world)
 
 
-def resample(tracks: Tracks, rate: float, *, gap: float = 0.5) -> Tracks:
+def resample_tracks(tracks: Tracks, rate: float, *, gap: float = 0.5) -> Tracks:
     """The same tracks at an even rate, from their first time on.
 
     Between two recorded states positions and speeds are linear in time and headings turn the

@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.geometry import wrap_angle
 from geoaim.world import World
 
@@ -124,18 +124,18 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     if closest < (1e-3 if path.suffix.lower() == ".csv" else 1 / TICKS):
         raise ValueError(f"{path}: times are {closest:.1g} s apart, too close for the form")
     frame, world = tracks.to_frame(), tracks.world
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         if path.suffix.lower() == ".parquet":
             _write_parquet(frame, world, temporary)
             return
         with open(temporary, "w", encoding="utf-8", newline="") as file:
-            file.write(world_lines(world))
+            file.write(format_world(world))
             for name, decimals in zip(COLUMNS[2:], DECIMALS, strict=True):
                 frame[name] = frame[name].round(decimals) + 0.0  # no minus zero
             frame.to_csv(file, index=False, lineterminator="\n")
 
 
-def world_lines(world: World) -> str:
+def format_world(world: World) -> str:
     """The first lines of a table of places: its CRS and origin."""
     east, north = map(float, world.origin)
     crs = " ".join((world.crs or LOCAL).split())  # WKT may have lines
@@ -160,10 +160,10 @@ def read_tracks(path: str | os.PathLike[str]) -> Tracks:
     if missing:
         found = ", ".join(map(str, frame.columns))
         raise TracksError(f"{path} lacks the columns {', '.join(missing)}; it has {found}")
-    return tracks_of_rows(frame, world)
+    return make_tracks(frame, world)
 
 
-def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
+def make_tracks(rows: "DataFrame", world: World) -> Tracks:
     """Tracks from one row for each agent and time, with the columns `COLUMNS`.
 
     An agent's type and size are those of its first row.
@@ -230,14 +230,12 @@ def tracks_of_rows(rows: "DataFrame", world: World) -> Tracks:
     )
 
 
-def heading_of_motion(
-    velocity: Float[Array, "N T 2"], *, least: float = 0.3
-) -> Float[Array, "N T"]:
+def estimate_heading(velocity: Float[Array, "N T 2"], *, least: float = 0.3) -> Float[Array, "N T"]:
     """The direction of motion, radians; what is slower than `least` (m/s) keeps its direction.
 
     Velocities are NaN where an agent is absent. Who never moves gets 0.
 
-    >>> heading_of_motion(np.array([[[0.0, 2.0], [0.0, 0.0]]])).round(2)
+    >>> estimate_heading(np.array([[[0.0, 2.0], [0.0, 0.0]]])).round(2)
     array([[1.57, 1.57]])
     """
     east, north = velocity[..., 0], velocity[..., 1]

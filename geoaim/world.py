@@ -36,7 +36,7 @@ class World:
         if not np.isfinite(self.origin).all():
             raise GeoreferenceError(f"The world's origin {self.origin} is not a pair of numbers.")
         if self.crs is not None:
-            refusal = why_not_metric(self.crs, self.origin)
+            refusal = describe_crs_problem(self.crs, self.origin)
             if refusal:
                 raise GeoreferenceError(refusal)
 
@@ -81,7 +81,7 @@ def utm_crs(longitude: float, latitude: float) -> str:
     return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
 
 
-def why_not_metric(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> str:
+def describe_crs_problem(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> str:
     """What keeps a CRS from being a world, and what to use; empty when nothing does."""
     parsed = parse_crs(crs)
     name = f"{crs if len(crs) < 40 else parsed.name!r}"

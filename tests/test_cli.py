@@ -57,7 +57,7 @@ def test_register_writes_a_row_a_frame(folder, tmp_path):
 
 def test_texture_and_info_read_what_build_wrote(folder, tmp_path):
     output = tmp_path / "aim.tif"
-    run(app, ["build", str(folder), "--pixel-size", "0.05", "-o", str(output)])
+    run(app, ["build", str(folder), "--frame-resolution", "0.05", "-o", str(output)])
     assert run(app, ["texture", str(output), str(tmp_path / "out")]).exit_code == 0
     assert (tmp_path / "out" / "texture.json").exists()
     assert "640 x 360 px" in run(app, ["info", str(output)]).output
@@ -73,7 +73,7 @@ def test_a_wrong_number_of_frames_is_told_at_once(folder, tmp_path):
     ("options", "message"),
     [
         (["-o", "map.png"], "ends in .tif"),
-        (["-o", "map.tif", "--gcps", "a.csv", "--pixel-size", "1"], "give one"),
+        (["-o", "map.tif", "--gcps", "a.csv", "--frame-resolution", "1"], "give one"),
         (["-o", "."], "ends in .tif"),
         (["-o", "taken/map.tif"], "is a file; a folder is needed"),
     ],
@@ -192,7 +192,7 @@ def test_render_reads_tracks_of_other_forms(tmp_path):
     for world, said in (
         ([], "give both a place on the Earth"),
         (["--tracks-world", "EPSG:32635 1"], "is not a CRS and two numbers"),
-        (["--metres-per-pixel", "0.1"], "in metres; give no metres_per_pixel"),
+        (["--tracks-resolution", "0.1"], "in metres; give no resolution"),
     ):
         result = run(app, [*given, *world])
         assert result.exit_code == 1

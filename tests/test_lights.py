@@ -10,9 +10,9 @@ from geoaim.lights import (
     UNKNOWN,
     YELLOW,
     StopLine,
+    find_light_states,
     read_lights,
     read_stop_lines,
-    states_at,
 )
 from geoaim.world import World
 
@@ -33,7 +33,7 @@ def _read(tmp_path, content=TABLE, lines=LINES):
 def test_state_lasts_until_its_next_change(tmp_path):
     lights = _read(tmp_path)
     assert lights.names == ("a", "b")  # nobody knows where "walk" stops whom
-    states = states_at(lights, np.array([-1.0, 0.0, 1.9, 24.4, 24.5, 100.0]))
+    states = find_light_states(lights, np.array([-1.0, 0.0, 1.9, 24.4, 24.5, 100.0]))
     assert states[:, 0].tolist() == [UNKNOWN, GREEN, GREEN, GREEN, YELLOW, RED]
     assert states[:, 1].tolist() == [UNKNOWN, UNKNOWN, UNKNOWN, RED, RED, RED]
 
@@ -54,7 +54,7 @@ def test_sinds_table_has_a_column_for_each_light(tmp_path):
     north, south = (StopLine("Vehicle Traffic light 1", line.ends) for line in LINES)
     east = StopLine("Vehicle Traffic light 2", LINES[0].ends)
     lights = _read(tmp_path, SIND, (north, south, east))
-    states = states_at(lights, np.array([0.0, 28.0, 30.95, 80.0]))
+    states = find_light_states(lights, np.array([0.0, 28.0, 30.95, 80.0]))
     assert states[:, 0].tolist() == [UNKNOWN, RED, GREEN, YELLOW]
     assert (states[:, 0] == states[:, 1]).all()  # one signal at two lines
     assert states[:, 2].tolist() == [UNKNOWN, YELLOW, RED, RED]  # and what is not told stays
@@ -121,7 +121,7 @@ def test_bundled_lights_stop_traffic_at_the_maps_lines():
     hdmap = read_hdmap("samples/map.osm")
     lights = read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
     assert sorted(lights.names) == ["east", "north", "south", "west"]
-    states = states_at(lights, np.arange(0, 60, 0.1))
+    states = find_light_states(lights, np.arange(0, 60, 0.1))
     crossing = (states[:, [0]] == GREEN) & (states[:, 2:] == GREEN)
     assert (states >= 0).all()
     assert not crossing.any()  # east and west never with north and south

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from geoaim import Tracks, World
 from geoaim.errors import TracksError
-from geoaim.track_changes import resample, tracks_in
+from geoaim.track_changes import resample_tracks, to_world
 
 
 def _straight(times, present=None, heading=0.0, speed=2.0):
@@ -25,7 +25,7 @@ def test_resampling_is_linear_between_states_and_exact_at_them():
     tracks = _straight([0.0, 0.1, 0.3])
     states = tracks.states.copy()
     states[0, :, 3] = 1.0, 2.0, 4.0
-    again = resample(replace(tracks, states=states), 20)
+    again = resample_tracks(replace(tracks, states=states), 20)
     np.testing.assert_allclose(again.times, np.arange(7) / 20)
     np.testing.assert_allclose(again.states[0, :, 3], [1, 1.5, 2, 2.5, 3, 3.5, 4])
     np.testing.assert_array_equal(again.states[0, [0, 2, 6]], states[0])
@@ -42,7 +42,7 @@ def test_resampled_straight_motion_is_the_motion(steps, start, rate, heading):
     offsets = np.concatenate([[0.0], np.cumsum(steps)])
     tracks = _straight(offsets, heading=heading)
     tracks = replace(tracks, times=offsets + start)
-    again = resample(tracks, rate)
+    again = resample_tracks(tracks, rate)
     assert again.present.all()
     assert again.times[-1] <= tracks.times[-1] + 1e-6 < again.times[-1] + 1 / rate + 1e-6
     wanted = _straight(again.times - start, heading=heading)
@@ -53,7 +53,7 @@ def test_resampled_heading_turns_the_shorter_way():
     tracks = _straight([0.0, 0.4])
     states = tracks.states.copy()
     states[0, :, 2] = 3.0, -3.0
-    found = resample(replace(tracks, states=states), 10).states[0, :, 2]
+    found = resample_tracks(replace(tracks, states=states), 10).states[0, :, 2]
     assert (found >= -np.pi).all()
     assert (found < np.pi).all()
     turn = 2 * np.pi - 6
@@ -66,23 +66,23 @@ def test_resampling_fills_a_missing_row_and_keeps_an_absence():
     present = np.ones(20, bool)
     present[3] = present[8:14] = False  # 0.2 s and 0.7 s between the rows beside
     tracks = _straight(np.arange(20) / 10, present)
-    again = resample(tracks, 10)
+    again = resample_tracks(tracks, 10)
     wanted = present.copy()
     wanted[3] = True
     np.testing.assert_array_equal(again.present[0], wanted)
     assert np.isnan(again.states[~again.present]).all()
-    assert resample(tracks, 10, gap=0.7).present.all()
+    assert resample_tracks(tracks, 10, gap=0.7).present.all()
 
 
 def test_resampling_extrapolates_nobody():
     present = [False, True, True, False]
-    again = resample(_straight([0.0, 0.2, 0.4, 0.6], present), 10)
+    again = resample_tracks(_straight([0.0, 0.2, 0.4, 0.6], present), 10)
     np.testing.assert_array_equal(again.present[0], [0, 0, 1, 1, 1, 0, 0])
 
 
 def test_resampling_downwards_and_back_up_keeps_ids_types_and_world():
     tracks = _straight(np.arange(5) / 10)
-    again = resample(resample(tracks, 5), 10)
+    again = resample_tracks(resample_tracks(tracks, 5), 10)
     assert (again.ids, again.types, again.world) == (tracks.ids, tracks.types, tracks.world)
     np.testing.assert_allclose(np.diff(again.times), 0.1)
 
@@ -90,18 +90,18 @@ def test_resampling_downwards_and_back_up_keeps_ids_types_and_world():
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
 def test_rate_that_is_none_is_refused(rate):
     with pytest.raises(ValueError, match="positive number of Hz"):
-        resample(_straight([0.0, 0.1]), rate)
+        resample_tracks(_straight([0.0, 0.1]), rate)
 
 
 def test_resampling_that_cannot_be_meant_is_refused():
     with pytest.raises(ValueError, match="are too many; lower the rate"):
-        resample(_straight(np.arange(10)), 1e9, gap=2)
+        resample_tracks(_straight(np.arange(10)), 1e9, gap=2)
     with pytest.raises(ValueError, match="usual step of 1 s"):
-        resample(_straight(np.arange(10)), 10)
+        resample_tracks(_straight(np.arange(10)), 10)
 
 
 def test_resampling_nobody_gives_nobody():
-    nobody = resample(_straight([0.0, 0.1], [False, False]), 20)
+    nobody = resample_tracks(_straight([0.0, 0.1], [False, False]), 20)
     assert not nobody.present.any()
     assert len(nobody.times) == 3
 
@@ -110,15 +110,15 @@ def test_tracks_go_to_another_world_and_back():
     here = World("EPSG:32635", (583000.0, 6062000.0))
     there = World("EPSG:3035", (5100000.0, 3400000.0))
     tracks = replace(_straight(np.arange(5) / 10, heading=0.4), world=here)
-    moved = tracks_in(tracks, there)
+    moved = to_world(tracks, there)
     assert moved.world == there
     assert np.abs(moved.states[..., :2]).max() > 1e4
     assert abs(moved.states[0, 0, 2] - 0.4) > 0.05  # another north
-    np.testing.assert_allclose(tracks_in(moved, here).states, tracks.states, atol=1e-3)
-    nearer = tracks_in(tracks, World("EPSG:32635", (583100.0, 6062000.0)))
+    np.testing.assert_allclose(to_world(moved, here).states, tracks.states, atol=1e-3)
+    nearer = to_world(tracks, World("EPSG:32635", (583100.0, 6062000.0)))
     np.testing.assert_allclose(nearer.states[..., 0], tracks.states[..., 0] - 100, atol=1e-6)
 
 
 def test_tracks_of_no_place_on_the_earth_stay_there():
     with pytest.raises(TracksError, match="give both a place on the Earth, or none"):
-        tracks_in(_straight([0.0, 0.1]), World("EPSG:32635", (583000.0, 6062000.0)))
+        to_world(_straight([0.0, 0.1]), World("EPSG:32635", (583000.0, 6062000.0)))

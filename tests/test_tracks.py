@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from geoaim import GeoaimError, Tracks, World, read_tracks, write_tracks
 from geoaim.errors import TracksError
-from geoaim.tracks import COLUMNS, heading_of_motion, tracks_of_rows
+from geoaim.tracks import COLUMNS, estimate_heading, make_tracks
 
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 
@@ -132,7 +132,7 @@ def test_ids_keep_the_order_in_which_they_come():
     rows = pd.DataFrame(
         {name: [0.1, 0.1, 0.1] for name in COLUMNS} | {"id": ["9", "10", "9"], "type": "car"}
     ).assign(time=[0.0, 0.0, 0.1])
-    tracks = tracks_of_rows(rows, World(None))
+    tracks = make_tracks(rows, World(None))
     assert tracks.ids == ("9", "10")
     assert tracks.present.tolist() == [[True, True], [True, False]]
 
@@ -140,7 +140,7 @@ def test_ids_keep_the_order_in_which_they_come():
 def test_heading_is_kept_while_standing_and_known_before_the_first_step():
     velocity = np.array([[[0.0, 0], [0, 1], [0, 0], [-1, 0]]])
     np.testing.assert_allclose(
-        heading_of_motion(velocity), [[np.pi / 2, np.pi / 2, np.pi / 2, np.pi]]
+        estimate_heading(velocity), [[np.pi / 2, np.pi / 2, np.pi / 2, np.pi]]
     )
 
 
@@ -162,18 +162,18 @@ def _row(**changed):
 )
 def test_rows_that_cannot_be_meant_are_refused(changed, message):
     with pytest.raises(TracksError, match=message):
-        tracks_of_rows(pd.DataFrame([_row(**changed)]), WORLD)
+        make_tracks(pd.DataFrame([_row(**changed)]), WORLD)
 
 
 def test_an_agent_may_be_called_na(tmp_path):
     path = tmp_path / "a.csv"
-    write_tracks(tracks_of_rows(pd.DataFrame([_row(id="NA"), _row(id="null")]), WORLD), path)
+    write_tracks(make_tracks(pd.DataFrame([_row(id="NA"), _row(id="null")]), WORLD), path)
     assert read_tracks(path).ids == ("NA", "null")
 
 
 def test_times_read_back_are_those_written(tmp_path):
     times = np.arange(3000) / 10
-    tracks = tracks_of_rows(pd.DataFrame([_row(time=time) for time in times]), WORLD)
+    tracks = make_tracks(pd.DataFrame([_row(time=time) for time in times]), WORLD)
     write_tracks(tracks, tmp_path / "a.csv")
     np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").times, times)
 
@@ -186,7 +186,7 @@ def test_row_with_a_field_too_many_is_refused(tmp_path):
 
 
 def test_heading_is_brought_into_one_turn():
-    tracks = tracks_of_rows(pd.DataFrame([_row(heading=1.5 * np.pi)]), WORLD)
+    tracks = make_tracks(pd.DataFrame([_row(heading=1.5 * np.pi)]), WORLD)
     assert tracks.states[0, 0, 2] == pytest.approx(-np.pi / 2)
 
 
@@ -194,7 +194,7 @@ def test_tracks_that_could_not_be_read_back_are_not_written(tmp_path):
     nobody = _tracks(present=((False, False, False),))
     with pytest.raises(ValueError, match="nobody is present"):
         write_tracks(nobody, tmp_path / "a.csv")
-    close = tracks_of_rows(pd.DataFrame([_row(), _row(time=1e-4)]), WORLD)
+    close = make_tracks(pd.DataFrame([_row(), _row(time=1e-4)]), WORLD)
     with pytest.raises(ValueError, match="too close for the form"):
         write_tracks(close, tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []

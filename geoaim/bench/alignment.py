@@ -22,13 +22,13 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, pixel_size, whole_aim
+from geoaim.aim import AIM
 from geoaim.bench.alignment_pairs import GROUND, Pair, error, made_pairs, misplaced
 from geoaim.bench.alignment_real import rotterdam, zooms
 from geoaim.bench.data import find_data
 from geoaim.bench.report import medians, save, table
 from geoaim.errors import AlignmentError
-from geoaim.geometry import about, from_opencv, transform_points
+from geoaim.geometry import from_opencv, similarity_about, transform_points
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
@@ -47,7 +47,7 @@ def by_features(pair: Pair, detector: Any, norm: int) -> Float[Array, "3 3"]:
     Raises:
         AlignmentError: fewer than ten matches agree.
     """
-    step = pixel_size(pair.picture) / pixel_size(pair.aim)
+    step = pair.picture.resolution / pair.aim.resolution
     ground = cv2.resize(
         pair.aim.image, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA
     )
@@ -150,7 +150,7 @@ def _measured(
     pair: Pair, way: Callable[[Pair], tuple[Float[Array, "3 3"], float]]
 ) -> tuple[float, float, float]:
     """Error and uncertainty in pixels of the picture, NaN where refused; and seconds."""
-    pixel, start = pixel_size(pair.picture), time.perf_counter()
+    pixel, start = pair.picture.resolution, time.perf_counter()
     try:
         matrix, bound = way(pair)
     except AlignmentError:
@@ -204,7 +204,7 @@ def _by_tracks(
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     for _ in range(trials):
         angle, reach = generator.uniform(0, 2 * np.pi), generator.uniform(0, 10)
-        matrix = about(middle, np.radians(generator.uniform(-3, 3)), 1.0)
+        matrix = similarity_about(middle, np.radians(generator.uniform(-3, 3)), 1.0)
         matrix[:2, 2] += reach * np.array([np.cos(angle), np.sin(angle)])
         moved = replace(picture, world_from_image=matrix @ picture.world_from_image)
         start = time.perf_counter()
@@ -242,7 +242,7 @@ def speed(made: Pair) -> list[dict[str, Any]]:
     more = ((0, side - height), (0, side - width), (0, 0))  # mirrored, to fill the square
     photo = cv2.resize(made.picture.image, (width, height), interpolation=cv2.INTER_CUBIC)
     aim, picture = (
-        whole_aim(
+        AIM.from_image(
             np.pad(image, more, "reflect"), made.aim.world_from_image, made.aim.world, "drawn"
         )
         for image in (made.aim.image, np.asarray(photo))

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, whole_aim
-from geoaim.geometry import about, transform_points
+from geoaim.aim import AIM
+from geoaim.geometry import similarity_about, transform_points
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
 from geoaim.synthetic.roads.layouts import PLAIN
@@ -36,7 +36,9 @@ def misplaced(pair: Pair, generator: np.random.Generator) -> Pair:
     """The same pair, misplaced anew."""
     angle, reach = generator.uniform(0, 2 * np.pi), generator.uniform(0, REACH)
     turn = np.radians(generator.uniform(-TURN, TURN))
-    matrix = about(pair.aim.corners.mean(axis=0), turn, 1 + generator.uniform(-ZOOM, ZOOM))
+    matrix = similarity_about(
+        pair.aim.corners.mean(axis=0), turn, 1 + generator.uniform(-ZOOM, ZOOM)
+    )
     matrix[:2, 2] += reach * np.array([np.cos(angle), np.sin(angle)])
     moved = replace(pair.picture, world_from_image=matrix @ pair.picture.world_from_image)
     return replace(pair, picture=moved, stated_from_true=matrix)
@@ -49,13 +51,13 @@ def made_pairs(seeds: int) -> Iterator[Pair]:
             place = make_place(seed, kind=kind)
             resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
             tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
-            sensor = Sensor(metres_per_pixel=resolution)
-            photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=DRAWN)
-            ground = draw_place(place, metres_per_pixel=GROUND)
+            sensor = Sensor(resolution=resolution)
+            photo = photograph(place, another_day(place), tracks, sensor, resolution=DRAWN)
+            ground = draw_place(place, resolution=GROUND)
             yield Pair(
                 f"{kind} {seed}",
-                whole_aim(ground, world_from_image(place, GROUND), place.world, "drawn"),
-                whole_aim(photo, world_from_image(place, resolution), place.world, "drawn"),
+                AIM.from_image(ground, world_from_image(place, GROUND), place.world, "drawn"),
+                AIM.from_image(photo, world_from_image(place, resolution), place.world, "drawn"),
                 np.eye(3),
                 tracks,
             )

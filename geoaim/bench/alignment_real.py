@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import pixel_size
 from geoaim.bench.alignment_pairs import Pair, error, misplaced
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
@@ -44,7 +43,7 @@ def rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
         rows.append(
             {
                 "pair": pair.name,
-                "pixel, m": pixel_size(coarse),
+                "pixel, m": coarse.resolution,
                 "stated place is off by, m": float(np.linalg.norm(reference)),
                 "from ECC, m": float(np.linalg.norm(start.shift - reference)),
                 "misplacements": trials,
@@ -98,7 +97,7 @@ def zooms(folder: Path) -> list[dict[str, Any]]:
         )
         try:
             found = align_image(coarse, other)
-            off = float(np.linalg.norm(found.shift)) / pixel_size(coarse)
+            off = float(np.linalg.norm(found.shift)) / coarse.resolution
         except AlignmentError as why:
             off = None
             print(f"z{zoom} on z{finer}: {why}")

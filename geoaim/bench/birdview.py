@@ -37,7 +37,7 @@ APART = 6.5  # m between the agents whose pictures are compared with the referen
 
 def picture_of_place() -> Float[Tensor, "3 h w"]:
     """A made junction."""
-    place = draw_place(make_place(1), metres_per_pixel=0.1)
+    place = draw_place(make_place(1), resolution=0.1)
     image = cv2.resize(place, (TEXTURE, TEXTURE), interpolation=cv2.INTER_AREA)
     return torch.tensor(image).permute(2, 0, 1) / 255
 

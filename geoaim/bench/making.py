@@ -69,14 +69,14 @@ def preparation(repeats: int) -> dict[str, Any]:
     }
 
 
-def drawing(metres_per_pixel: float, repeats: int) -> dict[str, Any]:
+def drawing(resolution: float, repeats: int) -> dict[str, Any]:
     """The picture of a junction."""
     place = make_place(1)
-    size = draw_place(place, metres_per_pixel=metres_per_pixel).shape[:2]
+    size = draw_place(place, resolution=resolution).shape[:2]
     noise = np.random.default_rng(0).standard_normal(size)
-    seconds = medians([lambda: draw_place(place, metres_per_pixel=metres_per_pixel)], repeats)[0]
+    seconds = medians([lambda: draw_place(place, resolution=resolution)], repeats)[0]
     return {
-        "what": f"picture, {metres_per_pixel:g} m/px",
+        "what": f"picture, {resolution:g} m/px",
         "seconds": seconds,
         "floor": "Fourier transform",
         "times the floor": seconds / medians([lambda: np.fft.rfft2(noise)], 5)[0],

@@ -21,7 +21,7 @@ from numpy import ndarray as Array
 from shapely import LineString
 
 import geoaim
-from geoaim.aim import AIM, pixel_size, whole_aim
+from geoaim.aim import AIM
 from geoaim.bench.report import save, table
 from geoaim.geometry import transform_points
 from geoaim.hdmap.drivable import drivable_area
@@ -74,7 +74,7 @@ def row(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
         if line.kind == "line_thin"
         and inner.contains(LineString(line.points).interpolate(0.5, normalized=True))
     ]
-    pixel = pixel_size(aim)
+    pixel = aim.resolution
     apart = np.concatenate([np.empty(0), *(across(aim, line) for line in lines)]) / pixel
     if len(apart) < FEWEST:
         return {"place": name, "m a pixel": pixel, "places": len(apart)}
@@ -91,8 +91,8 @@ def row(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
 def drawn(kind: Kind) -> tuple[AIM, HDMap]:
     """A place's picture, which lies where the place does, and its HD map by way of a file."""
     place = make_place(1, kind=kind)
-    image = draw_place(place, metres_per_pixel=RESOLUTION)
-    aim = whole_aim(image, world_from_image(place, RESOLUTION), place.world, "drawn")
+    image = draw_place(place, resolution=RESOLUTION)
+    aim = AIM.from_image(image, world_from_image(place, RESOLUTION), place.world, "drawn")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "map.osm"
         path.write_bytes(lanelet_map(place.roads, place.world_from_plan, place.world))

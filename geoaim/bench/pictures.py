@@ -33,7 +33,7 @@ from geoaim.simulation.scene import Scene, agent_number, step_at, step_at_time
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.roads.layouts import Kind
 from geoaim.synthetic.sample import RATE
-from geoaim.track_changes import resample, tracks_in
+from geoaim.track_changes import resample_tracks, to_world
 from geoaim.tracks import read_tracks
 
 METRES = 0.1  # a pixel of the drawn places
@@ -69,7 +69,7 @@ def main(
     _show_places(output / "made_places.jpg")
     _show_views(aim, samples, output / "views.jpg")
     _show_futures(aim, samples, output / "futures.jpg")
-    tracks = tracks_in(read_tracks(samples / "tracks.csv"), aim.world)
+    tracks = to_world(read_tracks(samples / "tracks.csv"), aim.world)
     laid = align_tiles(samples / "tiles", aim=aim, tracks=tracks)
     draw_alignment(laid, aim=aim, tracks=tracks).savefig(output / "alignment_sample.jpg", dpi=75)
 
@@ -80,7 +80,7 @@ def _show_places(path: Path) -> None:
     for axis, (kind, day) in zip(axes.ravel(), DAYS.items(), strict=True):
         sample = make_sample(2, kind=kind, minutes=0.5, video=None)
         tracks = tracks_of(sample)
-        image = draw_place(sample.place, day, metres_per_pixel=METRES)
+        image = draw_place(sample.place, day, resolution=METRES)
         image_from_world = np.linalg.inv(world_from_image(sample.place, METRES))
         _show(axis, image, f"{kind}, {day.season}")
         for states, kind_of_agent in zip(tracks.states, tracks.types, strict=True):
@@ -125,7 +125,7 @@ def _scene(aim: AIM, samples: Path, rate: float) -> Scene:
     tracks = read_tracks(samples / "tracks.csv")
     hdmap = read_hdmap(samples / "map.osm", tracks.world)
     lights = read_lights(samples / "lights.csv", hdmap.stop_lines, hdmap.world)
-    return make_scene(aim, resample(tracks, rate), lights)
+    return make_scene(aim, resample_tracks(tracks, rate), lights)
 
 
 def _show(axes: Axes, image: np.ndarray, title: str) -> None:

@@ -26,7 +26,7 @@ from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, place_frames
 from geoaim.mapping.sampling import RegisteredFrames
 from geoaim.mapping.video.video import open_video
-from geoaim.progress import silent
+from geoaim.progress import no_progress
 from geoaim.synthetic import write_video
 
 THREADS = 2
@@ -57,7 +57,7 @@ def register_all(path: Path) -> int:
 def _mean(path: Path, *, bands: int) -> int:
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
-    frames = RegisteredFrames(video, reference, None, "all", silent)
+    frames = RegisteredFrames(video, reference, None, "all", no_progress)
     size = reference.height, reference.width
     return average_frames(frames, size=size, bands=bands).frames_used
 

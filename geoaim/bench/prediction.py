@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import torch
 import typer
 
-from geoaim.aim import whole_aim
+from geoaim.aim import AIM
 from geoaim.bench.report import medians, save, table
 from geoaim.prediction.checkpoints import read_model, shipped
 from geoaim.prediction.itra import ITRA, Config
@@ -25,7 +25,7 @@ from geoaim.prediction.views import egos_of, egos_see
 from geoaim.simulation.ground import Ground, fit_ground
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_sample, tracks_of, world_from_image
-from geoaim.track_changes import resample
+from geoaim.track_changes import resample_tracks
 
 AGENTS, SAMPLES, BATCH = 20, 6, 48
 REPEATS = 25
@@ -34,11 +34,11 @@ RESOLUTION = 0.2
 
 def made_scene(config: Config) -> Scene:
     """The traffic of a made junction."""
-    sample = make_sample(1, minutes=3.0, video=None, metres_per_pixel=RESOLUTION)
-    image = draw_place(sample.place, metres_per_pixel=RESOLUTION)
+    sample = make_sample(1, minutes=3.0, video=None, resolution=RESOLUTION)
+    image = draw_place(sample.place, resolution=RESOLUTION)
     place = world_from_image(sample.place, RESOLUTION)
-    aim = whole_aim(image, place, sample.place.world, "drawn")
-    return make_scene(aim, resample(tracks_of(sample), 1 / config.seconds))
+    aim = AIM.from_image(image, place, sample.place.world, "drawn")
+    return make_scene(aim, resample_tracks(tracks_of(sample), 1 / config.seconds))
 
 
 def together(segments: Segments) -> Segments:

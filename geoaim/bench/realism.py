@@ -30,7 +30,7 @@ from geoaim.synthetic.roads.layouts import PLAIN
 from geoaim.track_formats import read_geotrax, read_interaction, read_sdd
 from geoaim.tracks import Tracks
 
-METRES_PER_PIXEL = 0.1  # at which pictures are compared
+RESOLUTION = 0.1  # at which pictures are compared
 VEHICLES = ("car", "van", "truck", "bus")
 STEP = 0.1  # s
 SMOOTH = 7  # steps of the window over which positions are averaged
@@ -136,7 +136,7 @@ def _joined(parts: Sequence[Statistics]) -> dict[str, Float[Array, "_"]]:
 
 
 def _look(image: UInt8[Array, "H W 3"]) -> Statistics:
-    """Gradients, spectrum, grey levels and colour of a picture at `METRES_PER_PIXEL`."""
+    """Gradients, spectrum, grey levels and colour of a picture at `RESOLUTION`."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float64)
     right, down = grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1]
     lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB).astype(np.float64)
@@ -184,8 +184,8 @@ def _picture(sample: Sample) -> UInt8[Array, "H W 3"]:
     return _scaled(still, 0.05)
 
 
-def _scaled(image: UInt8[Array, "H W 3"], metres_per_pixel: float) -> UInt8[Array, "_ _ 3"]:
-    scale = metres_per_pixel / METRES_PER_PIXEL
+def _scaled(image: UInt8[Array, "H W 3"], resolution: float) -> UInt8[Array, "_ _ 3"]:
+    scale = resolution / RESOLUTION
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
 
 
@@ -240,7 +240,7 @@ def real_people(folder: Path) -> dict[str, list[Tracks]]:
     found: dict[str, list[Tracks]] = {}
     for path in sorted((folder / "tracks/sdd_raw").glob("*/*/annotations.txt.gz")):
         scene, video = path.parts[-3:-1]
-        tracks = read_sdd(path, metres_per_pixel=scales[scene, video])
+        tracks = read_sdd(path, resolution=scales[scene, video])
         found.setdefault(scene, []).append(tracks)
     return found
 

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 
 Row = Mapping[str, Any]
 
@@ -76,7 +76,7 @@ def save(rows: Sequence[Row], path: Path | None, *, command: str, **settings: An
 
 def write_json(content: Any, path: Path) -> None:
     """Write plain numbers, and arrays as lists."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         text = json.dumps(content, indent=1, default=_plain) + "\n"
         temporary.write_text(text, encoding="utf-8")
 

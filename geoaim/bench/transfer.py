@@ -223,8 +223,8 @@ def _made_pairs(kind: Kind) -> Iterator[tuple[Array, Array]]:
     for seed in range(1, PLACES + 1):
         sample = make_sample(seed, kind=kind, minutes=0.2, video=None)
         place, day, sensor = sample.place, another_day(sample.place), Sensor(PIXEL)
-        photo = photograph(place, day, tracks_of(sample), sensor, metres_per_pixel=0.1)
-        yield _grey(draw_place(place, metres_per_pixel=0.1), 0.1), _grey(photo, PIXEL)
+        photo = photograph(place, day, tracks_of(sample), sensor, resolution=0.1)
+        yield _grey(draw_place(place, resolution=0.1), 0.1), _grey(photo, PIXEL)
 
 
 def _real_pairs(folder: Path) -> Iterator[tuple[Array, Array]]:

@@ -43,7 +43,7 @@ TracksWorld = Annotated[
     ),
 ]
 TracksPixel = Annotated[
-    float | None, typer.Option("--metres-per-pixel", help="of tracks in an image's pixels")
+    float | None, typer.Option(help="m per pixel of tracks in an image's pixels")
 ]
 
 
@@ -92,7 +92,7 @@ def plain_errors() -> Iterator[None]:
             sys.exit(1)
 
 
-def read_any_tracks(path: Path, place: str | None, metres_per_pixel: float | None) -> "Tracks":
+def read_any_tracks(path: Path, place: str | None, resolution: float | None) -> "Tracks":
     """Tracks of any known form, in the world that --tracks-world names."""
     from geoaim.track_formats import read_any
     from geoaim.world import World
@@ -108,7 +108,7 @@ def read_any_tracks(path: Path, place: str | None, metres_per_pixel: float | Non
                 "'EPSG:32632 459000 5428000'"
             ) from error
         world = World(crs, (east, north))
-    return read_any(path, world=world, metres_per_pixel=metres_per_pixel)
+    return read_any(path, world=world, resolution=resolution)
 
 
 def refuse_output(

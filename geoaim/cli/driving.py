@@ -48,7 +48,7 @@ def render(
     stop_lines: StopLinesFile = None,
     trail: Annotated[float, typer.Option(help="s of everybody's way to draw", min=0)] = 0.0,
     tracks_world: TracksWorld = None,
-    metres_per_pixel: TracksPixel = None,
+    tracks_resolution: TracksPixel = None,
 ) -> None:
     """Draw what an agent has around it: the map, heading up, with all agents on it.
 
@@ -58,7 +58,7 @@ def render(
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".mp4", ".gif", ".png"))
-        agents = (tracks, tracks_world, metres_per_pixel)
+        agents = (tracks, tracks_world, tracks_resolution)
         scene, _, _ = read_scene(aim, agents, lights, hdmap, stop_lines)
         agent = agent_number(scene, ego)
         step = step_at(scene, agent, time) if output.suffix.lower() == ".png" else None
@@ -88,7 +88,7 @@ def simulate(
         Path | None, typer.Option(help="polygons in which vehicles may drive, GeoJSON")
     ] = None,
     tracks_world: TracksWorld = None,
-    metres_per_pixel: TracksPixel = None,
+    tracks_resolution: TracksPixel = None,
 ) -> None:
     """Let agents drive by a policy among those who replay, and count what went wrong.
 
@@ -107,7 +107,7 @@ def simulate(
             refuse_output(film, (".mp4", ".gif"), [aim])
             if ego is None:
                 raise ValueError("--film needs --ego, in whose middle the film is")
-        agents = (tracks, tracks_world, metres_per_pixel)
+        agents = (tracks, tracks_world, tracks_resolution)
         scene, known, world = read_scene(aim, agents, lights, hdmap, stop_lines)
         area = None if drivable is None else read_area(drivable, world)
         rules = rules_of(known, area)
@@ -137,7 +137,7 @@ def read_scene(
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.lights import read_lights, read_stop_lines
     from geoaim.simulation.scene import make_scene
-    from geoaim.track_changes import resample
+    from geoaim.track_changes import resample_tracks
 
     if lights is not None and hdmap is None and stop_lines is None:
         raise ValueError("--lights needs --hdmap or --stop-lines: where they stop traffic")
@@ -151,7 +151,7 @@ def read_scene(
     signals = None if lights is None else read_lights(lights, lines, place.world)
     agents = read_any_tracks(*tracks)
     if rate is not None:
-        agents = resample(agents, rate)
+        agents = resample_tracks(agents, rate)
     return make_scene(place, agents, signals), known, place.world
 
 

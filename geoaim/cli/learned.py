@@ -56,7 +56,7 @@ def predict(
     hdmap: HDMapFile = None,
     stop_lines: StopLinesFile = None,
     tracks_world: TracksWorld = None,
-    metres_per_pixel: TracksPixel = None,
+    tracks_resolution: TracksPixel = None,
 ) -> None:
     """Draw what may happen next: sampled futures of all vehicles, or of all people, jointly.
 
@@ -75,7 +75,7 @@ def predict(
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".png", ".mp4", ".gif"), [aim, tracks, lights, hdmap])
         model = _model(weights, kind)
-        agents = (tracks, tracks_world, metres_per_pixel)
+        agents = (tracks, tracks_world, tracks_resolution)
         scene, _, world = read_scene(
             aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.seconds
         )
@@ -122,7 +122,7 @@ def train(
     hdmap: HDMapFile = None,
     stop_lines: StopLinesFile = None,
     tracks_world: TracksWorld = None,
-    metres_per_pixel: TracksPixel = None,
+    tracks_resolution: TracksPixel = None,
 ) -> None:
     """Teach a model what happens on your map: from the shipped weights on, or from scratch.
 
@@ -138,7 +138,7 @@ def train(
     with stages() as progress, plain_errors():
         refuse_output(output / "model.pt", inputs=[weights])
         model = _model(weights, kind)
-        agents = (tracks, tracks_world, metres_per_pixel)
+        agents = (tracks, tracks_world, tracks_resolution)
         scene, _, _ = read_scene(
             aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.seconds
         )
@@ -190,7 +190,7 @@ def evaluate(
     ] = None,
     stop_lines: StopLinesFile = None,
     tracks_world: TracksWorld = None,
-    metres_per_pixel: TracksPixel = None,
+    tracks_resolution: TracksPixel = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
 ) -> None:
     """Judge a model beside constant velocity, with and without noise, and constant turn rate.
@@ -229,7 +229,7 @@ def evaluate(
             count = len(there.segments)
         else:
             model = _model(weights, kind)
-            given = (aim, (tracks, tracks_world, metres_per_pixel), lights, hdmap, stop_lines)
+            given = (aim, (tracks, tracks_world, tracks_resolution), lights, hdmap, stop_lines)
             judged, count = _judged(model, given, last, (samples, seed), progress)
     found = {name: summary(measures) for name, measures in judged.items()}
     if as_json:

@@ -23,6 +23,7 @@ from geoaim.cli.console import (
 
 if TYPE_CHECKING:
     from geoaim.aim import AIM
+    from geoaim.mapping.georeference.estimate import Georeference
 
 Source = Annotated[str, typer.Argument(help="a video file, or a folder or glob of images")]
 Points = Annotated[
@@ -44,14 +45,15 @@ def build(
         float | None,
         typer.Option(help="metres a pixel, north up; as filmed if left out"),
     ] = None,
-    pixel_size: Annotated[
-        float | None, typer.Option(help="metres a pixel, for a local map without control points")
+    frame_resolution: Annotated[
+        float | None,
+        typer.Option(help="m per pixel of the video, for a local map without control points"),
     ] = None,
 ) -> None:
     """Build a georeferenced AIM from a hovering drone's video, and a quick look beside it.
 
     Control points are picked on the first frame unless their file says on which. Without them the
-    telemetry beside the video gives an approximate place, or --pixel-size a local one.
+    telemetry beside the video gives an approximate place, or --frame-resolution a local one.
     """
     from geoaim.aim import rectify, write_aim
     from geoaim.mapping.georeference.from_telemetry import local_georeference
@@ -60,12 +62,14 @@ def build(
     from geoaim.quicklook import write_quicklook
 
     with stages() as progress, plain_errors():
-        if pixel_size is not None and gcps is not None:
-            raise ValueError("--gcps and --pixel-size both say where the map lies; give one")
+        if frame_resolution is not None and gcps is not None:
+            raise ValueError("--gcps and --frame-resolution both say where the map lies; give one")
         look = _look_beside(output, [gcps, *_named(video, f"{glob.escape(output.stem)}.*")])
         opened = open_video(video)
         size = opened.height, opened.width
-        place = gcps if pixel_size is None else local_georeference(pixel_size=pixel_size, size=size)
+        place: Path | Georeference | None = gcps
+        if frame_resolution is not None:
+            place = local_georeference(resolution=frame_resolution, size=size)
         aim = build_aim(
             opened,
             place,
@@ -92,7 +96,7 @@ def align(
     output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
     tracks: Annotated[Path | None, typer.Option(help="of vehicles, in any known form")] = None,
     tracks_world: TracksWorld = None,
-    metres_per_pixel: TracksPixel = None,
+    tracks_resolution: TracksPixel = None,
     aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
     gcps: Points = None,
     resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
@@ -113,7 +117,7 @@ def align(
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
     from geoaim.quicklook import draw_alignment
-    from geoaim.track_changes import tracks_in
+    from geoaim.track_changes import to_world
 
     with plain_errors():
         beside = f"**/{glob.escape(output.stem)}.*"
@@ -122,7 +126,7 @@ def align(
         place = None if aim is None else read_aim(aim)
         way = None
         if tracks is not None:
-            way = read_any_tracks(tracks, tracks_world, metres_per_pixel)
+            way = read_any_tracks(tracks, tracks_world, tracks_resolution)
         found = align_tiles(
             tiles[0] if len(tiles) == 1 else tiles,
             tracks=way,
@@ -134,7 +138,7 @@ def align(
         )
         write_aim(found if found.is_affine else rectify(found), output)
         if way is not None:
-            way = tracks_in(way, found.world)
+            way = to_world(way, found.world)
         write_figure(draw_alignment(found, aim=place, tracks=way), look)
     _show(found, f"{output} and {look}")
 

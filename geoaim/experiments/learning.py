@@ -13,7 +13,7 @@ from geoaim.prediction.metrics import Measure, merged
 from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.segments import cut_segments
 from geoaim.prediction.training import from_scratch
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import Scene
@@ -36,7 +36,7 @@ def lessons_of(
     *,
     lights: bool = True,
     held_out: float = HELD_OUT,
-    report: Progress = silent,
+    report: Progress = no_progress,
 ) -> Lessons:
     """Segments of made places on one of their maps; ends of recordings are for validation."""
     scenes: list[Scene] = []

@@ -11,7 +11,7 @@ from geoaim.prediction.checkpoints import kept_model, read_state
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.training import Training, digest, train
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,13 @@ RECIPES = {
 }
 
 
-def all_trained(name: str, folder: Path, *, report: Progress = silent) -> list[ITRA]:
+def all_trained(name: str, folder: Path, *, report: Progress = no_progress) -> list[ITRA]:
     """Every training of one of `RECIPES`."""
     seeds = range(RECIPES[name].trainings)
     return [trained(name, folder, seed=seed, report=report) for seed in seeds]
 
 
-def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = silent) -> ITRA:
+def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = no_progress) -> ITRA:
     """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet.
 
     Args:

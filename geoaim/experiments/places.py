@@ -10,18 +10,18 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, pixel_size, read_aim, whole_aim, write_aim
+from geoaim.aim import AIM, read_aim, write_aim
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import Area, HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import Lights, read_lights
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 from geoaim.simulation.episodes import Rules, rules_of
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
 from geoaim.synthetic.roads.layouts import Kind
-from geoaim.track_changes import resample
+from geoaim.track_changes import resample_tracks
 from geoaim.tracks import Tracks, read_tracks
 
 Places = Sequence[tuple[int, Kind]]
@@ -76,7 +76,7 @@ class Recorded:
         return rules_of(self.hdmap)
 
 
-def make_places(folder: Path, places: Places, *, report: Progress = silent) -> list[Path]:
+def make_places(folder: Path, places: Places, *, report: Progress = no_progress) -> list[Path]:
     """The folders of places; those that are not there yet are made."""
     found = []
     for number, (seed, kind) in enumerate(places):
@@ -84,7 +84,7 @@ def make_places(folder: Path, places: Places, *, report: Progress = silent) -> l
         where = folder / f"{kind}_{seed}"
         if not (where / "README.md").exists():
             sample = make_sample(
-                seed, kind=kind, minutes=MINUTES, video=None, metres_per_pixel=RESOLUTION
+                seed, kind=kind, minutes=MINUTES, video=None, resolution=RESOLUTION
             )
             write_sample(sample, where)
         found.append(where)
@@ -147,7 +147,7 @@ def roads_only(hdmap: HDMap) -> HDMap:
 
 def degraded(aim: AIM) -> AIM:
     """A blurred and noisy map."""
-    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, COARSE / pixel_size(aim))
+    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, COARSE / aim.resolution)
     return replace(aim, image=np.rint(image * 255).astype(np.uint8))
 
 
@@ -174,12 +174,12 @@ def scene_of(recorded: Recorded, aim: AIM, *, rate: float, lights: bool = True) 
         lights: whether they are shown.
     """
     shown = recorded.lights if lights else None
-    return make_scene(aim, resample(recorded.tracks, rate), shown)
+    return make_scene(aim, resample_tracks(recorded.tracks, rate), shown)
 
 
 def _drawn(folder: Path) -> AIM:
     """The place from above without its traffic, as a drone's background would show it."""
     kind, seed = folder.name.rsplit("_", 1)
     place = make_place(int(seed), kind=kind)  # type: ignore[arg-type]
-    image = draw_place(place, metres_per_pixel=RESOLUTION)
-    return whole_aim(image, world_from_image(place, RESOLUTION), place.world, "drawn")
+    image = draw_place(place, resolution=RESOLUTION)
+    return AIM.from_image(image, world_from_image(place, RESOLUTION), place.world, "drawn")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from geoaim.bench.report import machine, write_json
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.prediction.metrics import Measure, interval, summary
 from geoaim.prediction.report import markdown
 
@@ -24,7 +24,7 @@ def write_results(name: str, found: Mapping[str, Measures], about: Mapping[str, 
     }
     paths = [FOLDER / f"{name}.json", FOLDER / f"{name}.md"]
     write_json(content, paths[0])
-    with replacing(paths[1]) as temporary:
+    with atomic_write(paths[1]) as temporary:
         text = f"`geoaim experiment {name}`\n\n{markdown(tables)}\n"
         temporary.write_text(text, encoding="utf-8")
     return paths

@@ -7,7 +7,7 @@ from geoaim.experiments.learning import PEOPLE, VEHICLES, judge
 from geoaim.experiments.models import trained
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.results import write_results
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import shipped
 from geoaim.progress import Progress
@@ -19,7 +19,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
     for name, config in (("vehicles", VEHICLES), ("people", PEOPLE)):
         places = make_places(folder / "places", TEST[config.kind], report=report)
         model = trained(f"{config.kind}_aim", folder, report=report)
-        with replacing(shipped(config.kind)) as temporary:
+        with atomic_write(shipped(config.kind)) as temporary:
             shutil.copyfile(folder / "models" / f"{config.kind}_aim" / "model.pt", temporary)
         written.append(shipped(config.kind))
         tables[f"{name}, ITRA"] = judge(model, places, config, "aim")

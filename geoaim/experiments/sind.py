@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, whole_aim
+from geoaim.aim import AIM
 from geoaim.bench.data import require_data
 from geoaim.errors import TracksError
 from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
@@ -33,7 +33,7 @@ from geoaim.prediction.predict import OBSERVED
 from geoaim.prediction.training import fine_tuning
 from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
-from geoaim.track_changes import resample
+from geoaim.track_changes import resample_tracks
 from geoaim.track_formats import read_any
 
 
@@ -142,13 +142,13 @@ def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
     points = read_control_points(rows, crs="local")
     height, width = image.shape[:2]
     found = georeference(points, height=height, width=width, world=hdmap.world)
-    return whole_aim(image, found.world_from_image, hdmap.world, "SinD"), found, hdmap
+    return AIM.from_image(image, found.world_from_image, hdmap.world, "SinD"), found, hdmap
 
 
 def _scene(name: str, aim: AIM) -> Scene:
     """A junction's recording on one of its maps."""
     tracks = read_any(require_data(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
-    return make_scene(aim, resample(tracks, 1 / PEOPLE.seconds))
+    return make_scene(aim, resample_tracks(tracks, 1 / PEOPLE.seconds))
 
 
 def _judge(model: ITRA | str, scenes: list[Scene]) -> dict[str, Measure]:

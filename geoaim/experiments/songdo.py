@@ -18,7 +18,7 @@ from geoaim.prediction.segments import cut_segments, pick, shifted
 from geoaim.prediction.training import fine_tuning
 from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
-from geoaim.track_changes import resample
+from geoaim.track_changes import resample_tracks
 from geoaim.track_formats import read_geotrax
 
 MARGIN = 30.0  # m of the map around the tracks
@@ -50,7 +50,7 @@ def run(folder: Path, report: Progress) -> list[Path]:
 def _scene() -> Scene:
     given = require_data("tracks/songdo_u")
     tracks = read_geotrax(given / "U_video_cut.csv", crs="EPSG:5186")
-    tracks = resample(tracks, 1 / VEHICLES.seconds)
+    tracks = resample_tracks(tracks, 1 / VEHICLES.seconds)
     places = tracks.states[tracks.present][:, :2]
     corners = np.stack([places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN])
     path = given / "ortho_U_25cm_epsg5186.tif"

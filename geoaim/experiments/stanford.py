@@ -160,6 +160,6 @@ def _windows(
     )
 
 
-def _degraded(image: Float32[Array, "H W 3"], metres_per_pixel: float) -> Float32[Array, "H W 3"]:
+def _degraded(image: Float32[Array, "H W 3"], resolution: float) -> Float32[Array, "H W 3"]:
     """Blurred and noisy by pixels of the view."""
-    return blurred_and_noisy(image, SEES.resolution / metres_per_pixel)
+    return blurred_and_noisy(image, SEES.resolution / resolution)

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.aim import AIM, north_up_grid, whole_aim
+from geoaim.aim import AIM, north_up_grid
 from geoaim.geometry import transform_points
 from geoaim.hdmap.drivable import NOT_DRIVEN, outline, points_along, polygons_of
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
@@ -69,7 +69,7 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
     for shape, colour in _drawn(hdmap):
         _fill(fine, shape, fine_from_world, colour)
     image = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
-    return whole_aim(image, world_from_image, hdmap.world, "HD map")
+    return AIM.from_image(image, world_from_image, hdmap.world, "HD map")
 
 
 def _fill(

@@ -26,7 +26,7 @@ from geoaim.mapping.report import report_background, report_georeference, report
 from geoaim.mapping.sampling import Count, RegisteredFrames
 from geoaim.mapping.video.detections import Boxes, read_boxes
 from geoaim.mapping.video.video import open_video
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 
 ENOUGH = 50  # frames for a pixel of "all", beyond which stripes share the frames: twice as fast
 CONVERGED = 3.0  # grey levels by which the latter half of the frames may still move the ground
@@ -39,7 +39,7 @@ def build_aim(
     boxes: str | Path | Boxes | None = None,
     frames: Count = "auto",
     crs: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> AIM:
     """Build an aerial image-based map from a hovering camera's video and control points.
 

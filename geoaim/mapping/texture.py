@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from geoaim.aim import AIM, rectify
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 
@@ -50,8 +50,8 @@ def export_texture(
     }
     # both are complete before either takes its place, and the JSON comes last
     with (
-        replacing(Path(folder, "texture.json")) as text,
-        replacing(Path(folder, frame["image"])) as picture,
+        atomic_write(Path(folder, "texture.json")) as text,
+        atomic_write(Path(folder, frame["image"])) as picture,
     ):
         picture.write_bytes(png.tobytes())
         text.write_text(json.dumps(frame, indent=2) + "\n")

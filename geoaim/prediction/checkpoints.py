@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from geoaim.errors import ModelError
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.prediction.itra import ITRA, Config
 
 FORMAT = 1
@@ -58,7 +58,7 @@ def shipped(kind: str) -> Path:
 
 def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
     """Write numbers and tensors; an interrupted write leaves the old file."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         torch.save({"format": FORMAT, **state}, temporary)
 
 

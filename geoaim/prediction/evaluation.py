@@ -13,7 +13,7 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Measure, measure, merged
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import OBSERVED, Windows
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import Ground
 
@@ -46,7 +46,7 @@ def evaluate(
     asked: Asked,
     *,
     rules: Rules = NO_RULES,
-    report: Progress = silent,
+    report: Progress = no_progress,
 ) -> dict[str, Measure]:
     """All measures of a model, or of one of `BASELINES`, on segments of one place."""
     generator = torch.Generator(segments.states.device).manual_seed(asked.seed)
@@ -66,7 +66,7 @@ def evaluate_windows(
     samples: int,
     *,
     seed: int = 0,
-    report: Progress = silent,
+    report: Progress = no_progress,
 ) -> dict[str, Measure]:
     """minADE and minFDE of windows, in the pixels of their images and in metres.
 

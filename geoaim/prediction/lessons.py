@@ -8,7 +8,7 @@ from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.itra import Config
 from geoaim.prediction.segments import Segments, cut_segments, joined, shifted
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.scene import Scene, scene_steps
 
@@ -31,7 +31,7 @@ def make_lessons(
     config: Config,
     *,
     held_out: float = HELD_OUT,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Lessons:
     """Segments of scenes of any places; none reaches from what is learnt into what is held out.
 

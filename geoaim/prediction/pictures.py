@@ -11,14 +11,14 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.simulation.birdview import Boxes, render
 from geoaim.simulation.ground import Ground, View, bounds_of, fit_ground
 from geoaim.simulation.layers import lights_at, usual_colours
 from geoaim.simulation.lines import path_boxes
 from geoaim.simulation.pictures import pixels_of
 from geoaim.simulation.scene import Scene
-from geoaim.tracks import world_lines
+from geoaim.tracks import format_world
 from geoaim.world import World
 
 WIDE = 1280  # px of a picture's longer side
@@ -111,8 +111,8 @@ def write_futures(
     )
     for column, name in enumerate(("x", "y", "heading", "speed")):
         table[name] = values[:, column].round(4)
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(world_lines(world))
+    with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        file.write(format_world(world))
         table.to_csv(file, index=False)
 
 

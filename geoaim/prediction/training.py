@@ -18,14 +18,14 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from geoaim.errors import ModelError
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.prediction.atlas import ground_scaled
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.itra import ITRA, Config, Losses
 from geoaim.prediction.lessons import Lessons
 from geoaim.prediction.metrics import displacements
 from geoaim.prediction.segments import Segments, pick, scaled, segments_on
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import Ground, on_device
 
 CHECKED = 256  # segments at most that are predicted for the log
@@ -89,7 +89,7 @@ def train(
     folder: str | os.PathLike[str],
     *,
     start: ITRA | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> ITRA:
     """Train a model, on the ground's device, or go on with the training that is in the folder.
 
@@ -265,7 +265,7 @@ def _check(model: ITRA, valid: Segments, ground: Ground, training: Training) -> 
 
 
 def _write_log(log: list[tuple[float, ...]], path: Path) -> None:
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(LOG)
         writer.writerows([f"{value:.6g}" for value in row] for row in log)

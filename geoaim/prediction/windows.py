@@ -52,7 +52,7 @@ class Windows:
 Change = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
 
 
-def unchanged(image: Float32[Array, "H W 3"], metres_per_pixel: float) -> Float32[Array, "H W 3"]:
+def unchanged(image: Float32[Array, "H W 3"], resolution: float) -> Float32[Array, "H W 3"]:
     """The image."""
     return image
 

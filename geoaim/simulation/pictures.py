@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from geoaim.encode import write_video
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.simulation.birdview import render
 from geoaim.simulation.ground import View, fit_ground
 from geoaim.simulation.layers import agents_at, lights_at, trails_at
@@ -63,7 +63,7 @@ def write_pictures(
     if path.suffix.lower() == ".mp4":
         write_video(chain([first], every), path, frame_rate=rate)
         return
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         if path.suffix.lower() == ".gif":
             rest = [Image.fromarray(picture) for picture in every]
             start = Image.fromarray(first)

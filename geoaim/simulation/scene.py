@@ -13,10 +13,10 @@ from geoaim.aim import AIM, rectify
 from geoaim.errors import MapError, TracksError
 from geoaim.hdmap.drivable import lane_directions, signed_distance
 from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.lights import UNKNOWN, Lights, states_at
+from geoaim.lights import UNKNOWN, Lights, find_light_states
 from geoaim.simulation.ground import Ground, make_ground, on_device
 from geoaim.simulation.infractions import Drivable, Lanes
-from geoaim.track_changes import tracks_in
+from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
 
@@ -79,7 +79,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
             or the lights' states are told for other times only.
         MapError: the map lies too far from its world's origin.
     """
-    tracks = tracks_in(tracks, aim.world)
+    tracks = to_world(tracks, aim.world)
     poses = tracks.states[..., :3]
     _check_near("map", aim.corners)
     low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
@@ -94,7 +94,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
                 f"{lights.world.crs or 'a plane of their own'}; give both a place on the Earth"
             )
         lines = _moved(lights.lines.reshape(-1, 2), lights.world, aim.world).reshape(-1, 2, 2)
-        states = states_at(lights, tracks.times)
+        states = find_light_states(lights, tracks.times)
         check_touches("stop line", lines.reshape(-1, 2), low, high)
         if (states == UNKNOWN).all():
             raise TracksError(

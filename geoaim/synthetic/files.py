@@ -21,7 +21,7 @@ from shapely import Point, Polygon
 from geoaim.encode import write_video
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
 from geoaim.synthetic.imagery import (
     WEB,
@@ -55,7 +55,7 @@ OWN = (
 
 
 def write_sample(
-    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress = silent
+    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress = no_progress
 ) -> None:
     """Write the files of a sample and their truth; `README.md` in the folder says what each is.
 
@@ -200,8 +200,8 @@ def _write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
         present=tracks.present[:, -1:],
     )
     offset = draw_offset(place)
-    day, m = another_day(place), sample.metres_per_pixel
-    photo = photograph(place, day, last, metres_per_pixel=m)
+    day, m = another_day(place), sample.resolution
+    photo = photograph(place, day, last, resolution=m)
     _write_geotiff(
         georeference_photo(place, photo, "EPSG:3035", offset=offset), folder / "ortho.tif"
     )
@@ -245,7 +245,7 @@ def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> N
             yield frame
 
     write_video(frames(), folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
-    world_from_still = world_from_image(place, sample.metres_per_pixel)
+    world_from_still = world_from_image(place, sample.resolution)
     world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
     _write_control_points(place, clip, world_from_frame, folder / "gcps.csv")
     _write_boxes(clip, folder / "boxes")

@@ -6,7 +6,7 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.camera import Clip, Hover, Traffic, film
-from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, world_from_image
+from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.scenery.cutouts import draw_person, draw_vehicle
 from geoaim.synthetic.scenery.day import Day, throw
 from geoaim.synthetic.scenery.things import CAR, PAINTS
@@ -23,7 +23,7 @@ def film_place(
     hover: Hover,
     *,
     size: tuple[int, int],
-    metres_per_pixel: float = METRES_PER_PIXEL,
+    resolution: float = RESOLUTION,
 ) -> Clip:
     """A clip of a place and its traffic; frames come from `hover_frames(clip)`.
 
@@ -33,28 +33,28 @@ def film_place(
         tracks: of the traffic at the times of the frames, some metres past the page.
         hover: how it is filmed.
         size: height and width of a frame, pixels.
-        metres_per_pixel: of the drawn place.
+        resolution: of the drawn place.
 
     Raises:
         ValueError: there are not as many times as frames.
     """
-    shadow = CAR * throw(day) * (1 - day.clouds) / metres_per_pixel
+    shadow = CAR * throw(day) * (1 - day.clouds) / resolution
     colours = np.random.default_rng([place.seed, COLOURS])
     traffic = Traffic(
-        sprites=draw_agents(tracks, metres_per_pixel, colours),
-        sizes=tracks.sizes / metres_per_pixel,
-        poses=image_poses(place, tracks, metres_per_pixel),
+        sprites=draw_agents(tracks, resolution, colours),
+        sizes=tracks.sizes / resolution,
+        poses=image_poses(place, tracks, resolution),
         shadow=(float(shadow[0]), float(-shadow[1])),
         types=tracks.types,
     )
     generator = np.random.default_rng([place.seed, CAMERA])
-    still = draw_place(place, day, metres_per_pixel=metres_per_pixel)
+    still = draw_place(place, day, resolution=resolution)
     return film(still, traffic, hover, height=size[0], width=size[1], generator=generator)
 
 
-def image_poses(place: Place, tracks: Tracks, metres_per_pixel: float) -> Float[Array, "T N 3"]:
+def image_poses(place: Place, tracks: Tracks, resolution: float) -> Float[Array, "T N 3"]:
     """Where agents are in the drawn place: pixels and heading (counter-clockwise as seen)."""
-    image_from_world = np.linalg.inv(world_from_image(place, metres_per_pixel))
+    image_from_world = np.linalg.inv(world_from_image(place, resolution))
     pixels = transform_points(image_from_world, tracks.states[..., :2])
     turn = np.arctan2(place.world_from_plan[1, 0], place.world_from_plan[0, 0])
     poses = np.concatenate([pixels, tracks.states[..., 2:3] - turn], axis=-1)
@@ -62,7 +62,7 @@ def image_poses(place: Place, tracks: Tracks, metres_per_pixel: float) -> Float[
 
 
 def draw_agents(
-    tracks: Tracks, metres_per_pixel: float, generator: np.random.Generator
+    tracks: Tracks, resolution: float, generator: np.random.Generator
 ) -> tuple[UInt8[Array, "_ _ 4"], ...]:
     """A picture of each agent from above; colours are drawn by chance."""
     sprites = []
@@ -70,7 +70,7 @@ def draw_agents(
         paint = PAINTS[int(generator.integers(len(PAINTS)))]
         cloth = CLOTHES[int(generator.integers(len(CLOTHES)))]
         if kind in ("pedestrian", "cyclist"):
-            sprites.append(draw_person(cloth, metres_per_pixel, cycle=kind == "cyclist"))
+            sprites.append(draw_person(cloth, resolution, cycle=kind == "cyclist"))
         else:
-            sprites.append(draw_vehicle(length, width, paint, metres_per_pixel))
+            sprites.append(draw_vehicle(length, width, paint, resolution))
     return tuple(sprites)

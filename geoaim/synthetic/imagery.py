@@ -11,7 +11,7 @@ from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.camera import paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
-from geoaim.synthetic.place import METRES_PER_PIXEL, Place, draw_place, world_from_image
+from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.roads.layouts import KINDS
 from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
 from geoaim.synthetic.scenery.day import SEASONS, Day
@@ -29,7 +29,7 @@ class Sensor:
     """What took a picture from far above.
 
     Attributes:
-        metres_per_pixel: on the ground.
+        resolution: on the ground.
         blur: standard deviation of its blur, its own pixels.
         noise: standard deviation of its noise, grey levels.
         gamma: of its grey levels.
@@ -37,7 +37,7 @@ class Sensor:
         mix: how far its colours are mixed with each other, 0 to 1.
     """
 
-    metres_per_pixel: float = 0.2
+    resolution: float = 0.2
     blur: float = 0.6
     noise: float = 2.5
     gamma: float = 0.9
@@ -84,17 +84,17 @@ def photograph(
     tracks: Tracks,
     sensor: Sensor | None = None,
     *,
-    metres_per_pixel: float = METRES_PER_PIXEL,
+    resolution: float = RESOLUTION,
 ) -> UInt8[Array, "_ _ 3"]:
     """A place from far above on some day, with the traffic of the tracks' first time.
 
     Its sides are those of the drawn place, at the sensor's resolution; it is drawn finer, at
-    `metres_per_pixel`.
+    `resolution`.
     """
     generator = _generator(place, day.number)
-    still = draw_place(place, day, metres_per_pixel=metres_per_pixel)
-    agents = draw_agents(tracks, metres_per_pixel, generator)
-    paste(still, agents, image_poses(place, tracks, metres_per_pixel)[0])
+    still = draw_place(place, day, resolution=resolution)
+    agents = draw_agents(tracks, resolution, generator)
+    paste(still, agents, image_poses(place, tracks, resolution)[0])
     return _sense(still, Sensor() if sensor is None else sensor, generator)
 
 
@@ -183,7 +183,7 @@ def _sense(
     still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
     """The drawn place as the sensor renders it, at its resolution."""
-    width, height = (round(side / sensor.metres_per_pixel) for side in (WIDTH, HEIGHT))
+    width, height = (round(side / sensor.resolution) for side in (WIDTH, HEIGHT))
     small = blur(resize(still, (width, height)), sensor.blur)
     levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)
     light = levels[small] * np.asarray(sensor.balance, np.float32)

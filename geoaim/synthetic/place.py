@@ -16,7 +16,7 @@ from geoaim.synthetic.scenery.scene import Scenery
 from geoaim.synthetic.scenery.things import draw_things, grade
 from geoaim.world import World
 
-METRES_PER_PIXEL = 0.05
+RESOLUTION = 0.05
 CONTRAST = (0.75, 1.45)  # of the cameras
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 PLAN, SCENERY, GROUND, DAY = range(4)  # streams of random numbers
@@ -56,7 +56,7 @@ def make_place(seed: int, *, kind: Kind = "junction") -> Place:
 
 
 def draw_place(
-    place: Place, day: Day | None = None, *, metres_per_pixel: float = METRES_PER_PIXEL
+    place: Place, day: Day | None = None, *, resolution: float = RESOLUTION
 ) -> UInt8[Array, "H W 3"]:
     """The place from above on some day, without traffic.
 
@@ -64,7 +64,7 @@ def draw_place(
     and resize it.
     """
     day = Day() if day is None else day
-    page = blank_page(HEIGHT, WIDTH, metres_per_pixel, _generator(place.seed, GROUND))
+    page = blank_page(HEIGHT, WIDTH, resolution, _generator(place.seed, GROUND))
     generator = _generator(place.seed, DAY, day.number)
     draw_ground(page, place.roads, place.scenery, day, generator)
     draw_things(page, place.scenery, day, generator)
@@ -72,16 +72,14 @@ def draw_place(
     return np.rint(np.minimum(np.maximum(page.image, 0), 255)).astype(np.uint8)
 
 
-def world_from_image(
-    place: Place, metres_per_pixel: float = METRES_PER_PIXEL
-) -> Float[Array, "3 3"]:
+def world_from_image(place: Place, resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
     """Pixels of a drawn place (corner origin) to metres from `place.world.origin`."""
-    return place.world_from_plan @ plan_from_image(metres_per_pixel)
+    return place.world_from_plan @ plan_from_image(resolution)
 
 
-def plan_from_image(metres_per_pixel: float = METRES_PER_PIXEL) -> Float[Array, "3 3"]:
+def plan_from_image(resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
     """Pixels of a drawn place (corner origin) to plan metres."""
-    m = metres_per_pixel
+    m = resolution
     left, top = (-m * round(side / m) / 2 for side in (WIDTH, HEIGHT))
     return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from string import Template
 
-from geoaim.synthetic.place import METRES_PER_PIXEL
+from geoaim.synthetic.place import RESOLUTION
 from geoaim.synthetic.sample import HOVER, VIDEOS, Sample
 
 TITLE = "# Sample\n\nA made place"  # how it begins
@@ -38,9 +38,9 @@ def _command(sample: Sample, minutes: float) -> str:
     sizes = {size: name for name, size in VIDEOS.items()}
     video = "none" if clip is None else sizes.get((clip.height, clip.width))
     usual = clip is None or clip.hover == HOVER
-    if video and usual and sample.metres_per_pixel == METRES_PER_PIXEL:
+    if video and usual and sample.resolution == RESOLUTION:
         options = f"--seed {seed} --kind {kind} --minutes {minutes:g} --video {video}"
         return f"geoaim sample FOLDER {options}"
     given = "None" if clip is None else f"({clip.height}, {clip.width}), hover={clip.hover}"
-    given = f"{given}, metres_per_pixel={sample.metres_per_pixel:g}"
+    given = f"{given}, resolution={sample.resolution:g}"
     return f'make_sample({seed}, kind="{kind}", minutes={minutes:g}, video={given})'

@@ -6,7 +6,7 @@ import numpy as np
 
 from geoaim.synthetic.camera import Clip, Hover
 from geoaim.synthetic.filming import film_place
-from geoaim.synthetic.place import METRES_PER_PIXEL, Place, make_place
+from geoaim.synthetic.place import RESOLUTION, Place, make_place
 from geoaim.synthetic.roads.layouts import Kind
 from geoaim.synthetic.scenery.day import Day
 from geoaim.synthetic.traffic.replay import replay
@@ -42,14 +42,14 @@ class Sample:
         flow: its traffic's rules.
         recordings: one after the other, each of at most five minutes.
         clip: of the first recording, from its start; None: nobody filmed it.
-        metres_per_pixel: at which the place is drawn.
+        resolution: at which the place is drawn.
     """
 
     place: Place
     flow: Flow
     recordings: tuple[Recording, ...]
     clip: Clip | None
-    metres_per_pixel: float
+    resolution: float
 
 
 def make_sample(
@@ -59,7 +59,7 @@ def make_sample(
     minutes: float = 1.0,
     video: tuple[int, int] | None = VIDEOS["720p"],
     hover: Hover = HOVER,
-    metres_per_pixel: float = METRES_PER_PIXEL,
+    resolution: float = RESOLUTION,
 ) -> Sample:
     """Make a place and let its traffic run; frames come from `hover_frames(sample.clip)`.
 
@@ -69,7 +69,7 @@ def make_sample(
         minutes: of traffic.
         video: height and width of its frames, pixels; None for no video.
         hover: how the drone films.
-        metres_per_pixel: of the drawn place, 0.05 to 0.2.
+        resolution: of the drawn place, 0.05 to 0.2.
 
     Raises:
         ValueError: there is no such kind, less traffic than video, or more video than fits in one
@@ -99,10 +99,8 @@ def make_sample(
         given = place.world_from_plan, place.world
         times = np.arange(hover.count) / hover.frame_rate
         tracks = replay(flow, recordings[0], *given, times=times, margin=MARGIN)
-        clip = film_place(
-            place, Day(), tracks, hover, size=video, metres_per_pixel=metres_per_pixel
-        )
-    return Sample(place, flow, recordings, clip, metres_per_pixel)
+        clip = film_place(place, Day(), tracks, hover, size=video, resolution=resolution)
+    return Sample(place, flow, recordings, clip, resolution)
 
 
 def tracks_of(sample: Sample, number: int = 0) -> Tracks:

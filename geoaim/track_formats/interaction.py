@@ -9,7 +9,7 @@ import numpy as np
 from geoaim.errors import GeoaimWarning
 from geoaim.track_formats.columns import need_columns, need_numbers, sizes_of, types_of
 from geoaim.track_formats.motion import LEAST, kept_heading, warn_of_backwards
-from geoaim.tracks import Tracks, read_table, tracks_of_rows
+from geoaim.tracks import Tracks, make_tracks, read_table
 from geoaim.world import World
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
             GeoaimWarning,
             stacklevel=2,
         )
-    tracks = tracks_of_rows(once, world if world is not None else World(None))
+    tracks = make_tracks(once, world if world is not None else World(None))
     warn_of_backwards(path, tracks)
     return tracks
 
@@ -63,7 +63,7 @@ def read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
 
 
 def rows_of_states(table: "DataFrame", *, heading: str) -> "DataFrame":
-    """Rows for `tracks_of_rows`; a heading that is missing comes from the velocity."""
+    """Rows for `make_tracks`; a heading that is missing comes from the velocity."""
     import pandas as pd
 
     rows = pd.DataFrame(

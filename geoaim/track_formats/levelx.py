@@ -14,7 +14,7 @@ from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.track_formats.columns import need_columns, need_numbers, sizes_of, types_of
 from geoaim.track_formats.motion import kept_heading, signed_speed, warn_of_backwards
-from geoaim.tracks import Tracks, read_table, tracks_of_rows
+from geoaim.tracks import Tracks, make_tracks, read_table
 from geoaim.world import World, utm_crs
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
     rows[["length", "width"]] = sizes_of(rows)
     crs = utm_crs(recording["lonLocation"], recording["latLocation"])
     world = World(crs, (recording["xUtmOrigin"], recording["yUtmOrigin"]))
-    tracks = tracks_of_rows(rows, world)
+    tracks = make_tracks(rows, world)
     warn_of_backwards(path, tracks)
     return tracks
 
@@ -108,7 +108,7 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     never = ~moving.groupby(rows["id"]).transform("any")
     along = np.where(towards == "1", -np.pi, 0.0)  # the upper carriageway goes left
     rows["heading"] = rows["heading"].where(~never, along)
-    return tracks_of_rows(kept_heading(rows), World(None))
+    return make_tracks(kept_heading(rows), World(None))
 
 
 def _numbers(path: str | os.PathLike[str], name: str, numbers: tuple[str, ...]) -> "DataFrame":

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning
-from geoaim.tracks import COLUMNS, Tracks, heading_of_motion, tracks_of_rows
+from geoaim.tracks import COLUMNS, Tracks, estimate_heading, make_tracks
 from geoaim.world import World
 
 if TYPE_CHECKING:
@@ -29,14 +29,14 @@ def with_motion(tracks: Tracks, *, reach: float) -> Tracks:
     """
     velocity = velocity_of(tracks, reach)
     states = tracks.states.copy()
-    states[..., 2] = np.where(tracks.present, heading_of_motion(velocity), np.nan)
+    states[..., 2] = np.where(tracks.present, estimate_heading(velocity), np.nan)
     states[..., 3] = np.where(tracks.present, np.hypot(velocity[..., 0], velocity[..., 1]), np.nan)
     return replace(tracks, states=states)
 
 
 def tracks_of_places(rows: "DataFrame", world: World, *, reach: float) -> Tracks:
     """Tracks from rows without heading and speed."""
-    tracks = tracks_of_rows(rows.assign(heading=0.0, speed=0.0)[list(COLUMNS)], world)
+    tracks = make_tracks(rows.assign(heading=0.0, speed=0.0)[list(COLUMNS)], world)
     return with_motion(tracks, reach=reach)
 
 

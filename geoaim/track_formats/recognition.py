@@ -32,7 +32,7 @@ def read_any(
     path: str | os.PathLike[str],
     *,
     world: World | None = None,
-    metres_per_pixel: float | None = None,
+    resolution: float | None = None,
 ) -> Tracks:
     """Read tracks in any form that this package knows, told from the file's columns.
 
@@ -43,7 +43,7 @@ def read_any(
         path: a file, or the folder of a recording of SinD.
         world: where x and y lie, for the forms that do not say it, INTERACTION's and SinD's; of
             geo-trax's, which has the full coordinates, only the CRS counts.
-        metres_per_pixel: of the image, for the forms in its pixels.
+        resolution: of the image, for the forms in its pixels.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -54,15 +54,15 @@ def read_any(
     pixels, placeless = form in ("SDD", "TrajNet"), form in ("INTERACTION", "SinD", "geo-trax")
     if world is not None and not placeless:
         raise ValueError(f"{path} is of {form}'s form, which has its own plane; give no world")
-    if metres_per_pixel is not None and not pixels:
-        raise ValueError(f"{path} is of {form}'s form, in metres; give no metres_per_pixel")
+    if resolution is not None and not pixels:
+        raise ValueError(f"{path} is of {form}'s form, in metres; give no resolution")
     match form:
         case "SDD":
-            if metres_per_pixel is None:
-                raise ValueError(f"{path} is in pixels; pass metres_per_pixel, such as 0.04")
-            return read_sdd(path, metres_per_pixel=metres_per_pixel)
+            if resolution is None:
+                raise ValueError(f"{path} is in pixels; pass resolution, such as 0.04")
+            return read_sdd(path, resolution=resolution)
         case "TrajNet":
-            return read_trajnet(path, metres_per_pixel=metres_per_pixel)
+            return read_trajnet(path, resolution=resolution)
         case "INTERACTION":
             return read_interaction(path, world=world)
         case "SinD":

@@ -9,7 +9,7 @@ from geoaim.errors import TracksError
 from geoaim.track_formats.columns import need_columns
 from geoaim.track_formats.interaction import read_states, rows_of_states
 from geoaim.track_formats.motion import signed_speed, warn_of_backwards
-from geoaim.tracks import Tracks, tracks_of_rows
+from geoaim.tracks import Tracks, make_tracks
 from geoaim.world import World
 
 FILES = ("Veh_smoothed_tracks.csv", "Ped_smoothed_tracks.csv")
@@ -44,6 +44,6 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
         velocity = table[["vx", "vy"]].to_numpy(np.float64)
         signed = signed_speed(velocity, rows[-1]["heading"].to_numpy())
         rows[-1]["speed"] = np.where(boxes, signed, rows[-1]["speed"])
-    tracks = tracks_of_rows(pd.concat(rows), world if world is not None else World(None))
+    tracks = make_tracks(pd.concat(rows), world if world is not None else World(None))
     warn_of_backwards(path, tracks)
     return tracks

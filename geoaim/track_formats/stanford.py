@@ -24,7 +24,7 @@ SDD_SIZES = {
 SDD_TYPES = {"Pedestrian": "pedestrian", "Biker": "cyclist"}
 
 
-def read_sdd(path: str | os.PathLike[str], *, metres_per_pixel: float) -> Tracks:
+def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
     """Read an annotation file of the Stanford Drone Dataset, also when gzipped.
 
     x is to the right and y up in the reference image, metres from its top-left corner; speeds and
@@ -32,7 +32,7 @@ def read_sdd(path: str | os.PathLike[str], *, metres_per_pixel: float) -> Tracks
 
     Args:
         path: `annotations.txt` or `annotations.txt.gz`.
-        metres_per_pixel: of the reference image.
+        resolution: of the reference image.
 
     Raises:
         TracksError: the file is not of that form, or nobody is seen in it.
@@ -40,7 +40,7 @@ def read_sdd(path: str | os.PathLike[str], *, metres_per_pixel: float) -> Tracks
     """
     import pandas as pd
 
-    _check_resolution(metres_per_pixel)
+    _check_resolution(resolution)
     names = ["id", "left", "top", "right", "bottom", "frame", "lost", "occluded", "made", "label"]
     table = read_table(path, text=(9,), sep=" ", header=None)
     if table.shape[1] != len(names):
@@ -58,8 +58,8 @@ def read_sdd(path: str | os.PathLike[str], *, metres_per_pixel: float) -> Tracks
             "id": table["id"].astype(str),
             "type": [SDD_TYPES.get(label, label.lower()) for label in table["label"]],
             "time": table["frame"] / SDD_RATE,
-            "x": 0.5 * metres_per_pixel * (table["left"] + table["right"]),
-            "y": -0.5 * metres_per_pixel * (table["top"] + table["bottom"]),
+            "x": 0.5 * resolution * (table["left"] + table["right"]),
+            "y": -0.5 * resolution * (table["top"] + table["bottom"]),
             "length": sizes[:, 0],
             "width": sizes[:, 1],
         }
@@ -67,7 +67,7 @@ def read_sdd(path: str | os.PathLike[str], *, metres_per_pixel: float) -> Tracks
     return tracks_of_places(rows, World(None), reach=0.5)
 
 
-def read_trajnet(path: str | os.PathLike[str], *, metres_per_pixel: float | None = None) -> Tracks:
+def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = None) -> Tracks:
     """Read TrajNet's windows of a scene of the Stanford Drone Dataset: `frame, track, u_px, v_px`.
 
     All windows stand in one recording of 2.5 Hz, each an agent of 20 steps (8 to observe, 12 to
@@ -77,7 +77,7 @@ def read_trajnet(path: str | os.PathLike[str], *, metres_per_pixel: float | None
 
     Args:
         path: a .csv file of one scene.
-        metres_per_pixel: of the scene's image; when None that in `scenes.csv`, a table of scene
+        resolution: of the scene's image; when None that in `scenes.csv`, a table of scene
             and metres_per_pixel in the file's folder or the one above.
 
     Raises:
@@ -86,9 +86,9 @@ def read_trajnet(path: str | os.PathLike[str], *, metres_per_pixel: float | None
     """
     import pandas as pd
 
-    if metres_per_pixel is None:
-        metres_per_pixel = _known_resolution(Path(path))
-    _check_resolution(metres_per_pixel)
+    if resolution is None:
+        resolution = _known_resolution(Path(path))
+    _check_resolution(resolution)
     table = read_table(path, text=("track",))
     need_columns(path, table, ("frame", "track", "u_px", "v_px"))
     need_numbers(path, table, ("frame", "u_px", "v_px"))
@@ -98,8 +98,8 @@ def read_trajnet(path: str | os.PathLike[str], *, metres_per_pixel: float | None
             "id": table["track"],
             "type": "pedestrian",
             "time": table["frame"] / SDD_RATE,
-            "x": metres_per_pixel * table["u_px"],
-            "y": -metres_per_pixel * table["v_px"],
+            "x": resolution * table["u_px"],
+            "y": -resolution * table["v_px"],
             "length": length,
             "width": width,
         }
@@ -120,10 +120,10 @@ def _known_resolution(path: Path) -> float:
                     return float(found.iloc[0])
     raise ValueError(
         f"{path} is in pixels, and no scenes.csv beside it tells their size for {path.stem!r}; "
-        "pass metres_per_pixel, such as 0.04"
+        "pass resolution, such as 0.04"
     )
 
 
-def _check_resolution(metres_per_pixel: float) -> None:
-    if not 0 < metres_per_pixel < np.inf:
-        raise ValueError(f"metres_per_pixel is {metres_per_pixel}; a positive number is needed")
+def _check_resolution(resolution: float) -> None:
+    if not 0 < resolution < np.inf:
+        raise ValueError(f"resolution is {resolution}; a positive number is needed")

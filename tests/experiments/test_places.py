@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.aim import pixel_size
 from geoaim.experiments import EXPERIMENTS, cases, models, people, places, vehicles
 from geoaim.experiments.learning import PEOPLE, TRAININGS, VEHICLES, judge, lessons_of
 from geoaim.experiments.models import RECIPES
@@ -23,7 +22,7 @@ from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import Measure
-from geoaim.progress import silent
+from geoaim.progress import no_progress
 
 SMALL = replace(VEHICLES, size=16, resolution=3.0)
 
@@ -55,7 +54,7 @@ def test_every_map_lies_where_the_place_does(folder, name):
     assert (found.corners.min(axis=0) < middle).all()
     assert (middle < found.corners.max(axis=0)).all()
     if name == "degraded":
-        coarse = round(COARSE / pixel_size(aim))
+        coarse = round(COARSE / aim.resolution)
         apart = found.image.astype(float) - cv2.GaussianBlur(aim.image, (0, 0), coarse)
         assert 30 < apart.std() < 60  # noise of 51, cut off at both ends
         rows, columns = (side // coarse for side in apart.shape[:2])
@@ -166,7 +165,7 @@ def test_trainings_of_one_model_are_judged_as_one(monkeypatch, tmp_path):
     }
     for name, fake in fakes.items():
         monkeypatch.setattr(cases, name, fake)
-    cases.run_table("vehicles", table, tmp_path, silent)
+    cases.run_table("vehicles", table, tmp_path, no_progress)
     assert written["tables"]["AIM"]["minADE"].mean == 2
     assert len(asked) == len(set(asked))  # nothing is judged twice
     assert ("1", "junction", "aim", 1.0, True) in asked

@@ -83,7 +83,7 @@ def test_without_points_and_telemetry_the_message_says_what_to_give(frames):
 
 
 def test_a_pixel_size_gives_a_local_map_marked_as_approximate(frames):
-    place = local_georeference(pixel_size=0.1, size=(360, 640))
+    place = local_georeference(resolution=0.1, size=(360, 640))
     aim = build_aim(frames, place)
     assert aim.world.crs is None
     assert aim.report["georeference"]["approximate"]
@@ -101,12 +101,12 @@ def test_a_flight_past_the_reference_is_said():
     ground = textured(np.random.default_rng(8), 360, 1400)
     frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]
     with pytest.warns(GeoaimWarning, match="the view leaves the reference"):
-        build_aim(frames, local_georeference(pixel_size=0.1, size=(360, 500)))
+        build_aim(frames, local_georeference(resolution=0.1, size=(360, 500)))
 
 
 def test_a_georeference_of_another_size_is_refused(frames):
     with pytest.raises(ValueError, match="2000 x 1000 px, the frames have 640 x 360"):
-        build_aim(frames, local_georeference(pixel_size=0.1, size=(1000, 2000)))
+        build_aim(frames, local_georeference(resolution=0.1, size=(1000, 2000)))
 
 
 def test_a_frame_number_past_the_end_is_refused(frames):

@@ -21,7 +21,7 @@ from geoaim.prediction.predict import predict
 from geoaim.prediction.segments import cut_segments
 from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import make_scene, scene_steps
-from geoaim.track_changes import resample
+from geoaim.track_changes import resample_tracks
 from tests.prediction.made import TINY
 
 run = CliRunner().invoke
@@ -33,7 +33,7 @@ def hdmap():
 
 
 def sample_scene(hdmap, rate=10.0):
-    tracks = resample(geoaim.read_tracks("samples/tracks.csv"), rate)
+    tracks = resample_tracks(geoaim.read_tracks("samples/tracks.csv"), rate)
     lights = read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
     return make_scene(draw_hdmap(hdmap, resolution=0.5), tracks, lights)
 

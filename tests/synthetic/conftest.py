@@ -13,7 +13,7 @@ SMALL = Hover(count=25, frame_rate=2.0, drift=4.0, perspective=0.3)
 @pytest.fixture(scope="session")
 def sample():
     """A junction, drawn coarsely, with a short video."""
-    return make_sample(3, minutes=0.3, video=(180, 320), hover=SMALL, metres_per_pixel=0.2)
+    return make_sample(3, minutes=0.3, video=(180, 320), hover=SMALL, resolution=0.2)
 
 
 @pytest.fixture(scope="session", params=KINDS)

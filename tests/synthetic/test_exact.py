@@ -17,7 +17,7 @@ MADE = """
 import hashlib, numpy as np
 from geoaim.synthetic import Hover, make_sample, render_frame, tracks_of
 sample = make_sample(4, minutes=0.2, video=(180, 320), hover=Hover(count=20, frame_rate=2.0),
-                     metres_per_pixel=0.2)
+                     resolution=0.2)
 digest = hashlib.sha256()
 tracks = tracks_of(sample)
 digest.update(np.round(tracks.states[tracks.present], 6).tobytes())

@@ -108,7 +108,7 @@ def without_imagery(monkeypatch):
 
 @pytest.mark.usefixtures("without_imagery")
 def test_another_sample_takes_the_place_of_the_whole_old_one(tmp_path):
-    small = {"minutes": 0.21, "metres_per_pixel": 0.2}
+    small = {"minutes": 0.21, "resolution": 0.2}
     first = make_sample(2, kind="street", video=(90, 160), hover=Hover(count=3), **small)
     write_sample(first, tmp_path / "there")
     assert (tmp_path / "there" / "lights.csv").exists()
@@ -124,7 +124,7 @@ def test_another_sample_takes_the_place_of_the_whole_old_one(tmp_path):
 
 @pytest.mark.usefixtures("without_imagery")
 def test_sample_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
-    sample = make_sample(2, kind="t", minutes=0.1, video=None, metres_per_pixel=0.2)
+    sample = make_sample(2, kind="t", minutes=0.1, video=None, resolution=0.2)
     write_sample(sample, tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     monkeypatch.setattr("geoaim.synthetic.files._write_imagery", _fail)
@@ -228,7 +228,7 @@ def test_map_of_the_video_lies_on_the_truth(sample, folder):
 
 
 def test_sample_without_video_or_lights_leaves_their_files_out(tmp_path):
-    sample = make_sample(2, kind="roundabout", minutes=0.05, video=None, metres_per_pixel=0.2)
+    sample = make_sample(2, kind="roundabout", minutes=0.05, video=None, resolution=0.2)
     write_sample(sample, tmp_path)
     names = {path.name for path in tmp_path.iterdir()}
     assert not names & {"hover.mp4", "gcps.csv", "lights.csv", "boxes"}

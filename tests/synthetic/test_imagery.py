@@ -33,7 +33,7 @@ def photo(place):
         (),
         place.world,
     )
-    return photograph(place, another_day(place), nobody, Sensor(0.4), metres_per_pixel=0.2)
+    return photograph(place, another_day(place), nobody, Sensor(0.4), resolution=0.2)
 
 
 def _middle_in(place, crs):

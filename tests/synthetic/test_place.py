@@ -21,7 +21,7 @@ def place(request):
 
 @pytest.fixture(scope="module")
 def picture(place):
-    return draw_place(place, metres_per_pixel=COARSE)
+    return draw_place(place, resolution=COARSE)
 
 
 def _grey_at(picture, points):
@@ -42,9 +42,9 @@ def test_picture_has_the_pages_size(picture):
 
 def test_same_seed_gives_the_same_picture(place, picture):
     again = make_place(6, kind=place.roads.layout.kind)
-    np.testing.assert_array_equal(draw_place(again, metres_per_pixel=COARSE), picture)
+    np.testing.assert_array_equal(draw_place(again, resolution=COARSE), picture)
     other = make_place(7, kind=place.roads.layout.kind)
-    assert not np.array_equal(draw_place(other, metres_per_pixel=COARSE), picture)
+    assert not np.array_equal(draw_place(other, resolution=COARSE), picture)
 
 
 def test_paint_is_bright_where_the_plan_has_it(place, picture):
@@ -68,16 +68,16 @@ def test_grass_is_green_and_tar_is_grey(place, picture):
 
 def test_another_day_has_other_cars_and_shadows_on_the_same_ground(place, picture):
     day = Day("winter", azimuth=0.5, elevation=0.6, number=3, changes=6)
-    later = draw_place(place, day, metres_per_pixel=COARSE)
+    later = draw_place(place, day, resolution=COARSE)
     assert np.abs(later.astype(int) - picture).mean() > 10
-    changed = draw_place(place, replace(day, changes=0), metres_per_pixel=COARSE)
+    changed = draw_place(place, replace(day, changes=0), resolution=COARSE)
     assert not np.array_equal(changed, later)
 
 
 def test_clouds_take_the_shadows():
     place = make_place(6, kind="street")
     sunny, cloudy = (
-        draw_place(place, Day(clouds=clouds), metres_per_pixel=COARSE) for clouds in (0.0, 1.0)
+        draw_place(place, Day(clouds=clouds), resolution=COARSE) for clouds in (0.0, 1.0)
     )
     gain = cloudy.mean(axis=-1) / np.maximum(sunny.mean(axis=-1), 1)
     assert np.percentile(gain, 97) > 1.5 * np.median(gain)

@@ -43,7 +43,7 @@ def test_sdd_turns_boxes_into_metres_and_motion_into_headings(tmp_path):
     lines.append('1 0 0 10 10 0 1 0 0 "Pedestrian"')  # lost
     path = tmp_path / "annotations.txt.gz"
     path.write_bytes(gzip.compress("\n".join(lines).encode()))
-    tracks = read_sdd(path, metres_per_pixel=0.1)
+    tracks = read_sdd(path, resolution=0.1)
     assert tracks.types == ("cyclist",)
     np.testing.assert_allclose(tracks.states[0, 0, :2], [1.0, -12.0])
     np.testing.assert_allclose(tracks.states[0, :, 2], 0.0, atol=1e-9)
@@ -78,7 +78,7 @@ def test_real_files_read(data_folder):
     songdo = read_geotrax(data_folder / "tracks/songdo_u/U_video_cut.csv", crs="EPSG:5186")
     assert songdo.present.shape == (144, 150)
     path = next((data_folder / "tracks/sdd_raw").glob("gates/video4/annotations.txt.gz"))
-    people = read_sdd(path, metres_per_pixel=0.0441)
+    people = read_sdd(path, resolution=0.0441)
     assert "pedestrian" in people.types
     walking = people.states[[t == "pedestrian" for t in people.types], :, 3]
     assert 0.8 < np.nanmedian(walking[walking > 0.5]) < 1.8
@@ -108,8 +108,8 @@ def test_who_stands_keeps_the_direction(tmp_path):
         (read_interaction, SHORT + "1,0,car,0,0,1,0,9\n", "more fields"),
         (read_geotrax, GEOTRAX, "has no rows"),
         (read_geotrax, GEOTRAX + "1,noon,0,0,0,1,2,37,126,4,2,0\n", "Timestamp is no time"),
-        (partial(read_sdd, metres_per_pixel=0.1), "0 1 2 3 4 5 1 0 0 Biker\n", "are lost"),
-        (partial(read_sdd, metres_per_pixel=0.1), "0 1 2 3\n", "4 columns; 10 are needed"),
+        (partial(read_sdd, resolution=0.1), "0 1 2 3 4 5 1 0 0 Biker\n", "are lost"),
+        (partial(read_sdd, resolution=0.1), "0 1 2 3\n", "4 columns; 10 are needed"),
     ],
 )
 def test_broken_files_are_refused_in_words(tmp_path, read, text, message):
@@ -121,4 +121,4 @@ def test_broken_files_are_refused_in_words(tmp_path, read, text, message):
 
 def test_sdd_needs_a_resolution(tmp_path):
     with pytest.raises(ValueError, match="positive number"):
-        read_sdd(tmp_path / "a.txt", metres_per_pixel=0.0)
+        read_sdd(tmp_path / "a.txt", resolution=0.0)

@@ -52,13 +52,13 @@ def test_world_is_that_of_who_does_not_say_it(tmp_path):
 def test_what_a_form_needs_is_asked_for_and_what_it_does_not_is_refused(tmp_path):
     path = tmp_path / "annotations.txt"
     path.write_text('0 10 10 20 20 0 0 0 0 "Biker"\n')
-    with pytest.raises(ValueError, match=r"is in pixels; pass metres_per_pixel, such as 0.04"):
+    with pytest.raises(ValueError, match=r"is in pixels; pass resolution, such as 0.04"):
         read_any(path)
-    assert read_any(path, metres_per_pixel=0.1).types == ("cyclist",)
+    assert read_any(path, resolution=0.1).types == ("cyclist",)
     with pytest.raises(ValueError, match="SDD's form, which has its own plane; give no world"):
-        read_any(path, metres_per_pixel=0.1, world=World(None))
-    with pytest.raises(ValueError, match="inD's form, in metres; give no metres_per_pixel"):
-        read_any(test_levelx._write_ind(tmp_path), metres_per_pixel=0.1)
+        read_any(path, resolution=0.1, world=World(None))
+    with pytest.raises(ValueError, match="inD's form, in metres; give no resolution"):
+        read_any(test_levelx._write_ind(tmp_path), resolution=0.1)
 
 
 @pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"", bytes(range(128, 256))])
@@ -87,7 +87,7 @@ def _windows(folder):
 
 
 def test_trajnet_windows_stand_in_one_recording_in_metres(tmp_path):
-    tracks = read_trajnet(_windows(tmp_path), metres_per_pixel=0.04)
+    tracks = read_trajnet(_windows(tmp_path), resolution=0.04)
     assert (tracks.ids, tracks.types) == (("5", "8"), ("pedestrian",) * 2)
     np.testing.assert_allclose(tracks.times, 0.4 * np.arange(24))
     assert tracks.present.sum(axis=1).tolist() == [20, 20]
@@ -96,7 +96,7 @@ def test_trajnet_windows_stand_in_one_recording_in_metres(tmp_path):
 
 def test_trajnet_scale_comes_from_the_table_beside(tmp_path):
     path = _windows(tmp_path)
-    with pytest.raises(ValueError, match=r"no scenes.csv beside it tells .* pass metres_per_pixel"):
+    with pytest.raises(ValueError, match=r"no scenes.csv beside it tells .* pass resolution"):
         read_any(path)
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\ngates_0,0.05\n")
     assert read_any(path).states[0, 0, 0] == pytest.approx(5)
@@ -111,7 +111,7 @@ def test_real_files_of_every_form_read(data_folder):
     world = World("EPSG:5186")
     assert len(read_any(tracks / "songdo_u/U_video_cut.csv", world=world).ids) == 144
     path = next((tracks / "sdd_raw").glob("gates/video4/annotations.txt.gz"))
-    assert "pedestrian" in read_any(path, metres_per_pixel=0.0441).types
+    assert "pedestrian" in read_any(path, resolution=0.0441).types
 
 
 def test_real_file_with_headings_turned_round_is_told_and_the_way_corrects_it(data_folder):

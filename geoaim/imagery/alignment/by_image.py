@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, north_up_grid, pixel_size
+from geoaim.aim import AIM, north_up_grid
 from geoaim.errors import AlignmentError
-from geoaim.geometry import about, image_corners, transform_points, translation
+from geoaim.geometry import image_corners, similarity_about, transform_points, translation
 from geoaim.imagery.alignment.result import PRIOR, Alignment, Prior
 from geoaim.imagery.alignment.template_matching import (
     Grid,
@@ -123,7 +123,7 @@ def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
     """Grids over what both show, from coarse to fine."""
     low = np.maximum(aim.corners.min(axis=0), imagery.corners.min(axis=0) - prior.reach)
     high = np.minimum(aim.corners.max(axis=0), imagery.corners.max(axis=0) + prior.reach)
-    finest = FINE * max(pixel_size(imagery), pixel_size(aim))
+    finest = FINE * max(imagery.resolution, aim.resolution)
     shorter, longer = np.sort(high - low) / finest
     if shorter < 2 * SIDE:
         raise AlignmentError(
@@ -159,7 +159,7 @@ def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     found = []
     for turn in _range(prior.turn, step):
         for zoom in _range(float(np.log1p(prior.zoom)), step):
-            moved = about(middle, turn, float(np.exp(zoom)))
+            moved = similarity_about(middle, turn, float(np.exp(zoom)))
             scores = correlation(level.ground, _edges(level.picture, moved, wider))
             row, column = np.unravel_index(scores.argmax(), scores.shape)
             shift = translation((column - reach) * metres, (reach - row) * metres)

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, pixel_size
+from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
-from geoaim.geometry import about, to_opencv, transform_points
+from geoaim.geometry import similarity_about, to_opencv, transform_points
 from geoaim.imagery.alignment.result import LOOSE, PRIOR, Alignment, Prior
 from geoaim.imagery.alignment.template_matching import (
     Grid,
@@ -130,7 +130,7 @@ def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"],
     edges = orientation(grey, there, grid.resolution)
     strength = np.hypot(edges[..., 0], edges[..., 1])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    colours = smoothed(imagery.image, grid.resolution / pixel_size(imagery))
+    colours = smoothed(imagery.image, grid.resolution / imagery.resolution)
     image_from_grid = np.linalg.inv(imagery.world_from_image) @ grid.world_from_grid
     size = grid.width, grid.height
     image = cv2.warpPerspective(colours, to_opencv(image_from_grid), size, flags=flags)
@@ -168,7 +168,7 @@ def _kinds(
 def _turned(
     paths: Float[Array, "M 3"], middle: Float[Array, "2"], angle: float
 ) -> Float[Array, "M 3"]:
-    places = transform_points(about(middle, angle, 1.0), paths[:, :2])
+    places = transform_points(similarity_about(middle, angle, 1.0), paths[:, :2])
     return np.column_stack([places, paths[:, 2] + angle])
 
 
@@ -286,7 +286,7 @@ def _judged(
     straight = abs(turn) <= 2 * spread
     mean, whole = _moments(posterior.sum(axis=0))
     shift = _moments(posterior[len(turns) // 2])[0] if straight else mean
-    stated_from_true = about(middle, 0.0 if straight else turn, 1.0)
+    stated_from_true = similarity_about(middle, 0.0 if straight else turn, 1.0)
     stated_from_true[:2, 2] += shift
     return Alignment(
         true_from_stated=np.linalg.inv(stated_from_true),

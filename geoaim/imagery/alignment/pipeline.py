@@ -31,7 +31,7 @@ from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import georeference
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
-from geoaim.track_changes import tracks_in
+from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
@@ -83,7 +83,7 @@ def align_tiles(
     ValueError: no source of imagery was given: name at least one
     """
     if aim is not None and tracks is not None:
-        tracks = tracks_in(tracks, aim.world)
+        tracks = to_world(tracks, aim.world)
     if gcps is not None:
         world = next((given.world for given in (aim, tracks) if given is not None), None)
         imagery, placed = _by_control_points(tiles, gcps, world, **options), True

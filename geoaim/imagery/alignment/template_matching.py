@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, pixel_size
+from geoaim.aim import AIM
 from geoaim.geometry import to_opencv
 
 SURROUNDINGS = 10.0  # m: what is darker than the mean this far around is flattened
@@ -62,7 +62,7 @@ def picture_of(aim: AIM, resolution: float) -> Picture:
     """An image as grids of so many metres a pixel need it."""
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     known: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
-    matrix, step = np.linalg.inv(aim.world_from_image), resolution / pixel_size(aim)
+    matrix, step = np.linalg.inv(aim.world_from_image), resolution / aim.resolution
     if step >= 2:  # means of whole pixels first
         height, width = grey.shape
         size = round(width / int(step)), round(height / int(step))

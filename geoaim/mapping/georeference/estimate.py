@@ -34,8 +34,8 @@ from geoaim.world import (
     LONLAT,
     World,
     choose_world,
+    describe_crs_problem,
     transform_crs,
-    why_not_metric,
     world_from_crs,
 )
 
@@ -181,7 +181,7 @@ def _place(points: ControlPoints, world: World | None) -> tuple[World, Float[Arr
     if world is None:
         lonlat = transform_crs(points.crs, LONLAT, points.coordinates)
         east, north = points.coordinates.mean(axis=0).tolist()
-        metric = not why_not_metric(points.crs, (east, north))
+        metric = not describe_crs_problem(points.crs, (east, north))
         world = choose_world(lonlat, crs=points.crs if metric else None)
     return world, world_from_crs(world, points.coordinates, points.crs)
 

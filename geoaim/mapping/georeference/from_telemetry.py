@@ -59,16 +59,16 @@ def approximate_georeference(
     return _assumed(world, size, middle, (pixel, turn - np.pi / 2.0), (shift, COMPASS))
 
 
-def local_georeference(*, pixel_size: float, size: tuple[int, int]) -> Georeference:
+def local_georeference(*, resolution: float, size: tuple[int, int]) -> Georeference:
     """A plane of its own: origin at the image's centre, x right, y up.
 
     Args:
-        pixel_size: metres per pixel.
+        resolution: metres per pixel.
         size: height and width of the image.
     """
-    if not (np.isfinite(pixel_size) and pixel_size > 0.0):
-        raise ValueError(f"pixel_size is {pixel_size}; it is a positive number of metres.")
-    return _assumed(World(None), size, np.zeros(2), (pixel_size, 0.0), (0.0, 0.0))
+    if not (np.isfinite(resolution) and resolution > 0.0):
+        raise ValueError(f"resolution is {resolution}; it is a positive number of metres.")
+    return _assumed(World(None), size, np.zeros(2), (resolution, 0.0), (0.0, 0.0))
 
 
 def _assumed(

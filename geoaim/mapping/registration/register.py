@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.errors import RegistrationError
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import Features, detect, match
 from geoaim.mapping.registration.keyframes import (
@@ -35,7 +35,7 @@ from geoaim.mapping.registration.keyframes import (
 from geoaim.mapping.registration.motion_models import Match, Model, ModelChoice, choose_model
 from geoaim.mapping.video.detections import Boxes, read_boxes
 from geoaim.mapping.video.video import Frame, Video, open_video
-from geoaim.progress import Progress, silent
+from geoaim.progress import Progress, no_progress
 
 PROBES = 5  # frames that choose the reference and the model
 
@@ -106,7 +106,7 @@ def register(
     boxes: Boxes | str | Path | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Registration:
     """Lay every frame of a video on one reference frame.
 
@@ -141,7 +141,7 @@ def write_registration(registration: Registration, path: str | os.PathLike[str])
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv or .parquet")
     table = registration.to_frame()
-    with replacing(path) as part:
+    with atomic_write(path) as part:
         if path.suffix.lower() == ".csv":
             table.to_csv(part, index=False)
         else:

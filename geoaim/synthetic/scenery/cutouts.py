@@ -104,7 +104,7 @@ def _smooth(height: Float[Array, "n n"], sigma: float) -> Float[Array, "n n"]:
 
 
 def draw_vehicle(
-    length: float, width: float, colour: Colour, metres_per_pixel: float
+    length: float, width: float, colour: Colour, resolution: float
 ) -> UInt8[Array, "_ _ 4"]:
     """A vehicle from above, heading right, centred; longer than 6.5 m it is a lorry or a bus.
 
@@ -112,17 +112,15 @@ def draw_vehicle(
         length: metres.
         width: metres.
         colour: of the paint.
-        metres_per_pixel: of the sprite.
+        resolution: of the sprite.
     """
     a, b = length / 2, width / 2
     parts = _car(a, b, colour) if length <= LONG else _lorry(a, b, colour)
     parts = _bus(a, b, colour) if length > BUS else parts
-    return _drawn((length, width), [*_body(a, b, colour), *parts], metres_per_pixel)
+    return _drawn((length, width), [*_body(a, b, colour), *parts], resolution)
 
 
-def draw_person(
-    colour: Colour, metres_per_pixel: float, *, cycle: bool = False
-) -> UInt8[Array, "_ _ 4"]:
+def draw_person(colour: Colour, resolution: float, *, cycle: bool = False) -> UInt8[Array, "_ _ 4"]:
     """Somebody from above, heading right: shoulders and head, and the cycle below them."""
     shoulders = [(0.14, 0), (0.12, 0.2), (0.02, 0.27), (-0.1, 0.24), (-0.14, 0)]
     hair = [(0.11, 0), (0.07, 0.09), (-0.04, 0.1), (-0.1, 0)]
@@ -132,19 +130,19 @@ def draw_person(
         bars: Outline = [(0.45, 0), (0.42, 0.28), (0.36, 0.28), (0.38, 0)]
         parts = [(wheels, GLASS), (bars, _mixed(GLASS, 1.6)), *parts]
     size = (1.8, 0.65) if cycle else (0.5, 0.6)
-    return _drawn(size, parts, metres_per_pixel)
+    return _drawn(size, parts, resolution)
 
 
 def _drawn(
-    size: tuple[float, float], parts: list[tuple[Outline, Colour]], metres_per_pixel: float
+    size: tuple[float, float], parts: list[tuple[Outline, Colour]], resolution: float
 ) -> UInt8[Array, "_ _ 4"]:
     """Outlines, mirrored, painted one over the other, and made smaller."""
-    shape = [round(side / metres_per_pixel) + 2 * MARGIN for side in size[::-1]]
+    shape = [round(side / resolution) + 2 * MARGIN for side in size[::-1]]
     canvas = np.zeros((shape[0] * FINER, shape[1] * FINER, 4), np.float32)
     middle = np.array(canvas.shape[1::-1]) / 2
     for outline, paint in parts:
         for side in (1, -1):
-            corners = np.array(outline) * [1, side] * FINER / metres_per_pixel + middle
+            corners = np.array(outline) * [1, side] * FINER / resolution + middle
             mask = polygon_mask((canvas.shape[0], canvas.shape[1]), [[corners]])
             lay(canvas, mask.astype(np.float32) / np.float32(255), (*paint, 255.0))
     canvas[..., :3] *= canvas[..., 3:] / 255

@@ -162,13 +162,13 @@ def _strokes(
     rows, columns = window
     mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
     start = np.array([columns.start, rows.start])
-    thick = max(round(wide / page.metres_per_pixel), 1)
+    thick = max(round(wide / page.resolution), 1)
     for line in lines:
         pixels = transform_points(page.image_from_plan, line) - start
         cv2.polylines(
             mask, [np.rint(pixels * 16).astype(np.int32)], False, 255, thick, cv2.LINE_AA, 4
         )
-    soft = blur(mask, 0.5 * wide / page.metres_per_pixel)
+    soft = blur(mask, 0.5 * wide / page.resolution)
     return soft.astype(np.float32) / np.float32(255)
 
 
@@ -237,7 +237,7 @@ def _draw_cracks(page: Page, road: Geometry) -> None:
     shapely.prepare(road)
     cracks = [np.array(line.coords) for line in lines if road.intersects(line)]
     window = slice(0, page.shape[0]), slice(0, page.shape[1])
-    mask = _strokes(page, window, cracks, page.metres_per_pixel)
+    mask = _strokes(page, window, cracks, page.resolution)
     mask *= mask_of(page, road, within=window)[1].astype(np.float32) * np.float32(0.8 / 255)
     lay(page.image, mask, (70, 70, 72))
 
@@ -288,7 +288,7 @@ def _draw_worn(
 def _metres(page: Page, window: Window) -> tuple[Float[Array, "1 w"], Float[Array, "h 1"]]:
     """Plan coordinates of a window's columns and rows."""
     rows, columns = window
-    scale = page.metres_per_pixel
+    scale = page.resolution
     x = (np.arange(columns.start, columns.stop) + 0.5 - page.shape[1] / 2) * scale
     y = (page.shape[0] / 2 - np.arange(rows.start, rows.stop) - 0.5) * scale
     return x[None, :], y[:, None]

@@ -28,14 +28,14 @@ class Page:
     Attributes:
         image: (H, W, 3) grey levels.
         image_from_plan: (3, 3) plan metres to pixels, a scale and a flip.
-        metres_per_pixel: of the picture.
+        resolution: of the picture.
         generator: of what is scattered by chance.
         fields: noise for all strokes; each takes another part of it.
     """
 
     image: Float32[Array, "H W 3"]
     image_from_plan: Float[Array, "3 3"]
-    metres_per_pixel: float
+    resolution: float
     generator: np.random.Generator
     fields: tuple[Float32[Array, "_ _"], ...]
 
@@ -46,16 +46,16 @@ class Page:
 
 
 def blank_page(
-    height: float, width: float, metres_per_pixel: float, generator: np.random.Generator
+    height: float, width: float, resolution: float, generator: np.random.Generator
 ) -> Page:
     """A black page of some metres around the plan's origin."""
-    rows, columns = round(height / metres_per_pixel), round(width / metres_per_pixel)
-    scale = 1 / metres_per_pixel
+    rows, columns = round(height / resolution), round(width / resolution)
+    scale = 1 / resolution
     image_from_plan = np.array([[scale, 0, columns / 2], [0, -scale, rows / 2], [0, 0, 1.0]])
     tile = min(TILE, 1 << (max(rows, columns) - 1).bit_length())
     fields = tuple(natural_noise((tile, tile), slope, generator) for slope in SLOPES)
     image = np.zeros((rows, columns, 3), np.float32)
-    return Page(image, image_from_plan, metres_per_pixel, generator, fields)
+    return Page(image, image_from_plan, resolution, generator, fields)
 
 
 def noise(page: Page, field: int, window: Window | None = None) -> Float32[Array, "h w"]:

@@ -105,7 +105,7 @@ def _stand(page: Page, tree: Tree, day: Day) -> _Stamp:
     palette, generator = PALETTES[day.season], np.random.default_rng(tree.number)
     colour = palette.leaves[int(generator.integers(len(palette.leaves)))]
     bare = generator.uniform() < palette.bare
-    radius = max(round(tree.radius / page.metres_per_pixel), 3)
+    radius = max(round(tree.radius / page.resolution), 3)
     if bare:
         crown = draw_bare_tree(radius, generator)
     else:
@@ -128,7 +128,7 @@ def _park(page: Page, scenery: Scenery, generator: np.random.Generator) -> list[
             generator.normal(),
         )
         if there < spot.share:
-            sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], page.metres_per_pixel)
+            sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], page.resolution)
             heading = spot.heading + np.pi * float(flip) + 0.02 * lean
             cars.append(_Stamp(np.array(spot.place) + aside, heading, sprite, CAR))
     return cars
@@ -160,7 +160,7 @@ def _cast_shadows(
         if placed is not None:
             window, sprite = placed
             np.maximum(mask[window], sprite[..., 3], out=mask[window])
-    soft = blur(mask, (0.06 + 0.25 * day.clouds) / page.metres_per_pixel)
+    soft = blur(mask, (0.06 + 0.25 * day.clouds) / page.resolution)
     darken(page.image, soft.astype(np.float32) / np.float32(255), depth(day))
 
 
@@ -221,7 +221,7 @@ def _draw_hedges(page: Page, scenery: Scenery, day: Day) -> None:
         return
     window, mask = mask_of(page, list(scenery.hedges))
     clumps, leaves = noise(page, BLOTCH, window), noise(page, GRAIN, window)
-    ragged = blur(mask, 0.18 / page.metres_per_pixel).astype(np.float32) / np.float32(255)
+    ragged = blur(mask, 0.18 / page.resolution).astype(np.float32) / np.float32(255)
     ragged += np.float32(0.10) * clumps + np.float32(0.05) * leaves
     alpha = np.minimum(np.maximum((ragged - np.float32(0.45)) * 6, 0), 1) * (ragged > 0.3)
     green = np.asarray(PALETTES[day.season].leaves[0], np.float32) * np.float32(0.8)
@@ -286,7 +286,7 @@ def _draw_pitched(page: Page, building: Building, day: Day) -> None:
             continue
         rows, columns = (np.arange(side.start, side.stop) for side in window)
         place = (columns * np.sin(angle))[None] + (rows * np.cos(angle))[:, None]
-        row = np.round(np.sin(place * page.metres_per_pixel * 2 * np.pi / 0.36), 6)
+        row = np.round(np.sin(place * page.resolution * 2 * np.pi / 0.36), 6)
         look = (
             1 + 0.05 * noise(page, BLOTCH, window) + 0.06 * noise(page, GRAIN, window) + 0.05 * row
         )

@@ -9,7 +9,7 @@ from geoaim.synthetic.roads.curves import STEP, run
 from geoaim.synthetic.traffic.fleet import NOSE, TAIL
 from geoaim.synthetic.traffic.simulate import INTERVAL, Flow, Recording
 from geoaim.synthetic.traffic.ways import Way
-from geoaim.tracks import Tracks, heading_of_motion
+from geoaim.tracks import Tracks, estimate_heading
 from geoaim.world import World
 
 MIDDLE = (NOSE - TAIL) / 2  # share of the length from the rear axle to the box's middle
@@ -191,6 +191,6 @@ def _people_states(recording: Recording, times: Float[Array, "T"]) -> Float[Arra
     step, t = _between(recording, times)
     ends = places[:, step], places[:, step + 1], slope[:, step], slope[:, step + 1]
     place, speed = _cubic(*ends, t[:, None])
-    heading = heading_of_motion(speed, least=STANDING)
+    heading = estimate_heading(speed, least=STANDING)
     fast = np.hypot(speed[..., 0], speed[..., 1])
     return np.concatenate([place, heading[..., None], fast[..., None]], axis=-1)

@@ -3,8 +3,8 @@
 from dataclasses import replace
 from functools import cache
 
-from geoaim.aim import whole_aim
-from geoaim.geometry import about
+from geoaim.aim import AIM
+from geoaim.geometry import similarity_about
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
 from geoaim.world import World
@@ -13,7 +13,9 @@ GROUND, PHOTO = 0.2, 0.5  # m a pixel
 
 
 def as_aim(image, world_from_image, world=None):
-    return whole_aim(image, world_from_image, World(None) if world is None else world, "a test")
+    return AIM.from_image(
+        image, world_from_image, World(None) if world is None else world, "a test"
+    )
 
 
 @cache
@@ -21,12 +23,10 @@ def made(seed=2, kind="junction"):
     """The AIM, another day's picture of it where it truly lies, and tracks."""
     place = make_place(seed, kind=kind)
     tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.5, video=None))
-    sensor = Sensor(metres_per_pixel=PHOTO)
-    photo = photograph(place, another_day(place), tracks, sensor, metres_per_pixel=0.2)
+    sensor = Sensor(resolution=PHOTO)
+    photo = photograph(place, another_day(place), tracks, sensor, resolution=0.2)
     return (
-        as_aim(
-            draw_place(place, metres_per_pixel=GROUND), world_from_image(place, GROUND), place.world
-        ),
+        as_aim(draw_place(place, resolution=GROUND), world_from_image(place, GROUND), place.world),
         as_aim(photo, world_from_image(place, PHOTO), place.world),
         tracks,
     )
@@ -34,6 +34,6 @@ def made(seed=2, kind="junction"):
 
 def misplaced(picture, *, shift=(0.0, 0.0), turn=0.0, zoom=1.0):
     """The picture misplaced about its middle, and stated_from_true."""
-    matrix = about(picture.corners.mean(axis=0), turn, zoom)
+    matrix = similarity_about(picture.corners.mean(axis=0), turn, zoom)
     matrix[:2, 2] += shift
     return replace(picture, world_from_image=matrix @ picture.world_from_image), matrix

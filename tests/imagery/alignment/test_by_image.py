@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.aim import pixel_size
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
 from geoaim.imagery.alignment.by_image import align_image
@@ -142,4 +141,4 @@ def test_windows_are_found_to_a_fraction_of_a_pixel():
 
 
 def test_pixel_size_is_that_of_the_ground():
-    assert pixel_size(_noise(1)) == pytest.approx(0.25)
+    assert _noise(1).resolution == pytest.approx(0.25)

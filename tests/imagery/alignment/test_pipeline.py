@@ -15,13 +15,13 @@ from geoaim.errors import (
     ImageryError,
     TracksError,
 )
-from geoaim.geometry import about, transform_points
+from geoaim.geometry import similarity_about, transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.imagery.alignment.result import Prior
 from geoaim.quicklook import draw_alignment, summary
-from geoaim.track_changes import tracks_in
+from geoaim.track_changes import to_world
 from geoaim.world import World, lonlat_from_world
 from tests.imagery.alignment.alignment_pairs import as_aim
 
@@ -54,7 +54,7 @@ def test_tracks_check_what_an_aim_has_laid(aim):
     said = found.report["alignment"]["tracks"]
     assert said["checked"]
     assert said["agrees"]
-    figure = draw_alignment(found, aim=aim, tracks=tracks_in(tracks, found.world))
+    figure = draw_alignment(found, aim=aim, tracks=to_world(tracks, found.world))
     assert [axes.get_title() for axes in figure.axes] == ["as stated", "aligned"]
 
 
@@ -111,7 +111,7 @@ def test_control_points_that_turn_or_stretch_the_picture_are_doubted(
 ):
     """The middle stays where it is; only the corners tell."""
     path, laid = picture
-    turned = about(laid.corners.mean(axis=0), np.radians(2.0), zoom)
+    turned = similarity_about(laid.corners.mean(axis=0), np.radians(2.0), zoom)
     gcps = _picked(tmp_path, turned @ laid.world_from_image, laid.world)
     given = {"aim": aim, "tracks": geoaim.read_tracks(TRACKS)}
     with pytest.warns(GeoaimWarning, match=f"by the {name} the imagery's corners"):

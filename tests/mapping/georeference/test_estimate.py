@@ -274,7 +274,7 @@ def test_telemetry_looking_straight_down_gives_an_approximate_place():
 
 
 def test_a_plane_of_its_own_has_its_origin_at_the_centre():
-    result = local_georeference(pixel_size=0.1, size=(HEIGHT, WIDTH))
+    result = local_georeference(resolution=0.1, size=(HEIGHT, WIDTH))
     np.testing.assert_allclose(world_points(result, np.array([[0.0, 0.0]])), [[-96.0, 54.0]])
     assert result.world == World(None)
 
