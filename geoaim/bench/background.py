@@ -25,7 +25,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data
-from geoaim.bench.hover import made_video
+from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.encode import write_video
 from geoaim.mapping.background.accumulate import compare_exposure, expose, first_exposure, warp
@@ -145,7 +145,7 @@ def warped(frames: Registered) -> Iterator[UInt8[Array, "H W 3"]]:
 
 def make_input(still: str, size: str, count: int, folder: Path) -> None:
     """Encode frames sampled over a made clip of 20 s, and keep the truth beside them."""
-    video = made_video(still, size=size, count=600, kind="queue")
+    video = make_hover_video(still, size=size, count=600, kind="queue")
     order = np.linspace(0, len(video) - 1, count).round().astype(int)[spread_order(count)]
     write_video((video[index] for index in order), folder / "frames.mp4", frame_rate=1)
     boxes = [np.insert(frame_boxes(video.clip, i), 0, n, axis=1) for n, i in enumerate(order)]

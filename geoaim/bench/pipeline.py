@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import typer
 
-from geoaim.bench.hover import made_video
+from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import peak_megabytes, save, table
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import average_frames
@@ -191,7 +191,7 @@ def main(
     with TemporaryDirectory() as name:
         folder = Path(name)
         video = clip or write_video(
-            made_video("00003", size=size, count=frames, kind="queue"),
+            make_hover_video("00003", size=size, count=frames, kind="queue"),
             folder / "clip.mp4",
             megabits=megabits,
         )

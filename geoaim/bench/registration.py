@@ -19,8 +19,9 @@ from jaxtyping import Float, UInt8
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from geoaim.bench.hover import STILLS, Kind, MadeVideo, made_video
+from geoaim.bench.hover_videos import HoverVideo, Kind, make_hover_video
 from geoaim.bench.report import save, table
+from geoaim.bench.stills import STILLS
 from geoaim.geometry import from_opencv, image_corners, transform_points
 from geoaim.mapping.registration.keyframes import Placement
 from geoaim.mapping.registration.patches import align, make_template, reduce
@@ -179,21 +180,21 @@ def methods() -> dict[str, Method]:
     return found
 
 
-def corner_errors(matrices: Matrices, truth: Matrices, video: MadeVideo) -> Float[Array, " T"]:
+def corner_errors(matrices: Matrices, truth: Matrices, video: HoverVideo) -> Float[Array, " T"]:
     """Mean distance of the four mapped corners from the truth, pixels; NaN where refused."""
     corners = image_corners(video.clip.height, video.clip.width)
     apart = transform_points(matrices, corners) - transform_points(truth, corners)
     return np.linalg.norm(apart, axis=-1).mean(-1)
 
 
-def measure(name: str, method: Method, video: MadeVideo, frames: Any) -> dict[str, Any]:
+def measure(name: str, method: Method, video: HoverVideo, frames: Any) -> dict[str, Any]:
     """One row: rate from the median time of a frame, errors of the good frames."""
     boxes = [frame_boxes(video.clip, index) for index in range(len(video))]
     matrices, seconds = method(frames, boxes)
     errors = corner_errors(matrices, reference_from_frames(video.clip), video)
     given = np.isfinite(errors)
-    right = given & video.good & (errors < 0.3)
-    good = errors[video.good & given]
+    right = given & video.is_valid & (errors < 0.3)
+    good = errors[video.is_valid & given]
     return {
         "method": name,
         "frames_per_s": float(1 / np.median(seconds[1:])),
@@ -201,13 +202,13 @@ def measure(name: str, method: Method, video: MadeVideo, frames: Any) -> dict[st
         "error_p95_px": float(np.quantile(good, 0.95)),
         "error_max_px": float(good.max()),
         "valid_share_of_good": float(
-            (given & video.good & (errors < 0.3)).sum() / video.good.sum()
+            (given & video.is_valid & (errors < 0.3)).sum() / video.is_valid.sum()
         ),
         "wrong_given_as_right": int((given & ~right).sum()),
     }
 
 
-def decoded(video: MadeVideo) -> list[UInt8[Array, "H W 3"]]:
+def decoded(video: HoverVideo) -> list[UInt8[Array, "H W 3"]]:
     """The same frames after H.264 by x264's preset "medium" at crf 20."""
     with TemporaryDirectory() as folder:
         path = write_video(video, Path(folder) / "clip.mp4")
@@ -235,7 +236,7 @@ def accuracy(sizes: list[str], frames: int) -> list[dict[str, Any]]:
     rows = []
     for size in sizes:
         for still in STILLS:
-            video = made_video(still, size=size, count=frames)
+            video = make_hover_video(still, size=size, count=frames)
             raw = list(video)
             coded = decoded(video)
             limit = codec_shift(raw, coded)
@@ -255,7 +256,7 @@ def robustness(sizes: list[str], frames: int) -> list[dict[str, Any]]:
     for size in sizes:
         for still in STILLS:
             for kind in HARD:
-                video = made_video(still, size=size, count=frames, kind=kind)
+                video = make_hover_video(still, size=size, count=frames, kind=kind)
                 pictures = list(video)
                 for name, method in chosen.items():
                     row = {"size": size, "still": still, "kind": kind}

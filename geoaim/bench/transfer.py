@@ -29,7 +29,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data
-from geoaim.bench.hover import STILLS, MadeVideo, clean_still, lane_traffic
+from geoaim.bench.hover_videos import HoverVideo, make_lane_traffic
 from geoaim.bench.realism import SMOOTH, STEP, VEHICLES, real_people, real_vehicles, resample
 from geoaim.bench.registration import (
     Method,
@@ -40,6 +40,7 @@ from geoaim.bench.registration import (
     measure,
 )
 from geoaim.bench.report import save, table
+from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
 from geoaim.synthetic.roads.layouts import PLAIN, Kind
@@ -112,7 +113,7 @@ def registration(frames: int) -> Figures:
     for kind in PLAIN:
         made = make_sample(1, kind=kind, video=(1080, 1920), hover=Hover(count=frames))
         assert made.clip is not None
-        videos[f"made {kind}"] = MadeVideo(made.clip, "plain", np.ones(frames, bool))
+        videos[f"made {kind}"] = HoverVideo(made.clip, "plain", np.ones(frames, bool))
     found: Figures = {}
     for source, video in videos.items():
         pictures = list(video)
@@ -123,13 +124,13 @@ def registration(frames: int) -> Figures:
     return found
 
 
-def _over_still(still: str, frames: int) -> MadeVideo:
+def _over_still(still: str, frames: int) -> HoverVideo:
     """A hover video over a real still, its cars removed and a few others driving."""
     hover, generator = Hover(count=frames), np.random.default_rng(0)
-    traffic = lane_traffic(still, hover, **VEHICLES_FILMED, generator=generator)
-    ground = clean_still(still)
+    traffic = make_lane_traffic(still, hover, **VEHICLES_FILMED, generator=generator)
+    ground = read_clean_still(still)
     clip = film(ground, traffic, hover, height=1080, width=1920, generator=generator)
-    return MadeVideo(clip, "plain", np.ones(frames, bool))
+    return HoverVideo(clip, "plain", np.ones(frames, bool))
 
 
 def prediction(folder: Path, minutes: float) -> Iterator[tuple[str, Figures]]:

@@ -1,6 +1,6 @@
 """Registration on real sequences, where no truth is known: consistency with itself.
 
-    python -m geoaim.bench.real --json docs/bench/real.json
+    python -m geoaim.bench.registration_real --json docs/bench/registration_real.json
 
 Forward and backward: a frame on the reference, and the reference on that frame, should undo each
 other. Loop: a frame laid on one reference and then on another should lie where it lies directly.
@@ -86,7 +86,7 @@ def main(
         folder = data / "hover" / name
         rows += [measure(folder, boxes) for boxes in (None, read_boxes(folder))]
     print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.real")
+    save(rows, json, command="python -m geoaim.bench.registration_real")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The README's pictures, from the bundled sample and other made places.
 
-python -m geoaim.bench.pictures samples docs/images
+python -m geoaim.bench.figures samples docs/images
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """How long a made place takes: its traffic, its picture, its video; each against a floor.
 
-    python -m geoaim.bench.making --json docs/bench/making.json
+    python -m geoaim.bench.generation --json docs/bench/generation.json
 
 Floors: for traffic, one addition of 40 numbers by numpy, of which a step makes some hundreds; for a
 picture, one Fourier transform of its size; for frames, one bilinear warp of the ground by OpenCV.
@@ -124,7 +124,7 @@ def main(
     rows += [drawing(metres, min(repeats, 3)) for metres in (0.2, 0.1, 0.05)]
     rows += [filming(size, frames) for size in ("720p", "1080p")]
     print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.making", repeats=repeats)
+    save(rows, json, command="python -m geoaim.bench.generation", repeats=repeats)
 
 
 if __name__ == "__main__":
