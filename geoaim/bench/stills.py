@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.files import replacing
+from geoaim.files import atomic_write
 
 STILLS = ("00003", "00972")
 
@@ -44,7 +44,7 @@ def read_clean_still(still: str) -> UInt8[Array, "2160 3840 3"]:
     if not cached.exists():
         image, boxes = _read_still(still)
         cached.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(cached) as part:
+        with atomic_write(cached) as part:
             cv2.imwrite(str(part), _remove_boxes(image, boxes)[..., ::-1])
     return _read_image(cached)
 
