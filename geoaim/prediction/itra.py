@@ -25,19 +25,9 @@ from geoaim.prediction.plans import JITTER, REACH, Planner, network, nth_plan, p
 from geoaim.prediction.segments import Segments, repeated
 from geoaim.prediction.views import CHANNELS, Egos, Sight, egos_of, egos_see, unlike_underfoot
 from geoaim.simulation.ground import Ground
-from geoaim.simulation.kinematics import (
-    bicycle_action,
-    bicycle_step,
-    displacement_action,
-    seen_from,
-    slide_step,
-    unicycle_action,
-    unicycle_step,
-    wrapped,
-)
+from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_angle
 from geoaim.simulation.lines import BAR
 
-SCALES = {"bicycle": (2.0, 0.2), "unicycle": (1.0, 1.0), "slide": (0.5, 0.5)}  # usual actions
 LIMIT = 4.0  # scales: true actions beyond are noise of headings at standstill
 HASTE = 0.5  # s: metres that a metre a second is taken for
 FACTS = 3  # speed, length, width
@@ -137,6 +127,7 @@ class ITRA(nn.Module):
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
+        self.motion = MOTION_MODELS[config.motion]
         context = config.features + config.memory + FACTS
         plan = 2 * config.points + 1 if config.modes else 0
         if config.encoder != "none":
@@ -295,7 +286,7 @@ class ITRA(nn.Module):
             parts = [now.context, choose(now)]
             if way is not None:
                 left = torch.full_like(pose[:, :1], (total - 1 - number) / total)
-                points = seen_from(pose[:, None], way) / REACH
+                points = agent_from_world(pose[:, None], way) / REACH
                 parts.append(torch.cat([points.flatten(1), left], dim=1))
             action = LIMIT * torch.tanh(self.act(torch.cat(parts, dim=1)) / LIMIT)
             after = self._moved(pose, action, sizes[:, 0], segments.seconds)
@@ -354,23 +345,14 @@ class ITRA(nn.Module):
         """What was really done in each step, in usual actions."""
         before, after = truth[:, :-1], truth[:, 1:]
         lengths = segments.sizes[egos.segment, egos.agent, :1]
-        if self.config.motion == "bicycle":
-            found = bicycle_action(before, after, lengths, segments.seconds)
-        elif self.config.motion == "unicycle":
-            found = unicycle_action(before, after, segments.seconds)
-        else:
-            found = displacement_action(before, after)
-        return (found / found.new_tensor(SCALES[self.config.motion])).clamp(-LIMIT, LIMIT)
+        found = self.motion.inverse(before, after, lengths, segments.seconds)
+        return (found / found.new_tensor(self.motion.scale)).clamp(-LIMIT, LIMIT)
 
     def _moved(
         self, pose: Float[Tensor, "E 4"], action: Tensor, lengths: Tensor, seconds: float
     ) -> Float[Tensor, "E 4"]:
-        action = action * action.new_tensor(SCALES[self.config.motion])
-        if self.config.motion == "bicycle":
-            return bicycle_step(pose, action, lengths, seconds)
-        if self.config.motion == "unicycle":
-            return unicycle_step(pose, action, seconds)
-        return slide_step(pose, action, seconds)
+        action = action * action.new_tensor(self.motion.scale)
+        return self.motion.step(pose, action, lengths, seconds)
 
 
 def _facts(pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]) -> Float[Tensor, "E 3"]:
@@ -381,4 +363,4 @@ def _facts(pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]) -> Float[Ten
 def _difference(found: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> Tensor:
     """States apart; headings the shorter way."""
     x, y, turn, speed = (found - truth).unbind(-1)
-    return torch.stack([x, y, wrapped(turn), speed], dim=-1)
+    return torch.stack([x, y, wrap_angle(turn), speed], dim=-1)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from geoaim.simulation.kinematics import ahead_of, seen_from
+from geoaim.simulation.kinematics import agent_from_world, world_from_agent
 
 REACH = 10.0  # m, usual way to a plan's points
 JITTER = 0.04  # m of noise on known places while learning: plans are not to hang on single ones
@@ -49,11 +49,11 @@ class Planner(nn.Module):
         seen: Float[Tensor, "E F"],
     ) -> tuple[Float[Tensor, "E M P 2"], Float[Tensor, "E M"]]:
         """Plans in the world, as the last known step goes on and what is off it; logits of each."""
-        behind = seen_from(pose[:, None], past)
+        behind = agent_from_world(pose[:, None], past)
         basis = torch.cat([seen, behind.flatten(1)], dim=1)
         points = REACH * self.propose(basis).view(len(pose), -1, len(self.steps), 2)
         straight = (behind[:, -1:] - behind[:, -2:-1]) * points.new_tensor(self.steps)[:, None]
-        return ahead_of(pose[:, None, None], points + straight[:, None]), self.weigh(basis)
+        return world_from_agent(pose[:, None, None], points + straight[:, None]), self.weigh(basis)
 
 
 def plan_loss(

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
-from geoaim.simulation.kinematics import bicycle_step
+from geoaim.simulation.kinematics import step_bicycle
 from geoaim.simulation.layers import KINDS
 from geoaim.simulation.scene import Scene, scene_steps, states_of, step_seconds
 
@@ -215,7 +215,7 @@ def _extended(scene: Scene, steps: int, seconds: float) -> Scene:
         return scene
     states, still = [states_of(scene)[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
     for _ in range(steps):
-        states.append(bicycle_step(states[-1], still, scene.sizes[:, 0], seconds))
+        states.append(step_bicycle(states[-1], still, scene.sizes[:, 0], seconds))
     after = torch.stack(states[1:], dim=1)
     later = torch.arange(1, steps + 1).to(scene.times) * seconds
     return replace(

@@ -1,170 +1,212 @@
-"""How agents move in a step, and the actions that move them so: bicycle, unicycle, displacement.
+"""Motion models: how an action moves an agent in one time step, and the action of a given step.
 
-A state is x, y, heading and speed of the middle of an agent's box (metres, radians, m/s; negative
-in reverse), as in `geoaim.Tracks`. Within a step the acceleration and the curve are constant, so
-that the middle runs along an arc, of which the step is exact at any length.
+A state is x, y (metres), heading (radians) and speed (m/s, negative in reverse) of the centre of an
+agent's box, as in `geoaim.Tracks`. Acceleration and curvature are constant within a step: the
+centre follows a circular arc, and the step is exact for any `dt`.
 """
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-AXLES = 0.6  # of the length between a vehicle's axles, which lie evenly about its middle
-STILL = 1e-6  # m: a shorter way in a step tells no curve
+WHEELBASE_PER_LENGTH = 0.6  # the axles lie symmetrically about the box's centre
+MIN_DISTANCE_M = 1e-6  # a shorter way in a step determines no curvature
+MAX_SIN_SLIP = 0.999
 State = Float[Tensor, "... 4"]
 Action = Float[Tensor, "... 2"]
 
 
-def bicycle_step(
-    state: State, action: Action, length: Float[Tensor, "..."], seconds: float
-) -> State:
-    """The kinematic bicycle about its middle (Kong et al. 2015).
+class MotionModel(NamedTuple):
+    """How agents of one kind move.
+
+    Attributes:
+        step: from state, action, the agents' lengths (metres) and `dt` (seconds) to the next state.
+        inverse: from state, next state, lengths and `dt` to the action.
+        scale: typical magnitudes of both components of an action, by which networks normalise them.
+    """
+
+    step: Callable[[State, Action, Float[Tensor, "..."], float], State]
+    inverse: Callable[[State, State, Float[Tensor, "..."], float], Action]
+    scale: tuple[float, float]
+
+
+def step_bicycle(state: State, action: Action, length: Float[Tensor, "..."], dt: float) -> State:
+    """Move vehicles by the kinematic bicycle model about their centre (Kong et al. 2015).
 
     Args:
-        state: before the step.
-        action: acceleration, m/s², and the front wheel's angle, radians.
-        length: of the vehicle, metres.
-        seconds: of the step.
+        state: (..., 4) x, y, heading, speed before the step.
+        action: (..., 2) acceleration, m/s², and steering angle of the front wheel, radians.
+        length: (...) of the vehicles, metres.
+        dt: of the step, seconds.
+
+    Returns:
+        (..., 4) states after the step.
 
     >>> state = torch.tensor([0.0, 0.0, 0.0, 10.0])
-    >>> bicycle_step(state, torch.zeros(2), torch.tensor(4.5), 0.1).tolist()
+    >>> step_bicycle(state, torch.zeros(2), torch.tensor(4.5), 0.1).tolist()
     [1.0, 0.0, 0.0, 10.0]
     """
     slip = torch.atan(torch.tan(action[..., 1]) / 2)
-    turn_per_metre = torch.sin(slip) / (AXLES / 2 * length)
-    speed, way = _pushed(state, action, seconds)
-    return _moved(state, way, state[..., 2] + slip, turn_per_metre * way, speed)
+    curvature = torch.sin(slip) / (WHEELBASE_PER_LENGTH / 2 * length)
+    speed, distance = _accelerate(state, action, dt)
+    return _follow_arc(state, distance, state[..., 2] + slip, curvature * distance, speed)
 
 
-def bicycle_action(
-    state: State, after: State, length: Float[Tensor, "..."], seconds: float
+def invert_bicycle(
+    state: State, next_state: State, length: Float[Tensor, "..."], dt: float
 ) -> Action:
-    """The action whose step has the speed and the heading of the state after; undoes the step.
+    """Find the action whose bicycle step reaches the next state's speed and heading.
 
-    Where the vehicle stands, no wheel's angle can be told, and it is zero. A turn that no bicycle
-    can make in that way gets the front wheel across. Turns are taken as less than half of one.
+    The steering angle of a standing vehicle is zero, and that of an impossible turn is a right
+    angle. Turns are assumed to be less than half a revolution.
+
+    Args:
+        state: (..., 4) before the step.
+        next_state: (..., 4) after it.
+        length: (...) of the vehicles, metres.
+        dt: of the step, seconds.
+
+    Returns:
+        (..., 2) acceleration and steering angle.
     """
-    way = (state[..., 3] + after[..., 3]) / 2 * seconds
-    moves = way.abs() > STILL
-    turn = wrapped(after[..., 2] - state[..., 2])
-    sine = AXLES / 2 * length * turn / torch.where(moves, way, 1.0)
-    sine = torch.where(moves, sine, 0.0).clamp(-0.999, 0.999)
+    distance = (state[..., 3] + next_state[..., 3]) / 2 * dt
+    moves = distance.abs() > MIN_DISTANCE_M
+    turn = wrap_angle(next_state[..., 2] - state[..., 2])
+    sine = WHEELBASE_PER_LENGTH / 2 * length * turn / torch.where(moves, distance, 1.0)
+    sine = torch.where(moves, sine, 0.0).clamp(-MAX_SIN_SLIP, MAX_SIN_SLIP)
     steering = torch.atan(2 * sine / torch.sqrt(1 - sine**2))
-    return torch.stack([(after[..., 3] - state[..., 3]) / seconds, steering], dim=-1)
+    return torch.stack([(next_state[..., 3] - state[..., 3]) / dt, steering], dim=-1)
 
 
-def unicycle_step(state: State, action: Action, seconds: float) -> State:
-    """Somebody on foot: action is acceleration, m/s², and turn, radians a second."""
-    speed, way = _pushed(state, action, seconds)
-    return _moved(state, way, state[..., 2], action[..., 1] * seconds, speed)
+def step_unicycle(state: State, action: Action, length: Float[Tensor, "..."], dt: float) -> State:
+    """Move pedestrians by acceleration, m/s², and turn rate, rad/s; see `step_bicycle`."""
+    speed, distance = _accelerate(state, action, dt)
+    return _follow_arc(state, distance, state[..., 2], action[..., 1] * dt, speed)
 
 
-def unicycle_action(state: State, after: State, seconds: float) -> Action:
-    """The action whose step has the speed and the heading of the state after; undoes the step."""
-    turn = wrapped(after[..., 2] - state[..., 2])
-    return torch.stack([after[..., 3] - state[..., 3], turn], dim=-1) / seconds
+def invert_unicycle(
+    state: State, next_state: State, length: Float[Tensor, "..."], dt: float
+) -> Action:
+    """Find the action whose unicycle step reaches the next state's speed and heading."""
+    turn = wrap_angle(next_state[..., 2] - state[..., 2])
+    return torch.stack([next_state[..., 3] - state[..., 3], turn], dim=-1) / dt
 
 
-def displacement_step(state: State, action: Action, seconds: float) -> State:
-    """Anything: action is metres ahead and to the left; heading and speed follow from them.
-
-    The heading stays where the way is too short to tell.
-    """
-    ahead, left = action.unbind(-1)
-    moves = ahead**2 + left**2 > STILL**2
-    safe = torch.where(moves, ahead, 1.0), torch.where(moves, left, 0.0)
-    turn = torch.where(moves, torch.atan2(safe[1], safe[0]), 0.0)
-    way = torch.where(moves, torch.sqrt(safe[0] ** 2 + safe[1] ** 2), 0.0)
-    heading = wrapped(state[..., 2] + turn)
-    return torch.cat([ahead_of(state, action), torch.stack([heading, way / seconds], -1)], dim=-1)
+def step_displacement(
+    state: State, action: Action, length: Float[Tensor, "..."], dt: float
+) -> State:
+    """Move agents by metres forward and to the left; the heading stays as it is."""
+    speed = torch.sqrt(action.square().sum(dim=-1) + MIN_DISTANCE_M**2) / dt
+    position = world_from_agent(state, action)
+    return torch.cat([position, torch.stack([state[..., 2], speed], -1)], dim=-1)
 
 
-def slide_step(state: State, action: Action, seconds: float) -> State:
-    """As `displacement_step`, but the heading stays: for tracks of positions alone."""
-    speed = torch.sqrt(action.square().sum(dim=-1) + STILL**2) / seconds
-    return torch.cat([ahead_of(state, action), torch.stack([state[..., 2], speed], -1)], dim=-1)
+def invert_displacement(
+    state: State, next_state: State, length: Float[Tensor, "..."], dt: float
+) -> Action:
+    """Find the metres forward and to the left between two states."""
+    return agent_from_world(state, next_state[..., :2])
 
 
-def displacement_action(state: State, after: State) -> Action:
-    """Metres ahead and to the left from state to state."""
-    return seen_from(state, after[..., :2])
+bicycle = MotionModel(step_bicycle, invert_bicycle, scale=(2.0, 0.2))
+unicycle = MotionModel(step_unicycle, invert_unicycle, scale=(1.0, 1.0))
+displacement = MotionModel(step_displacement, invert_displacement, scale=(0.5, 0.5))
+
+# names in the configuration of a model; "slide" is for tracks of positions without headings
+MOTION_MODELS = {"bicycle": bicycle, "unicycle": unicycle, "slide": displacement}
 
 
-def ahead_of(state: State, points: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
-    """Places in the world of points so many metres ahead and to the left; undoes `seen_from`."""
-    ahead, left = points.unbind(-1)
+def world_from_agent(state: State, points: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """Map points in agents' frames (metres forward, left) to the world."""
+    forward, left = points.unbind(-1)
     cosine, sine = state[..., 2].cos(), state[..., 2].sin()
-    x = state[..., 0] + ahead * cosine - left * sine
-    y = state[..., 1] + ahead * sine + left * cosine
+    x = state[..., 0] + forward * cosine - left * sine
+    y = state[..., 1] + forward * sine + left * cosine
     return torch.stack([x, y], dim=-1)
 
 
-def seen_from(state: State, places: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
-    """Metres ahead and to the left at which places of the world lie."""
-    x, y = (places - state[..., :2]).unbind(-1)
+def agent_from_world(state: State, points: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
+    """Map points in the world to agents' frames (metres forward, left)."""
+    x, y = (points - state[..., :2]).unbind(-1)
     cosine, sine = state[..., 2].cos(), state[..., 2].sin()
     return torch.stack([x * cosine + y * sine, y * cosine - x * sine], dim=-1)
 
 
-def agents_step(
+def step_agents(
     state: State,
     action: Action,
     length: Float[Tensor, "..."],
-    on_foot: Bool[Tensor, "..."],
-    seconds: float,
+    pedestrian: Bool[Tensor, "..."],
+    dt: float,
 ) -> State:
-    """Vehicles by `bicycle_step`, those on foot by `unicycle_step`, in one batch."""
-    wheels = torch.where(on_foot[..., None], 0.0, action)  # a turn a second is no wheel's angle
-    axles = torch.where(on_foot, 1.0, length)  # who has no length has gradients all the same
-    driven = bicycle_step(state, wheels, axles, seconds)
-    return torch.where(on_foot[..., None], unicycle_step(state, action, seconds), driven)
+    """Move vehicles by the bicycle and pedestrians by the unicycle model, in one batch.
+
+    Args:
+        state: (..., 4) before the step.
+        action: (..., 2) of each agent's motion model.
+        length: (...) of the agents, metres.
+        pedestrian: (...) agents that move by the unicycle model.
+        dt: of the step, seconds.
+
+    Returns:
+        (..., 4) states after the step.
+    """
+    drive = torch.where(pedestrian[..., None], 0.0, action)  # a turn rate is no steering angle
+    safe_length = torch.where(pedestrian, 1.0, length)  # gradients stay finite where it is 0
+    driven = bicycle.step(state, drive, safe_length, dt)
+    return torch.where(pedestrian[..., None], unicycle.step(state, action, length, dt), driven)
 
 
-def agents_action(
+def invert_agents(
     state: State,
-    after: State,
+    next_state: State,
     length: Float[Tensor, "..."],
-    on_foot: Bool[Tensor, "..."],
-    seconds: float,
+    pedestrian: Bool[Tensor, "..."],
+    dt: float,
 ) -> Action:
-    """The actions that `agents_step` undoes."""
-    walked = unicycle_action(state, after, seconds)
-    return torch.where(on_foot[..., None], walked, bicycle_action(state, after, length, seconds))
+    """Find the actions whose `step_agents` reaches the next states' speeds and headings.
+
+    Args:
+        state: (..., 4) before the step.
+        next_state: (..., 4) after it.
+        length: (...) of the agents, metres.
+        pedestrian: (...) agents that move by the unicycle model.
+        dt: of the step, seconds.
+
+    Returns:
+        (..., 2) the action of each agent's motion model.
+    """
+    walked = unicycle.inverse(state, next_state, length, dt)
+    driven = bicycle.inverse(state, next_state, length, dt)
+    return torch.where(pedestrian[..., None], walked, driven)
 
 
-def limit(action: Action, most: Float[Tensor, "... 2"]) -> Action:
-    """Held to plus and minus the most; nothing flows back where it is held."""
-    return torch.maximum(torch.minimum(action, most), -most)
+def wrap_angle(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
+    """Bring angles into [-pi, pi); the gradient is 1."""
+    return angle - 2 * torch.pi * torch.floor((angle.detach() + torch.pi) / (2 * torch.pi))
 
 
-def limit_smoothly(action: Action, most: Float[Tensor, "... 2"]) -> Action:
-    """Held below the most by a hyperbolic tangent; far beyond it the gradient fades to zero."""
-    return most * torch.tanh(action / torch.where(most > 0, most, 1.0))
-
-
-def _pushed(
-    state: State, action: Action, seconds: float
+def _accelerate(
+    state: State, action: Action, dt: float
 ) -> tuple[Float[Tensor, "..."], Float[Tensor, "..."]]:
-    """The speed after a step's acceleration, and the way in it."""
-    speed = state[..., 3] + action[..., 0] * seconds
-    return speed, (state[..., 3] + speed) / 2 * seconds
+    """Compute the speed after a step, and the distance covered in it."""
+    speed = state[..., 3] + action[..., 0] * dt
+    return speed, (state[..., 3] + speed) / 2 * dt
 
 
-def _moved(
+def _follow_arc(
     state: State,
-    way: Float[Tensor, "..."],
+    distance: Float[Tensor, "..."],
     course: Float[Tensor, "..."],
     turn: Float[Tensor, "..."],
     speed: Float[Tensor, "..."],
 ) -> State:
-    """Along an arc that sets out on a course; the chord of an arc points along its middle."""
-    chord = way * torch.sinc(turn / (2 * torch.pi))
-    middle = course + turn / 2
-    x = state[..., 0] + chord * middle.cos()
-    y = state[..., 1] + chord * middle.sin()
-    return torch.stack([x, y, wrapped(state[..., 2] + turn), speed], dim=-1)
-
-
-def wrapped(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:
-    """Within half a turn of zero; whole turns are constants to the gradient."""
-    return angle - 2 * torch.pi * torch.floor((angle.detach() + torch.pi) / (2 * torch.pi))
+    """Move along an arc that starts in direction `course` and turns by `turn` radians."""
+    chord = distance * torch.sinc(turn / (2 * torch.pi))
+    direction = course + turn / 2  # an arc's chord points along the direction of its middle
+    x = state[..., 0] + chord * direction.cos()
+    y = state[..., 1] + chord * direction.sin()
+    return torch.stack([x, y, wrap_angle(state[..., 2] + turn), speed], dim=-1)

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from geoaim.lights import RED, YELLOW
-from geoaim.simulation.kinematics import AXLES, agents_action
+from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, invert_agents
 from geoaim.simulation.overlap import cross
 from geoaim.simulation.simulator import Policy, Recording
 
@@ -35,7 +35,7 @@ def constant_turn_rate(recording: Recording, path: Float[Tensor, "B t A 4"]) -> 
     number = path.shape[1] - 1
     there = recording.present[:, number - 1] & recording.present[:, number]
     before = torch.where(there[..., None], path[:, -2], path[:, -1])
-    actions = agents_action(
+    actions = invert_agents(
         before, path[:, -1], recording.sizes[..., 0], recording.on_foot, recording.seconds
     )
     return torch.stack([torch.zeros_like(actions[..., 0]), actions[..., 1]], dim=-1)
@@ -45,7 +45,7 @@ def replay(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
     """The actions that give each one the recorded speed and heading of the next step."""
     number = path.shape[1]
     lengths, feet = recording.sizes[..., 0], recording.on_foot
-    return agents_action(path[:, -1], recording.states[:, number], lengths, feet, recording.seconds)
+    return invert_agents(path[:, -1], recording.states[:, number], lengths, feet, recording.seconds)
 
 
 def intelligent_driver(
@@ -88,7 +88,7 @@ def intelligent_driver(
             push = torch.minimum(push, _acceleration(speed, speeds, way + GAP - SHORT, speed))
         push = torch.maximum(push.clamp_min(-BRAKES), -speed.clamp_min(0) / recording.seconds)
         curve = _curve(routes, mine, states, long)
-        wheel = torch.atan(AXLES * long * curve).clamp(-0.6, 0.6)
+        wheel = torch.atan(WHEELBASE_PER_LENGTH * long * curve).clamp(-0.6, 0.6)
         return torch.stack([push, torch.where(recording.on_foot, curve * speed, wheel)], dim=-1)
 
     return policy
@@ -152,7 +152,7 @@ def _shares(routes: Float[Tensor, "B A P 2"]) -> Float[Tensor, "P-1"]:
 def _curve(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
     """One over the radius of the arc from the rear axle through a point of the route ahead."""
     heading = torch.stack([states[..., 2].cos(), states[..., 2].sin()], dim=-1)
-    rear = states[..., :2] - heading * AXLES * lengths[..., None] / 2
+    rear = states[..., :2] - heading * WHEELBASE_PER_LENGTH * lengths[..., None] / 2
     look = torch.maximum(LOOK * states[..., 3].abs(), torch.full_like(along, AHEAD))
     target = _point_at(routes, along + look) - rear
     return 2 * cross(heading, target) / target.square().sum(-1).clamp_min(1.0)

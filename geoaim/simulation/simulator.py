@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
-from geoaim.simulation.kinematics import agents_step
+from geoaim.simulation.kinematics import step_agents
 from geoaim.simulation.scene import Scene, states_of, step_seconds
 
 ON_FOOT = ("pedestrian",)
@@ -135,7 +135,7 @@ def step(
     mine = (controlled & both)[..., None]
     safe = torch.where(mine, actions, 0.0)
     lengths = torch.where(mine[..., 0], recording.sizes[..., 0], 1.0)  # padding may have none
-    moved = agents_step(states, safe, lengths, recording.on_foot, recording.seconds)
+    moved = step_agents(states, safe, lengths, recording.on_foot, recording.seconds)
     return torch.where(mine, moved, recording.states[:, number + 1])
 
 

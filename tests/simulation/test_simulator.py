@@ -6,7 +6,7 @@ import torch
 
 from geoaim.lights import GREEN, RED
 from geoaim.simulation import Boxes, Scene, View, make_ground, render
-from geoaim.simulation.kinematics import bicycle_step
+from geoaim.simulation.kinematics import step_bicycle
 from geoaim.simulation.policies import (
     constant_turn_rate,
     constant_velocity,
@@ -26,7 +26,7 @@ def _recording(steps=21, dtype=torch.float64):
     circle = [torch.tensor([-30.0, 0, 0, 8], dtype=dtype)]
     for _ in time[1:]:
         turn = torch.tensor([0.0, 0.3], dtype=dtype)
-        circle.append(bicycle_step(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
+        circle.append(step_bicycle(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
     walker = torch.stack([zero + 5, time - 6, zero + np.pi / 2, zero + 1], -1)
     states = torch.stack([straight, torch.stack(circle), walker], 1)[None]
     present = torch.ones(1, steps, 3, dtype=torch.bool)
