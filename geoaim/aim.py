@@ -23,11 +23,11 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from geoaim.errors import AimError
 from geoaim.files import atomic_write
 from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.grid import Grid, north_up_grid
 from geoaim.world import World
 
 FORMAT = 1
 BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
-MAX_SIDE = 30_000  # px: OpenCV addresses 32767, and a larger map is a wrong resolution
 BLOCK = 1024  # px: side of the blocks that are resampled at a time
 
 
@@ -91,19 +91,20 @@ class AIM:
         return cls(image, world_from_image, world, coverage, contested, {"source": source})
 
     @property
+    def grid(self) -> Grid:
+        """The image's pixels in the world."""
+        height, width = self.image.shape[:2]
+        return Grid((height, width), self.world_from_image, self.world)
+
+    @property
     def corners(self) -> Float[Array, "4 2"]:
         """Corner frame: image corners in world metres, top-left, then clockwise in the image."""
-        height, width = self.image.shape[:2]
-        return transform_points(self.world_from_image, image_corners(height, width))
+        return self.grid.corners
 
     @property
     def resolution(self) -> float:
         """Metres per pixel at the image centre."""
-        height, width = self.image.shape[:2]
-        middle = np.array([[width, height]]) / 2 + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
-        origin, right, down = transform_points(self.world_from_image, middle)
-        (a, b), (c, d) = right - origin, down - origin
-        return float(np.sqrt(abs(a * d - b * c)))
+        return self.grid.resolution
 
     @property
     def is_affine(self) -> bool:
@@ -198,17 +199,17 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
     sides = _pixel_sides(aim)
     if resolution is None:
         resolution = float(f"{np.median(np.sqrt(sides.prod(axis=1))):.2g}")
-    world_from_grid, height, width = north_up_grid(aim.corners, resolution)
-    image_from_grid = np.linalg.inv(aim.world_from_image) @ world_from_grid
+    grid = north_up_grid(aim.corners, resolution)
+    image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
     oversampling = int(np.clip(round(resolution / sides.min()), 1, BLOCK))
-    coverage = _nearest(aim.coverage, image_from_grid, height, width)
-    contested = _nearest(aim.contested.astype(np.uint8), image_from_grid, height, width)
-    image = _resample(aim, image_from_grid, height, width, oversampling)
+    coverage = _nearest(aim.coverage, image_from_grid, grid.shape)
+    contested = _nearest(aim.contested.astype(np.uint8), image_from_grid, grid.shape)
+    image = _resample(aim, image_from_grid, grid.shape, oversampling)
     image[coverage == 0] = 0
     return replace(
         aim,
         image=image,
-        world_from_image=world_from_grid,
+        world_from_image=grid.world_from_grid,
         coverage=coverage,
         contested=contested > 0,
     )
@@ -317,44 +318,19 @@ def _pixel_sides(aim: AIM) -> Float[Array, "m 2"]:
     return np.linalg.norm(steps, axis=-1).T
 
 
-def north_up_grid(
-    corners: Float[Array, "n 2"], resolution: float
-) -> tuple[Float[Array, "3 3"], int, int]:
-    """world_from_grid, height and width of a grid over points, on whole multiples of its pixels.
-
-    Raises:
-        ValueError: the resolution is not a positive number.
-        AimError: it would have more than 30,000 pixels a side.
-    """
-    if not (np.isfinite(resolution) and resolution > 0):
-        raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
-    low = np.floor(corners.min(axis=0) / resolution + 1e-6)  # a corner on a line adds no row
-    high = np.ceil(corners.max(axis=0) / resolution - 1e-6)
-    width, height = (int(n) for n in high - low)
-    if max(height, width) > MAX_SIDE:
-        least = float(f"{1.1 * resolution * max(height, width) / MAX_SIDE:.1g}")
-        raise AimError(
-            f"at {resolution:g} m a pixel the map has {height} x {width} pixels (height x width), "
-            f"and at most {MAX_SIDE} a side can be made: use a resolution of {least:g} m or more, "
-            "or control points that keep far corners of the image near"
-        )
-    left, top = low[0] * resolution, high[1] * resolution
-    matrix = np.array([[resolution, 0.0, left], [0.0, -resolution, top], [0.0, 0.0, 1.0]])
-    return matrix, height, width
-
-
-def _nearest(raster: Array, image_from_grid: Float[Array, "3 3"], height: int, width: int) -> Array:
+def _nearest(raster: Array, image_from_grid: Float[Array, "3 3"], shape: tuple[int, int]) -> Array:
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-    return cv2.warpPerspective(raster, to_opencv(image_from_grid), (width, height), flags=flags)
+    return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)
 
 
 def _resample(
-    aim: AIM, image_from_grid: Float[Array, "3 3"], height: int, width: int, oversampling: int
+    aim: AIM, image_from_grid: Float[Array, "3 3"], shape: tuple[int, int], oversampling: int
 ) -> UInt8[Array, "H W 3"]:
     """Colours of covered pixels only: each is weighted by alpha, and divided by it at the end."""
     source = np.empty((*aim.coverage.shape, 4), np.float32)  # floats: bicubic sums overshoot
     source[..., 3] = aim.coverage > 0
     np.multiply(aim.image, source[..., 3:], out=source[..., :3])
+    height, width = shape
     image = np.empty((height, width, 3), np.uint8)
     size = BLOCK // oversampling
     for top, left in product(range(0, height, size), range(0, width, size)):

@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, north_up_grid
+from geoaim.aim import AIM
 from geoaim.files import write_figure
 from geoaim.geometry import transform_points
+from geoaim.grid import Grid, north_up_grid
 from geoaim.tracks import Tracks
 
 LOOK = 900  # px of the longer side of a drawn alignment
@@ -77,32 +78,28 @@ def _squares(
 ) -> tuple[UInt8[Array, "H W 3"], tuple[float, float, float, float]]:
     """The imagery on a grid over the corners, with the AIM in every other square."""
     wide, high = np.ptp(corners, axis=0)
-    matrix, height, width = north_up_grid(corners, float(max(wide, high)) / LOOK)
-    view, _ = _on_grid(shown, matrix, height, width)
+    grid = north_up_grid(corners, float(max(wide, high)) / LOOK)
+    view, _ = _on_grid(shown, grid)
     if aim is not None:
-        other, there = _on_grid(aim, matrix, height, width)
-        rows, columns = np.indices((height, width)) * SQUARES // LOOK
+        other, there = _on_grid(aim, grid)
+        rows, columns = np.indices(grid.shape) * SQUARES // LOOK
         swapped = there & ((rows + columns) % 2 == 0)
         view = np.where(swapped[..., None], other, view)
-    (left, top), (right, low) = transform_points(
-        matrix, np.array([[0.0, 0.0], [float(width), float(height)]])
-    )
+    (left, top), (right, low) = grid.corners[[0, 2]]
     return view, (left, right, low, top)
 
 
-def _on_grid(
-    aim: AIM, world_from_grid: Float[Array, "3 3"], height: int, width: int
-) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+def _on_grid(aim: AIM, grid: Grid) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
     """The nearest pixels, and where there are any; white where none."""
-    rows, columns = np.indices((height, width)) + 0.5
-    image_from_grid = np.linalg.inv(aim.world_from_image) @ world_from_grid
+    rows, columns = np.indices(grid.shape) + 0.5
+    image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
     places = transform_points(image_from_grid, np.stack([columns, rows], -1).reshape(-1, 2))
     u, v = np.floor(places).astype(int).T
     inside = (u >= 0) & (v >= 0) & (u < aim.image.shape[1]) & (v < aim.image.shape[0])
     inside[inside] = aim.coverage[v[inside], u[inside]] > 0
-    view = np.full((height * width, 3), 255, np.uint8)
+    view = np.full((len(inside), 3), 255, np.uint8)
     view[inside] = aim.image[v[inside], u[inside]]
-    return view.reshape(height, width, 3), inside.reshape(height, width)
+    return view.reshape(*grid.shape, 3), inside.reshape(grid.shape)
 
 
 def summary(aim: AIM) -> dict[str, str]:

@@ -12,8 +12,9 @@ from numpy import ndarray as Array
 from geoaim.bench.alignment_pairs import Pair, error, misplaced
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
+from geoaim.grid import Grid
 from geoaim.imagery.alignment.by_image import align_image
-from geoaim.imagery.alignment.template_matching import Grid, grey_on, picture_of
+from geoaim.imagery.alignment.template_matching import grey_on, picture_of
 from geoaim.imagery.mosaic import read_imagery
 
 
@@ -63,7 +64,7 @@ def _by_brightness(pair: Pair) -> Float[Array, "2"]:
     low, high = pair.aim.corners.min(axis=0), pair.aim.corners.max(axis=0)
     side = int((high - low).min() / step)
     matrix = np.array([[step, 0, low[0]], [0, -step, high[1]], [0, 0, 1.0]])
-    grid = Grid(matrix, side, side)
+    grid = Grid((side, side), matrix, pair.aim.world)
     views = []
     for shown in (pair.aim, pair.picture):
         grey, known = grey_on(picture_of(shown, step), np.eye(3), grid)

@@ -2,7 +2,6 @@
 
 import os
 import warnings
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -14,9 +13,9 @@ from rasterio.features import rasterize
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.aim import north_up_grid
 from geoaim.errors import GeoaimWarning, MapError
 from geoaim.geojson import Feature, read_features, write_features
+from geoaim.grid import Grid, north_up_grid
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 from geoaim.world import World
 
@@ -28,19 +27,6 @@ SPACING = 1.0  # m between places along a lane
 MARGIN = 20.0  # m around the area in which distances are told
 SMALLEST = 0.1  # m² of a drawn area: degrees taken for metres enclose less
 MOST = 9_000_000  # cells of the distance: about a gigabyte while it is made
-
-
-@dataclass(frozen=True, eq=False)
-class SignedDistance:
-    """How far points are from the edge of the drivable area.
-
-    Attributes:
-        metres: (H, W) at the middles of cells: positive outside, negative inside.
-        image_from_world: (3, 3) metres to cells (corner origin).
-    """
-
-    metres: Float[Array, "H W"]
-    image_from_world: Float[Array, "3 3"]
 
 
 def outline(lanelet: Lanelet) -> Polygon:
@@ -116,11 +102,21 @@ def read_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
     return area
 
 
-def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDistance:
-    """Distances on a grid of so many metres a cell, within `MARGIN` around the area.
+def signed_distance(
+    area: MultiPolygon, *, resolution: float = 0.2
+) -> tuple[Float32[Array, "H W"], Grid]:
+    """Distance from the edge of an area, on a grid of so many metres a cell around it.
 
-    They are those to the nearest cell of a mask `FINER` times as fine, which is half a cell of
-    the mask from the edge on average. Where they would be more than `MOST`, cells are coarser.
+    A distance is that to the nearest cell of a mask `FINER` times as fine, which is half a cell
+    of the mask from the edge on average. Cells are coarser where there would be more than `MOST`.
+
+    Args:
+        area: metres in some world.
+        resolution: metres a cell.
+
+    Returns:
+        Metres at the middles of the cells, positive outside the area and negative inside; and the
+        grid, which reaches `MARGIN` beyond the area.
 
     Raises:
         MapError: the area is empty, or too narrow for a cell of the mask.
@@ -129,16 +125,15 @@ def signed_distance(area: MultiPolygon, *, resolution: float = 0.2) -> SignedDis
         raise MapError("the area is empty; polygons are needed")
     low, high = np.array(area.bounds).reshape(2, 2)
     resolution = _affordable(high - low + 2 * MARGIN, resolution)
-    world_from_grid, height, width = north_up_grid(
-        np.stack([low - MARGIN, high + MARGIN]), resolution
-    )
+    grid = north_up_grid(np.stack([low - MARGIN, high + MARGIN]), resolution)
     fine = resolution / FINER
-    placed = Affine(*world_from_grid[:2].ravel()) * Affine.scale(1 / FINER)
-    mask = rasterize([area], (height * FINER, width * FINER), transform=placed, dtype=np.uint8)
+    placed = Affine(*grid.world_from_grid[:2].ravel()) * Affine.scale(1 / FINER)
+    size = grid.height * FINER, grid.width * FINER
+    mask = rasterize([area], size, transform=placed, dtype=np.uint8)
     if not mask.any():
         raise MapError(f"the area is narrower than {fine:g} m; draw it wider, or take finer cells")
-    outside, inside = (_distance(part, height, width) for part in (1 - mask, mask))
-    return SignedDistance((outside - inside) * np.float32(fine), np.linalg.inv(world_from_grid))
+    outside, inside = (_distance(part, grid.height, grid.width) for part in (1 - mask, mask))
+    return (outside - inside) * np.float32(fine), grid
 
 
 def _affordable(size: Float[Array, "2"], resolution: float) -> float:

@@ -9,8 +9,9 @@ from numpy import ndarray as Array
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.aim import AIM, north_up_grid
+from geoaim.aim import AIM
 from geoaim.geometry import transform_points
+from geoaim.grid import north_up_grid
 from geoaim.hdmap.drivable import NOT_DRIVEN, outline, points_along, polygons_of
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
 
@@ -63,13 +64,13 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
             f"at {resolution} m a pixel the image would have {wide * high / resolution**2:.3g} "
             f"pixels; the map is {wide:.0f} by {high:.0f} m"
         )
-    world_from_image, height, width = north_up_grid(corners, resolution)
-    fine_from_world = np.diag([FINER, FINER, 1.0]) @ np.linalg.inv(world_from_image)
-    fine = np.full((height * FINER, width * FINER, 3), GROUND, np.uint8)
+    grid = north_up_grid(corners, resolution, hdmap.world)
+    fine_from_world = np.diag([FINER, FINER, 1.0]) @ grid.grid_from_world
+    fine = np.full((grid.height * FINER, grid.width * FINER, 3), GROUND, np.uint8)
     for shape, colour in _drawn(hdmap):
         _fill(fine, shape, fine_from_world, colour)
-    image = cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
-    return AIM.from_image(image, world_from_image, hdmap.world, "HD map")
+    image = cv2.resize(fine, grid.shape[::-1], interpolation=cv2.INTER_AREA)
+    return AIM.from_image(image, grid.world_from_grid, hdmap.world, "HD map")
 
 
 def _fill(

@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, north_up_grid
+from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
 from geoaim.geometry import transform_points, translation
+from geoaim.grid import Grid, north_up_grid
 from geoaim.imagery.rasters import (
     HALF_SEEN,
     Raster,
@@ -181,7 +182,7 @@ def _pixel_size(raster: Raster, area: Area) -> float:
     middle = (area.points.min(axis=0) + area.points.max(axis=0)) / 2.0
     cross = middle + 5.0 * np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
     within = Area(area.world, cross).within(raster.crs)
-    pixels = transform_points(np.linalg.inv(raster.crs_from_raster), within)
+    pixels = transform_points(raster.grid.grid_from_world, within)
     steps = (pixels[1::2] - pixels[::2]) / 10.0
     return float(1.0 / np.sqrt(abs(np.linalg.det(steps))))
 
@@ -198,12 +199,12 @@ def _warn_of_coarse(layers: Sequence[Layer], sizes: Sequence[float], resolution:
 
 
 def _mosaic(layers: Sequence[Layer], area: Area, resolution: float, sizes: Sequence[float]) -> AIM:
-    world_from_image, height, width = north_up_grid(area.points, resolution)
+    grid = north_up_grid(area.points, resolution, area.world)
     points = {raster.crs: area.within(raster.crs) for layer in layers for raster in layer.rasters}
     stretches = [find_stretch(layer.rasters, points) for layer in layers]
-    image, covered = np.zeros((height, width, 3), np.uint8), np.zeros((height, width), bool)
+    image, covered = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     counts, broken = np.zeros(len(layers)), dict[str, ImageryError]()
-    for part, crs_from_block in _blocks(area.world, world_from_image, (height, width), points):
+    for part, crs_from_block in _blocks(area.world, grid, points):
         total = np.zeros((4, *covered[part].shape), np.float32)
         for number, layer in enumerate(layers):
             before = np.count_nonzero(total[3] >= HALF_SEEN)
@@ -214,18 +215,17 @@ def _mosaic(layers: Sequence[Layer], area: Area, resolution: float, sizes: Seque
     _check_result(layers, covered, broken)
     shares = counts / covered.size
     report = _report(layers, resolution, sizes, stretches, shares, tuple(broken))
-    nothing = np.zeros((height, width), bool)
-    return AIM(image, world_from_image, area.world, covered.astype(np.uint16), nothing, report)
+    nothing, matrix = np.zeros(grid.shape, bool), grid.world_from_grid
+    return AIM(image, matrix, area.world, covered.astype(np.uint16), nothing, report)
 
 
 def _blocks(
     world: World,
-    world_from_image: Float[Array, "3 3"],
-    shape: tuple[int, int],
+    grid: Grid,
     crses: Iterable[str],
 ) -> Iterator[tuple[tuple[slice, slice], dict[str, Float[Array, "3 3"]]]]:
     """Blocks of the image, so small that a straight map leads from each to every CRS."""
-    height, width = shape
+    height, width = grid.shape
     tops, lefts = range(0, height, BLOCK), range(0, width, BLOCK)
     waiting = [(top, left, BLOCK) for top in reversed(tops) for left in reversed(lefts)]
     while waiting:
@@ -233,7 +233,7 @@ def _blocks(
         if top >= height or left >= width:
             continue
         part = slice(top, min(top + side, height)), slice(left, min(left + side, width))
-        world_from_block = world_from_image @ translation(left, top)
+        world_from_block = grid.world_from_grid @ translation(left, top)
         size = part[0].stop - top, part[1].stop - left
         fits = {crs: _straight(world, world_from_block, size, crs) for crs in crses}
         if side > 16 and max(bend for _, bend in fits.values()) > BENT:
@@ -272,7 +272,7 @@ def _lay_under(
     for raster in layer.rasters:
         if raster.name in broken:
             continue
-        raster_from_block = np.linalg.inv(raster.crs_from_raster) @ crs_from_block[raster.crs]
+        raster_from_block = raster.grid.grid_from_world @ crs_from_block[raster.crs]
         own = None if raster.dtype == "uint8" else stretch
         try:
             placed = place_raster(raster, raster_from_block, total.shape[1:], own)

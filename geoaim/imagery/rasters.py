@@ -21,6 +21,7 @@ from rasterio.windows import Window
 
 from geoaim.errors import ImageryError
 from geoaim.geometry import image_corners, transform_points
+from geoaim.grid import Grid
 
 SEQUENTIAL = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # drivers that decode a file from its start
 MOST_PIXELS = 1_000_000_000  # in one piece that can only be decoded as a whole
@@ -39,9 +40,7 @@ class Raster:
         path: what GDAL opens: a file, a connection string, or XML.
         name: what messages and reports call it.
         crs: of its coordinates.
-        crs_from_raster: (3, 3) pixels (corner origin) to coordinates, x first.
-        height: pixels.
-        width: pixels.
+        grid: its pixels, in coordinates of that CRS, x first.
         bands: the band for grey, or the three for red, green and blue, from 1.
         dtype: of these bands.
         options: for opening it.
@@ -51,9 +50,7 @@ class Raster:
     path: str
     name: str
     crs: str
-    crs_from_raster: Float[Array, "3 3"]
-    height: int
-    width: int
+    grid: Grid
     bands: tuple[int, ...]
     dtype: str
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -100,9 +97,7 @@ def describe_raster(
             path=path,
             name=path,
             crs=found,
-            crs_from_raster=matrix,
-            height=dataset.height,
-            width=dataset.width,
+            grid=Grid((dataset.height, dataset.width), matrix),
             bands=chosen,
             dtype=dataset.dtypes[chosen[0] - 1],
             options=options,
@@ -111,16 +106,16 @@ def describe_raster(
 
 def raster_outline(raster: Raster) -> Float[Array, "m 2"]:
     """Points along the raster's edges, in its CRS."""
-    corners = image_corners(raster.height, raster.width)
+    corners = image_corners(*raster.grid.shape)
     shares = np.linspace(0.0, 1.0, 9)[:, None]
     edges = [a + (b - a) * shares for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
-    return transform_points(raster.crs_from_raster, np.concatenate(edges))
+    return transform_points(raster.grid.world_from_grid, np.concatenate(edges))
 
 
 def touches(raster: Raster, points: Float[Array, "m 2"]) -> bool:
     """Whether the raster has a pixel between points in its CRS."""
-    pixels = transform_points(np.linalg.inv(raster.crs_from_raster), points)
-    inside = (pixels.max(axis=0) > 0) & (pixels.min(axis=0) < [raster.width, raster.height])
+    pixels = transform_points(raster.grid.grid_from_world, points)
+    inside = (pixels.max(axis=0) > 0) & (pixels.min(axis=0) < raster.grid.shape[::-1])
     return bool(inside.all())
 
 
@@ -136,7 +131,7 @@ def find_stretch(
     samples = [np.empty(0, np.float32)]
     most = max(1, int(SAMPLED / max(len(wide), 1) ** 0.5))
     for raster in wide:
-        pixels = transform_points(np.linalg.inv(raster.crs_from_raster), points[raster.crs])
+        pixels = transform_points(raster.grid.grid_from_world, points[raster.crs])
         window = _clip(raster, np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0)))
         if window is not None:
             size = min(most, int(window.height)), min(most, int(window.width))
@@ -219,7 +214,7 @@ def _resample(
 
 
 def _clip(raster: Raster, low: Float[Array, "2"], high: Float[Array, "2"]) -> Window | None:
-    size = np.array([raster.width, raster.height])
+    size = np.array(raster.grid.shape[::-1])
     (left, top), (right, bottom) = np.clip(low, 0, size), np.clip(high, 0, size)
     if right <= left or bottom <= top:
         return None

@@ -131,9 +131,9 @@ def drivable_of(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
         MapError: the area lies too far from the world's origin.
     """
     _check_near("drivable area", np.array(area.bounds).reshape(2, 2))
-    found = signed_distance(area, resolution=resolution)
-    matrix = torch.tensor(found.image_from_world[:2], dtype=torch.float32)
-    return Drivable(torch.tensor(found.metres), matrix)
+    distance, grid = signed_distance(area, resolution=resolution)
+    matrix = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
+    return Drivable(torch.tensor(distance), matrix)
 
 
 def lanes_of(hdmap: HDMap) -> Lanes:

@@ -50,12 +50,10 @@ def test_directions_are_those_of_the_lanes():
 
 
 def test_distance_is_negative_on_the_road():
-    found = signed_distance(MultiPolygon([box(0, 0, 30, 6)]), resolution=0.5)
-    row, column = transform_points(found.image_from_world, np.array([[10.0, 2.0]])).astype(int)[0][
-        ::-1
-    ]
-    assert found.metres[row, column] == pytest.approx(-2, abs=0.3)
-    assert found.metres.max() > 18
+    distance, grid = signed_distance(MultiPolygon([box(0, 0, 30, 6)]), resolution=0.5)
+    [[column, row]] = transform_points(grid.grid_from_world, np.array([[10.0, 2.0]])).astype(int)
+    assert distance[row, column] == pytest.approx(-2, abs=0.3)
+    assert distance.max() > 18
 
 
 def test_distance_of_nothing_is_refused():
@@ -67,8 +65,8 @@ def test_distance_of_nothing_is_refused():
 def test_distance_of_a_large_area_is_coarser(monkeypatch):
     monkeypatch.setattr(drivable, "MOST", 1000)
     with pytest.warns(GeoaimWarning, match=r"70 x 46 m are too large.*told every 1\.8 m"):
-        found = signed_distance(MultiPolygon([box(0, 0, 30, 6)]))
-    assert found.metres.size < 1200
+        distance, _ = signed_distance(MultiPolygon([box(0, 0, 30, 6)]))
+    assert distance.size < 1200
 
 
 @pytest.mark.parametrize("world", [World(None), World("EPSG:32635", (583200.0, 6062200.0))])

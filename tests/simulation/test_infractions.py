@@ -21,9 +21,9 @@ CAR = torch.tensor([4.0, 2.0])
 
 
 def _drivable(resolution=0.2):
-    found = signed_distance(AREA, resolution=resolution)
-    matrix = torch.tensor(found.image_from_world[:2], dtype=torch.float32)
-    return Drivable(torch.tensor(found.metres), matrix)
+    distance, grid = signed_distance(AREA, resolution=resolution)
+    matrix = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
+    return Drivable(torch.tensor(distance), matrix)
 
 
 def test_distance_is_that_of_the_polygon():

@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, north_up_grid
+from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
-from geoaim.geometry import image_corners, similarity_about, transform_points, translation
+from geoaim.geometry import similarity_about, transform_points, translation
+from geoaim.grid import Grid, north_up_grid, pad_grid
 from geoaim.imagery.alignment.result import PRIOR, Alignment, Prior
 from geoaim.imagery.alignment.template_matching import (
-    Grid,
     Picture,
     Shifts,
     correlation,
@@ -114,7 +114,7 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = PRIOR) -> Alignment:
         rivals = _rivals((between or [last])[-1], best.place, prior)
         found += [_judged(last, place) for place in _followed(last, rivals)]
     found.sort(key=lambda candidate: -candidate.agreeing)
-    corners = transform_points(last.grid.world_from_grid, image_corners(*last.grid[1:]))
+    corners = last.grid.corners
     chance = _refuse(found, last, corners, prior)
     return _least(found[0], last, corners.mean(axis=0), chance)
 
@@ -132,9 +132,8 @@ def _grids(imagery: AIM, aim: AIM, prior: Prior) -> list[Grid]:
         )
     halvings = min(np.ceil(np.log2(longer / COARSE)), np.floor(np.log2(shorter / NARROWEST)))
     corners = np.stack([low, high])
-    return [
-        Grid(*north_up_grid(corners, finest * 2**k)) for k in range(max(int(halvings), 1), -1, -1)
-    ]
+    steps = range(max(int(halvings), 1), -1, -1)
+    return [north_up_grid(corners, finest * 2**k, aim.world) for k in steps]
 
 
 def _level(imagery: AIM, aim: AIM, grid: Grid) -> Level:
@@ -153,7 +152,7 @@ def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     """The best places of the prior's range that are not beside a better one, stated from true."""
     grid = level.grid
     metres, reach = grid.resolution, int(np.ceil(prior.reach / grid.resolution))
-    wider = _wider(grid, reach)
+    wider = pad_grid(grid, reach)
     middle = transform_points(grid.world_from_grid, np.array([[grid.width, grid.height]]) / 2)[0]
     step = 2 * STEP / max(grid.height, grid.width)
     found = []
@@ -164,13 +163,7 @@ def _coarse(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
             row, column = np.unravel_index(scores.argmax(), scores.shape)
             shift = translation((column - reach) * metres, (reach - row) * metres)
             found.append((float(scores.max()), moved @ shift))
-    corners = transform_points(grid.world_from_grid, image_corners(grid.height, grid.width))
-    return _apart(found, corners, 4 * metres)
-
-
-def _wider(grid: Grid, pixels: int) -> Grid:
-    matrix = grid.world_from_grid @ translation(-pixels, -pixels)
-    return Grid(matrix, grid.height + 2 * pixels, grid.width + 2 * pixels)
+    return _apart(found, grid.corners, 4 * metres)
 
 
 def _apart(
@@ -192,7 +185,7 @@ def _followed(level: Level, places: list[Float[Array, "3 3"]]) -> list[Float[Arr
     for place in places:
         match = _match(_compare(level, place, NARROW), place, grid, np.inf)
         if len(match.source) >= FEWEST:
-            motion = fit_match(match, "similarity", size=grid[1:])
+            motion = fit_match(match, "similarity", size=grid.shape)
             matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
             agreeing = (np.linalg.norm(motion.residuals, axis=1) < AGREE).sum()
             mended.append((int(agreeing), matrix))
@@ -209,7 +202,7 @@ def _compare(level: Level, place: Float[Array, "3 3"], search: int) -> Shifts:
 
 def _side(level: Level) -> int:
     """Pixels of a window: half as many where few would fit."""
-    return SIDE if min(level.grid[1:]) >= 4 * SIDE else SIDE // 2
+    return SIDE if min(level.grid.shape) >= 4 * SIDE else SIDE // 2
 
 
 def _stride(level: Level) -> int:
@@ -234,7 +227,7 @@ def _rivals(level: Level, best: Float[Array, "3 3"], prior: Prior) -> list[Float
     for u, v in shifts.middles[np.linalg.norm(shifts.shifts, axis=1) < AGREE].astype(int):
         there[v - half : v + half, u - half : u + half] = 1
     reach = int(np.ceil(2 * prior.reach / grid.resolution))
-    edges = _edges(level.picture, best, _wider(grid, reach))
+    edges = _edges(level.picture, best, pad_grid(grid, reach))
     scores = correlation(level.ground * there[..., None], edges)
     around = np.ones((2 * int(3 * AGREE) + 1,) * 2, np.uint8)
     peaks = np.argwhere(scores >= cv2.dilate(scores, around))
@@ -251,7 +244,7 @@ def _judged(level: Level, place: Float[Array, "3 3"]) -> Candidate:
 
 def _least(best: Candidate, level: Level, middle: Float[Array, "2"], chance: float) -> Alignment:
     """The least model that the windows support, and how well it is known."""
-    grid, size = level.grid, level.grid[1:]
+    grid, size = level.grid, level.grid.shape
     in_a_row = np.ptp(best.match.source, axis=0).min() < SIDE
     model = choose_model(
         [best.match],

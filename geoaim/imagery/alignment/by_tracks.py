@@ -22,15 +22,16 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import similarity_about, to_opencv, transform_points
+from geoaim.grid import Grid
 from geoaim.imagery.alignment.result import LOOSE, PRIOR, Alignment, Prior
 from geoaim.imagery.alignment.template_matching import (
-    Grid,
     grey_on,
     orientation,
     picture_of,
     smoothed,
 )
 from geoaim.tracks import Tracks
+from geoaim.world import World
 
 RESOLUTION = 0.4  # m a pixel
 DRIVEN = ("car", "van", "truck", "bus", "motorcycle")
@@ -75,7 +76,7 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = PRIOR) -> Align
         )
     middle = (paths[:, :2].min(axis=0) + paths[:, :2].max(axis=0)) / 2
     half = float(np.abs(paths[:, :2] - middle).max())
-    grid = _grid(middle, half * np.sqrt(2) + 2 * SIDE + reach)
+    grid = _grid(tracks.world, middle, half * np.sqrt(2) + 2 * SIDE + reach)
     edges, kinds = _edges_and_kinds(imagery, grid)
     count = int(np.ceil(prior.turn * half / TURN_STEP))
     turns = np.arange(-count, count + 1) * TURN_STEP / half
@@ -110,11 +111,11 @@ class Template(NamedTuple):
     left: int
 
 
-def _grid(middle: Float[Array, "2"], reach: float) -> Grid:
+def _grid(world: World, middle: Float[Array, "2"], reach: float) -> Grid:
     side = int(np.ceil(2 * reach / RESOLUTION))
     left, top = middle[0] - reach, middle[1] + reach
     matrix = np.array([[RESOLUTION, 0, left], [0, -RESOLUTION, top], [0, 0, 1.0]])
-    return Grid(matrix, side, side)
+    return Grid((side, side), matrix, world)
 
 
 def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"], Int[Array, "H W"]]:
@@ -132,8 +133,7 @@ def _edges_and_kinds(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"],
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     colours = smoothed(imagery.image, grid.resolution / imagery.resolution)
     image_from_grid = np.linalg.inv(imagery.world_from_image) @ grid.world_from_grid
-    size = grid.width, grid.height
-    image = cv2.warpPerspective(colours, to_opencv(image_from_grid), size, flags=flags)
+    image = cv2.warpPerspective(colours, to_opencv(image_from_grid), grid.shape[::-1], flags=flags)
     return np.dstack([edges, strength]), _kinds(image, grey, there)
 
 

@@ -174,9 +174,9 @@ def _masked_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W
     """Without what nodata, masks and alpha hide; more than 8 bits are stretched."""
     raster = describe_raster(str(path), place=("pixels", np.eye(3)))
     stretch = find_stretch([raster], {"pixels": np.array([[0.0, 0.0], [1.0, 1.0]])})
-    image = np.zeros((raster.height, raster.width, 3), np.uint8)
+    image = np.zeros((*raster.grid.shape, 3), np.uint8)
     seen = np.zeros(image.shape[:2], bool)
-    for top in range(0, raster.height, STRIP):
+    for top in range(0, raster.grid.height, STRIP):
         strip = image[top : top + STRIP]
         raster_from_strip = translation(0, top)
         placed = place_raster(raster, raster_from_strip, strip.shape[:2], stretch)

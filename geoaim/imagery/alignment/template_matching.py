@@ -15,25 +15,13 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.geometry import to_opencv
+from geoaim.grid import Grid
 
 SURROUNDINGS = 10.0  # m: what is darker than the mean this far around is flattened
 SMOOTH = 0.7  # px, before edges are taken
 RIM = 5  # px beside the unknown that are unknown
 LEAST_KNOWN = 0.6  # of a window
 FLAT = 1e-4  # curvature of a correlation's peak below which it has no place
-
-
-class Grid(NamedTuple):
-    """A north-up grid in the world: pixels to metres, and how many there are."""
-
-    world_from_grid: Float[Array, "3 3"]
-    height: int
-    width: int
-
-    @property
-    def resolution(self) -> float:
-        """Metres a pixel."""
-        return float(self.world_from_grid[0, 0])
 
 
 class Shifts(NamedTuple):
@@ -84,7 +72,7 @@ def grey_on(
 ) -> tuple[Float32[Array, "H W"], Bool[Array, "H W"]]:
     """Brightness on a grid, if the picture were moved, and where it is known."""
     matrix = to_opencv(picture.image_from_world @ stated_from_true @ grid.world_from_grid)
-    size = grid.width, grid.height
+    size = grid.shape[::-1]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     replicate = cv2.BORDER_REPLICATE
     found = cv2.warpPerspective(picture.grey, matrix, size, flags=flags, borderMode=replicate)

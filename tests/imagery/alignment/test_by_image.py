@@ -138,7 +138,3 @@ def test_windows_are_found_to_a_fraction_of_a_pixel():
     found = window_shifts(*fields, side=64, search=6, stride=48)
     assert len(found.middles) > 10
     np.testing.assert_allclose(np.nanmedian(found.shifts, axis=0), [-2, 3], atol=0.1)
-
-
-def test_pixel_size_is_that_of_the_ground():
-    assert _noise(1).resolution == pytest.approx(0.25)
