@@ -26,7 +26,7 @@ from geoaim.aim import AIM
 from geoaim.bench.alignment_pairs import GROUND, Pair, error, made_pairs, misplaced
 from geoaim.bench.alignment_real import rotterdam, zooms
 from geoaim.bench.data import find_data
-from geoaim.bench.report import medians, save, table
+from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.errors import AlignmentError
 from geoaim.geometry import from_opencv, similarity_about, transform_points
 from geoaim.imagery.alignment import template_matching
@@ -248,7 +248,7 @@ def speed(made: Pair) -> list[dict[str, Any]]:
         for image in (made.aim.image, np.asarray(photo))
     )
     pair = misplaced(Pair("square", aim, picture, np.eye(3)), np.random.default_rng(2))
-    ours, floor = medians([lambda: align_image(pair.picture, pair.aim), correlate], 5)
+    ours, floor = time_medians([lambda: align_image(pair.picture, pair.aim), correlate], 5)
     return [
         {
             "scene": "200 x 200 m, 0.2 m a pixel",
@@ -297,8 +297,8 @@ def main(
     rows: list[dict[str, Any]] = []
     for part in parts:
         rows += (found := part())
-        print(table(found) + "\n", flush=True)
-    save(rows, json, command="python -m geoaim.bench.alignment")
+        print(format_table(found) + "\n", flush=True)
+    write_rows(rows, json, command="python -m geoaim.bench.alignment")
     if chart is not None:
         draw(made, chart)
 

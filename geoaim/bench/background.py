@@ -26,7 +26,7 @@ from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import make_hover_video
-from geoaim.bench.report import peak_megabytes, save, table
+from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.encode import write_video
 from geoaim.mapping.background.accumulate import compare_exposure, expose, first_exposure, warp
 from geoaim.mapping.background.estimate import (
@@ -175,7 +175,7 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     start = time.perf_counter()
     result = METHODS[name](frames)
     seconds = time.perf_counter() - start
-    peak = peak_megabytes()
+    peak = measure_peak_megabytes()
     row: dict[str, Any] = {"method": name}
     image = result.image if isinstance(result, Background) else result
     zones = _zones(truth["share"])
@@ -235,7 +235,7 @@ def made_table(stills: list[str], size: str, count: int, threads: int) -> list[d
                 rows.append(row)
                 first = next(r for r in rows if r["still"] == still)
                 row["times plain mean"] = row["decoded beforehand"] / first["decoded beforehand"]
-                print(table([row]).splitlines()[-1], flush=True)
+                print(format_table([row]).splitlines()[-1], flush=True)
     return rows
 
 
@@ -304,12 +304,12 @@ def main(
         return
     cv2.setNumThreads(threads)
     made = made_table(stills.split(","), size, frames, threads)
-    print(table(made), "\n")
+    print(format_table(made), "\n")
     real = real_table()
     if real:
-        print(table(real))
+        print(format_table(real))
     command = " ".join(["python -m geoaim.bench.background", *sys.argv[1:]])
-    save(made, json, command=command, size=size, frames=frames, real=real)
+    write_rows(made, json, command=command, size=size, frames=frames, real=real)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from geoaim.bench.birdview_peers import by_dense_torch, by_opencv, sampling_grid
 from geoaim.bench.birdview_truth import CAR, picture_errors
-from geoaim.bench.report import medians, peak_megabytes, save, table
+from geoaim.bench.report import format_table, measure_peak_megabytes, time_medians, write_rows
 from geoaim.simulation import Boxes, Ground, View, fit_ground, make_ground, render
 from geoaim.synthetic import draw_place, make_place
 
@@ -107,7 +107,7 @@ def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, An
         backward(lambda: ours(given[1], given[0]), own, given)
 
     often = repeats * max(1, MANY // (views * pixels**2))
-    quick, sample, cv, quick_both, sample_both = medians(
+    quick, sample, cv, quick_both, sample_both = time_medians(
         [
             forward,
             torch.no_grad()(alone),
@@ -117,7 +117,7 @@ def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, An
         ],
         often,
     )
-    beside, plain, beside_both, plain_both = medians(  # apart: it leaves no cache as it was
+    beside, plain, beside_both, plain_both = time_medians(  # apart: it leaves no cache as it was
         [
             forward,
             torch.no_grad()(lambda: dense(boxes.poses, cameras)),
@@ -168,7 +168,7 @@ def against_peers(ground: Ground, pixels: int, views: int, repeats: int) -> list
         lambda: F.grid_sample(texture, grid, align_corners=False),
     ]
     with torch.no_grad():
-        *seconds, alone = medians(timed, repeats)
+        *seconds, alone = time_medians(timed, repeats)
     few = [(c, replace(b, noses=None)) for c, b in scenes_apart(4, torch.float32)]
     return [
         {"way": name, "times grid_sample": time / alone} | picture_errors(draw, view, ground, few)
@@ -206,7 +206,7 @@ def _held(pixels: int, views: int) -> float:
     given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
     picture = render(view, given[0], ground, [replace(boxes, poses=given[1])])
     torch.autograd.grad(picture.sum(), given)
-    return peak_megabytes()
+    return measure_peak_megabytes()
 
 
 def chart(rows: list[dict[str, Any]], path: Path) -> None:
@@ -235,17 +235,17 @@ def main(
     texture = picture_of_place()
     ground, exact = on_map(texture), on_map(texture.double())
     rows = [speed(ground, pixels, views, repeats) for pixels in (256, 64) for views in (1, 16, 64)]
-    print(table(rows), flush=True)
+    print(format_table(rows), flush=True)
     ways = against_peers(ground, 256, 16, repeats)
-    print(table(ways), flush=True)
+    print(format_table(ways), flush=True)
     if chart_path:
         chart(ways, chart_path)
     pictures = [errors_at(exact, pixels) for pixels in (256, 128, 64)]
     megabytes = memory(256, 64)
-    print(table(pictures), f"{megabytes:.1f} MB a view", sep="\n\n", flush=True)
+    print(format_table(pictures), f"{megabytes:.1f} MB a view", sep="\n\n", flush=True)
     command = f"python -m geoaim.bench.birdview --repeats {repeats}"
     more = {"ways": ways, "pictures": pictures, "megabytes_a_view": megabytes}
-    save(rows, json, command=command, torch=torch.__version__, **more)
+    write_rows(rows, json, command=command, torch=torch.__version__, **more)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import typer
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.bench.report import save, table
+from geoaim.bench.report import format_table, write_rows
 from geoaim.simulation import Boxes, Ground, View, fit_ground, make_ground, render
 from geoaim.simulation.birdview import NOSE
 
@@ -170,9 +170,9 @@ def main(
     """Compare gradients over random scenes; print a table, and write JSON when asked."""
     torch.set_num_threads(1)
     rows = gradient_errors(scenes)
-    print(table(rows))
+    print(format_table(rows))
     command = f"python -m geoaim.bench.birdview_truth --scenes {scenes}"
-    save(rows, json, command=command, torch=torch.__version__)
+    write_rows(rows, json, command=command, torch=torch.__version__)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from numpy import ndarray as Array
 from shapely import MultiPolygon
 
 from geoaim.bench.data import find_data
-from geoaim.bench.report import save, table
+from geoaim.bench.report import format_table, write_rows
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.simulation.layers import KINDS
@@ -76,8 +76,8 @@ def main(
     found = {"sample": (sample, places_of(tracks))}
     found |= {junction: karlsruhe(junction) for junction in JUNCTIONS}
     rows = [row(name, *both) for name, both in found.items()]
-    print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.drivable")
+    print(format_table(rows))
+    write_rows(rows, json, command="python -m geoaim.bench.drivable")
     if picture is None:
         return
     figure, axes = plt.subplots(1, len(found), figsize=(7 * len(found), 6), layout="constrained")

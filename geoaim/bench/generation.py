@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import typer
 
-from geoaim.bench.report import medians, save, table
+from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.geometry import to_opencv
 from geoaim.synthetic import (
     VIDEOS,
@@ -34,7 +34,7 @@ def traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
     """A junction's traffic: seconds, times real time, and numpy additions that a step costs."""
     flow = prepare_traffic(make_place(1).roads, np.random.default_rng(0))
     some = np.ones(40)
-    floor = medians([lambda: [np.add(some, some) for _ in range(10_000)]], 5)[0] / 10_000
+    floor = time_medians([lambda: [np.add(some, some) for _ in range(10_000)]], 5)[0] / 10_000
     rates: dict[str, float] = dict(RATES[name])
     seconds, agents = [], []
     for seed in range(repeats + 1):
@@ -57,9 +57,9 @@ def traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
 def preparation(repeats: int) -> dict[str, Any]:
     """The plan and its tables."""
     generator = np.random.default_rng(0)
-    plan = medians([lambda: make_place(1)], repeats)[0]
+    plan = time_medians([lambda: make_place(1)], repeats)[0]
     roads = make_place(1).roads
-    tables = medians([lambda: prepare_traffic(roads, generator)], repeats)[0]
+    tables = time_medians([lambda: prepare_traffic(roads, generator)], repeats)[0]
     return {
         "what": "plan and tables of a junction",
         "seconds": plan + tables,
@@ -74,12 +74,12 @@ def drawing(resolution: float, repeats: int) -> dict[str, Any]:
     place = make_place(1)
     size = draw_place(place, resolution=resolution).shape[:2]
     noise = np.random.default_rng(0).standard_normal(size)
-    seconds = medians([lambda: draw_place(place, resolution=resolution)], repeats)[0]
+    seconds = time_medians([lambda: draw_place(place, resolution=resolution)], repeats)[0]
     return {
         "what": f"picture, {resolution:g} m/px",
         "seconds": seconds,
         "floor": "Fourier transform",
-        "times the floor": seconds / medians([lambda: np.fft.rfft2(noise)], 5)[0],
+        "times the floor": seconds / time_medians([lambda: np.fft.rfft2(noise)], 5)[0],
         "more": f"{size[1]} x {size[0]} px, {np.prod(size) / 1e6 / seconds:.2f} Mpx/s",
     }
 
@@ -100,7 +100,9 @@ def filming(size: str, count: int) -> dict[str, Any]:
         floors.append(time.perf_counter() - start)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "clip.mp4"
-        coded = medians([lambda: write_video(frames, path, frame_rate=clip.hover.frame_rate)], 1)[0]
+        coded = time_medians(
+            [lambda: write_video(frames, path, frame_rate=clip.hover.frame_rate)], 1
+        )[0]
     return {
         "what": f"{count} frames of {size}",
         "seconds": float(np.sum(times)) + coded,
@@ -123,8 +125,8 @@ def main(
     rows += [traffic(5.0, "usual", 2)]
     rows += [drawing(metres, min(repeats, 3)) for metres in (0.2, 0.1, 0.05)]
     rows += [filming(size, frames) for size in ("720p", "1080p")]
-    print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.generation", repeats=repeats)
+    print(format_table(rows))
+    write_rows(rows, json, command="python -m geoaim.bench.generation", repeats=repeats)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from shapely import LineString
 
 import geoaim
 from geoaim.aim import AIM
-from geoaim.bench.report import save, table
+from geoaim.bench.report import format_table, write_rows
 from geoaim.geometry import transform_points
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
@@ -106,8 +106,8 @@ def main(
     built = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
     rows = [row("sample, built of its video", built, read_hdmap("samples/map.osm", built.world))]
     rows += [row(f"{kind}, drawn", *drawn(kind)) for kind in PLAIN]
-    print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.overlay")
+    print(format_table(rows))
+    write_rows(rows, json, command="python -m geoaim.bench.overlay")
 
 
 if __name__ == "__main__":

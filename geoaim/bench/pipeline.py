@@ -19,7 +19,7 @@ import numpy as np
 import typer
 
 from geoaim.bench.hover_videos import make_hover_video
-from geoaim.bench.report import peak_megabytes, save, table
+from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.pipeline import build_aim
@@ -122,7 +122,7 @@ def length(clip: Path, folder: Path, minutes: list[int]) -> list[dict[str, Any]]
             seconds, peak = _in_process(way, path)
             row = {"minutes": duration, "way": way, "seconds": seconds, "peak_rss_mb": peak}
             rows.append(row)
-            print(table(rows[-1:]).splitlines()[-1], flush=True)
+            print(format_table(rows[-1:]).splitlines()[-1], flush=True)
         path.unlink()
     return rows
 
@@ -169,7 +169,7 @@ def _run_one(way: str, path: Path) -> None:
         keys = ("u", "v", "x", "y", "crs")
         both = zip(pixels, places, strict=True)
         build_aim(video, [dict(zip(keys, (*p, *q, "local"), strict=True)) for p, q in both])
-    print(time.perf_counter() - start, peak_megabytes())
+    print(time.perf_counter() - start, measure_peak_megabytes())
 
 
 def main(
@@ -196,10 +196,10 @@ def main(
             megabits=megabits,
         )
         rates = throughput(repeat_packets(video, folder / "short.mp4", seconds), runs)
-        print(table(rates))
+        print(format_table(rates))
         lasting = length(video, folder, [int(m) for m in minutes.split(",") if m])
         command = "python -m geoaim.bench.pipeline"
-        save(
+        write_rows(
             rates,
             json,
             command=command,

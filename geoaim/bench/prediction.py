@@ -15,7 +15,7 @@ import torch
 import typer
 
 from geoaim.aim import AIM
-from geoaim.bench.report import medians, save, table
+from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.prediction.checkpoints import read_model, shipped
 from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import STEPS
@@ -80,7 +80,7 @@ def row(kind: str, threads: int) -> dict[str, Any]:
             if views.requires_grad:
                 views.sum().backward()  # type: ignore[no-untyped-call]
 
-    step, drawing = medians([learn, draw], REPEATS)
+    step, drawing = time_medians([learn, draw], REPEATS)
     found = {
         "model": kind,
         "threads": threads,
@@ -100,15 +100,15 @@ def _sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
     def sample() -> None:
         model.sample(segments, ground, observed=OBSERVED, samples=SAMPLES, generator=generator)
 
-    return medians([sample], REPEATS)[0]
+    return time_medians([sample], REPEATS)[0]
 
 
 def main(json: Annotated[Path | None, typer.Option(help="file to write")] = None) -> None:
     """Print the table."""
     start = time.perf_counter()
     rows = [row(kind, threads) for threads in (1, 2) for kind in ("vehicle", "pedestrian")]
-    print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.prediction", torch=torch.__version__)
+    print(format_table(rows))
+    write_rows(rows, json, command="python -m geoaim.bench.prediction", torch=torch.__version__)
     print(f"{time.perf_counter() - start:.0f} s")
 
 

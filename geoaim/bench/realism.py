@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data
-from geoaim.bench.report import save, table
+from geoaim.bench.report import format_table, write_rows
 from geoaim.errors import GeoaimWarning
 from geoaim.synthetic import Sample, draw_place, make_sample, tracks_of
 from geoaim.synthetic.camera import paste
@@ -80,9 +80,9 @@ def main(
         ),
     }
     rows = [row for name, (made, real) in groups.items() for row in _compared(name, made, real)]
-    print(table(rows))
+    print(format_table(rows))
     command = f"python -m geoaim.bench.realism --seeds {seeds} --minutes {minutes:g}"
-    save(rows, output, command=command)
+    write_rows(rows, output, command=command)
     if picture is not None:
         _draw(groups, picture)
 

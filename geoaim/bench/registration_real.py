@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data
-from geoaim.bench.report import save, table
+from geoaim.bench.report import format_table, write_rows
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.register import Registration, register
 from geoaim.mapping.video.detections import Boxes, read_boxes
@@ -85,8 +85,8 @@ def main(
     for name in SEQUENCES:
         folder = data / "hover" / name
         rows += [measure(folder, boxes) for boxes in (None, read_boxes(folder))]
-    print(table(rows))
-    save(rows, json, command="python -m geoaim.bench.registration_real")
+    print(format_table(rows))
+    write_rows(rows, json, command="python -m geoaim.bench.registration_real")
 
 
 if __name__ == "__main__":

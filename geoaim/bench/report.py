@@ -1,4 +1,4 @@
-"""What all benchmarks share: the machine in words, tables and JSON."""
+"""What all benchmarks share: timing, a description of the machine, tables and JSON."""
 
 import json
 import platform
@@ -15,8 +15,8 @@ from geoaim.files import atomic_write
 Row = Mapping[str, Any]
 
 
-def machine() -> dict[str, Any]:
-    """What the figures were measured on, and with which versions."""
+def describe_machine() -> dict[str, Any]:
+    """Describe the processor, its cores and the versions of the main libraries."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -32,10 +32,10 @@ def machine() -> dict[str, Any]:
     }
 
 
-def peak_megabytes() -> float:
-    """The most memory that this process has held.
+def measure_peak_megabytes() -> float:
+    """Return the peak resident memory of this process, MiB.
 
-    Not by getrusage where /proc tells it: a child inherits that figure from its parent.
+    /proc is preferred: with getrusage a child process inherits the peak of its parent.
     """
     status = Path("/proc/self/status")
     if status.exists():
@@ -47,43 +47,52 @@ def peak_megabytes() -> float:
     return peak / (1024 if platform.system() == "Linux" else 1024**2)
 
 
-def medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
-    """Seconds of each part: timed in turn after one round to warm up, the median of each."""
-    seconds: list[list[float]] = [[] for _ in parts]
+def time_medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+    """Time the parts in turn, after one warm-up round; return the median of each, seconds."""
+    durations: list[list[float]] = [[] for _ in parts]
     for _ in range(repeats + 1):
-        for part, found in zip(parts, seconds, strict=True):
+        for part, own in zip(parts, durations, strict=True):
             start = time.perf_counter()
             part()
-            found.append(time.perf_counter() - start)
-    return [float(np.median(found[1:])) for found in seconds]
+            own.append(time.perf_counter() - start)
+    return [float(np.median(own[1:])) for own in durations]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """A Markdown table; the columns are the keys of the first row."""
+def format_table(rows: Sequence[Row]) -> str:
+    """Format rows as a Markdown table whose columns are the keys of the first row."""
     names = list(rows[0])
     lines = ["| " + " | ".join(names) + " |", "|" + " --- |" * len(names)]
-    lines += ["| " + " | ".join(_cell(row.get(name, "")) for name in names) + " |" for row in rows]
+    lines += [
+        "| " + " | ".join(_format_cell(row.get(name, "")) for name in names) + " |" for row in rows
+    ]
     return "\n".join(lines)
 
 
-def save(rows: Sequence[Row], path: Path | None, *, command: str, **settings: Any) -> None:
-    """Write the rows, the machine and the command that made them as JSON."""
+def write_rows(rows: Sequence[Row], path: Path | None, *, command: str, **settings: Any) -> None:
+    """Write rows as JSON, with the machine and the command that made them.
+
+    Args:
+        rows: rows of a table.
+        path: JSON file to write; None writes nothing.
+        command: the command that makes the rows.
+        settings: what else a reader must know.
+    """
     if path is None:
         return
-    content = {"command": command, "machine": machine(), **settings, "rows": list(rows)}
+    content = {"command": command, "machine": describe_machine(), **settings, "rows": list(rows)}
     write_json(content, path)
 
 
 def write_json(content: Any, path: Path) -> None:
-    """Write plain numbers, and arrays as lists."""
+    """Write content as JSON, NumPy arrays as lists."""
     with atomic_write(path) as temporary:
-        text = json.dumps(content, indent=1, default=_plain) + "\n"
+        text = json.dumps(content, indent=1, default=_to_plain) + "\n"
         temporary.write_text(text, encoding="utf-8")
 
 
-def _cell(value: Any) -> str:
+def _format_cell(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value.tolist()

@@ -15,7 +15,7 @@ import shapely
 import torch
 import typer
 
-from geoaim.bench.report import medians, save, table
+from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.hdmap.drivable import drivable_area, points_along
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.simulation.infractions import offroad_distance
@@ -69,7 +69,7 @@ def timings(repeats: int) -> list[dict[str, Any]]:
         **_peers(recording, hdmap),
     }
     with torch.no_grad():
-        seconds = medians(list(parts.values()), repeats)
+        seconds = time_medians(list(parts.values()), repeats)
     return [{"stage": name, "ms": 1e3 * time} for name, time in zip(parts, seconds, strict=True)]
 
 
@@ -124,9 +124,9 @@ def main(
     found = box_iou(close.states[:, 0, :, :3], close.sizes, close.present[:, 0])[0]
     apart = float(np.abs(found.numpy() - by_shapely(close)).max())
     rows = timings(repeats)
-    print(table(rows), f"IoU against shapely: {apart:.1e} at most", sep="\n\n")
+    print(format_table(rows), f"IoU against shapely: {apart:.1e} at most", sep="\n\n")
     command = f"python -m geoaim.bench.simulator --repeats {repeats}"
-    save(rows, json, command=command, torch=torch.__version__, iou_against_shapely=apart)
+    write_rows(rows, json, command=command, torch=torch.__version__, iou_against_shapely=apart)
 
 
 if __name__ == "__main__":

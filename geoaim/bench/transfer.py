@@ -31,15 +31,15 @@ from numpy import ndarray as Array
 from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import HoverVideo, make_lane_traffic
 from geoaim.bench.realism import SMOOTH, STEP, VEHICLES, real_people, real_vehicles, resample
-from geoaim.bench.registration import (
+from geoaim.bench.registration import measure
+from geoaim.bench.registration_methods import (
     Method,
-    ecc_method,
-    feature_method,
-    geoaim_method,
-    klt_method,
-    measure,
+    make_feature_method,
+    register_with_ecc,
+    register_with_geoaim,
+    register_with_klt,
 )
-from geoaim.bench.report import save, table
+from geoaim.bench.report import format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
@@ -72,7 +72,7 @@ def main(
         ("alignment, % wrong", alignment(folder)),
     ):
         rows += [{"task": task, "source": source} | found for source, found in figures.items()]
-        print(table([row for row in rows if row["task"] == task]), flush=True)
+        print(format_table([row for row in rows if row["task"] == task]), flush=True)
         made = _mean([found for source, found in figures.items() if source.startswith("made ")])
         for source, found in figures.items():
             if not source.startswith("made "):
@@ -80,7 +80,9 @@ def main(
                 print(f"{task}: made and {source} agree on {alike} of {pairs} pairs {swapped}")
                 rows.append({"task": task, "source": source, "alike": alike, "pairs": pairs})
                 rows[-1]["swapped"] = swapped
-    save(rows, json, command="python -m geoaim.bench.transfer", frames=frames, minutes=minutes)
+    write_rows(
+        rows, json, command="python -m geoaim.bench.transfer", frames=frames, minutes=minutes
+    )
 
 
 def agreement(one: Mapping[str, float], other: Mapping[str, float]) -> tuple[int, int, list[str]]:
@@ -103,11 +105,11 @@ def _some(figure: float) -> float:
 def registration(frames: int) -> Figures:
     """Mean corner error of each method on drawn ground and on the stills."""
     methods: dict[str, Method] = {
-        "geoaim": geoaim_method,
-        "ORB": feature_method(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING, 1),
-        "SIFT half": feature_method(lambda: cv2.SIFT.create(2000), cv2.NORM_L2, 2),
-        "KLT half": klt_method,
-        "ECC quarter": ecc_method,
+        "geoaim": register_with_geoaim,
+        "ORB": make_feature_method(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING, 1),
+        "SIFT half": make_feature_method(lambda: cv2.SIFT.create(2000), cv2.NORM_L2, 2),
+        "KLT half": register_with_klt,
+        "ECC quarter": register_with_ecc,
     }
     videos = {f"still {still}": _over_still(still, frames) for still in STILLS}
     for kind in PLAIN:

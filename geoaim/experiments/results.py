@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from geoaim.bench.report import machine, write_json
+from geoaim.bench.report import describe_machine, write_json
 from geoaim.files import atomic_write
 from geoaim.prediction.metrics import Measure, interval, summary
 from geoaim.prediction.report import markdown
@@ -18,7 +18,7 @@ def write_results(name: str, found: Mapping[str, Measures], about: Mapping[str, 
     tables = {method: summary(measures) for method, measures in found.items()}
     content = {
         "command": f"geoaim experiment {name}",
-        "machine": machine(),
+        "machine": describe_machine(),
         **about,
         "methods": tables,
     }
