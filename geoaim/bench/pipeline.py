@@ -24,9 +24,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, place_frames
-from geoaim.mapping.sampling import RegisteredFrames
 from geoaim.mapping.video.video import open_video
-from geoaim.progress import no_progress
 from geoaim.synthetic import write_video
 
 THREADS = 2
@@ -57,7 +55,8 @@ def register_all(path: Path) -> int:
 def _mean(path: Path, *, bands: int) -> int:
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
-    frames = RegisteredFrames(video, reference, None, "all", no_progress)
+    placements = place_frames(video, reference)
+    frames = ((frame, placement.matrix) for frame, placement in placements if placement.valid)
     size = reference.height, reference.width
     return average_frames(frames, size=size, bands=bands).frames_used
 

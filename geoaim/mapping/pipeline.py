@@ -1,35 +1,52 @@
 """The stages in order: video -> registration -> background -> georeference -> AIM."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.errors import BackgroundError, GeoaimWarning, RegistrationError
+from geoaim.errors import GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
-from geoaim.mapping.background.estimate import Background, average_frames, remove_traffic
+from geoaim.mapping.background.estimate import (
+    Background,
+    RunningMean,
+    TrafficSearch,
+    add_to_mean,
+    add_to_search,
+    average_ground,
+    finish_mean,
+    start_mean,
+    start_search,
+)
 from geoaim.mapping.background.traffic_removal import FEWEST
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import Georeference, distort_points
 from geoaim.mapping.georeference.from_video import find_place, points_on_reference, reference_time
 from geoaim.mapping.registration.register import (
+    Reference,
     Registration,
     choose_reference,
     collect,
+    place_frames,
     tally,
 )
 from geoaim.mapping.report import report_background, report_georeference, report_registration
-from geoaim.mapping.sampling import Count, RegisteredFrames
+from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
 from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 from geoaim.progress import Progress, no_progress
 
-ENOUGH = 50  # frames for a pixel of "all", beyond which stripes share the frames: twice as fast
-CONVERGED = 3.0  # grey levels by which the latter half of the frames may still move the ground
+Accumulated = TypeVar("Accumulated", RunningMean, TrafficSearch)
 
 
 def build_aim(
@@ -37,7 +54,7 @@ def build_aim(
     gcps: Any = None,
     *,
     boxes: str | Path | Boxes | None = None,
-    frames: Count = "auto",
+    frames: FrameCount = "auto",
     crs: str | None = None,
     progress: Progress = no_progress,
 ) -> AIM:
@@ -62,8 +79,10 @@ def build_aim(
         BackgroundError: the registered frames do not give a background.
         GeoreferenceError: the control points or the telemetry do not fix a place.
     """
-    _refuse_call(gcps, crs, frames)
+    if crs is not None and (gcps is None or isinstance(gcps, Georeference)):
+        raise ValueError(f"crs is {crs}, but there are no control points to bring into it")
     video = open_video(video)
+    sampling = sample_video(video, frames)
     vehicles = read_boxes(boxes) if isinstance(boxes, str | Path) else boxes
     points = None if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
     reference = choose_reference(video, boxes=vehicles, time=reference_time(points, gcps))
@@ -75,9 +94,7 @@ def build_aim(
             f"the georeference is of an image of {place.width} x {place.height} px, the frames "
             f"have {video.width} x {video.height}; make it for their size"
         )
-    registered = RegisteredFrames(video, reference, vehicles, frames, progress)
-    background = _background(registered, vehicles, frames)
-    registration = collect(registered.rows, reference)
+    registration, background = _register_and_average(sampling, reference, vehicles, progress)
     _warn_of_less(registration, background)
     background = _straighten(background, place.radial)
     return AIM(
@@ -89,42 +106,60 @@ def build_aim(
         report={
             "source": video.source,
             "registration": report_registration(registration),
-            "background": report_background(background, _method(vehicles, frames)),
+            "background": report_background(background, _method(vehicles, sampling)),
             "georeference": report_georeference(place, points),
         },
     )
 
 
-def _background(registered: RegisteredFrames, boxes: Boxes | None, frames: Count) -> Background:
-    """The mean outside the boxes, the plain mean of all, or the mean of what is not traffic."""
-    size = registered.reference.height, registered.reference.width
-    tolerance = CONVERGED if frames == "auto" else 0.0
-    if boxes or frames == "all":
-        total = registered.video.frame_count or 0
-        bands = min(max(total // ENOUGH, 1), 12) if frames == "all" else 1
-        return average_frames(registered, size=size, boxes=boxes, tolerance=tolerance, bands=bands)
-    try:
-        return remove_traffic(registered, size=size, tolerance=tolerance)
-    except BackgroundError as error:
-        valid = sum(placement.valid for _, _, placement in registered.rows)
+def _register_and_average(
+    sampling: Sampling, reference: Reference, boxes: Boxes | None, progress: Progress
+) -> tuple[Registration, Background]:
+    """The mean outside the boxes, the plain mean, or in a second reading the mean of the ground."""
+    size = (reference.height, reference.width)
+    register = partial(_register_until_converged, sampling, reference, boxes, progress)
+    if boxes or sampling.plain_mean:
+        mean = start_mean(size, boxes=boxes, tolerance=sampling.tolerance, bands=sampling.bands)
+        return register(mean, add_to_mean), finish_mean(mean)
+    search = start_search(size, sampling.tolerance)
+    registration = register(search, add_to_search)
+    _refuse_few_frames(registration)
+    frames = read_registered(sampling, registration, progress)
+    return registration, average_ground(frames, search)
+
+
+def _register_until_converged(
+    sampling: Sampling,
+    reference: Reference,
+    boxes: Boxes | None,
+    progress: Progress,
+    background: Accumulated,
+    add: Callable[[Accumulated, Frame, Float[Array, "3 3"]], None],
+) -> Registration:
+    """Register frames and add each to a background, until that has converged."""
+    placements = (place_frames(batch, reference, boxes=boxes) for batch in sampling.read())
+    rows = []
+    for frame, placement in chain.from_iterable(placements):
+        rows.append((frame.index, frame.time, placement))
+        progress("register", len(rows), sampling.frame_count)
+        if placement.valid:
+            add(background, frame, placement.matrix)
+            if background.converged:
+                break
+    return collect(rows, reference)
+
+
+def _refuse_few_frames(registration: Registration) -> None:
+    valid = registration.valid
+    if valid.sum() < FEWEST:
+        counts = tally(registration.reason)
+        reasons = ", ".join(f"{kind}: {count}" for kind, count in counts.items())
         raise RegistrationError(
-            f"{valid} of {len(registered.rows)} frames could be laid on the reference at "
-            f"{registered.reference.time:.1f} s"
-            f"{_reasons(registered)}; at least {FEWEST} are needed to tell traffic from ground. "
+            f"{valid.sum()} of {len(valid)} frames could be laid on the reference at "
+            f"{registration.reference.time:.1f} s{f' ({reasons})' if reasons else ''}; at least "
+            f"{FEWEST} are needed to tell traffic from ground. "
             "Use more frames, or boxes, or frames='all' for the mean as it is"
-        ) from error
-
-
-def _reasons(registered: RegisteredFrames) -> str:
-    counts = tally(placement.reason for _, _, placement in registered.rows)
-    return f" ({', '.join(f'{kind}: {count}' for kind, count in counts.items())})" if counts else ""
-
-
-def _refuse_call(gcps: Any, crs: str | None, frames: Count) -> None:
-    if frames not in ("auto", "all") and not (isinstance(frames, int) and frames >= 1):
-        raise ValueError(f"frames is {frames!r}; 'auto', 'all' or a number of frames is needed")
-    if crs is not None and (gcps is None or isinstance(gcps, Georeference)):
-        raise ValueError(f"crs is {crs}, but there are no control points to bring into it")
+        )
 
 
 def _warn_of_less(registration: Registration, background: Background) -> None:
@@ -159,10 +194,10 @@ def _warn(message: str) -> None:
     warnings.warn(message, GeoaimWarning, stacklevel=4)
 
 
-def _method(boxes: Boxes | None, frames: Count) -> str:
+def _method(boxes: Boxes | None, sampling: Sampling) -> str:
     if boxes:
         return "mean masked by boxes"
-    return "mean" if frames == "all" else "mean of what is not traffic"
+    return "mean" if sampling.plain_mean else "mean of what is not traffic"
 
 
 def _straighten(background: Background, radial: float) -> Background:

@@ -1,90 +1,108 @@
-"""Which frames of a video are used, and in what order: each laid on the reference once."""
+"""Which frames of a video make a map, and in what order they are read."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.mapping.registration.keyframes import Placement
-from geoaim.mapping.registration.register import Reference, place_frames
-from geoaim.mapping.video.detections import Boxes
-from geoaim.mapping.video.video import Frame, Video
+from geoaim.mapping.registration.register import Registration
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import Video
 from geoaim.progress import Progress
 
-Count = int | Literal["auto", "all"]
-FIRST_BATCH = 16  # frames of "auto"; doubled until the background has converged
-MOST = 64  # frames of "auto"
+FrameCount = int | Literal["auto", "all"]
+
+FIRST_BATCH_FRAMES = 16  # of "auto"; doubled until the background has converged
+MAX_AUTO_FRAMES = 64
+CONVERGED_GREY_LEVELS = 3.0  # by which the latter half of the frames may still change the ground
+MIN_FRAMES_PER_BAND = 50  # of "all"; with more, bands of rows share the frames: twice as fast
+MAX_BANDS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class RegisteredFrames:
-    """Valid frames and their places; re-iterable: each frame is laid on the reference once.
+class Sampling:
+    """Which frames are read, and how they are averaged.
 
-    They come in batches, each spread over the whole video and as large as all before it.
+    Attributes:
+        read: reads the frames from the first on, each time that it is called, in batches of which
+            each goes once through the video in order of time.
+        frame_count: the largest number of frames that `read` yields; None when it is unknown.
+        tolerance: grey levels of change at which the background has converged; 0 reads all frames.
+        bands: stripes of rows that share the frames of the mean.
+        plain_mean: whether traffic is averaged too, where no detections mask it.
     """
 
-    video: Video
-    reference: Reference
-    boxes: Boxes | None
-    count: Count
-    progress: Progress
-    placed: dict[float, Placement] = field(default_factory=dict)
-    rows: list[tuple[int, float, Placement]] = field(default_factory=list)
-
-    def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-        total = self._total()
-        stage = "average" if self.rows else "register"
-        for read, (frame, placement) in enumerate(self._placements(), 1):
-            self.progress(stage, read, total)
-            if placement.valid:
-                yield frame, placement.matrix
-
-    def _placements(self) -> Iterator[tuple[Frame, Placement]]:
-        again = bool(self.rows)
-        for batch in self._batches():
-            if again:
-                yield from ((f, self.placed[f.time]) for f in batch if f.time in self.placed)
-                continue
-            for frame, placement in place_frames(batch, self.reference, boxes=self.boxes):
-                self.placed[frame.time] = placement
-                self.rows.append((frame.index, frame.time, placement))
-                yield frame, placement
-
-    def _batches(self) -> Iterator[Iterator[Frame]]:
-        total = self.video.frame_count
-        if self.count == "all" or (total is not None and total <= FIRST_BATCH):
-            yield iter(self.video)
-            return
-        if isinstance(self.count, int) or total is None:
-            yield self.video.sampled(MOST if self.count == "auto" else int(self.count))
-            return
-        read: set[float] = set()
-        for times, spacing in _batch_times(self.video.duration):
-            # a keyframe within half a step is taken in place of the wanted frame
-            yield _unread(self.video.read_at(times, spacing / 2), read)
-
-    def _total(self) -> float | None:
-        if self.count == "all" or self.video.frame_count is None:
-            return self.video.frame_count
-        most = MOST if self.count == "auto" else self.count
-        return min(most, self.video.frame_count)
+    read: Callable[[], Iterator[Iterator[Frame]]]
+    frame_count: int | None
+    tolerance: float = 0.0
+    bands: int = 1
+    plain_mean: bool = False
 
 
-def _batch_times(duration: float) -> Iterator[tuple[Float[Array, " n"], float]]:
-    """Times of each batch, seconds, and the spacing between all that were read so far."""
-    whole = duration * (1 - 1e-6)
-    count = FIRST_BATCH
-    yield np.linspace(0, whole, count, endpoint=False), whole / count
-    while 2 * count <= MOST:
-        yield (np.arange(count) + 0.5) * whole / count, whole / count / 2
-        count *= 2
+def sample_video(video: Video, frames: FrameCount) -> Sampling:
+    """Choose frames of a video: "auto" until the background converges, "all", or a number of them.
+
+    Batches of "auto" are each spread over the whole video, and as large as all before them.
+
+    Raises:
+        ValueError: `frames` is none of these.
+    """
+    total = video.frame_count
+    if frames == "all":
+        bands = min(max((total or 0) // MIN_FRAMES_PER_BAND, 1), MAX_BANDS)
+        return Sampling(lambda: iter([iter(video)]), total, bands=bands, plain_mean=True)
+    if frames == "auto" and total is not None and total > FIRST_BATCH_FRAMES:
+        count = min(MAX_AUTO_FRAMES, total)
+        return Sampling(lambda: _read_batches(video), count, CONVERGED_GREY_LEVELS)
+    if frames == "auto":
+        return Sampling(
+            lambda: iter([video.sampled(MAX_AUTO_FRAMES)]), total, CONVERGED_GREY_LEVELS
+        )
+    if not isinstance(frames, int) or frames < 1:
+        raise ValueError(f"frames is {frames!r}; 'auto', 'all' or a number of frames is needed")
+    count = frames if total is None else min(frames, total)
+    return Sampling(lambda: iter([video.sampled(frames)]), None if total is None else count)
 
 
-def _unread(frames: Iterator[Frame], read: set[float]) -> Iterator[Frame]:
+def read_registered(
+    sampling: Sampling, registration: Registration, progress: Progress
+) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
+    """Read the frames of a registration again: each valid one with its reference_from_frame."""
+    rows = {time: row for row, time in enumerate(registration.time.tolist())}
+    valid = registration.valid
+    registered = (frame for frame in chain.from_iterable(sampling.read()) if frame.time in rows)
+    for count, frame in enumerate(registered, 1):
+        progress("average", count, sampling.frame_count)
+        row = rows[frame.time]
+        if valid[row]:
+            yield frame, registration.reference_from_frame[row]
+
+
+def _read_batches(video: Video) -> Iterator[Iterator[Frame]]:
+    """Batches of frames, each frame once."""
+    read: set[float] = set()
+    for times, spacing in _batch_times(video.duration):
+        # a keyframe within half a step is taken in place of the wanted frame
+        yield _skip_read(video.read_at(times, spacing / 2), read)
+
+
+def _skip_read(frames: Iterator[Frame], read: set[float]) -> Iterator[Frame]:
+    """Frames whose times are not yet in `read`, to which they are added."""
     for frame in frames:
         if frame.time not in read:
             read.add(frame.time)
             yield frame
+
+
+def _batch_times(duration: float) -> Iterator[tuple[Float[Array, " n"], float]]:
+    """Times of each batch, seconds, and the spacing between all that were read so far."""
+    end = duration * (1 - 1e-6)
+    count = FIRST_BATCH_FRAMES
+    yield np.linspace(0, end, count, endpoint=False), end / count
+    while 2 * count <= MAX_AUTO_FRAMES:
+        yield (np.arange(count) + 0.5) * end / count, end / count / 2
+        count *= 2

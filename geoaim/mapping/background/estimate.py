@@ -5,8 +5,8 @@ needs no boxes: it reads the frames twice, first small to find the traffic. Fram
 averaged as Y, U and V planes, so that only the result is converted to RGB.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -16,6 +16,7 @@ from numpy import ndarray as Array
 from geoaim.errors import BackgroundError
 from geoaim.geometry import transform_boxes
 from geoaim.mapping.background.accumulate import (
+    Exposure,
     Plane,
     add_frame,
     compare_exposure,
@@ -33,7 +34,6 @@ from geoaim.mapping.video.detections import Boxes, grow_boxes
 from geoaim.mapping.video.frames import Frame
 
 Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its reference_from_frame
-View = tuple[Frame, Float[Array, "3 3"], UInt8[Array, "H W"] | None]  # image_from_frame and mask
 
 SMALL = 1024  # px, longest side of the frames in which traffic is looked for
 BLOCK = 8  # px; change is judged on means of such blocks: noise is gone, ghosts are not
@@ -64,6 +64,82 @@ class Background:
     gains: Float[Array, "frames_used"]
 
 
+@dataclass(eq=False)
+class RunningMean:
+    """A mean of the frames that `add_to_mean` has added so far, in place.
+
+    Attributes:
+        size: (height, width) of the image, pixels.
+        boxes: what to leave out of each frame, or None.
+        tolerance: `change` at which the mean has converged, grey levels; 0 takes all frames.
+        bands: stripes of rows that the frames fill in turn.
+        exposure: of the frames so far.
+        planes: sums of the image's planes; none before the first frame.
+        gains: factors that bring each frame to the exposure of the first.
+        blocks: means of blocks when `change` was last measured.
+        change: as in `Background`.
+        frame: the last one added.
+    """
+
+    size: tuple[int, int]
+    boxes: Boxes | None
+    tolerance: float
+    bands: int
+    exposure: Exposure
+    planes: tuple[Plane, ...] = ()
+    gains: list[float] = field(default_factory=list)
+    blocks: Float32[Array, "h w c"] | None = None
+    change: float = np.nan
+    frame: Frame | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether further frames would hardly change the image."""
+        return self.tolerance > 0 and self.change <= self.tolerance
+
+
+@dataclass(eq=False)
+class TrafficSearch:
+    """Small copies of the frames that `add_to_search` has added so far, and the traffic in them.
+
+    Attributes:
+        size: (height, width) of the image, pixels.
+        tolerance: `change` at which the ground has converged, grey levels; 0 takes all frames.
+        exposure: of the frames so far.
+        gain: factor that brings the last frame to the exposure of the first.
+        stack: the small frames, on the image.
+        seen: where each of them shows the image.
+        traffic: in these frames, when it was looked for after the last of them.
+        blocks: means of blocks when `change` was last measured.
+        change: as in `Background`, of the small ground.
+    """
+
+    size: tuple[int, int]
+    tolerance: float
+    exposure: Exposure
+    gain: float = 1.0
+    stack: list[UInt8[Array, "h w 3"]] = field(default_factory=list)
+    seen: list[Bool[Array, "h w"]] = field(default_factory=list)
+    traffic: Traffic | None = None
+    blocks: Float32[Array, "h w c"] | None = None
+    change: float = np.nan
+
+    @property
+    def factor(self) -> int:
+        """By how much the frames are reduced."""
+        return -(-max(self.size) // SMALL)
+
+    @property
+    def small_size(self) -> tuple[int, int]:
+        """(height, width) of the small frames."""
+        return -(-self.size[0] // self.factor), -(-self.size[1] // self.factor)
+
+    @property
+    def converged(self) -> bool:
+        """Whether further frames would hardly change the ground."""
+        return self.tolerance > 0 and self.change <= self.tolerance
+
+
 def average_frames(
     frames: Iterable[Registered],
     *,
@@ -92,16 +168,12 @@ def average_frames(
         BackgroundError: not one frame.
     """
     place = np.eye(3) if image_from_reference is None else image_from_reference
-
-    def views() -> Iterator[View]:
-        for frame, reference_from_frame in frames:
-            image_from_frame = place @ reference_from_frame
-            if boxes is None:
-                yield frame, image_from_frame, None
-            elif (known := boxes(frame)) is not None:
-                yield frame, image_from_frame, _mask_boxes(known, image_from_frame, size)
-
-    return _average(views(), size, tolerance, bands)
+    mean = start_mean(size, boxes=boxes, tolerance=tolerance, bands=bands)
+    for frame, reference_from_frame in frames:
+        add_to_mean(mean, frame, place @ reference_from_frame)
+        if mean.converged:
+            break
+    return finish_mean(mean)
 
 
 def remove_traffic(
@@ -128,16 +200,12 @@ def remove_traffic(
     if iter(frames) is frames:
         raise TypeError("the frames are read twice: give a list, or make __iter__ start anew")
     place = np.eye(3) if image_from_reference is None else image_from_reference
-    traffic, change = _watch_traffic(frames, place, size, tolerance)
-
-    def views() -> Iterator[View]:
-        # the masks first: when they run out, no further frame is read
-        for moving, (frame, reference_from_frame) in zip(traffic.moving, frames, strict=False):
-            yield frame, place @ reference_from_frame, enlarge(~moving, size)
-
-    seen = _average(views(), size, 0.0, 1)
-    disputed = enlarge(traffic.contested, size).view(bool) & (seen.coverage > 0)
-    return replace(seen, contested=seen.contested | disputed, change=change)
+    search = start_search(size, tolerance)
+    for frame, reference_from_frame in frames:
+        add_to_search(search, frame, place @ reference_from_frame)
+        if search.converged:
+            break
+    return average_ground(((frame, place @ matrix) for frame, matrix in frames), search)
 
 
 def spread_order(count: int) -> list[int]:
@@ -153,69 +221,105 @@ def spread_order(count: int) -> list[int]:
     return [i for i in mirrored if i < count]
 
 
-def _average(
-    views: Iterable[View], size: tuple[int, int], tolerance: float, bands: int
-) -> Background:
-    planes: tuple[Plane, ...] = ()
-    exposure, gains = first_exposure(size), list[float]()
-    before: Float32[Array, "h w c"] | None = None
-    change, frame = np.nan, None
-    for frame, matrix, mask in views:
-        planes = planes or empty_planes(frame, size)
-        gain = compare_exposure(exposure, frame, matrix, gains[-1] if gains else 1.0)
-        rows = _stripe(len(gains) % bands, bands, size[0])
-        add_frame(planes, frame, matrix, mask, gain, rows)
-        gains.append(gain)
-        if _is_time_to_check(len(gains), bands):
-            after = _block_means(planes[0])
-            change, before = _change(before, after), after
-            if tolerance > 0 and change <= tolerance:
-                break
-    if frame is None:
+def start_mean(
+    size: tuple[int, int], *, boxes: Boxes | None = None, tolerance: float = 0.0, bands: int = 1
+) -> RunningMean:
+    """A mean of no frames yet; the arguments are those of `average_frames`."""
+    return RunningMean(size, boxes, tolerance, bands, first_exposure(size))
+
+
+def add_to_mean(mean: RunningMean, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> None:
+    """Add a registered frame to a mean, in place; nothing is added when its boxes are unknown."""
+    if mean.boxes is None:
+        _add_masked(mean, frame, image_from_frame, None)
+    elif (known := mean.boxes(frame)) is not None:
+        _add_masked(mean, frame, image_from_frame, _mask_boxes(known, image_from_frame, mean.size))
+
+
+def _add_masked(
+    mean: RunningMean,
+    frame: Frame,
+    image_from_frame: Float[Array, "3 3"],
+    mask: UInt8[Array, "H W"] | None,
+) -> None:
+    gains, bands = mean.gains, mean.bands
+    mean.planes = mean.planes or empty_planes(frame, mean.size)
+    gain = compare_exposure(mean.exposure, frame, image_from_frame, gains[-1] if gains else 1.0)
+    rows = _stripe(len(gains) % bands, bands, mean.size[0])
+    add_frame(mean.planes, frame, image_from_frame, mask, gain, rows)
+    gains.append(gain)
+    mean.frame = frame
+    if _is_time_to_check(len(gains), bands):
+        blocks = _block_means(mean.planes[0])
+        mean.change, mean.blocks = _change(mean.blocks, blocks), blocks
+
+
+def finish_mean(mean: RunningMean) -> Background:
+    """The image of a mean; its sums are overwritten.
+
+    Raises:
+        BackgroundError: no frame was added.
+    """
+    if mean.frame is None:
         raise BackgroundError(
             "there is no frame to average: none is registered, or no boxes are known of any; "
             "look at the registration's reasons and at the names of the box files"
         )
-    image = mean_image(planes, frame)
-    hidden = (planes[0].weight == 0) & (planes[0].spare_weight > 0)
-    return Background(image, planes[0].weight, hidden, len(gains), change, np.array(gains))
+    image = mean_image(mean.planes, mean.frame)
+    first = mean.planes[0]
+    hidden = (first.weight == 0) & (first.spare_weight > 0)
+    gains = np.array(mean.gains)
+    return Background(image, first.weight, hidden, len(gains), mean.change, gains)
 
 
-def _watch_traffic(
-    frames: Iterable[Registered],
-    place: Float[Array, "3 3"],
-    size: tuple[int, int],
-    tolerance: float,
-) -> tuple[Traffic, float]:
-    """Look for traffic in small frames, until more of them no longer change the ground."""
-    factor = -(-max(size) // SMALL)
-    small = (-(-size[0] // factor), -(-size[1] // factor))
-    small_from_canvas = np.diag([small[1] / size[1], small[0] / size[0], 1.0])
-    exposure, gain, change = first_exposure(size), 1.0, np.nan
-    stack: list[UInt8[Array, "h w 3"]] = []
-    seen: list[Bool[Array, "h w"]] = []
-    before: Float32[Array, "h w c"] | None = None
-    traffic: Traffic | None = None
-    for frame, reference_from_frame in frames:
-        matrix = place @ reference_from_frame
-        gain = compare_exposure(exposure, frame, matrix, gain)
-        pixels, small_from_frame = shrink_frame(frame, factor, gain)
-        matrix = small_from_canvas @ matrix @ np.linalg.inv(small_from_frame)
-        stack.append(warp(pixels, matrix, small))
-        seen.append(footprint(pixels.shape, matrix, small).view(bool))
-        traffic = None
-        if tolerance > 0 and _is_time_to_check(len(stack), 1):
-            traffic = find_traffic(*_pack(stack, seen))
-            after = _shrink_to_blocks(traffic.background.astype(np.float32), factor)
-            change, before = _change(before, after), after
-            if change <= tolerance:
-                return traffic, change
-    if len(stack) < FEWEST:
+def start_search(size: tuple[int, int], tolerance: float = 0.0) -> TrafficSearch:
+    """A search for traffic in no frames yet; the arguments are those of `remove_traffic`."""
+    return TrafficSearch(size, tolerance, first_exposure(size))
+
+
+def add_to_search(
+    search: TrafficSearch, frame: Frame, image_from_frame: Float[Array, "3 3"]
+) -> None:
+    """Add a registered frame to a search, in place, and look for traffic at 16, 32, 64 frames."""
+    factor, small = search.factor, search.small_size
+    small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])
+    search.gain = compare_exposure(search.exposure, frame, image_from_frame, search.gain)
+    pixels, small_from_frame = shrink_frame(frame, factor, search.gain)
+    matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
+    search.stack.append(warp(pixels, matrix, small))
+    search.seen.append(footprint(pixels.shape, matrix, small).view(bool))
+    search.traffic = None
+    if search.tolerance > 0 and _is_time_to_check(len(search.stack), 1):
+        search.traffic = find_traffic(*_pack(search.stack, search.seen))
+        blocks = _shrink_to_blocks(search.traffic.background.astype(np.float32), factor)
+        search.change, search.blocks = _change(search.blocks, blocks), blocks
+
+
+def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Background:
+    """Mean of what a search did not find to be traffic; the search's small frames are dropped.
+
+    Args:
+        frames: those of the search, in the same order, each with its image_from_frame.
+        search: as filled by `add_to_search`.
+
+    Raises:
+        BackgroundError: fewer than 4 frames.
+    """
+    if len(search.stack) < FEWEST:
         raise BackgroundError(
-            f"{len(stack)} registered frames; at least {FEWEST} are needed to tell traffic from "
-            "ground: register more frames, give boxes, or average the frames as they are"
+            f"{len(search.stack)} registered frames; at least {FEWEST} are needed to tell traffic "
+            "from ground: register more frames, give boxes, or average the frames as they are"
         )
-    return traffic or find_traffic(*_pack(stack, seen)), change
+    traffic = search.traffic or find_traffic(*_pack(search.stack, search.seen))
+    search.stack.clear()
+    search.seen.clear()
+    mean = start_mean(search.size)
+    # the masks first: when they run out, no further frame is read
+    for moving, (frame, image_from_frame) in zip(traffic.moving, frames, strict=False):
+        _add_masked(mean, frame, image_from_frame, enlarge(~moving, search.size))
+    ground = finish_mean(mean)
+    disputed = enlarge(traffic.contested, search.size).view(bool) & (ground.coverage > 0)
+    return replace(ground, contested=ground.contested | disputed, change=search.change)
 
 
 def _pack(
