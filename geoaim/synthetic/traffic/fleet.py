@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int8
 from numpy import ndarray as Array
 
+from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
 from geoaim.synthetic.exact import settle
 from geoaim.synthetic.roads.curves import STEP
@@ -241,10 +242,9 @@ def _press(
     fleet: Fleet, gap: Array, leader: Array | float, rest: float, headway: Array | float
 ) -> Float[Array, "n"]:
     """The braking term of the intelligent driver model, m/s2."""
-    approach = fleet.speed * (fleet.speed - leader) / (2 * np.sqrt(PULL * BRAKE))
-    wanted = rest + np.maximum(fleet.speed * headway + approach, 0)
-    share = wanted / np.maximum(gap, 0.1)
-    return PULL * share * share
+    driver = DriverParameters(PULL, BRAKE, rest, headway)
+    ratio = compute_gap_ratio(driver, fleet.speed, fleet.speed - leader, gap)
+    return PULL * ratio * ratio
 
 
 def _leaders(
