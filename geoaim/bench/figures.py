@@ -20,10 +20,10 @@ from geoaim.lights import read_lights
 from geoaim.mapping import (
     build_aim,
     open_video,
-    read_boxes,
+    read_detections,
     transform_boxes,
 )
-from geoaim.mapping.registration.register import choose_reference, place_frames
+from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.prediction import predict, read_model, shipped
 from geoaim.prediction.pictures import draw_futures
 from geoaim.quicklook import draw_alignment, write_quicklook
@@ -58,8 +58,8 @@ def main(
     write_quicklook(aim, output / "quicklook.png")
     frame = next(iter(video.frames_at([MOMENT])))
     reference = choose_reference(video, time=0.0)
-    [(_, placement)] = place_frames([frame], reference)
-    boxes = read_boxes(samples / "boxes")(frame)
+    [(_, placement)] = register_frames([frame], reference)
+    boxes = read_detections(samples / "boxes")(frame)
     figure, axes = plt.subplots(1, 2, figsize=(16, 5.1), layout="constrained")
     _show(axes[0], frame.image, f"a frame of the drone's video, {frame.time:.0f} s")
     _show(axes[1], aim.image, "the map: ground without traffic, the frame's vehicles placed on it")

@@ -23,7 +23,7 @@ from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.registration.register import choose_reference, place_frames
+from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
@@ -49,13 +49,13 @@ def mean_of_bands(path: Path) -> int:
 def register_all(path: Path) -> int:
     """Register every frame, and no more."""
     video = open_video(path, threads=THREADS)
-    return sum(1 for _ in place_frames(video, choose_reference(video)))
+    return sum(1 for _ in register_frames(video, choose_reference(video)))
 
 
 def _mean(path: Path, *, bands: int) -> int:
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
-    placements = place_frames(video, reference)
+    placements = register_frames(video, reference)
     frames = ((frame, placement.matrix) for frame, placement in placements if placement.valid)
     size = reference.height, reference.width
     return average_frames(frames, size=size, bands=bands).frames_used

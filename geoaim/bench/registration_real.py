@@ -20,18 +20,18 @@ from geoaim.bench.data import find_data
 from geoaim.bench.report import format_table, write_rows
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.register import Registration, register
-from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.detections import Detections, read_detections
 
 SEQUENCES = ("minsk_junction", "minsk_street", "munich_mos074", "munich_street02")
 REFERENCES = 4  # frames of a sequence that serve as the reference in turn
 
 
-def measure(folder: Path, boxes: Boxes | None) -> dict[str, Any]:
+def measure(folder: Path, boxes: Detections | None) -> dict[str, Any]:
     """One row: frames laid, reasons of the others, and the two consistencies."""
-    first = register(str(folder), boxes=boxes)
+    first = register(str(folder), detections=boxes)
     times = first.time[np.linspace(0, len(first.time) - 1, REFERENCES).astype(int)]
     model = first.reference.model
-    others = [register(str(folder), boxes=boxes, model=model, reference_time=t) for t in times]
+    others = [register(str(folder), detections=boxes, model=model, reference_time=t) for t in times]
     loops, backward = [], []
     for one in others:
         for two in others:
@@ -84,7 +84,7 @@ def main(
     rows = []
     for name in SEQUENCES:
         folder = data / "hover" / name
-        rows += [measure(folder, boxes) for boxes in (None, read_boxes(folder))]
+        rows += [measure(folder, boxes) for boxes in (None, read_detections(folder))]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.registration_real")
 

@@ -31,14 +31,16 @@ Points = Annotated[
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
 GEOTIFF = (".tif", ".tiff")
-BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
+DetectionsFolder = Annotated[
+    Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")
+]
 
 
 def build(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
     gcps: Points = None,
-    boxes: BoxFolder = None,
+    detections: DetectionsFolder = None,
     frames: Annotated[str, typer.Option(help="auto, all, or how many")] = "auto",
     crs: Annotated[str | None, typer.Option(help="of the map, e.g. EPSG:32635")] = None,
     resolution: Annotated[
@@ -73,7 +75,7 @@ def build(
         aim = build_aim(
             opened,
             place,
-            boxes=boxes,
+            detections=detections,
             frames=_count(frames),
             crs=crs,
             progress=progress,
@@ -146,7 +148,7 @@ def align(
 def register(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help=".csv or .parquet to write")],
-    boxes: BoxFolder = None,
+    detections: DetectionsFolder = None,
     reference: Annotated[
         float | None, typer.Option(help="seconds of the reference; chosen by the data if left out")
     ] = None,
@@ -161,7 +163,9 @@ def register(
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"))
-        result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
+        result = register_frames(
+            video, detections=detections, reference_time=reference, progress=progress
+        )
         write_registration(result, output)
     table = Table(title=Text(str(output)), show_header=False)
     table.add_row("motion model", result.reference.model)

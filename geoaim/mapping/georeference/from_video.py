@@ -10,8 +10,8 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints, merge_observations
 from geoaim.mapping.georeference.estimate import Georeference, georeference
 from geoaim.mapping.georeference.from_telemetry import approximate_georeference
-from geoaim.mapping.registration.register import Reference, place_frames
-from geoaim.mapping.video.detections import Boxes
+from geoaim.mapping.registration.register import Reference, register_frames
+from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.video import Video
 from geoaim.world import choose_world, transform_crs
 
@@ -38,14 +38,14 @@ def find_place(
 
 
 def points_on_reference(
-    points: ControlPoints, video: Video, reference: Reference, boxes: Boxes | None
+    points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
 ) -> ControlPoints:
     """Control points moved from the frames that they were picked on to the reference."""
     pixels = points.pixels.copy()
     for picked in dict.fromkeys(points.frames):
         index = _frame_index(picked, video)
         frame = next(iter(video.frames_at([index / video.rate])))
-        [(_, placement)] = place_frames([frame], reference, boxes=boxes)
+        [(_, placement)] = register_frames([frame], reference, detections=detections)
         mine = np.array([other == picked for other in points.frames])
         if not placement.valid:
             names = ", ".join(np.array(points.names)[mine])

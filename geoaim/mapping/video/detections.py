@@ -12,10 +12,10 @@ from geoaim.mapping.video.video import Frame
 
 GROW = 1.12  # boxes as detectors draw them leave out shadows and mirrors
 # Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None where nothing is known.
-Boxes = Callable[[Frame], Float[Array, "N 4"] | None]
+Detections = Callable[[Frame], Float[Array, "N 4"] | None]
 
 
-def read_boxes(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Boxes:
+def read_detections(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Detections:
     """Boxes from a folder of YOLO text, or from arrays in the order of the frames.
 
     A text file is named like the frame's image, or by the frame's index (`000123.txt` or
@@ -47,7 +47,7 @@ def grow_boxes(boxes: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
     return np.concatenate([centre - half, centre + half], axis=1)
 
 
-def mask_of_boxes(boxes: Float[Array, "N 4"], shape: tuple[int, ...]) -> Bool[Array, "H W"]:
+def mask_boxes(boxes: Float[Array, "N 4"], shape: tuple[int, ...]) -> Bool[Array, "H W"]:
     """True inside the grown boxes."""
     mask = np.zeros(shape[:2], bool)
     limits = np.array([shape[1], shape[0]])
