@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
     from geoaim.mapping.pipeline import build_aim as build_aim
     from geoaim.mapping.texture import export_texture as export_texture
+    from geoaim.track_files import read_tracks as read_tracks
+    from geoaim.track_files import write_tracks as write_tracks
     from geoaim.tracks import Tracks as Tracks
-    from geoaim.tracks import read_tracks as read_tracks
-    from geoaim.tracks import write_tracks as write_tracks
     from geoaim.world import World as World
 
 # where each public name lives; loaded on first use, so that `import geoaim` costs nothing
@@ -63,10 +63,10 @@ _HOMES = {
     "build_aim": "geoaim.mapping.pipeline",
     "export_texture": "geoaim.mapping.texture",
     "read_aim": "geoaim.aim",
-    "read_tracks": "geoaim.tracks",
+    "read_tracks": "geoaim.track_files",
     "rectify": "geoaim.aim",
     "write_aim": "geoaim.aim",
-    "write_tracks": "geoaim.tracks",
+    "write_tracks": "geoaim.track_files",
 }
 _MODULES = ("mapping",)
 __all__ = [*_HOMES, *_MODULES]

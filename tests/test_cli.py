@@ -16,7 +16,7 @@ from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.synthetic.camera import render_frame
 from geoaim.synthetic.roads.layouts import KINDS
-from geoaim.tracks import read_tracks
+from geoaim.track_files import read_tracks
 
 run = CliRunner().invoke
 

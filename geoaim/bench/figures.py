@@ -34,7 +34,7 @@ from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from
 from geoaim.synthetic.roads.layouts import Kind
 from geoaim.synthetic.sample import RATE
 from geoaim.track_changes import resample_tracks, to_world
-from geoaim.tracks import read_tracks
+from geoaim.track_files import read_tracks
 
 METRES = 0.1  # a pixel of the drawn places
 MOMENT = 6.0  # s of the frame that is shown

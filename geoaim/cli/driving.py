@@ -99,7 +99,7 @@ def simulate(
     from geoaim.hdmap.drivable import read_area
     from geoaim.simulation.episodes import rules_of, simulate_scene
     from geoaim.simulation.scene import agent_number, tracks_of
-    from geoaim.tracks import write_tracks
+    from geoaim.track_files import write_tracks
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"), [aim, tracks, lights])

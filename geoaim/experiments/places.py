@@ -22,7 +22,8 @@ from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
 from geoaim.synthetic.roads.layouts import Kind
 from geoaim.track_changes import resample_tracks
-from geoaim.tracks import Tracks, read_tracks
+from geoaim.track_files import read_tracks
+from geoaim.tracks import Tracks
 
 Places = Sequence[tuple[int, Kind]]
 ROADS: Places = (

@@ -39,7 +39,7 @@ from geoaim.synthetic.roads.markings import landmarks
 from geoaim.synthetic.roads.paving import crossing_area
 from geoaim.synthetic.sample import Sample, tracks_of
 from geoaim.synthetic.traffic.signals import lights_at
-from geoaim.tracks import write_tracks
+from geoaim.track_files import write_tracks
 from geoaim.world import lonlat_from_world
 
 CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files

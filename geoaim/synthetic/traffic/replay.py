@@ -191,6 +191,6 @@ def _people_states(recording: Recording, times: Float[Array, "T"]) -> Float[Arra
     step, t = _between(recording, times)
     ends = places[:, step], places[:, step + 1], slope[:, step], slope[:, step + 1]
     place, speed = _cubic(*ends, t[:, None])
-    heading = estimate_heading(speed, least=STANDING)
+    heading = estimate_heading(speed, min_speed=STANDING)
     fast = np.hypot(speed[..., 0], speed[..., 1])
     return np.concatenate([place, heading[..., None], fast[..., None]], axis=-1)
