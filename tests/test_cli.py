@@ -15,7 +15,7 @@ from geoaim.hdmap.drivable import write_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.synthetic.camera import render_frame
-from geoaim.synthetic.roads.layouts import KINDS
+from geoaim.synthetic.roads.layouts import PLACE_KINDS
 from geoaim.track_files import read_tracks
 
 run = CliRunner().invoke
@@ -260,7 +260,7 @@ def test_neither_map_nor_look_replaces_what_is_read(tmp_path, monkeypatch, given
 
 
 def test_sample_offers_every_kind_of_place():
-    assert get_args(PlaceKind) == KINDS
+    assert get_args(PlaceKind) == PLACE_KINDS
 
 
 def test_sample_is_not_written_among_other_files(tmp_path):

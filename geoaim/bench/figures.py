@@ -31,7 +31,7 @@ from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import film_agent
 from geoaim.simulation.scene import Scene, agent_number, step_at, step_at_time
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.roads.layouts import Kind
+from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.sample import RATE
 from geoaim.track_changes import resample_tracks, to_world
 from geoaim.track_files import read_tracks
@@ -39,7 +39,7 @@ from geoaim.track_files import read_tracks
 METRES = 0.1  # a pixel of the drawn places
 MOMENT = 6.0  # s of the frame that is shown
 VIEWS = {"12": 7.0, "14": 12.0, "45": 7.0, "63": 30.0}  # agents and seconds
-DAYS: dict[Kind, Day] = {
+DAYS: dict[PlaceKind, Day] = {
     "junction": Day(),
     "t": Day(season="autumn", azimuth=0.7, elevation=0.7, number=1),
     "roundabout": Day(season="spring", azimuth=4.0, elevation=0.9, number=2),

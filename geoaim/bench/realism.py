@@ -39,7 +39,7 @@ from geoaim.bench.realism_motion import (
 )
 from geoaim.bench.report import format_table, write_rows
 from geoaim.synthetic import make_sample, tracks_of
-from geoaim.synthetic.roads.layouts import PLAIN
+from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks import Tracks
 
 MIN_VALUES = 50  # below which a statistic is not compared
@@ -59,7 +59,7 @@ def main(
     folder = require_data()
     samples = [
         make_sample(seed, kind=kind, minutes=minutes, video=None)
-        for kind in PLAIN
+        for kind in STANDARD_KINDS
         for seed in range(1, seeds + 1)
     ]
     synthetic, real = [draw_sample(s) for s in samples], read_real_images(folder)

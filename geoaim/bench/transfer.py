@@ -50,7 +50,7 @@ from geoaim.bench.report import format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
 from geoaim.synthetic.imagery import Sensor, another_day, photograph
-from geoaim.synthetic.roads.layouts import PLAIN, Kind
+from geoaim.synthetic.roads.layouts import STANDARD_KINDS, PlaceKind
 from geoaim.tracks import Tracks
 
 EQUAL = 0.1  # relative difference below which two figures are not told apart
@@ -119,7 +119,7 @@ def registration(frames: int) -> Figures:
         "ECC quarter": register_with_ecc,
     }
     videos = {f"still {still}": _over_still(still, frames) for still in STILLS}
-    for kind in PLAIN:
+    for kind in STANDARD_KINDS:
         made = make_sample(1, kind=kind, video=(1080, 1920), hover=Hover(count=frames))
         assert made.clip is not None
         videos[f"made {kind}"] = HoverVideo(made.clip, "plain", np.ones(frames, bool))
@@ -144,7 +144,7 @@ def _over_still(still: str, frames: int) -> HoverVideo:
 
 def prediction(folder: Path, minutes: float) -> Iterator[tuple[str, Figures]]:
     """Mean displacement of each rule after 3 s: vehicles, then people on foot."""
-    samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in PLAIN]
+    samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in STANDARD_KINDS]
     made = {f"made {s.place.roads.layout.kind}": [tracks_of(s)] for s in samples}
     for task, real, types in (
         ("vehicles, m", read_real_vehicles(folder), VEHICLES),
@@ -215,7 +215,7 @@ def alignment(folder: Path) -> Figures:
         "orientation": _orientation,
     }
     found: Figures = {}
-    made = {f"made {kind}": _made_pairs(kind) for kind in PLAIN}
+    made = {f"made {kind}": _made_pairs(kind) for kind in STANDARD_KINDS}
     for source, pairs in (made | {"rotterdam": _real_pairs(folder)}).items():
         wrong: list[Array] = []
         for one, two in pairs:
@@ -228,7 +228,7 @@ def alignment(folder: Path) -> Figures:
     return found
 
 
-def _made_pairs(kind: Kind) -> Iterator[tuple[Array, Array]]:
+def _made_pairs(kind: PlaceKind) -> Iterator[tuple[Array, Array]]:
     """A drawn place, and an orthophoto of it by another sensor on another day."""
     for seed in range(1, PLACES + 1):
         sample = make_sample(seed, kind=kind, minutes=0.2, video=None)

@@ -20,12 +20,12 @@ from geoaim.progress import Progress, no_progress
 from geoaim.simulation.episodes import Rules, rules_of
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
-from geoaim.synthetic.roads.layouts import Kind
+from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.track_changes import resample_tracks
 from geoaim.track_files import read_tracks
 from geoaim.tracks import Tracks
 
-Places = Sequence[tuple[int, Kind]]
+Places = Sequence[tuple[int, PlaceKind]]
 ROADS: Places = (
     (201, "junction"),
     (202, "junction"),

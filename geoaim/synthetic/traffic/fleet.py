@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
 from geoaim.synthetic.exact import settle
-from geoaim.synthetic.roads.curves import STEP
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.overlaps import COARSE, Meetings, Overlaps
 from geoaim.synthetic.traffic.signals import Signals
 from geoaim.synthetic.traffic.ways import Way
@@ -27,7 +27,7 @@ GAP, MARGIN = 2.0, 0.7  # m behind others, and before a line
 SURE = 1.0  # s between those who pass the same ground
 JERK = (3.0, 7.0)  # m/s3 up and down
 FAR = 1e6
-COARSE_STEP = COARSE * STEP
+COARSE_STEP = COARSE * POINT_SPACING_M
 BODY = 1.6  # m from the middle of a vehicle to where nobody should stand
 STRAIGHT = 6.5  # m: longer vehicles do not turn
 
@@ -147,7 +147,7 @@ def make_rules(ways: tuple[Way, ...], overlaps: Overlaps, signals: Signals) -> R
         overlaps=overlaps,
         wish=wish,
         forward=forward,
-        finish=np.array([STEP * (len(way.line) - 1) for way in ways]),
+        finish=np.array([POINT_SPACING_M * (len(way.line) - 1) for way in ways]),
         stop=np.array([way.stop for way in ways]),
         light=np.array([signals.names.index(w.signal) if w.signal else -1 for w in ways]),
         entry=np.array([entries.index(way.entry) if way.entry else -1 for way in ways]),
@@ -230,12 +230,12 @@ def _calm(limit: Float[Array, "L"]) -> Float[Array, "L"]:
     """Speeds from which each later limit is reached with comfortable braking."""
     calm = limit**2
     for k in range(len(calm) - 2, -1, -1):
-        calm[k] = min(calm[k], calm[k + 1] + 2 * 0.8 * BRAKE * STEP)
+        calm[k] = min(calm[k], calm[k + 1] + 2 * 0.8 * BRAKE * POINT_SPACING_M)
     return np.sqrt(calm)
 
 
 def _point(at: Float[Array, "n"], rules: Rules) -> Int[Array, "n"]:
-    return np.minimum((at / STEP).astype(np.int64), rules.wish.shape[1] - 1)
+    return np.minimum((at / POINT_SPACING_M).astype(np.int64), rules.wish.shape[1] - 1)
 
 
 def _press(
