@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int, Int8
 from numpy import ndarray as Array
 
 from geoaim.lights import GREEN
-from geoaim.synthetic.exact import settle
+from geoaim.synthetic.exact import round_reproducibly
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.fleet import OnFoot, Rules, Vehicles
 
@@ -183,12 +183,12 @@ def walk(
     force += np.where(free, 0.0, push)[:, None] * edge[:, 1:]
     speed = crowd.speed + force * interval
     fast = np.maximum(np.sqrt(_dot(speed, speed)), 1e-6)
-    speed = settle(speed * np.minimum(1.0, 1.3 * crowd.pace / fast)[:, None])
+    speed = round_reproducibly(speed * np.minimum(1.0, 1.3 * crowd.pace / fast)[:, None])
     place = crowd.place + speed * interval
     edge = _look_up(place, ground)  # nobody is pushed off the pavement
     out = np.where(free, 0.0, np.maximum(INSIDE - edge[:, 0], 0))
-    place = settle(place + out[:, None] * edge[:, 1:])
-    done = settle(crowd.done + np.maximum(_dot(place - crowd.place, along), 0))
+    place = round_reproducibly(place + out[:, None] * edge[:, 1:])
+    done = round_reproducibly(crowd.done + np.maximum(_dot(place - crowd.place, along), 0))
     return replace(crowd, place=place, speed=speed, done=done)
 
 

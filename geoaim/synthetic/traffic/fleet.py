@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
-from geoaim.synthetic.exact import settle
+from geoaim.synthetic.exact import round_reproducibly
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.overlaps import COARSE, Meetings, Overlaps
 from geoaim.synthetic.traffic.signals import Signals
@@ -217,12 +217,12 @@ def step(
     eased = np.minimum(change, fleet.change + JERK[0] * interval)
     eased = np.maximum(eased, fleet.change - JERK[1] * interval)
     change = np.where(change < -HARD, np.minimum(change, eased), eased)
-    speed = settle(np.maximum(fleet.speed + change * interval, 0))
+    speed = round_reproducibly(np.maximum(fleet.speed + change * interval, 0))
     stands = np.isfinite(fleet.leaves)
     speed = np.where(stands, 0.0, speed)
-    at = settle(fleet.at + 0.5 * (fleet.speed + speed) * interval)
+    at = round_reproducibly(fleet.at + 0.5 * (fleet.speed + speed) * interval)
     at = np.where(stands, fleet.at, at)
-    change = settle(np.where(speed > 0, change, np.maximum(change, 0)))
+    change = round_reproducibly(np.where(speed > 0, change, np.maximum(change, 0)))
     return replace(fleet, at=at, speed=speed, change=change)
 
 
