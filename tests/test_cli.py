@@ -7,7 +7,7 @@ from PIL import Image
 from shapely import LineString, MultiPolygon, box
 from typer.testing import CliRunner
 
-from geoaim.aim import read_aim, write_aim
+from geoaim.aim_files import read_aim, write_aim
 from geoaim.cli import app
 from geoaim.cli.made import PlaceKind
 from geoaim.geojson import Feature, write_features

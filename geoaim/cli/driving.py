@@ -133,7 +133,7 @@ def read_scene(
 
     At a rate in Hz, if one is given.
     """
-    from geoaim.aim import read_aim
+    from geoaim.aim_files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.lights import read_lights, read_stop_lines
     from geoaim.simulation.scene import make_scene

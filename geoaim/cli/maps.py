@@ -57,11 +57,12 @@ def build(
     Control points are picked on the first frame unless their file says on which. Without them the
     telemetry beside the video gives an approximate place, or --frame-resolution a local one.
     """
-    from geoaim.aim import rectify, write_aim
+    from geoaim.aim_files import write_aim
     from geoaim.mapping.georeference.from_telemetry import local_georeference
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook
+    from geoaim.rectify import rectify
 
     with stages() as progress, plain_errors():
         if frame_resolution is not None and gcps is not None:
@@ -114,11 +115,12 @@ def align(
     The first of these that is given places it, the others check. A quick look beside the map shows
     it before and after. Without any of them the imagery stays where it says to lie.
     """
-    from geoaim.aim import read_aim, rectify, write_aim
+    from geoaim.aim_files import read_aim, write_aim
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
     from geoaim.quicklook import draw_alignment
+    from geoaim.rectify import rectify
     from geoaim.track_changes import to_world
 
     with plain_errors():
@@ -182,7 +184,7 @@ def texture(
     resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
 ) -> None:
     """Export an AIM as a texture and its corner frame, for a renderer."""
-    from geoaim.aim import read_aim
+    from geoaim.aim_files import read_aim
     from geoaim.mapping.texture import export_texture
 
     with plain_errors():
@@ -200,7 +202,7 @@ def draw(
 
     A map of metres about (0, 0), as INTERACTION's and SinD's, needs no --aim.
     """
-    from geoaim.aim import read_aim, write_aim
+    from geoaim.aim_files import read_aim, write_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap
 
@@ -215,7 +217,7 @@ def draw(
 
 def info(aim: AimFile) -> None:
     """Say what an AIM is, where it lies and how far to trust it."""
-    from geoaim.aim import read_aim
+    from geoaim.aim_files import read_aim
 
     with plain_errors():
         found = read_aim(aim)

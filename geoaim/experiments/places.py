@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, read_aim, write_aim
+from geoaim.aim import AIM
+from geoaim.aim_files import read_aim, write_aim
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import Area, HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap

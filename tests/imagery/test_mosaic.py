@@ -15,7 +15,8 @@ import rasterio.shutil
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.transform import Affine, from_origin
 
-from geoaim.aim import AIM, read_aim, write_aim
+from geoaim.aim import AIM
+from geoaim.aim_files import read_aim, write_aim
 from geoaim.errors import AimError, GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
 from geoaim.imagery import resampling

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, rectify
+from geoaim.aim import AIM
 from geoaim.errors import AlignmentError, GeoaimWarning, ImageryError, TracksError
 from geoaim.geometry import transform_points, translation
 from geoaim.imagery.alignment.by_image import align_image
@@ -31,6 +31,7 @@ from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import georeference
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
+from geoaim.rectify import rectify
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World
