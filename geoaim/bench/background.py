@@ -256,7 +256,7 @@ def real_table() -> list[dict[str, Any]]:
         )
         rows.append(_compare(place, frames, valid))
     for path in sorted((data / "static").glob("*.mp4")):
-        frames_read = [frame.image for frame in open_video(path).sampled(64)]
+        frames_read = [frame.image for frame in open_video(path).sample(64)]
         still = np.broadcast_to(np.eye(3), (len(frames_read), 3, 3))
         frames = Registered(open_video(frames_read), still)
         rows.append(_compare(path.name, frames, np.ones(len(frames_read), bool)))

@@ -23,7 +23,7 @@ from geoaim.mapping.registration.patches import (
     reduce,
 )
 from geoaim.mapping.video.detections import Detections, mask_boxes
-from geoaim.mapping.video.video import Frame
+from geoaim.mapping.video.frames import Frame
 
 COARSE_WIDTH = 480  # px of the level that widens the search
 LEAST_PATCHES = 16  # in agreement, of about 300

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -34,7 +33,8 @@ from geoaim.mapping.registration.keyframes import (
 )
 from geoaim.mapping.registration.motion_models import Match, Model, ModelChoice, choose_model
 from geoaim.mapping.video.detections import Detections, read_detections
-from geoaim.mapping.video.video import Frame, Video, open_video
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
 
 PROBES = 5  # frames that choose the reference and the model
@@ -101,7 +101,7 @@ class Registration:
 
 
 def register(
-    video: Video | Any,
+    video: VideoSource,
     *,
     detections: Detections | str | Path | None = None,
     model: Model | None = None,
@@ -201,7 +201,7 @@ def choose_reference(
 
     Where the view moves on, so that no frame sees what all others see, it is the first frame.
     """
-    probes = list(video.sampled(PROBES))
+    probes = list(video.sample(PROBES))
     if time is not None:
         probes = [*video.frames_at([time]), *probes]
     rivals = probes if time is None else probes[:1]
