@@ -22,7 +22,7 @@ from geoaim.track_formats.motion import (
 from geoaim.track_formats.track_format import TrackFormat, has_columns
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import Tracks
-from geoaim.world import World, utm_crs
+from geoaim.world import World, find_utm_crs
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -74,7 +74,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
         }
     )
     rows[["length", "width"]] = fill_sizes(rows)
-    crs = utm_crs(recording["lonLocation"], recording["latLocation"])
+    crs = find_utm_crs(recording["lonLocation"], recording["latLocation"])
     world = World(crs, (recording["xUtmOrigin"], recording["yUtmOrigin"]))
     tracks = make_tracks(rows, world)
     warn_of_reversed_headings(path, tracks)
