@@ -215,7 +215,7 @@ def test_align_lays_an_orthophoto_under_tracks(tmp_path):
     result = run(app, [*given, "--tracks", "samples/tracks.csv", "-o", f"{output}"])
     assert result.exit_code == 0, result.output
     said = " ".join(result.output.split())
-    assert "by tracks" in said
+    assert "alignment by tracks" in said
     assert "m east" in said
     assert output.with_suffix(".png").stat().st_size > 50_000
     east, north = read_aim(output).report["alignment"]["tracks"]["shift_m"]

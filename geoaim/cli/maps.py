@@ -116,10 +116,10 @@ def align(
     it before and after. Without any of them the imagery stays where it says to lie.
     """
     from geoaim.aim_files import read_aim, write_aim
+    from geoaim.alignment_picture import draw_alignment
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
-    from geoaim.quicklook import draw_alignment
     from geoaim.rectify import rectify
     from geoaim.track_changes import to_world
 
@@ -256,9 +256,9 @@ def _count(text: str) -> int | Literal["auto", "all"]:
 
 
 def _show(aim: "AIM", title: str) -> None:
-    from geoaim.quicklook import summary
+    from geoaim.aim_summary import summarize_aim
 
     table = Table(title=Text(title), show_header=False)
-    for name, value in summary(aim).items():
+    for name, value in summarize_aim(aim).items():
         table.add_row(name, value)
     console.print(table)
