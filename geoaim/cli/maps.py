@@ -23,7 +23,7 @@ from geoaim.cli.console import (
 
 if TYPE_CHECKING:
     from geoaim.aim import AIM
-    from geoaim.mapping.georeference.estimate import Georeference
+    from geoaim.mapping.georeference.georeference import Georeference
 
 Source = Annotated[str, typer.Argument(help="a video file, or a folder or glob of images")]
 Points = Annotated[
@@ -31,16 +31,14 @@ Points = Annotated[
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
 GEOTIFF = (".tif", ".tiff")
-DetectionsFolder = Annotated[
-    Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")
-]
+BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
 
 
 def build(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
     gcps: Points = None,
-    detections: DetectionsFolder = None,
+    boxes: BoxFolder = None,
     frames: Annotated[str, typer.Option(help="auto, all, or how many")] = "auto",
     crs: Annotated[str | None, typer.Option(help="of the map, e.g. EPSG:32635")] = None,
     resolution: Annotated[
@@ -57,12 +55,11 @@ def build(
     Control points are picked on the first frame unless their file says on which. Without them the
     telemetry beside the video gives an approximate place, or --frame-resolution a local one.
     """
-    from geoaim.aim_files import write_aim
-    from geoaim.mapping.georeference.from_telemetry import local_georeference
+    from geoaim.aim import rectify, write_aim
+    from geoaim.mapping.georeference.from_telemetry import make_local_georeference
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook
-    from geoaim.rectify import rectify
 
     with stages() as progress, plain_errors():
         if frame_resolution is not None and gcps is not None:
@@ -72,11 +69,11 @@ def build(
         size = opened.height, opened.width
         place: Path | Georeference | None = gcps
         if frame_resolution is not None:
-            place = local_georeference(resolution=frame_resolution, size=size)
+            place = make_local_georeference(resolution=frame_resolution, size=size)
         aim = build_aim(
             opened,
             place,
-            detections=detections,
+            boxes=boxes,
             frames=_count(frames),
             crs=crs,
             progress=progress,
@@ -115,12 +112,11 @@ def align(
     The first of these that is given places it, the others check. A quick look beside the map shows
     it before and after. Without any of them the imagery stays where it says to lie.
     """
-    from geoaim.aim_files import read_aim, write_aim
-    from geoaim.alignment_picture import draw_alignment
+    from geoaim.aim import read_aim, rectify, write_aim
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
-    from geoaim.rectify import rectify
+    from geoaim.quicklook import draw_alignment
     from geoaim.track_changes import to_world
 
     with plain_errors():
@@ -150,7 +146,7 @@ def align(
 def register(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help=".csv or .parquet to write")],
-    detections: DetectionsFolder = None,
+    boxes: BoxFolder = None,
     reference: Annotated[
         float | None, typer.Option(help="seconds of the reference; chosen by the data if left out")
     ] = None,
@@ -165,9 +161,7 @@ def register(
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"))
-        result = register_frames(
-            video, detections=detections, reference_time=reference, progress=progress
-        )
+        result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
         write_registration(result, output)
     table = Table(title=Text(str(output)), show_header=False)
     table.add_row("motion model", result.reference.model)
@@ -184,7 +178,7 @@ def texture(
     resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
 ) -> None:
     """Export an AIM as a texture and its corner frame, for a renderer."""
-    from geoaim.aim_files import read_aim
+    from geoaim.aim import read_aim
     from geoaim.mapping.texture import export_texture
 
     with plain_errors():
@@ -202,7 +196,7 @@ def draw(
 
     A map of metres about (0, 0), as INTERACTION's and SinD's, needs no --aim.
     """
-    from geoaim.aim_files import read_aim, write_aim
+    from geoaim.aim import read_aim, write_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap
 
@@ -217,7 +211,7 @@ def draw(
 
 def info(aim: AimFile) -> None:
     """Say what an AIM is, where it lies and how far to trust it."""
-    from geoaim.aim_files import read_aim
+    from geoaim.aim import read_aim
 
     with plain_errors():
         found = read_aim(aim)
@@ -256,9 +250,9 @@ def _count(text: str) -> int | Literal["auto", "all"]:
 
 
 def _show(aim: "AIM", title: str) -> None:
-    from geoaim.aim_summary import summarize_aim
+    from geoaim.quicklook import summary
 
     table = Table(title=Text(title), show_header=False)
-    for name, value in summarize_aim(aim).items():
+    for name, value in summary(aim).items():
         table.add_row(name, value)
     console.print(table)

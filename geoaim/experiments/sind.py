@@ -23,7 +23,8 @@ from geoaim.experiments.results import Measures, differences, means, write_resul
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.mapping.georeference.control_points import read_control_points
-from geoaim.mapping.georeference.estimate import Georeference, georeference
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import Asked
 from geoaim.prediction.itra import ITRA
@@ -141,7 +142,7 @@ def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
     rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.places]
     points = read_control_points(rows, crs="local")
     height, width = image.shape[:2]
-    found = georeference(points, height=height, width=width, world=hdmap.world)
+    found = estimate_georeference(points, height=height, width=width, world=hdmap.world)
     return AIM.from_image(image, found.world_from_image, hdmap.world, "SinD"), found, hdmap
 
 

@@ -3,21 +3,21 @@
 from geoaim.geometry import transform_boxes, transform_points
 from geoaim.mapping.background.estimate import average_frames, remove_traffic
 from geoaim.mapping.georeference.control_points import read_control_points
-from geoaim.mapping.georeference.estimate import georeference
+from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import register, write_registration
 from geoaim.mapping.texture import export_texture
-from geoaim.mapping.video.detections import read_detections
+from geoaim.mapping.video.detections import read_boxes
 from geoaim.mapping.video.video import open_video
 
 __all__ = [
     "average_frames",
     "build_aim",
+    "estimate_georeference",
     "export_texture",
-    "georeference",
     "open_video",
+    "read_boxes",
     "read_control_points",
-    "read_detections",
     "register",
     "remove_traffic",
     "transform_boxes",

@@ -7,7 +7,11 @@ import numpy as np
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.background.estimate import Background
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.estimate import Georeference, predict_uncertainty, world_points
+from geoaim.mapping.georeference.georeference import (
+    Georeference,
+    predict_uncertainty,
+    world_from_pixels,
+)
 from geoaim.mapping.registration.register import Registration, tally
 
 MOST_OF_PATH = 1000  # points of the drift that are kept
@@ -40,7 +44,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
     sigma, bound = predict_uncertainty(georeference, corners)
     rows = []
     if points is not None:
-        fitted = world_points(georeference, points.pixels)
+        fitted = world_from_pixels(georeference, points.pixels)
         given = fitted - georeference.residuals
         rows = [
             {

@@ -7,7 +7,7 @@ import numpy as np
 from geoaim.synthetic.camera import Clip, Hover
 from geoaim.synthetic.filming import film_place
 from geoaim.synthetic.place import RESOLUTION, Place, make_place
-from geoaim.synthetic.roads.layouts import PlaceKind
+from geoaim.synthetic.roads.layouts import Kind
 from geoaim.synthetic.scenery.day import Day
 from geoaim.synthetic.traffic.replay import replay
 from geoaim.synthetic.traffic.simulate import Flow, Recording, prepare_traffic, record
@@ -55,7 +55,7 @@ class Sample:
 def make_sample(
     seed: int,
     *,
-    kind: PlaceKind = "junction",
+    kind: Kind = "junction",
     minutes: float = 1.0,
     video: tuple[int, int] | None = VIDEOS["720p"],
     hover: Hover = HOVER,

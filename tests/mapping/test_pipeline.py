@@ -3,7 +3,7 @@ import pytest
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.georeference.from_telemetry import local_georeference
+from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.synthetic.camera import clean_frame, reference_from_frames, render_frame
 from tests.conftest import textured
@@ -68,7 +68,7 @@ def test_the_report_tells_of_every_stage(aim):
 
 def test_points_on_a_frame_that_cannot_be_laid_are_refused_by_name(frames):
     spoilt = [*frames[:5], np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)]
-    with pytest.raises(GeoreferenceError, match=r"p0, p1, .*frame 5, which cannot be laid"):
+    with pytest.raises(GeoreferenceError, match=r"p0, p1, .*frame 5, which cannot be registered"):
         build_aim(spoilt, points_on(5))
 
 
@@ -78,12 +78,12 @@ def test_points_on_an_unknown_frame_are_refused(frames):
 
 
 def test_without_points_and_telemetry_the_message_says_what_to_give(frames):
-    with pytest.raises(GeoreferenceError, match="control points, or a pixel size"):
+    with pytest.raises(GeoreferenceError, match="control points, or a resolution"):
         build_aim(frames)
 
 
 def test_a_pixel_size_gives_a_local_map_marked_as_approximate(frames):
-    place = local_georeference(resolution=0.1, size=(360, 640))
+    place = make_local_georeference(resolution=0.1, size=(360, 640))
     aim = build_aim(frames, place)
     assert aim.world.crs is None
     assert aim.report["georeference"]["approximate"]
@@ -101,12 +101,12 @@ def test_a_flight_past_the_reference_is_said():
     ground = textured(np.random.default_rng(8), 360, 1400)
     frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]
     with pytest.warns(GeoaimWarning, match="the view leaves the reference"):
-        build_aim(frames, local_georeference(resolution=0.1, size=(360, 500)))
+        build_aim(frames, make_local_georeference(resolution=0.1, size=(360, 500)))
 
 
 def test_a_georeference_of_another_size_is_refused(frames):
     with pytest.raises(ValueError, match="2000 x 1000 px, the frames have 640 x 360"):
-        build_aim(frames, local_georeference(resolution=0.1, size=(1000, 2000)))
+        build_aim(frames, make_local_georeference(resolution=0.1, size=(1000, 2000)))
 
 
 def test_a_frame_number_past_the_end_is_refused(frames):
@@ -134,8 +134,8 @@ def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
 
 def test_boxes_of_few_frames_are_said(frames):
     none = np.empty((0, 4))
-    with pytest.warns(GeoaimWarning, match="detections are known of 3 of 12 frames"):
-        build_aim(frames, points_on(0), detections=lambda f: none if f.index < 3 else None)
+    with pytest.warns(GeoaimWarning, match="boxes are known of 3 of 12 frames"):
+        build_aim(frames, points_on(0), boxes=lambda f: none if f.index < 3 else None)
 
 
 def test_frames_of_unknown_number_are_sampled(frames):

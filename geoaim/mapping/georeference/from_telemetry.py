@@ -1,19 +1,21 @@
-"""An approximate place for an image without control points: from telemetry, or none at all."""
+"""Approximate georeferences of an image without control points: by telemetry or by resolution."""
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoreferenceError
-from geoaim.mapping.georeference.estimate import Georeference, compose
-from geoaim.mapping.georeference.point_checks import half_diagonal
-from geoaim.mapping.georeference.transform_models import PRIOR
+from geoaim.geometry import similarity_about
+from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.georeference.normalised_plane import half_diagonal
+from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
+from geoaim.mapping.georeference.transform_models import compose_world_from_image
 from geoaim.world import World, choose_world, world_from_lonlat
 
-GPS = 3.0  # m, one sigma, per axis
-COMPASS = np.radians(5.0)
-TILT = np.radians(3.0)  # of a camera said to look straight down
-SCALE = 0.05  # share: height above the ground, field of view
+GPS_SIGMA_M = 3.0  # per axis
+COMPASS_SIGMA = np.radians(5.0)
+TILT_SIGMA = np.radians(3.0)  # of a camera that telemetry says looks straight down
+SCALE_SIGMA = 0.05  # share: height above the ground, field of view
 
 
 def approximate_georeference(
@@ -25,19 +27,22 @@ def approximate_georeference(
     field_of_view: float,
     size: tuple[int, int],
 ) -> Georeference:
-    """Where an image lies by telemetry alone: a camera that looks straight down.
+    """Approximate the georeference of a camera that looks straight down, by telemetry alone.
 
-    One sigma of what telemetry leaves open: position 3 m, compass 5 degrees, scale 5 %, tilt 3
-    degrees (which moves the image's centre by a twentieth of the height).
+    The uncertainty assumes one sigma of 3 m in position, 5 degrees in heading, 5 % in scale, and 3
+    degrees in tilt (which moves the image's centre by a twentieth of the height).
 
     Args:
         latitude: degrees.
         longitude: degrees.
         height_above_ground: metres.
-        yaw: where the image's top points, radians counter-clockwise from east; for a compass
+        yaw: direction of the image's top, radians counter-clockwise from east; for a compass
             heading h in degrees, pi / 2 - radians(h).
         field_of_view: across the image's width, radians.
-        size: height and width of the image.
+        size: height and width of the image, pixels.
+
+    Returns:
+        The georeference, marked approximate.
 
     Raises:
         GeoreferenceError: a value is missing (NaN) or impossible.
@@ -50,44 +55,43 @@ def approximate_georeference(
             f" yaw {yaw}, field of view {field_of_view} does not fix a place: all must be numbers,"
             " height and field of view positive. Give control points instead."
         )
-    here = np.array([[longitude, latitude], [longitude, latitude + 1e-3]])
-    world = choose_world(here[:1])
-    middle, above = world_from_lonlat(world, here)
-    turn = yaw + np.arctan2(*(above - middle)[::-1]) - np.pi / 2.0  # true north to the grid's
-    pixel = 2.0 * height_above_ground * np.tan(field_of_view / 2.0) / size[1]
-    shift = float(np.hypot(GPS, height_above_ground * np.tan(TILT)))
-    return _assumed(world, size, middle, (pixel, turn - np.pi / 2.0), (shift, COMPASS))
+    lonlat = np.array([[longitude, latitude], [longitude, latitude + 1e-3]])
+    world = choose_world(lonlat[:1])
+    centre, north = world_from_lonlat(world, lonlat)
+    turn = yaw + np.arctan2(*(north - centre)[::-1]) - np.pi / 2.0  # true north to grid north
+    resolution = 2.0 * height_above_ground * np.tan(field_of_view / 2.0) / size[1]
+    unit = resolution * half_diagonal(*size)
+    world_from_plane = similarity_about(np.zeros(2), turn - np.pi / 2.0, unit)
+    world_from_plane[:2, 2] = centre
+    shift = float(np.hypot(GPS_SIGMA_M, height_above_ground * np.tan(TILT_SIGMA))) / unit
+    sigmas = np.array([shift, shift, SCALE_SIGMA, COMPASS_SIGMA])
+    return _assume_georeference(world, size, world_from_plane, sigmas)
 
 
-def local_georeference(*, resolution: float, size: tuple[int, int]) -> Georeference:
-    """A plane of its own: origin at the image's centre, x right, y up.
+def make_local_georeference(*, resolution: float, size: tuple[int, int]) -> Georeference:
+    """Make a georeference in a plane of its own: origin at the image's centre, x right, y up.
 
     Args:
         resolution: metres per pixel.
-        size: height and width of the image.
+        size: height and width of the image, pixels.
     """
     if not (np.isfinite(resolution) and resolution > 0.0):
         raise ValueError(f"resolution is {resolution}; it is a positive number of metres.")
-    return _assumed(World(None), size, np.zeros(2), (resolution, 0.0), (0.0, 0.0))
+    unit = resolution * half_diagonal(*size)
+    sigmas = np.array([0.0, 0.0, SCALE_SIGMA, 0.0])
+    return _assume_georeference(World(None), size, np.diag([unit, unit, 1.0]), sigmas)
 
 
-def _assumed(
+def _assume_georeference(
     world: World,
     size: tuple[int, int],
-    middle: Float[Array, "2"],
-    scale_and_turn: tuple[float, float],
-    sigmas: tuple[float, float],
+    world_from_plane: Float[Array, "3 3"],
+    similarity_sigmas: Float[Array, "4"],
 ) -> Georeference:
-    pixel, turn = scale_and_turn
-    unit = pixel * half_diagonal(*size)
-    cosine, sine = unit * np.cos(turn), unit * np.sin(turn)
-    world_from_plane = np.array(
-        [[cosine, -sine, middle[0]], [sine, cosine, middle[1]], [0.0, 0.0, 1.0]]
-    )
-    shift = sigmas[0] / unit
-    spread = np.concatenate([[shift, shift, SCALE, sigmas[1]], PRIOR])
+    """A similarity without control points, with the stated sigmas of its four terms."""
+    sigmas = np.concatenate([similarity_sigmas, PRIOR_SIGMA])
     return Georeference(
-        world_from_image=compose(world_from_plane, np.zeros(9), size),
+        world_from_image=compose_world_from_image(world_from_plane, np.zeros(9), size),
         world=world,
         model="similarity",
         radial=0.0,
@@ -100,9 +104,9 @@ def _assumed(
         candidates={},
         noise=float("nan"),
         dof=float("inf"),
-        parameters=np.zeros(9),
-        covariance=np.diag(spread**2),
-        chosen=np.zeros(9),
+        terms=np.zeros(9),
+        posterior_mean=np.zeros(9),
+        posterior_covariance=np.diag(sigmas**2),
         world_from_plane=world_from_plane,
         approximate=True,
     )

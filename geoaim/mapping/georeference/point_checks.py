@@ -1,6 +1,6 @@
-"""Refuse control points that cannot fix a place, by name and with what to do."""
+"""Checks of control points before any fit. Errors name the points and the remedy."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -9,77 +9,41 @@ from numpy import ndarray as Array
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import image_corners
 from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.normalised_plane import (
+    fit_similarity,
+    half_diagonal,
+    normalise_pixels,
+)
 from geoaim.world import LONLAT, parse_crs, transform_crs
 
-FEWEST = 4
-SAME_PIXEL = 0.5  # px
-SAME_PLACE = 1e-3  # m
-SPREAD = 0.05  # an affine fit's 95 % region at the worst corner, as a share of half the diagonal
-SCALES = (1e-4, 100.0)  # metres per pixel that a picture of the ground may have
+MIN_POINTS = 4
+MIN_PIXEL_DISTANCE = 0.5  # px between two points
+MIN_GROUND_DISTANCE = 1e-3  # m between two points
+MAX_CORNER_ERROR = 0.05  # of half the diagonal: the 95 % region of an affine fit, worst corner
+GAUSSIAN_ELLIPSE = 2.45  # standard deviations to the ellipse that holds 95 % in the plane
+RESOLUTION_RANGE = (1e-4, 100.0)  # metres per pixel of any picture of the ground
+AREA_MARGIN = 5.0  # degrees that coordinates may lie outside their CRS's area of use
 
 
-def half_diagonal(height: float, width: float) -> float:
-    """Half the image's diagonal in pixels."""
-    return float(np.hypot(height, width) / 2.0)
-
-
-def plane_from_image(height: float, width: float) -> Float[Array, "3 3"]:
-    """Pixels to the normalised plane: origin at the centre, x right, y up, unit half diagonal."""
-    unit = half_diagonal(height, width)
-    return np.array(
-        [[1.0, 0.0, -width / 2.0], [0.0, -1.0, height / 2.0], [0.0, 0.0, unit]]
-    ) / unit  # fmt: skip
-
-
-def fit_similarity(
-    points: Float[Array, "m 2"], targets: Float[Array, "m 2"], *, mirrored: bool = False
-) -> tuple[Float[Array, "3 3"], float]:
-    """The similarity that fits best without its worst point, and its squared error.
-
-    Without it, because one point that is kilometres off would spoil the scale that everything
-    later is measured by.
-    """
-    z = points[:, 0] + 1j * points[:, 1]
-    z = z.conj() if mirrored else z
-    q = targets[:, 0] + 1j * targets[:, 1]
-    fits = [_complex_fit(z, q, keep) for keep in ~np.eye(len(z), dtype=bool)]
-    error, a, b = min(fits, key=lambda fit: fit[0]) if len(z) > 3 else _complex_fit(z, q)
-    matrix = [[a.real, -a.imag, b.real], [a.imag, a.real, b.imag], [0.0, 0.0, 1.0]]
-    return np.array(matrix), error
-
-
-def _complex_fit(
-    z: Array, q: Array, keep: Array | slice = slice(None)
-) -> tuple[float, complex, complex]:
-    centre, middle = z[keep].mean(), q[keep].mean()
-    a = np.vdot(z[keep] - centre, q[keep] - middle) / np.vdot(z[keep] - centre, z[keep] - centre)
-    error = np.sum(np.abs(q[keep] - middle - a * (z[keep] - centre)) ** 2)
-    return float(error), complex(a), complex(middle - a * centre)
-
-
-def refuse_coordinates(points: ControlPoints) -> None:
-    """Refuse coordinates that lie outside their CRS's area, and say when a swap would mend it.
+def check_coordinates(points: ControlPoints) -> None:
+    """Check that the coordinates lie in their CRS's area of use.
 
     Raises:
-        GeoreferenceError: they do.
+        GeoreferenceError: they do not; the message says so where x and y are swapped.
     """
-    if points.crs is None or _inside(points.crs, points.coordinates):
+    if points.crs is None or _is_in_area(points.crs, points.coordinates):
         return
-    swapped = _inside(points.crs, points.coordinates[:, ::-1])
     order = "longitude, latitude" if parse_crs(points.crs).is_geographic else "easting, northing"
-    first = tuple(points.coordinates[0].tolist())
-    advice = (
-        f"x and y are swapped: give {order}."
-        if swapped
-        else "Is the CRS the right one, and are the coordinates in its units?"
-    )
+    advice = "Is the CRS the right one, and are the coordinates in its units?"
+    if _is_in_area(points.crs, points.coordinates[:, ::-1]):
+        advice = f"x and y are swapped: give {order}."
     raise GeoreferenceError(
-        f"{_all(points)}: the coordinates, such as {first}, lie outside"
-        f" the area of {points.crs}. {advice}"
+        f"{_list_names(points.names)}: the coordinates, such as"
+        f" {tuple(points.coordinates[0].tolist())}, lie outside the area of {points.crs}. {advice}"
     )
 
 
-def _inside(crs: str, coordinates: Float[Array, "m 2"], margin: float = 5.0) -> bool:
+def _is_in_area(crs: str, coordinates: Float[Array, "m 2"]) -> bool:
     try:
         lonlat = transform_crs(crs, LONLAT, coordinates)
     except GeoreferenceError:
@@ -89,121 +53,117 @@ def _inside(crs: str, coordinates: Float[Array, "m 2"], margin: float = 5.0) -> 
         return False
     if area is None or area.east < area.west:
         return True
-    low, high = (area.west - margin, area.south - margin), (area.east + margin, area.north + margin)
+    low = np.array([area.west, area.south]) - AREA_MARGIN
+    high = np.array([area.east, area.north]) + AREA_MARGIN
     return bool(((lonlat >= low) & (lonlat <= high)).all())
 
 
-def refuse_layout(
+def check_layout(
     points: ControlPoints,
     targets: Float[Array, "m 2"],
     size: tuple[int, int],
     accuracy: float,
 ) -> None:
-    """Refuse points that are too few, from several frames, repeated, on a line, mirrored, outside.
+    """Check that the points' layout can fix a transform.
 
     Args:
         points: control points, all on one image.
         targets: (M, 2) where they lie, metres.
-        size: height and width of the image.
+        size: height and width of the image, pixels.
         accuracy: one sigma of a picked point, pixels.
 
     Raises:
-        GeoreferenceError: one of these, with the points' names.
+        GeoreferenceError: the points are too few, on several frames, repeated, on a line, close
+            together, mirrored, outside the image, or at an impossible scale.
     """
-    if len(points.names) < FEWEST:
+    _check_count(points)
+    _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
+    _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
+    _check_spread(points, size, accuracy)
+    _check_mirroring(points, targets, size)
+    _check_inside(points, size)
+    scale = fit_similarity(normalise_pixels(points.pixels, *size), targets)[0][:2, 0]
+    resolution = float(np.hypot(*scale)) / half_diagonal(*size)
+    low, high = RESOLUTION_RANGE
+    if not low <= resolution <= high:
         raise GeoreferenceError(
-            f"{len(points.names)} control points ({_all(points)}); at"
-            f" least {FEWEST} are needed, six or more spread over the image are good."
+            f"The control points give {resolution:.3g} metres per pixel; {low:g} to {high:g} is"
+            " possible. Are the coordinates in the CRS and the units that they claim?"
+        )
+
+
+def _check_count(points: ControlPoints) -> None:
+    if len(points.names) < MIN_POINTS:
+        raise GeoreferenceError(
+            f"{len(points.names)} control points ({_list_names(points.names)}) were given; at least"
+            f" {MIN_POINTS} are needed, better six or more, spread over the image."
         )
     frames = sorted({str(frame) for frame in points.frames})
     if len(frames) > 1:
         raise GeoreferenceError(
             f"The control points were picked on {len(frames)} frames ({', '.join(frames[:6])}):"
-            " bring their pixels into one image first."
+            " transform their pixels to one image first."
         )
-    _refuse_repeats(points, targets)
-    plane = plane_points(points.pixels, *size)
-    _refuse_narrow(points, plane, size, accuracy)
-    _refuse_mirrored(points, plane, targets, size)
-    _refuse_outside(points, size)
-    scale = float(np.hypot(*fit_similarity(plane, targets)[0][:2, 0])) / half_diagonal(*size)
-    if not SCALES[0] <= scale <= SCALES[1]:
+
+
+def _check_distances(
+    names: tuple[str, ...], values: Float[Array, "m 2"], limit: float, quantity: str
+) -> None:
+    distance = np.linalg.norm(values[:, None] - values[None], axis=2)
+    pairs = np.argwhere(np.triu(distance < limit, 1))
+    if len(pairs):
         raise GeoreferenceError(
-            f"The control points give {scale:.3g} metres per pixel; {SCALES[0]:g} to {SCALES[1]:g}"
-            " is possible. Are the coordinates in the CRS and the units that they claim?"
+            f"{_list_names([names[i] for i in pairs[0]])} have the same {quantity}. Remove one of"
+            " them, or correct it if it was copied by mistake."
         )
 
 
-def plane_points(pixels: Float[Array, "m 2"], height: int, width: int) -> Float[Array, "m 2"]:
-    """Pixels in the normalised plane."""
-    matrix = plane_from_image(height, width)
-    return np.asarray(pixels, np.float64) @ matrix[:2, :2].T + matrix[:2, 2]
-
-
-def _refuse_repeats(points: ControlPoints, targets: Float[Array, "m 2"]) -> None:
-    for values, limit, what in (
-        (points.pixels, SAME_PIXEL, "pixel"),
-        (targets, SAME_PLACE, "place"),
-    ):
-        gap = np.linalg.norm(values[:, None] - values[None], axis=2)
-        pairs = np.argwhere(np.triu(gap < limit, 1))
-        if len(pairs):
-            raise GeoreferenceError(
-                f"{_listed(points, pairs[0].tolist())} have the same {what}. Remove one of them, or"
-                " correct it if it was copied by mistake."
-            )
-
-
-def _refuse_narrow(
-    points: ControlPoints, plane: Float[Array, "m 2"], size: tuple[int, int], accuracy: float
-) -> None:
-    """Without any prior, how well do the points fix the corners by an affine fit?"""
-    centred = plane - plane.mean(axis=0)
-    _, spread, axes = np.linalg.svd(centred, full_matrices=False)
-    corners = (plane_points(image_corners(*size), *size) - plane.mean(axis=0)) @ axes.T
-    reach = np.sqrt(1.0 / len(plane) + np.sum((corners / np.maximum(spread, 1e-12)) ** 2, axis=1))
-    error = 2.45 * accuracy * reach.max()
-    if error <= SPREAD * half_diagonal(*size):
+def _check_spread(points: ControlPoints, size: tuple[int, int], accuracy: float) -> None:
+    """Check the error at the image's corners by an affine fit without any prior."""
+    plane = normalise_pixels(points.pixels, *size)
+    middle = plane.mean(axis=0)
+    _, spread, axes = np.linalg.svd(plane - middle, full_matrices=False)
+    corners = (normalise_pixels(image_corners(*size), *size) - middle) @ axes.T
+    leverage = 1.0 / len(plane) + np.sum((corners / np.maximum(spread, 1e-12)) ** 2, axis=1)
+    error = GAUSSIAN_ELLIPSE * accuracy * np.sqrt(leverage).max()
+    if error <= MAX_CORNER_ERROR * half_diagonal(*size):
         return
-    line = spread[1] < 0.2 * spread[0]
-    how, where = ("nearly on a line", "off that line") if line else ("close together", "far away")
+    layout, remedy = "close together", "far away"
+    if spread[1] < 0.2 * spread[0]:
+        layout, remedy = "nearly on a line", "off that line"
     raise GeoreferenceError(
-        f"{_all(points)} lie {how}: with {accuracy:g} px of picking error the image's corners would"
-        f" be off by {min(error, 1e6):.0f} px. Add a point {where}."
+        f"{_list_names(points.names)} lie {layout}: with {accuracy:g} px of picking error the"
+        f" image's corners would be off by {min(error, 1e6):.0f} px. Add a point {remedy}."
     )
 
 
-def _refuse_mirrored(
-    points: ControlPoints,
-    plane: Float[Array, "m 2"],
-    targets: Float[Array, "m 2"],
-    size: tuple[int, int],
+def _check_mirroring(
+    points: ControlPoints, targets: Float[Array, "m 2"], size: tuple[int, int]
 ) -> None:
-    straight, turned = (fit_similarity(plane, targets, mirrored=m)[1] for m in (False, True))
-    if straight <= turned:
+    plane = normalise_pixels(points.pixels, *size)
+    plain, mirrored = (fit_similarity(plane, targets, mirrored=m)[1] for m in (False, True))
+    if plain <= mirrored:
         return
-    fixes = {"v counts upwards (it must count down from the top)": turned}
+    errors = {"v counts upwards (it must count down from the top)": mirrored}
     if (points.pixels[:, ::-1] <= (size[1], size[0])).all():
-        fixes["u and v are swapped"] = turned
+        errors["u and v are swapped"] = mirrored
     if points.crs is None:
-        fixes["x and y are swapped"] = turned
-    elif _inside(points.crs, points.coordinates[:, ::-1]):
+        errors["x and y are swapped"] = mirrored
+    elif _is_in_area(points.crs, points.coordinates[:, ::-1]):
         swapped = "longitude and latitude" if parse_crs(points.crs).is_geographic else "x and y"
-        fixes[f"{swapped} are swapped"] = _swapped_error(points, plane, targets)
-    best = min(fixes.values())
-    likely = [fix for fix, error in fixes.items() if error <= 4.0 * best]
+        errors[f"{swapped} are swapped"] = _fit_swapped(points.crs, points, plane, targets)
+    likely = [cause for cause, error in errors.items() if error <= 4.0 * min(errors.values())]
+    causes = f"Either {', or '.join(likely)}: correct it" if len(likely) > 1 else likely[0]
+    separator = "." if len(likely) > 1 else ":"
     raise GeoreferenceError(
-        f"{_all(points)} show the ground mirrored. Either {', or '.join(likely)}: correct it."
-        if len(likely) > 1
-        else f"{_all(points)} show the ground mirrored: {likely[0]}."
+        f"{_list_names(points.names)} show the ground mirrored{separator} {causes}."
     )
 
 
-def _swapped_error(
-    points: ControlPoints, plane: Float[Array, "m 2"], targets: Float[Array, "m 2"]
+def _fit_swapped(
+    crs: str, points: ControlPoints, plane: Float[Array, "m 2"], targets: Float[Array, "m 2"]
 ) -> float:
-    """Squared error after swapping the coordinates' columns, at the given targets' scale."""
-    crs = str(points.crs)
+    """Squared error of a fit with swapped coordinates, at the given targets' scale."""
     lonlat = transform_crs(crs, LONLAT, points.coordinates[:, ::-1])
     metres = 111_320.0 * np.array([np.cos(np.radians(lonlat[:, 1].mean())), 1.0])
     matrix, error = fit_similarity(plane, (lonlat - lonlat.mean(axis=0)) * metres)
@@ -211,22 +171,19 @@ def _swapped_error(
     return error * float(np.linalg.det(given[:2, :2]) / np.linalg.det(matrix[:2, :2]))
 
 
-def _refuse_outside(points: ControlPoints, size: tuple[int, int]) -> None:
+def _check_inside(points: ControlPoints, size: tuple[int, int]) -> None:
     height, width = size
     outside = ((points.pixels < -0.5) | (points.pixels > (width + 0.5, height + 0.5))).any(axis=1)
     if outside.any():
+        names = [points.names[i] for i in np.flatnonzero(outside)]
         raise GeoreferenceError(
-            f"{_listed(points, np.flatnonzero(outside).tolist())} lie outside the image of {width}"
-            f" x {height} pixels. Were they picked at another resolution, or are u and v swapped?"
+            f"{_list_names(names)} lie outside the image of {width} x {height} pixels. Were they"
+            " picked at another resolution, or are u and v swapped?"
         )
 
 
-def _all(points: ControlPoints) -> str:
-    return _listed(points, range(len(points.names)))
-
-
-def _listed(points: ControlPoints, indices: Iterable[int]) -> str:
-    names = [points.names[i] for i in indices]
+def _list_names(names: Sequence[str]) -> str:
+    """List up to 8 names, more by their number."""
     if len(names) > 8:
         names = [*names[:7], f"{len(names) - 7} more"]
     return ", ".join(names)

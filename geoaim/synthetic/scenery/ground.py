@@ -9,21 +9,11 @@ from shapely import Geometry, LineString
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.exact import blur
-from geoaim.synthetic.roads.approaches import (
-    Approach,
-    locate_inbound_lane,
-    outline_strip,
-    plan_from_road,
-)
-from geoaim.synthetic.roads.curves import offset_polyline
-from geoaim.synthetic.roads.lanes import LANE_END_M
-from geoaim.synthetic.roads.markings import (
-    locate_manholes,
-    make_cycle_strips,
-    make_markings,
-    make_tactile_strips,
-)
-from geoaim.synthetic.roads.paving import outline_road
+from geoaim.synthetic.roads.arms import Arm, divider, half_width, lane_in, on_arm, strip
+from geoaim.synthetic.roads.curves import parallel
+from geoaim.synthetic.roads.lanes import FAR
+from geoaim.synthetic.roads.markings import cycle_strips, manholes, paint, tactile_strips
+from geoaim.synthetic.roads.paving import outer_kerbs
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.day import PALETTES, Day
 from geoaim.synthetic.scenery.page import (
@@ -101,7 +91,7 @@ def _draw_plots(page: Page, scenery: Scenery) -> None:
 
 def _draw_pavement(page: Page, roads: Roads, scenery: Scenery, day: Day) -> None:
     """Slabs between kerb and plots, paths off them, verges of grass."""
-    paved = shapely.union_all([roads.paving.pavement, roads.footpaths.surface])
+    paved = shapely.union_all([roads.paving.pavement, roads.walks.paths])
     fill(page, paved, SLAB, grain=[(PATCH, 4), (GRAIN, 4.5)])
     _draw_joints(page, paved, 0.6, 0.22)
     rim = roads.paving.pavement.boundary.buffer(0.08)
@@ -109,7 +99,7 @@ def _draw_pavement(page: Page, roads: Roads, scenery: Scenery, day: Day) -> None
     palette = PALETTES[day.season]
     green = tuple(0.5 * a + 0.5 * b for a, b in zip((88, 108, 56), palette.grass, strict=True))
     fill(page, scenery.verges, (green[0], green[1], green[2]), grain=[(PATCH, 9), (GRAIN, 11)])
-    fill(page, make_tactile_strips(roads), (204, 176, 84), strength=0.8, only=paved)
+    fill(page, tactile_strips(roads), (204, 176, 84), strength=0.8, only=paved)
 
 
 def _draw_joints(page: Page, area: Geometry, step: float, share: float) -> None:
@@ -141,27 +131,24 @@ def _draw_tar(page: Page, roads: Roads) -> None:
         rim = shapely.LinearRing(outline).buffer(0.06)
         fill(page, rim, (74, 74, 75), strength=0.4, only=road)
     _draw_cracks(page, road)
-    whole = outline_road(roads.paving)
+    whole = outer_kerbs(roads.paving)
     gutter = whole.difference(whole.buffer(-0.5))
     shade(page, gutter, 0.13, only=road)
-    for place in locate_manholes(roads):
+    for place in manholes(roads):
         fill(page, circle(place, 0.42), (92, 90, 86))
         fill(page, circle(place, 0.33), (70, 67, 64))
 
 
 def _ages(page: Page, roads: Roads, window: Window) -> Float[Array, "h w"]:
-    """How much paler or darker each approach, its halves and the car park are, grey levels."""
+    """How much paler or darker each arm, its halves and the car park are, grey levels."""
     rows, columns = window
     change = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
     shapes: list[Shape] = []
-    for approach in roads.layout.approaches:
-        middle, half = approach.divider, approach.half_width
-        cut = page.generator.uniform(approach.mouth + 4, 60)
+    for arm in roads.layout.arms:
+        middle, half = divider(arm), half_width(arm)
+        cut = page.generator.uniform(arm.mouth + 4, 60)
         for span in ((middle, half), (-half, middle)):
-            shapes += [
-                outline_strip(approach, (approach.mouth, cut), span),
-                outline_strip(approach, (cut, LANE_END_M), span),
-            ]
+            shapes += [strip(arm, (arm.mouth, cut), span), strip(arm, (cut, FAR), span)]
     for shape in [*shapes, roads.paving.lot]:
         mask = mask_of(page, shape, within=window)[1]
         change += np.float32(page.generator.uniform(-11, 9) / 255) * mask.astype(np.float32)
@@ -186,63 +173,54 @@ def _strokes(
 
 
 def _wheel_tracks(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [
-        offset_polyline(lane.centreline, side) for lane in roads.lanes for side in (-WHEELS, WHEELS)
-    ]
+    return [parallel(lane.centre, side) for lane in roads.lanes for side in (-WHEELS, WHEELS)]
 
 
 def _middles(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [lane.centreline for lane in roads.lanes]
+    return [lane.centre for lane in roads.lanes]
 
 
 def _waiting(roads: Roads) -> list[Float[Array, "_ 2"]]:
     """Behind stop lines, where oil drips."""
     lines = []
-    for approach in roads.layout.approaches:
-        if np.isfinite(approach.stop):
-            for rank in range(len(approach.turns)):
-                spots = [
-                    [approach.stop + d, locate_inbound_lane(approach, rank)]
-                    for d in (1.0, 6.0, 12.0)
-                ]
-                lines.append(plan_from_road(approach, np.array(spots)))
+    for arm in roads.layout.arms:
+        if np.isfinite(arm.stop):
+            for rank in range(len(arm.turns)):
+                spots = [[arm.stop + d, lane_in(arm, rank)] for d in (1.0, 6.0, 12.0)]
+                lines.append(on_arm(arm, np.array(spots)))
     return lines
 
 
 def _patches(page: Page, roads: Roads) -> list[tuple[Float[Array, "_ 2"], float]]:
     """Mended places and a trench: outlines, and grey levels that they are darker by."""
     patches = []
-    for approach in roads.layout.approaches:
-        half = approach.half_width
+    for arm in roads.layout.arms:
+        half = half_width(arm)
         for _ in range(2):
             along = page.generator.uniform(-4, 75)
             across = page.generator.uniform(-half + 0.5, half - 3.0)
             long, wide = page.generator.uniform(3, 10), page.generator.uniform(1.0, 3.2)
             change = float(page.generator.choice([16.0, 11.0, -9.0]))
-            patches.append(
-                (outline_strip(approach, (along, along + long), (across, across + wide)), change)
-            )
-    approach = _pick(page, roads.layout.approaches)
-    across = page.generator.uniform(-0.7, 0.5) * approach.half_width
-    patches.append((outline_strip(approach, (approach.mouth, 80.0), (across, across + 0.9)), 13.0))
+            patches.append((strip(arm, (along, along + long), (across, across + wide)), change))
+    arm = _pick(page, roads.layout.arms)
+    across = page.generator.uniform(-0.7, 0.5) * half_width(arm)
+    patches.append((strip(arm, (arm.mouth, 80.0), (across, across + 0.9)), 13.0))
     return patches
 
 
-def _pick(page: Page, approaches: tuple[Approach, ...]) -> Approach:
-    return approaches[int(page.generator.integers(len(approaches)))]
+def _pick(page: Page, arms: tuple[Arm, ...]) -> Arm:
+    return arms[int(page.generator.integers(len(arms)))]
 
 
 def _draw_fresh_tar(page: Page, roads: Roads, day: Day, generator: np.random.Generator) -> None:
     """Places that have been mended since day 0."""
     for _ in range(day.changes // 3):
-        approach = roads.layout.approaches[int(generator.integers(len(roads.layout.approaches)))]
+        arm = roads.layout.arms[int(generator.integers(len(roads.layout.arms)))]
         along, across = (
-            generator.uniform(approach.mouth, 60.0),
-            generator.uniform(-0.9, 0.1) * approach.half_width,
+            generator.uniform(arm.mouth, 60.0),
+            generator.uniform(-0.9, 0.1) * half_width(arm),
         )
-        shape = outline_strip(
-            approach, (along, along + generator.uniform(5, 14)), (across, across + 3.2)
-        )
+        shape = strip(arm, (along, along + generator.uniform(5, 14)), (across, across + 3.2))
         fill(page, shape, (92, 92, 93), grain=[(GRAIN, 4)], only=roads.paving.carriageway)
 
 
@@ -279,7 +257,7 @@ def _draw_islands(page: Page, roads: Roads, day: Day) -> None:
 def _draw_kerbs(page: Page, roads: Roads) -> None:
     """Pale stones along every rim of the tar but the drive's."""
     rims = [
-        outline_road(roads.paving).exterior,
+        outer_kerbs(roads.paving).exterior,
         *(p.boundary for p in shapely.get_parts(roads.paving.islands)),
     ]
     stones = shapely.union_all([rim.buffer(0.11) for rim in rims])
@@ -290,8 +268,8 @@ def _draw_kerbs(page: Page, roads: Roads) -> None:
 def _draw_paint(page: Page, roads: Roads) -> None:
     """Paint, worn off by chance."""
     tar = shapely.union_all([roads.paving.carriageway, roads.paving.lot]).buffer(-0.05)
-    _draw_worn(page, make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
-    _draw_worn(page, make_markings(roads), WHITE, 0.9, tar)
+    _draw_worn(page, cycle_strips(roads), (158, 66, 58), 0.8, tar)
+    _draw_worn(page, paint(roads), WHITE, 0.9, tar)
 
 
 def _draw_worn(

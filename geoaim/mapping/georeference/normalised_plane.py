@@ -1,0 +1,115 @@
+"""The normalised image plane: origin at the image's centre, x right, y up, half a diagonal long.
+
+The radial lens term is defined in this plane too, so it does not depend on the resolution.
+"""
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+
+def half_diagonal(height: float, width: float) -> float:
+    """Half the image's diagonal in pixels."""
+    return float(np.hypot(height, width) / 2.0)
+
+
+def plane_from_image(height: float, width: float) -> Float[Array, "3 3"]:
+    """Transform from pixels to the normalised plane."""
+    unit = half_diagonal(height, width)
+    return np.array(
+        [[1.0, 0.0, -width / 2.0], [0.0, -1.0, height / 2.0], [0.0, 0.0, unit]]
+    ) / unit  # fmt: skip
+
+
+def normalise_pixels(pixels: Float[Array, "m 2"], height: int, width: int) -> Float[Array, "m 2"]:
+    """Transform pixels to the normalised plane.
+
+    Args:
+        pixels: (M, 2) u right, v down, origin at the image's corner.
+        height: of the image, pixels.
+        width: of the image, pixels.
+
+    Returns:
+        (M, 2) points of the plane.
+    """
+    matrix = plane_from_image(height, width)
+    return np.asarray(pixels, np.float64) @ matrix[:2, :2].T + matrix[:2, 2]
+
+
+def fit_similarity(
+    points: Float[Array, "m 2"], targets: Float[Array, "m 2"], *, mirrored: bool = False
+) -> tuple[Float[Array, "3 3"], float]:
+    """Fit a similarity by least squares, without the point that fits worst.
+
+    One point that is kilometres off would otherwise spoil the scale of everything that follows.
+
+    Args:
+        points: (M, 2) points of the normalised plane.
+        targets: (M, 2) their places.
+        mirrored: mirror the points first, y to -y.
+
+    Returns:
+        The similarity (3, 3), and its sum of squared residuals.
+    """
+    z = points[:, 0] + 1j * points[:, 1]
+    z = z.conj() if mirrored else z
+    q = targets[:, 0] + 1j * targets[:, 1]
+    subsets = ~np.eye(len(z), dtype=bool) if len(z) > 3 else [np.ones(len(z), bool)]
+    fits = [_fit_complex_line(z[keep], q[keep]) for keep in subsets]
+    error, a, b = min(fits, key=lambda fit: fit[0])
+    matrix = [[a.real, -a.imag, b.real], [a.imag, a.real, b.imag], [0.0, 0.0, 1.0]]
+    return np.array(matrix), error
+
+
+def _fit_complex_line(z: Array, q: Array) -> tuple[float, complex, complex]:
+    """Squared error, a and b of q = a z + b over complex numbers: a similarity of the plane."""
+    centre, middle = z.mean(), q.mean()
+    a = np.vdot(z - centre, q - middle) / np.vdot(z - centre, z - centre)
+    error = np.sum(np.abs(q - middle - a * (z - centre)) ** 2)
+    return float(error), complex(a), complex(middle - a * centre)
+
+
+def undistort_points(
+    pixels: Float[Array, "m 2"], radial: float, height: int, width: int
+) -> Float[Array, "m 2"]:
+    """Remove the radial lens distortion: p (1 + k |p|^2) in the normalised plane.
+
+    Args:
+        pixels: (M, 2) as they lie in the image.
+        radial: k.
+        height: of the image, pixels.
+        width: of the image, pixels.
+
+    Returns:
+        (M, 2) undistorted pixels.
+
+    >>> undistort_points(np.array([[0.0, 0.0]]), 0.01, 60, 80)
+    array([[-0.4, -0.3]])
+    """
+    centre = np.array([width, height]) / 2.0
+    offset = np.asarray(pixels, np.float64) - centre
+    square = np.sum(offset**2, axis=-1, keepdims=True) / half_diagonal(height, width) ** 2
+    return centre + offset * (1.0 + radial * square)
+
+
+def distort_points(
+    pixels: Float[Array, "m 2"], radial: float, height: int, width: int
+) -> Float[Array, "m 2"]:
+    """Invert `undistort_points`, by Newton's method on the radius.
+
+    Args:
+        pixels: (M, 2) undistorted pixels.
+        radial: k.
+        height: of the image, pixels.
+        width: of the image, pixels.
+
+    Returns:
+        (M, 2) pixels as they lie in the image.
+    """
+    centre = np.array([width, height]) / 2.0
+    offset = np.asarray(pixels, np.float64) - centre
+    target = np.linalg.norm(offset, axis=-1, keepdims=True) / half_diagonal(height, width)
+    radius = target.copy()
+    for _ in range(20):
+        radius -= (radius * (1.0 + radial * radius**2) - target) / (1.0 + 3.0 * radial * radius**2)
+    return centre + offset / (1.0 + radial * radius**2)

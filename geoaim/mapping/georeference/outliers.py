@@ -1,0 +1,107 @@
+"""Wrong control points: found by how much the misfit falls when a point is left out."""
+
+import warnings
+
+import numpy as np
+from jaxtyping import Bool
+from numpy import ndarray as Array
+from scipy.special import fdtrc
+
+from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, NoisePrior, fit_posterior
+from geoaim.mapping.georeference.transform_models import (
+    PointPairs,
+    Posterior,
+    apply_terms,
+    select_pairs,
+    term_jacobian,
+)
+
+MAX_CHANCE = 0.005  # points are inconsistent when chance explains them less often than this
+CLEAR_CHANCE = 0.3  # above this, to first order, the test with refits is not needed
+MIN_SUSPICION = 0.05  # likelihood, relative to the most suspicious point, of another suspect
+
+
+def find_used_points(
+    names: tuple[str, ...], pairs: PointPairs, prior: NoisePrior
+) -> Bool[Array, "m"]:
+    """Mark all points as used but one that is clearly wrong, with a warning.
+
+    Args:
+        names: (M,) of the points, for messages.
+        pairs: points in the image and on the ground.
+        prior: expected noise.
+
+    Returns:
+        (M,) False for the wrong point.
+
+    Raises:
+        GeoreferenceError: a point is wrong and it cannot be told which, or several are.
+    """
+    used = np.ones(len(names), bool)
+    suspects = find_suspects(pairs, prior)
+    if not suspects:
+        return used
+    if len(suspects) == 1 and len(names) > 4:
+        used[suspects[0]] = False
+        more = find_suspects(select_pairs(pairs, used), prior)
+        suspects += np.flatnonzero(used)[more].tolist()
+    if len(suspects) > 1 or used.all():
+        raise GeoreferenceError(
+            f"The control points contradict each other; wrong may be"
+            f" {', '.join(names[i] for i in suspects)}. Check these first, or add points so that"
+            " the wrong ones can be told apart."
+        )
+    terms = fit_posterior(select_pairs(pairs, used), prior).mean
+    offset = (apply_terms(terms, pairs.image) - pairs.ground)[suspects[0]] / prior.sigma
+    warnings.warn(
+        f"{names[suspects[0]]} is left out: it lies {np.linalg.norm(offset):.3g} times the picking"
+        f" error from where the other {used.sum()} points put it. Check its pixel and its"
+        " coordinates.",
+        GeoaimWarning,
+        stacklevel=4,
+    )
+    return used
+
+
+def find_suspects(pairs: PointPairs, prior: NoisePrior) -> list[int]:
+    """Find points of which one must be wrong, the most suspicious first.
+
+    Leaving out a point is judged by an F test of the fall in misfit with 2 and n degrees of freedom
+    (Cook and Weisberg 1982, 2.2.2), with Bonferroni's correction for the number of points.
+
+    Args:
+        pairs: points in the image and on the ground.
+        prior: expected noise.
+
+    Returns:
+        Indices of the points; empty when the points are consistent.
+    """
+    count = len(pairs.image)
+    posterior = fit_posterior(pairs, prior)
+    freedom = prior.dof + 2 * count - 6
+    if _is_clearly_consistent(pairs, posterior, freedom):
+        return []
+    others = ~np.eye(count, dtype=bool)
+    misfits = np.array([fit_posterior(select_pairs(pairs, o), prior).misfit for o in others])
+    if count * _fall_by_chance(posterior.misfit, misfits.min(), freedom) > MAX_CHANCE:
+        return []
+    likelihood = (misfits / misfits.min()) ** (-freedom / 2.0)
+    return [int(i) for i in np.argsort(misfits) if likelihood[i] >= MIN_SUSPICION]
+
+
+def _is_clearly_consistent(pairs: PointPairs, posterior: Posterior, freedom: float) -> bool:
+    """Whether the same test to first order, without refits, finds nothing: the usual case."""
+    error = (pairs.ground - apply_terms(posterior.mean, pairs.image))[:, :, None]
+    jacobian = term_jacobian(posterior.mean, pairs.image)
+    hat = jacobian @ posterior.covariance @ jacobian.transpose(0, 2, 1) / posterior.noise**2
+    falls = np.sum(error * np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - hat, error), axis=(1, 2))
+    lowest = max(posterior.misfit - float(falls.max()), 1e-30)
+    usual = (np.abs(posterior.mean[4:]) <= 3.0 * PRIOR_SIGMA).all()
+    chance = _fall_by_chance(posterior.misfit, lowest, freedom)
+    return bool(usual and len(error) * chance > CLEAR_CHANCE)
+
+
+def _fall_by_chance(misfit: float, lowest: float, freedom: float) -> float:
+    """Probability that chance lowers the misfit this far when one point is left out."""
+    return float(fdtrc(2.0, freedom, max(misfit / lowest - 1.0, 0.0) * freedom / 2.0))

@@ -1,0 +1,173 @@
+"""Read rows of control points from CSV, OpenDroneMap and QGIS files."""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geoaim.errors import GeoreferenceError
+from geoaim.world import LONLAT
+
+COLUMN_NAMES = {
+    "u": ("u", "pixel_x", "pixelx", "col", "column", "px", "im_x"),
+    "v": ("v", "pixel_y", "pixely", "row", "line", "py", "im_y"),
+    "x": ("x", "easting", "east", "lon", "longitude", "lng", "mapx", "geo_x"),
+    "y": ("y", "northing", "north", "lat", "latitude", "mapy", "geo_y"),
+    "name": ("name", "id", "label", "point", "gcp"),
+    "frame": ("frame", "image", "image_name", "img"),
+    "crs": ("crs", "epsg", "srs"),
+}
+DEGREE_COLUMNS = {"lon", "longitude", "lng", "lat", "latitude"}
+QGIS_COLUMNS = ("mapx", "mapy", "pixelx", "pixely")
+ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre, to its corner
+
+Lines = list[tuple[int, str]]  # with their numbers in the file
+
+
+@dataclass(frozen=True)
+class PointRow:
+    """One control point as a file states it.
+
+    Attributes:
+        pixel: u, v with the origin at the image's corner.
+        coordinates: x, y in `crs`.
+        source: file and line, for messages.
+        crs: of the coordinates; None where the file does not state it.
+        name: of the point, or empty.
+        frame: image name or frame index, or empty.
+    """
+
+    pixel: tuple[float, float]
+    coordinates: tuple[float, float]
+    source: str
+    crs: str | None = None
+    name: str = ""
+    frame: str = ""
+
+
+def read_point_file(path: Path) -> list[PointRow]:
+    """Read a file of control points; the format is recognised by its content.
+
+    Raises:
+        GeoreferenceError: the file or one of its lines cannot be read.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise GeoreferenceError(f"{path}: cannot be read as text ({error}).") from error
+    numbered = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip()]
+    content = [(number, line) for number, line in numbered if not line.startswith("#")]
+    if not content:
+        raise GeoreferenceError(f"{path}: holds no control points.")
+    matches = (re.match(r"#\s*crs:\s*(.+)", line, re.I) for _, line in numbered)
+    crs = next((match[1] for match in matches if match), None)
+    header = content[0][1]
+    if re.match(r"mapx\W", header, re.I):
+        return _read_qgis(content, crs, path)
+    if odm_crs := _parse_odm_crs(header):
+        return _read_odm(content, odm_crs, path)
+    return _read_csv(content, crs, path)
+
+
+def _parse_odm_crs(header: str) -> str | None:
+    """The CRS of an OpenDroneMap header, or None when the line is no such header."""
+    if utm := re.fullmatch(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS])", header, re.I):
+        return f"EPSG:{(32600 if utm[2].upper() == 'N' else 32700) + int(utm[1])}"
+    if re.fullmatch(r"EPSG:\d+", header, re.I) or header.startswith(("+proj", "+init", "PROJCS")):
+        return header
+    return None
+
+
+def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
+    rows = []
+    for number, line in content[1:]:
+        words, source = line.split(), f"{path}, line {number}"
+        if len(words) < 6:
+            raise GeoreferenceError(
+                f"{source}: {line!r} has {len(words)} fields; an OpenDroneMap line needs x, y, z,"
+                " pixel x, pixel y and the image. Pick the point in an image first."
+            )
+        x, y, u, v = (parse_number(words[i], source) for i in (0, 1, 3, 4))
+        pixel = (u + ODM_PIXEL_SHIFT, v + ODM_PIXEL_SHIFT)
+        rows.append(PointRow(pixel, (x, y), source, crs, " ".join(words[6:]), words[5]))
+    return rows
+
+
+def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
+    separator = "," if "," in content[0][1] else "\t"
+    header = [name.strip().lower() for name in content[0][1].split(separator)]
+    header = [name.replace("source", "pixel") for name in header]
+    rows = []
+    for number, line in content[1:]:
+        source = f"{path}, line {number}"
+        fields = dict(zip(header, (f.strip() for f in line.split(separator)), strict=False))
+        if not set(QGIS_COLUMNS) <= set(fields):
+            raise GeoreferenceError(f"{source}: {line!r} lacks one of the columns {header[:4]}.")
+        if fields.get("enable", "1").lower() in ("0", "false"):
+            continue
+        x, y, u, up = (parse_number(fields[key], source) for key in QGIS_COLUMNS)
+        if up > 0:
+            raise GeoreferenceError(
+                f"{source}: {line!r} has a positive image y; QGIS counts pixels downwards as"
+                " negative. Was the image georeferenced before? Pick on the plain image."
+            )
+        rows.append(PointRow((u, -up), (x, y), source, crs))
+    return rows
+
+
+def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
+    separator = max(",;\t", key=content[0][1].count)
+    table = list(csv.reader((line for _, line in content), delimiter=separator))
+    header = [name.strip().lower() for name in table[0]]
+    columns = find_columns(header, f"{path}, line {content[0][0]}")
+    if crs is None and any(header[columns[key]] in DEGREE_COLUMNS for key in "xy"):
+        crs = LONLAT
+    rows = []
+    for (number, line), fields in zip(content[1:], table[1:], strict=True):
+        source = f"{path}, line {number}"
+        if len(fields) <= max(columns[key] for key in "uvxy"):
+            raise GeoreferenceError(f"{source}: {line!r} has too few fields.")
+        values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
+        u, v, x, y = (parse_number(values[key], source) for key in "uvxy")
+        row_crs = values.get("crs") or crs
+        name, frame = values.get("name", ""), values.get("frame", "")
+        rows.append(PointRow((u, v), (x, y), source, row_crs, name, frame))
+    return rows
+
+
+def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
+    """Find the columns of u, v, x, y and, where present, name, frame and CRS.
+
+    Raises:
+        GeoreferenceError: one of the first four is missing.
+    """
+    columns = {
+        key: header.index(name)
+        for key, names in COLUMN_NAMES.items()
+        for name in names[::-1]
+        if name in header
+    }
+    missing = [key for key in "uvxy" if key not in columns]
+    if missing:
+        raise GeoreferenceError(
+            f"{source}: no column for {', '.join(missing)} among {list(header)}. Control points"
+            " need u, v (or pixel_x, pixel_y; col, row) and x, y (or easting, northing; lon, lat)."
+            " OpenDroneMap lists start with their CRS, QGIS files with mapX."
+        )
+    return columns
+
+
+def parse_number(value: object, source: str) -> float:
+    """Parse a finite number, or raise GeoreferenceError."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise GeoreferenceError(
+            f"{source}: {value!r} is not a finite number. Correct or remove it."
+        )
+    return number

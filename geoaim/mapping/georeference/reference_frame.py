@@ -1,0 +1,130 @@
+"""Georeference the reference frame of a video, by control points on any frame or by telemetry."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from geoaim.errors import GeoreferenceError
+from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.control_points import ControlPoints, merge_observations
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.from_telemetry import approximate_georeference
+from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.registration.register import Reference, place_frames
+from geoaim.mapping.video.detections import Boxes
+from geoaim.mapping.video.video import Video
+from geoaim.world import LONLAT, choose_world, transform_crs
+
+MAX_TILT = np.radians(10.0)  # of a camera from straight down, without control points
+FILM_DIAGONAL_MM = 43.27  # to which a 35 mm equivalent focal length refers
+
+
+def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
+    """Choose the first frame, at 0 s, where `gcps` refer to its pixels; else None, any frame."""
+    if isinstance(gcps, ControlPoints):
+        return 0.0 if all(frame in (None, 0) for frame in gcps.frames) else None
+    return None if gcps is None else 0.0
+
+
+def georeference_reference_frame(
+    points: ControlPoints | None, video: Video, reference: Reference, crs: str | None
+) -> Georeference:
+    """Georeference the reference frame by control points, or without them by telemetry.
+
+    Args:
+        points: with pixels of the reference frame.
+        video: with its telemetry.
+        reference: the reference frame.
+        crs: of the world, projected and in metres; None keeps the points' own, or their UTM zone.
+
+    Returns:
+        The georeference.
+
+    Raises:
+        GeoreferenceError: the control points or the telemetry do not fix a place.
+    """
+    if points is None:
+        return _georeference_by_telemetry(video, reference)
+    world = None
+    if crs is not None and points.crs is not None:
+        world = choose_world(transform_crs(points.crs, LONLAT, points.coordinates), crs=crs)
+    return estimate_georeference(
+        points, height=reference.height, width=reference.width, world=world
+    )
+
+
+def transform_points_to_reference(
+    points: ControlPoints, video: Video, reference: Reference, boxes: Boxes | None
+) -> ControlPoints:
+    """Transform control points from the frames that they were picked on to the reference frame.
+
+    Args:
+        points: picked on any frames.
+        video: with these frames.
+        reference: the reference frame.
+        boxes: vehicles that registration leaves out.
+
+    Returns:
+        One point for each place, with pixels of the reference frame.
+
+    Raises:
+        GeoreferenceError: the video has no such frame, or it cannot be registered.
+    """
+    pixels = points.pixels.copy()
+    for picked in dict.fromkeys(points.frames):
+        index = _find_frame_index(picked, video)
+        frame = next(iter(video.frames_at([index / video.rate])))
+        [(_, placement)] = place_frames([frame], reference, boxes=boxes)
+        on_frame = np.array([other == picked for other in points.frames])
+        if not placement.valid:
+            names = ", ".join(np.array(points.names)[on_frame])
+            raise GeoreferenceError(
+                f"{names}: picked on frame {index}, which cannot be registered to the reference at "
+                f"{reference.time:.2f} s ({placement.reason}); pick them on another frame"
+            )
+        pixels[on_frame] = transform_points(placement.matrix, points.pixels[on_frame])
+    merged = merge_observations(replace(points, pixels=pixels))
+    return replace(merged, frames=(None,) * len(merged.pixels))
+
+
+def _find_frame_index(picked: str | int | None, video: Video) -> int:
+    if picked is None or isinstance(picked, int):
+        if picked and video.frame_count is not None and picked >= video.frame_count:
+            raise GeoreferenceError(
+                f"control points name frame {picked}, but {video.source} has {video.frame_count} "
+                "frames, counted from 0"
+            )
+        return picked or 0
+    if video.names is None or picked not in video.names:
+        raise GeoreferenceError(
+            f"control points name the frame {picked!r}, which is not among those of "
+            f"{video.source}; use the file's name, or a frame's number for a video"
+        )
+    return video.names.index(picked)
+
+
+def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
+    telemetry = video.telemetry
+    if telemetry is None:
+        raise GeoreferenceError(
+            f"{video.source}: no control points were given and there is no telemetry beside it (a "
+            "DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
+            "points, or a resolution for a map in a plane of its own"
+        )
+    nearest = int(np.argmin(np.abs(telemetry.time - reference.time)))
+    if abs(telemetry.pitch[nearest] + np.pi / 2) > MAX_TILT:
+        raise GeoreferenceError(
+            f"{video.source}: by its telemetry the camera looks "
+            f"{-np.degrees(telemetry.pitch[nearest]):.0f} degrees down; only one that looks "
+            "straight down (90) can be georeferenced without control points: give four or more"
+        )
+    diagonal = np.hypot(reference.height, reference.width)
+    half_width = FILM_DIAGONAL_MM / 2 * reference.width / diagonal
+    return approximate_georeference(
+        latitude=float(telemetry.latitude[nearest]),
+        longitude=float(telemetry.longitude[nearest]),
+        height_above_ground=float(telemetry.height[nearest]),
+        yaw=float(telemetry.yaw[nearest]),
+        field_of_view=float(2 * np.arctan(half_width / telemetry.focal_length[nearest])),
+        size=(reference.height, reference.width),
+    )

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.georeference import world_from_pixels
+from tests.mapping.georeference.points import GRID, SIZE, TRUTH, make_points, select_points
+
+
+def test_one_wrong_point_is_left_out_and_named():
+    points = make_points(noise=1.0)
+    points.coordinates[5] += (3.0, -2.0)
+    with pytest.warns(GeoaimWarning, match="gcp5 is left out"):
+        result = estimate_georeference(points, **SIZE)
+    assert np.flatnonzero(~result.used).tolist() == [5]
+    assert np.hypot(*result.residuals[5]) == pytest.approx(np.hypot(3, 2), abs=0.4)
+
+
+def test_a_point_kilometres_off_is_left_out():
+    points = make_points(noise=1.0)
+    points.coordinates[2] += (4000.0, -9000.0)
+    with pytest.warns(GeoaimWarning, match="gcp2 is left out"):
+        result = estimate_georeference(points, **SIZE)
+    np.testing.assert_allclose(
+        world_from_pixels(result, GRID), transform_points(TRUTH, GRID), atol=0.3
+    )
+
+
+def test_two_wrong_points_are_refused_by_name():
+    points = make_points(noise=1.0)
+    points.coordinates[5] += (3.0, -2.0)
+    points.coordinates[9] += (-3.0, -4.0)
+    with pytest.raises(GeoreferenceError, match=r"contradict.*(gcp5|gcp9)"):
+        estimate_georeference(points, **SIZE)
+
+
+def test_points_left_on_a_line_by_a_wrong_one_are_refused():
+    points = select_points(make_points(noise=1.0), [0, 1, 2, 3, 6])
+    points.coordinates[4] += (400.0, -300.0)
+    left_out = pytest.warns(GeoaimWarning, match="gcp6 is left out")
+    with left_out, pytest.raises(GeoreferenceError, match="nearly on a line"):
+        estimate_georeference(points, accuracy=1.5, **SIZE)
