@@ -7,9 +7,9 @@ from numpy import ndarray as Array
 from geoaim.geometry import transform_points
 from geoaim.synthetic.camera import Clip, Hover, Traffic, film
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
-from geoaim.synthetic.scenery.cutouts import draw_person, draw_vehicle
-from geoaim.synthetic.scenery.day import Day, throw
-from geoaim.synthetic.scenery.things import CAR, PAINTS
+from geoaim.synthetic.scenery.day import Day, compute_shadow_offset
+from geoaim.synthetic.scenery.objects import CAR, PAINTS
+from geoaim.synthetic.scenery.sprites import draw_pedestrian, draw_vehicle
 from geoaim.tracks import Tracks
 
 CLOTHES = ((58, 62, 78), (150, 60, 52), (198, 190, 178), (70, 96, 128), (90, 98, 72), (36, 36, 40))
@@ -38,7 +38,7 @@ def film_place(
     Raises:
         ValueError: there are not as many times as frames.
     """
-    shadow = CAR * throw(day) * (1 - day.clouds) / resolution
+    shadow = CAR * compute_shadow_offset(day) * (1 - day.clouds) / resolution
     colours = np.random.default_rng([place.seed, COLOURS])
     traffic = Traffic(
         sprites=draw_agents(tracks, resolution, colours),
@@ -70,7 +70,7 @@ def draw_agents(
         paint = PAINTS[int(generator.integers(len(PAINTS)))]
         cloth = CLOTHES[int(generator.integers(len(CLOTHES)))]
         if kind in ("pedestrian", "cyclist"):
-            sprites.append(draw_person(cloth, resolution, cycle=kind == "cyclist"))
+            sprites.append(draw_pedestrian(cloth, resolution, cycle=kind == "cyclist"))
         else:
             sprites.append(draw_vehicle(length, width, paint, resolution))
     return tuple(sprites)

@@ -8,12 +8,12 @@ from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.layouts import Kind
 from geoaim.synthetic.roads.plan import HEIGHT, WIDTH, Roads, make_roads
+from geoaim.synthetic.scenery.canvas import make_canvas
 from geoaim.synthetic.scenery.day import Day
 from geoaim.synthetic.scenery.ground import draw_ground
-from geoaim.synthetic.scenery.page import blank_page
-from geoaim.synthetic.scenery.plots import furnish
-from geoaim.synthetic.scenery.scene import Scenery
-from geoaim.synthetic.scenery.things import draw_things, grade
+from geoaim.synthetic.scenery.objects import draw_objects, grade_colours
+from geoaim.synthetic.scenery.plots import place_scenery
+from geoaim.synthetic.scenery.scenery import Scenery
 from geoaim.world import World
 
 RESOLUTION = 0.05
@@ -52,7 +52,7 @@ def make_place(seed: int, *, kind: Kind = "junction") -> Place:
     turn = generator.uniform(-np.pi, np.pi)  # nobody flies along the grid
     c, s = np.cos(turn), np.sin(turn)
     world_from_plan = np.array([[c, -s, 180.0], [s, c, 240.0], [0, 0, 1.0]])
-    return Place(seed, roads, furnish(roads, generator), WORLD, world_from_plan)
+    return Place(seed, roads, place_scenery(roads, generator), WORLD, world_from_plan)
 
 
 def draw_place(
@@ -64,12 +64,14 @@ def draw_place(
     and resize it.
     """
     day = Day() if day is None else day
-    page = blank_page(HEIGHT, WIDTH, resolution, _generator(place.seed, GROUND))
+    canvas = make_canvas(HEIGHT, WIDTH, resolution, _generator(place.seed, GROUND))
     generator = _generator(place.seed, DAY, day.number)
-    draw_ground(page, place.roads, place.scenery, day, generator)
-    draw_things(page, place.scenery, day, generator)
-    grade(page, day, CONTRAST[0] + (CONTRAST[1] - CONTRAST[0]) * page.generator.uniform())
-    return np.rint(np.minimum(np.maximum(page.image, 0), 255)).astype(np.uint8)
+    draw_ground(canvas, place.roads, place.scenery, day, generator)
+    draw_objects(canvas, place.scenery, day, generator)
+    grade_colours(
+        canvas, day, CONTRAST[0] + (CONTRAST[1] - CONTRAST[0]) * canvas.generator.uniform()
+    )
+    return np.rint(np.minimum(np.maximum(canvas.image, 0), 255)).astype(np.uint8)
 
 
 def world_from_image(place: Place, resolution: float = RESOLUTION) -> Float[Array, "3 3"]:

@@ -3,12 +3,12 @@ import pytest
 
 from geoaim.bench import hover_videos
 from geoaim.synthetic import Hover, render_frame
-from geoaim.synthetic.scenery.texture import natural_noise
+from geoaim.synthetic.scenery.texture import make_natural_noise
 
 
 @pytest.fixture(autouse=True)
 def synthetic_stills(monkeypatch):
-    field = natural_noise((540, 960), 1.2, np.random.default_rng(0))
+    field = make_natural_noise((540, 960), 1.2, np.random.default_rng(0))
     grey = (110 + 30 * field).clip(0, 255).astype(np.uint8).repeat(4, axis=0).repeat(4, axis=1)
     sprite = np.full((48, 104, 4), 255, np.uint8)
     monkeypatch.setattr(hover_videos, "read_clean_still", lambda still: np.dstack([grey] * 3))

@@ -18,13 +18,13 @@ from geoaim.synthetic.camera import (
     render_frame,
     traffic_share,
 )
-from geoaim.synthetic.scenery.texture import natural_noise
+from geoaim.synthetic.scenery.texture import make_natural_noise
 
 QUIET = Hover(count=6, drift=6.0, noise=0.0, exposure=0.0, blur=0.8)
 
 
 def _still(seed=0):
-    field = natural_noise((300, 500), 1.0, np.random.default_rng(seed))
+    field = make_natural_noise((300, 500), 1.0, np.random.default_rng(seed))
     return np.repeat((120 + 35 * field).clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
 
 

@@ -75,16 +75,16 @@ PALETTES: dict[Season, Palette] = {
 }  # fmt: skip
 
 
-def throw(day: Day) -> Float[Array, "2"]:
+def compute_shadow_offset(day: Day) -> Float[Array, "2"]:
     """Plan metres by which a metre of height throws its shadow."""
     return -np.array([np.cos(day.azimuth), np.sin(day.azimuth)]) / np.tan(day.elevation)
 
 
-def towards_sun(day: Day) -> tuple[float, float]:
+def compute_sun_direction(day: Day) -> tuple[float, float]:
     """Direction to the sun in the image: right and down."""
     return float(np.cos(day.azimuth)), float(-np.sin(day.azimuth))
 
 
-def depth(day: Day) -> Float[Array, "3"]:
+def compute_shadow_depth(day: Day) -> Float[Array, "3"]:
     """The share of light that a shadow takes from each channel."""
     return (1 - day.clouds) * np.array([0.58, 0.55, 0.47])

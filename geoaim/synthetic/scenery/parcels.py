@@ -8,8 +8,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import Geometry, LineString, Point, Polygon
 
-from geoaim.synthetic.scenery.page import bar, turned
-from geoaim.synthetic.scenery.scene import Building, Scenery, Spot, Tree
+from geoaim.synthetic.scenery.canvas import make_bar, make_rectangle
+from geoaim.synthetic.scenery.scenery import Building, Scenery, Spot, Tree
 
 CLEAR = 1.5  # m around buildings
 
@@ -21,24 +21,24 @@ def make_block(
     yard, rest, buildings = plot.buffer(1.4), plot, []
     for _ in range(2):
         size = generator.uniform(15, 26), generator.uniform(11, 19)
-        body = _fit(rest, size, angle, CLEAR, generator)
+        body = _fit_rectangle(rest, size, angle, CLEAR, generator)
         if body is not None:
             buildings.append(Building(body[0], size, angle, generator.uniform(6, 13), True, 0))
             rest = rest.difference(Polygon(body[1]).buffer(3.0))
-    trees = _scatter(rest, 9, (1.2, 2.4), 4.0, generator)
+    trees = _scatter_trees(rest, 9, (1.2, 2.4), 4.0, generator)
     return replace(
         scenery,
         slabs=scenery.slabs.union(yard),
         buildings=(*scenery.buildings, *buildings),
         trees=(*scenery.trees, *trees),
-        spots=(*scenery.spots, *_row_of_spots(rest, angle, generator)),
-        spare=(*scenery.spare, *_spare(rest, angle, generator)),
+        spots=(*scenery.spots, *_make_parking_row(rest, angle, generator)),
+        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
     )
 
 
-def _row_of_spots(area: Geometry, angle: float, generator: np.random.Generator) -> list[Spot]:
+def _make_parking_row(area: Geometry, angle: float, generator: np.random.Generator) -> list[Spot]:
     """Cars side by side in a yard."""
-    body = _fit(area, (13.0, 5.0), angle, 0.3, generator)
+    body = _fit_rectangle(area, (13.0, 5.0), angle, 0.3, generator)
     if body is None:
         return []
     ahead, middle = np.array([np.cos(angle), np.sin(angle)]), np.array(body[0])
@@ -54,7 +54,7 @@ def make_houses(
     left = plot.buffer(-2.0)
     for _ in range(3):
         size = generator.uniform(11, 14.5), generator.uniform(8, 10)
-        body = _fit(left, size, angle + generator.normal(0, 0.05), CLEAR, generator)
+        body = _fit_rectangle(left, size, angle + generator.normal(0, 0.05), CLEAR, generator)
         if body is None:
             break
         centre, outline = body
@@ -65,7 +65,7 @@ def make_houses(
         )
         side = outline[1] + 0.5 * (outline[2] - outline[1])
         out = (outline[1] - outline[0]) / size[0]
-        drive = turned(side + 2.2 * out, (3.4, size[1] + 3.0), angle)
+        drive = make_rectangle(side + 2.2 * out, (3.4, size[1] + 3.0), angle)
         drives.append(Polygon(drive).intersection(plot))
         spots.append(
             Spot(
@@ -73,7 +73,7 @@ def make_houses(
             )
         )
         left = left.difference(Polygon(outline).buffer(6.0)).difference(Polygon(drive).buffer(1.0))
-    trees = _scatter(left, 7, (1.6, 3.2), 4.0, generator) + _scatter(
+    trees = _scatter_trees(left, 7, (1.6, 3.2), 4.0, generator) + _scatter_trees(
         left, 16, (0.5, 1.1), 2.0, generator
     )
     return replace(
@@ -81,9 +81,9 @@ def make_houses(
         slabs=shapely.union_all([scenery.slabs, *drives]),
         buildings=(*scenery.buildings, *buildings),
         trees=(*scenery.trees, *trees),
-        hedges=(*scenery.hedges, *_hedges(plot, generator)),
+        hedges=(*scenery.hedges, *_make_hedges(plot, generator)),
         spots=(*scenery.spots, *spots),
-        spare=(*scenery.spare, *_spare(left, angle, generator)),
+        spare=(*scenery.spare, *_make_spare_rectangles(left, angle, generator)),
     )
 
 
@@ -110,7 +110,7 @@ def make_park(
     if not plot.contains(round_pond):
         gravel, pond = gravel.difference(round_pond), Polygon()
     rest = lawn_edge.difference(shapely.union_all([gravel.buffer(1.0), round_pond]))
-    trees = _scatter(rest, 18, (2.0, 3.8), 5.0, generator) + _scatter(
+    trees = _scatter_trees(rest, 18, (2.0, 3.8), 5.0, generator) + _scatter_trees(
         rest, 14, (0.5, 1.1), 2.0, generator
     )
     return replace(
@@ -118,7 +118,7 @@ def make_park(
         gravel=scenery.gravel.union(gravel),
         ponds=scenery.ponds.union(pond),
         trees=(*scenery.trees, *trees),
-        spare=(*scenery.spare, *_spare(rest, angle, generator)),
+        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
     )
 
 
@@ -128,12 +128,12 @@ def make_plaza(
     """Slabs with beds of shrubs, a low flat roof, trees in rows."""
     square = plot.buffer(-0.4)
     size = generator.uniform(12, 18), generator.uniform(9, 13)
-    body = _fit(square, size, angle, 3.0, generator)
+    body = _fit_rectangle(square, size, angle, 3.0, generator)
     buildings, rest = [], square.buffer(-2.0)
     if body is not None:
         buildings = [Building(body[0], size, angle, generator.uniform(5, 8), True, 1)]
         rest = rest.difference(Polygon(body[1]).buffer(4.0))
-    trees = _scatter(rest, 16, (1.3, 2.2), 5.5, generator) + _scatter(
+    trees = _scatter_trees(rest, 16, (1.3, 2.2), 5.5, generator) + _scatter_trees(
         rest, 10, (0.6, 1.2), 3.0, generator
     )
     return replace(
@@ -141,7 +141,7 @@ def make_plaza(
         slabs=scenery.slabs.union(square.buffer(1.4)),
         buildings=(*scenery.buildings, *buildings),
         trees=(*scenery.trees, *trees),
-        spare=(*scenery.spare, *_spare(rest, angle, generator)),
+        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
     )
 
 
@@ -150,21 +150,22 @@ def make_field(
 ) -> Scenery:
     """Rough grass with bare soil, shrubs and a few trees."""
     soil = [
-        _blob(spot, generator.uniform(2, 7), generator) for spot in _points(plot, 5, 6.0, generator)
+        _make_blob(spot, generator.uniform(2, 7), generator)
+        for spot in _sample_points(plot, 5, 6.0, generator)
     ]
     rest = plot.buffer(-1.5)
-    trees = _scatter(rest, 7, (1.6, 3.2), 5.0, generator) + _scatter(
+    trees = _scatter_trees(rest, 7, (1.6, 3.2), 5.0, generator) + _scatter_trees(
         rest, 30, (0.4, 1.3), 1.4, generator
     )
     return replace(
         scenery,
         soil=scenery.soil.union(shapely.union_all(soil).intersection(plot)),
         trees=(*scenery.trees, *trees),
-        spare=(*scenery.spare, *_spare(rest, angle, generator)),
+        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
     )
 
 
-def _blob(spot: Point, radius: float, generator: np.random.Generator) -> Polygon:
+def _make_blob(spot: Point, radius: float, generator: np.random.Generator) -> Polygon:
     """A patch with an uneven rim."""
     turn = np.linspace(0, 2 * np.pi, 49)[:-1]
     size = radius * np.ones(48)
@@ -177,7 +178,7 @@ def _blob(spot: Point, radius: float, generator: np.random.Generator) -> Polygon
     return Polygon(rim + np.array([spot.x, spot.y])).buffer(0.0)
 
 
-def _fit(
+def _fit_rectangle(
     area: Geometry,
     size: tuple[float, float],
     angle: float,
@@ -191,13 +192,13 @@ def _fit(
     shapely.prepare(area)
     for _ in range(60):
         centre = generator.uniform([low_x, low_y], [high_x, high_y])
-        outline = turned(centre, size, angle)
+        outline = make_rectangle(centre, size, angle)
         if area.contains(Polygon(outline).buffer(clear)):
             return (float(centre[0]), float(centre[1])), outline
     return None
 
 
-def _points(
+def _sample_points(
     area: Geometry, count: int, apart: float, generator: np.random.Generator
 ) -> list[Point]:
     """Points in an area that keep some metres from each other."""
@@ -217,7 +218,7 @@ def _points(
     return found
 
 
-def _scatter(
+def _scatter_trees(
     area: Geometry,
     count: int,
     radius: tuple[float, float],
@@ -226,14 +227,14 @@ def _scatter(
 ) -> tuple[Tree, ...]:
     """Trees in an area, their stems some metres from each other."""
     inside = area.buffer(-0.4 * radius[1])
-    spots = _points(inside, count, apart, generator)
+    spots = _sample_points(inside, count, apart, generator)
     return tuple(
         Tree((spot.x, spot.y), generator.uniform(*radius), int(generator.integers(1 << 16)))
         for spot in spots
     )
 
 
-def _hedges(plot: Polygon, generator: np.random.Generator) -> list[Float[Array, "4 2"]]:
+def _make_hedges(plot: Polygon, generator: np.random.Generator) -> list[Float[Array, "4 2"]]:
     """Hedges along parts of a plot's rim."""
     inner = max(shapely.get_parts(plot.buffer(-1.1)), key=lambda part: part.area)
     rim, hedges = inner.exterior, []
@@ -242,19 +243,19 @@ def _hedges(plot: Polygon, generator: np.random.Generator) -> list[Float[Array, 
         long = min(generator.uniform(8, 22), rim.length - at)
         start, end = (np.array(rim.interpolate(d).coords[0]) for d in (at, at + long))
         if abs(np.hypot(*(end - start)) - long) < 0.3:
-            hedges.append(bar(start, end, 0.55))
+            hedges.append(make_bar(start, end, 0.55))
         at += long + generator.uniform(3, 9)
     return hedges
 
 
-def _spare(
+def _make_spare_rectangles(
     area: Geometry, angle: float, generator: np.random.Generator
 ) -> list[Float[Array, "4 2"]]:
     """Rectangles of a container's or a tent's size."""
     found = []
     for _ in range(2):
         size = generator.uniform(3.5, 7.0), generator.uniform(2.4, 3.5)
-        body = _fit(area, size, angle + generator.uniform(-0.3, 0.3), 0.5, generator)
+        body = _fit_rectangle(area, size, angle + generator.uniform(-0.3, 0.3), 0.5, generator)
         if body is not None:
             found.append(body[1])
     return found

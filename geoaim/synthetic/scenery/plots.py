@@ -27,21 +27,23 @@ from geoaim.synthetic.scenery.parcels import (
     make_park,
     make_plaza,
 )
-from geoaim.synthetic.scenery.scene import Parcel, Scenery, Spot, Tree
+from geoaim.synthetic.scenery.scenery import Parcel, Scenery, Spot, Tree
 
 USES = ("block", "houses", "park", "plaza", "field", "houses", "block")
 PARCEL = (30.0, 46.0)  # m, width of what is used alike
 TREES = 9.0  # m between street trees, about
 
 
-def furnish(roads: Roads, generator: np.random.Generator) -> Scenery:
+def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
     """Fill the plots of a plan; the same generator state, the same things."""
     nothing = Polygon()
-    verges = _verges(roads)
+    verges = _make_verges(roads)
     empty = Scenery(
-        (), verges, nothing, nothing, nothing, nothing, (), (), (), _lamps(roads), (), ()
+        (), verges, nothing, nothing, nothing, nothing, (), (), (), _make_lamps(roads), (), ()
     )
-    scenery = replace(empty, trees=_street_trees(roads, verges, generator), spots=_bay_spots(roads))
+    scenery = replace(
+        empty, trees=_make_street_trees(roads, verges, generator), spots=_list_bay_spots(roads)
+    )
     makers: dict[str, Callable[[Scenery, Polygon, float, np.random.Generator], Scenery]] = {
         "block": make_block,
         "houses": make_houses,
@@ -51,8 +53,8 @@ def furnish(roads: Roads, generator: np.random.Generator) -> Scenery:
     }
     parcels = []
     for plot in roads.paving.plots:
-        angle = _angle_of(roads, plot)
-        for area in _divided(plot, angle, generator):
+        angle = _find_angle(roads, plot)
+        for area in _divide(plot, angle, generator):
             beside_lot = area.distance(roads.paving.lot) < 3 if roads.car_park else False
             small = beside_lot or area.area < 350
             rough = small or roads.layout.kind == "park"  # lawns and ponds bring paths of their own
@@ -65,7 +67,7 @@ def furnish(roads: Roads, generator: np.random.Generator) -> Scenery:
     return replace(scenery, parcels=tuple(parcels))
 
 
-def _divided(plot: Polygon, angle: float, generator: np.random.Generator) -> list[Polygon]:
+def _divide(plot: Polygon, angle: float, generator: np.random.Generator) -> list[Polygon]:
     """A plot cut across its road into parcels."""
     level = rotate(plot, -angle, origin=(0, 0), use_radians=True)
     left, low, right, high = level.bounds
@@ -80,7 +82,7 @@ def _divided(plot: Polygon, angle: float, generator: np.random.Generator) -> lis
     return parcels
 
 
-def _angle_of(roads: Roads, plot: Polygon) -> float:
+def _find_angle(roads: Roads, plot: Polygon) -> float:
     """The direction of the arm that passes closest to a plot's middle."""
     middle = np.array(plot.representative_point().coords[0])
 
@@ -92,7 +94,7 @@ def _angle_of(roads: Roads, plot: Polygon) -> float:
     return min(roads.layout.arms, key=apart).angle
 
 
-def _verges(roads: Roads) -> Geometry:
+def _make_verges(roads: Roads) -> Geometry:
     """Strips of grass along the kerbs, interrupted where people cross and cars turn in."""
     whole = outer_kerbs(roads.paving)
     band = whole.buffer(VERGE + 0.3).difference(whole.buffer(0.35))
@@ -107,7 +109,7 @@ def _verges(roads: Roads) -> Geometry:
     return band.difference(shapely.union_all([*doors, *gaps, *keep]))
 
 
-def _street_trees(
+def _make_street_trees(
     roads: Roads, verges: Geometry, generator: np.random.Generator
 ) -> tuple[Tree, ...]:
     """Rows of trees in the verges."""
@@ -123,7 +125,7 @@ def _street_trees(
     return tuple(trees)
 
 
-def _lamps(roads: Roads) -> Float[Array, "L 2 2"]:
+def _make_lamps(roads: Roads) -> Float[Array, "L 2 2"]:
     """Lamps along the arms, and masts with signals over the stop lines."""
     rows = []
     for arm in roads.layout.arms:
@@ -138,7 +140,7 @@ def _lamps(roads: Roads) -> Float[Array, "L 2 2"]:
     return np.array(rows)
 
 
-def _bay_spots(roads: Roads) -> tuple[Spot, ...]:
+def _list_bay_spots(roads: Roads) -> tuple[Spot, ...]:
     """Bays of the car park that traffic does not use."""
     car_park = roads.car_park
     if car_park is None:

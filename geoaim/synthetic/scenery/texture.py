@@ -15,7 +15,7 @@ COVER = 256  # rows that are filled at a time
 BAND = 32  # rows that are blended at a time, so that they stay in the cache
 
 
-def natural_noise(
+def make_natural_noise(
     shape: tuple[int, int], slope: float, generator: np.random.Generator
 ) -> Float32[Array, "H W"]:
     """Noise of mean 0 and variance 1 whose amplitude falls as frequency to the power -slope.
@@ -32,7 +32,7 @@ def natural_noise(
     return np.asarray(np.rint(shaped * (LEVELS / shaped.std())) / LEVELS, np.float32)
 
 
-def polygon_mask(
+def rasterize_polygons(
     shape: tuple[int, int], polygons: Sequence[Sequence[Float[Array, "_ 2"]]]
 ) -> UInt8[Array, "H W"]:
     """The share of each pixel that a union of polygons covers, 0 to 255.
@@ -44,7 +44,7 @@ def polygon_mask(
     mask = np.zeros(shape, np.uint8)
     if mask.size == 0 or not polygons:
         return mask
-    fixed = [[_fixed(ring) for ring in rings] for rings in polygons]
+    fixed = [[_to_fixed_point(ring) for ring in rings] for rings in polygons]
     spans = [(r[0][:, 1].min() >> FIXED, r[0][:, 1].max() >> FIXED) for r in fixed]
     for top in range(0, shape[0], COVER):
         rows = min(COVER, shape[0] - top)
@@ -58,12 +58,12 @@ def polygon_mask(
     return mask
 
 
-def _fixed(ring: Float[Array, "_ 2"]) -> Int32[Array, "_ 2"]:
+def _to_fixed_point(ring: Float[Array, "_ 2"]) -> Int32[Array, "_ 2"]:
     """A ring at the finer resolution, in OpenCV's fixed-point numbers."""
     return np.rint((np.asarray(ring) * FINER - 0.5) * (1 << FIXED)).astype(np.int32)
 
 
-def lay(
+def blend(
     image: Float32[Array, "H W c"],
     mask: Float32[Array, "H W"],
     colour: tuple[float, ...] | Float[Array, "*_ c"],

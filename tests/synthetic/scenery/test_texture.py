@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from geoaim.synthetic.scenery.texture import darken, lay, natural_noise, polygon_mask
+from geoaim.synthetic.scenery.texture import blend, darken, make_natural_noise, rasterize_polygons
 
 
 def test_natural_noise_has_the_slope_asked_for():
-    field = natural_noise((256, 256), 1.5, np.random.default_rng(0))
+    field = make_natural_noise((256, 256), 1.5, np.random.default_rng(0))
     power = np.abs(np.fft.fft2(field))[1:64, 0] ** 2
     slope = np.polyfit(np.log(np.arange(1, 64)), np.log(power), 1)[0]
     assert slope == pytest.approx(-3.0, abs=0.4)
@@ -16,7 +16,7 @@ def test_natural_noise_has_the_slope_asked_for():
 def test_mask_covers_the_polygon_and_leaves_its_holes():
     square = np.array([[10.0, 10], [90, 10], [90, 90], [10, 90]])
     hole = np.array([[40.0, 40], [60, 40], [60, 60], [40, 60]])
-    mask = polygon_mask((100, 100), [[square, hole]])
+    mask = rasterize_polygons((100, 100), [[square, hole]])
     assert mask[20, 20] == 255
     assert mask[50, 50] == 0
     assert mask[5, 5] == 0
@@ -25,7 +25,7 @@ def test_mask_covers_the_polygon_and_leaves_its_holes():
 
 def test_laying_half_of_a_colour_meets_it_half_way():
     image = np.full((40, 4, 3), 100, np.float32)
-    lay(image, np.full((40, 4), 0.5, np.float32), (200, 0, 100))
+    blend(image, np.full((40, 4), 0.5, np.float32), (200, 0, 100))
     np.testing.assert_allclose(image, np.broadcast_to([150, 50, 100], image.shape))
 
 

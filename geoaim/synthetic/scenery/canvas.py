@@ -11,9 +11,15 @@ from numpy import ndarray as Array
 from shapely import Geometry
 
 from geoaim.geometry import transform_points
-from geoaim.synthetic.scenery.texture import Colour, darken, lay, natural_noise, polygon_mask
+from geoaim.synthetic.scenery.texture import (
+    Colour,
+    blend,
+    darken,
+    make_natural_noise,
+    rasterize_polygons,
+)
 
-TILE = 2048  # px, side at most of the noise that is repeated over the page
+TILE = 2048  # px, side at most of the noise that is repeated over the canvas
 SLOPES = (0.35, 0.9, 1.4, 1.9)  # of the four fields: grain, blotches, patches, hills
 GRAIN, BLOTCH, PATCH, HILL = range(4)
 Line = Float[Array, "_ 2"]
@@ -22,7 +28,7 @@ Window: TypeAlias = tuple[slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
-class Page:
+class Canvas:
     """The picture being drawn (changed in place) and what all strokes need.
 
     Attributes:
@@ -45,54 +51,55 @@ class Page:
         return self.image.shape[0], self.image.shape[1]
 
 
-def blank_page(
+def make_canvas(
     height: float, width: float, resolution: float, generator: np.random.Generator
-) -> Page:
-    """A black page of some metres around the plan's origin."""
+) -> Canvas:
+    """A black canvas of some metres around the plan's origin."""
     rows, columns = round(height / resolution), round(width / resolution)
     scale = 1 / resolution
     image_from_plan = np.array([[scale, 0, columns / 2], [0, -scale, rows / 2], [0, 0, 1.0]])
     tile = min(TILE, 1 << (max(rows, columns) - 1).bit_length())
-    fields = tuple(natural_noise((tile, tile), slope, generator) for slope in SLOPES)
+    fields = tuple(make_natural_noise((tile, tile), slope, generator) for slope in SLOPES)
     image = np.zeros((rows, columns, 3), np.float32)
-    return Page(image, image_from_plan, resolution, generator, fields)
+    return Canvas(image, image_from_plan, resolution, generator, fields)
 
 
-def noise(page: Page, field: int, window: Window | None = None) -> Float32[Array, "h w"]:
-    """Noise of one kind in a window of the page, from a place of its field that chance picks."""
-    rows, columns = window or (slice(0, page.shape[0]), slice(0, page.shape[1]))
-    tile = len(page.fields[field])
-    down, right = page.generator.integers(0, tile, 2)
+def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Float32[Array, "h w"]:
+    """Noise of one kind in a window of the canvas, from a place of its field that chance picks."""
+    rows, columns = window or (slice(0, canvas.shape[0]), slice(0, canvas.shape[1]))
+    tile = len(canvas.fields[field])
+    down, right = canvas.generator.integers(0, tile, 2)
     down, right = (
         np.arange(rows.start, rows.stop) + down,
         np.arange(columns.start, columns.stop) + right,
     )
-    return np.asarray(page.fields[field][np.ix_(down % tile, right % tile)])
+    return np.asarray(canvas.fields[field][np.ix_(down % tile, right % tile)])
 
 
-def mask_of(
-    page: Page, shape: Shape, *, within: Window | None = None
+def rasterize_shape(
+    canvas: Canvas, shape: Shape, *, within: Window | None = None
 ) -> tuple[Window, UInt8[Array, "h w"]]:
     """The window around a shape (plan metres) and its anti-aliased mask there."""
     polygons = [
-        [transform_points(page.image_from_plan, ring) for ring in rings] for rings in _rings(shape)
+        [transform_points(canvas.image_from_plan, ring) for ring in rings]
+        for rings in _iterate_rings(shape)
     ]
     if within is None:
         every = np.concatenate([rings[0] for rings in polygons]) if polygons else np.zeros((1, 2))
         low = np.floor(every.min(axis=0)).astype(int) - 2
         high = np.ceil(every.max(axis=0)).astype(int) + 2
         (left, top), (right, bottom) = (
-            np.minimum(np.maximum(corner, 0), page.shape[::-1]).tolist() for corner in (low, high)
+            np.minimum(np.maximum(corner, 0), canvas.shape[::-1]).tolist() for corner in (low, high)
         )
         within = slice(top, bottom), slice(left, right)
     rows, columns = within
     start = np.array([columns.start, rows.start])
     moved = [[ring - start for ring in rings] for rings in polygons]
-    return within, polygon_mask((rows.stop - rows.start, columns.stop - columns.start), moved)
+    return within, rasterize_polygons((rows.stop - rows.start, columns.stop - columns.start), moved)
 
 
 def fill(
-    page: Page,
+    canvas: Canvas,
     shape: Shape,
     colour: Colour | Float[Array, "3"],
     *,
@@ -103,24 +110,26 @@ def fill(
     """Fill a shape with a colour that varies by noise.
 
     Args:
-        page: what is drawn on.
+        canvas: what is drawn on.
         shape: polygons in plan metres; touching ones are one.
         colour: its mean.
         strength: how much of what is below is covered, 0 to 1.
         grain: kinds of noise and their deviations, grey levels.
         only: where the shape may be drawn.
     """
-    window, mask = mask_of(page, shape)
+    window, mask = rasterize_shape(canvas, shape)
     if not mask.any():
         return
     alpha = mask.astype(np.float32) * np.float32(strength / 255)
     if only is not None:
-        alpha *= mask_of(page, only, within=window)[1].astype(np.float32) / np.float32(255)
-    lay(page.image[window], alpha, speckled(page, colour, grain, window))
+        alpha *= rasterize_shape(canvas, only, within=window)[1].astype(np.float32) / np.float32(
+            255
+        )
+    blend(canvas.image[window], alpha, add_grain(canvas, colour, grain, window))
 
 
-def speckled(
-    page: Page,
+def add_grain(
+    canvas: Canvas,
     colour: Colour | Float[Array, "3"],
     grain: Sequence[tuple[int, float]],
     window: Window,
@@ -128,27 +137,31 @@ def speckled(
     """A colour, or a picture of it with noise."""
     if not grain:
         return np.asarray(colour, np.float32)
-    light = sum(np.float32(size) * noise(page, field, window) for field, size in grain)
+    light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
     return np.asarray(colour, np.float32) + np.asarray(light, np.float32)[..., None]
 
 
-def shade(page: Page, shape: Shape, share: float | Colour, *, only: Geometry | None = None) -> None:
+def shade(
+    canvas: Canvas, shape: Shape, share: float | Colour, *, only: Geometry | None = None
+) -> None:
     """Take a share of the light inside a shape."""
-    window, mask = mask_of(page, shape)
+    window, mask = rasterize_shape(canvas, shape)
     if mask.any():
         alpha = mask.astype(np.float32) / np.float32(255)
         if only is not None:
-            alpha *= mask_of(page, only, within=window)[1].astype(np.float32) / np.float32(255)
-        darken(page.image[window], alpha, np.asarray(share, np.float32))
+            alpha *= rasterize_shape(canvas, only, within=window)[1].astype(
+                np.float32
+            ) / np.float32(255)
+        darken(canvas.image[window], alpha, np.asarray(share, np.float32))
 
 
-def circle(centre: Float[Array, "2"], radius: float) -> Float[Array, "24 2"]:
+def make_circle(centre: Float[Array, "2"], radius: float) -> Float[Array, "24 2"]:
     """A round polygon."""
     turn = np.linspace(0, 2 * np.pi, 25)[:-1]
     return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + centre
 
 
-def turned(
+def make_rectangle(
     centre: Float[Array, "2"], size: tuple[float, float], angle: float
 ) -> Float[Array, "4 2"]:
     """Corners of a rectangle (metres along and across its angle), turned about its middle."""
@@ -157,14 +170,14 @@ def turned(
     return half @ turn + centre
 
 
-def bar(start: Float[Array, "2"], end: Float[Array, "2"], half: float) -> Float[Array, "4 2"]:
+def make_bar(start: Float[Array, "2"], end: Float[Array, "2"], half: float) -> Float[Array, "4 2"]:
     """A thin rectangle from one point to another."""
     along = (end - start) / np.hypot(*(end - start))
     side = half * np.array([-along[1], along[0]])
     return np.array([start + side, end + side, end - side, start - side])
 
 
-def _rings(shape: Shape) -> Iterator[list[Line]]:
+def _iterate_rings(shape: Shape) -> Iterator[list[Line]]:
     """Outline and holes of each polygon."""
     if isinstance(shape, Geometry):
         for part in shapely.get_parts(shape):

@@ -6,7 +6,7 @@ from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 
 from geoaim.synthetic.exact import blur
-from geoaim.synthetic.scenery.texture import Colour, lay, polygon_mask
+from geoaim.synthetic.scenery.texture import Colour, blend, rasterize_polygons
 
 FINER = 4  # vehicles and people are drawn at this many times their resolution
 MARGIN = 3  # px of air around them
@@ -38,7 +38,7 @@ def draw_tree(
     """
     side = 2 * int(radius * 1.2) + 1
     axis = np.linspace(-1.2, 1.2, side)
-    height = _crown(axis, generator)
+    height = _make_crown(axis, generator)
     crown = height > -1
     leaves = grain[:side, :side]
     height = np.where(crown, height, 0.2) + 0.012 * leaves
@@ -76,7 +76,7 @@ def draw_bare_tree(radius: int, generator: np.random.Generator) -> UInt8[Array, 
     return rgba
 
 
-def _crown(axis: Float[Array, "n"], generator: np.random.Generator) -> Float[Array, "n n"]:
+def _make_crown(axis: Float[Array, "n"], generator: np.random.Generator) -> Float[Array, "n n"]:
     """The upper surface of balls of leaves, large then small; -1 beside them."""
     count = LARGE + min(SMALL, len(axis))
     reach = 0.85 * generator.uniform(size=count) ** 0.6
@@ -115,25 +115,27 @@ def draw_vehicle(
         resolution: of the sprite.
     """
     a, b = length / 2, width / 2
-    parts = _car(a, b, colour) if length <= LONG else _lorry(a, b, colour)
-    parts = _bus(a, b, colour) if length > BUS else parts
-    return _drawn((length, width), [*_body(a, b, colour), *parts], resolution)
+    parts = _outline_car(a, b, colour) if length <= LONG else _outline_lorry(a, b, colour)
+    parts = _outline_bus(a, b, colour) if length > BUS else parts
+    return _draw_outlines((length, width), [*_outline_body(a, b, colour), *parts], resolution)
 
 
-def draw_person(colour: Colour, resolution: float, *, cycle: bool = False) -> UInt8[Array, "_ _ 4"]:
+def draw_pedestrian(
+    colour: Colour, resolution: float, *, cycle: bool = False
+) -> UInt8[Array, "_ _ 4"]:
     """Somebody from above, heading right: shoulders and head, and the cycle below them."""
     shoulders = [(0.14, 0), (0.12, 0.2), (0.02, 0.27), (-0.1, 0.24), (-0.14, 0)]
     hair = [(0.11, 0), (0.07, 0.09), (-0.04, 0.1), (-0.1, 0)]
-    parts: list[tuple[Outline, Colour]] = [(shoulders, colour), (hair, _mixed(BARK, 0.6))]
+    parts: list[tuple[Outline, Colour]] = [(shoulders, colour), (hair, _mix(BARK, 0.6))]
     if cycle:
         wheels: Outline = [(0.9, 0), (0.88, 0.04), (-0.88, 0.04), (-0.9, 0)]
         bars: Outline = [(0.45, 0), (0.42, 0.28), (0.36, 0.28), (0.38, 0)]
-        parts = [(wheels, GLASS), (bars, _mixed(GLASS, 1.6)), *parts]
+        parts = [(wheels, GLASS), (bars, _mix(GLASS, 1.6)), *parts]
     size = (1.8, 0.65) if cycle else (0.5, 0.6)
-    return _drawn(size, parts, resolution)
+    return _draw_outlines(size, parts, resolution)
 
 
-def _drawn(
+def _draw_outlines(
     size: tuple[float, float], parts: list[tuple[Outline, Colour]], resolution: float
 ) -> UInt8[Array, "_ _ 4"]:
     """Outlines, mirrored, painted one over the other, and made smaller."""
@@ -143,29 +145,29 @@ def _drawn(
     for outline, paint in parts:
         for side in (1, -1):
             corners = np.array(outline) * [1, side] * FINER / resolution + middle
-            mask = polygon_mask((canvas.shape[0], canvas.shape[1]), [[corners]])
-            lay(canvas, mask.astype(np.float32) / np.float32(255), (*paint, 255.0))
+            mask = rasterize_polygons((canvas.shape[0], canvas.shape[1]), [[corners]])
+            blend(canvas, mask.astype(np.float32) / np.float32(255), (*paint, 255.0))
     canvas[..., :3] *= canvas[..., 3:] / 255
     small = canvas.reshape(shape[0], FINER, shape[1], FINER, 4).mean(axis=(1, 3), dtype=np.float64)
     small[..., :3] /= np.maximum(small[..., 3:] / 255, 1e-3)
     return np.rint(np.minimum(np.maximum(small, 0), 255)).astype(np.uint8)
 
 
-def _mixed(colour: Colour, factor: float, light: float = 0.0) -> Colour:
+def _mix(colour: Colour, factor: float, light: float = 0.0) -> Colour:
     red, green, blue = (min(channel * factor + light, 250.0) for channel in colour)
     return red, green, blue
 
 
-def _body(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+def _outline_body(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     outline = [(a, 0), (a, b * 0.5), (a - 0.16, b * 0.8), (a - 0.5, b * 0.96), (0, b)]
     outline += [(-a + 0.35, b * 0.96), (-a + 0.08, b * 0.82), (-a, b * 0.5), (-a, 0)]
     front = [(a - 0.05, 0.5 * b), (a - 0.18, 0.78 * b), (a - 0.34, 0.84 * b), (a - 0.2, 0.5 * b)]
     rear = [(0.04 - a, 0.45 * b), (0.12 - a, 0.8 * b), (0.25 - a, 0.84 * b), (0.14 - a, 0.45 * b)]
     inner = [(x * 0.985, y * 0.94) for x, y in outline]
-    return [(outline, _mixed(colour, 0.62)), (inner, colour), (front, LAMP), (rear, TAIL_LAMP)]
+    return [(outline, _mix(colour, 0.62)), (inner, colour), (front, LAMP), (rear, TAIL_LAMP)]
 
 
-def _car(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+def _outline_car(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     screen, rear = 0.32 * a, -0.6 * a
     bonnet = [(a - 0.75, 0), (a - 0.7, b * 0.2), (screen + 0.65, b * 0.75), (screen + 0.6, 0)]
     glass = [
@@ -177,23 +179,23 @@ def _car(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     roof = [(screen, 0), (screen - 0.08, b * 0.7), (rear + 0.1, b * 0.68), (rear, 0)]
     top = [(screen - 0.3, 0), (screen - 0.35, b * 0.5), (rear + 0.5, b * 0.5), (rear + 0.45, 0)]
     mirror = [(screen + 0.3, b * 0.98), (screen + 0.42, b * 1.08), (screen + 0.22, b * 1.08)]
-    light = _mixed(colour, 0.9, 26)
-    paints = [light, GLASS, light, _mixed(colour, 0.96, 14), _mixed(colour, 0.62)]
+    light = _mix(colour, 0.9, 26)
+    paints = [light, GLASS, light, _mix(colour, 0.96, 14), _mix(colour, 0.62)]
     return list(zip([bonnet, glass, roof, top, mirror], paints, strict=True))
 
 
-def _bus(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+def _outline_bus(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     screen = [(a - 0.1, 0), (a - 0.12, b * 0.8), (a - 0.42, b * 0.86), (a - 0.45, 0)]
     roof = [(a - 0.7, 0), (a - 0.7, b * 0.9), (-a + 0.2, b * 0.9), (-a + 0.2, 0)]
     hatches = [
         [(x, 0.0), (x, b * 0.5), (x + 0.9, b * 0.5), (x + 0.9, 0.0)]
         for x in np.arange(1.2 - a, a - 1.5, 2.4).tolist()
     ]
-    shut = _mixed(colour, 0.8)
-    return [(screen, GLASS), (roof, _mixed(colour, 0.9, 26)), *[(hatch, shut) for hatch in hatches]]
+    shut = _mix(colour, 0.8)
+    return [(screen, GLASS), (roof, _mix(colour, 0.9, 26)), *[(hatch, shut) for hatch in hatches]]
 
 
-def _lorry(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
+def _outline_lorry(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     """A cab and a box behind it."""
     screen: Outline = [(a - 0.1, 0), (a - 0.12, b * 0.8), (a - 0.4, b * 0.86), (a - 0.42, 0)]
     cab: Outline = [(a - 0.5, 0), (a - 0.5, b * 0.9), (a - 1.7, b * 0.9), (a - 1.7, 0)]
@@ -201,5 +203,5 @@ def _lorry(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     box: Outline = [(a - 2.0, 0), (a - 2.0, b), (-a, b), (-a, 0)]
     top: Outline = [(a - 2.1, 0), (a - 2.1, b * 0.94), (0.1 - a, b * 0.94), (0.1 - a, 0)]
     pale: Colour = (206, 206, 202)
-    paints = [GLASS, _mixed(colour, 0.9, 26), GLASS, _mixed(pale, 0.8), pale]
+    paints = [GLASS, _mix(colour, 0.9, 26), GLASS, _mix(pale, 0.8), pale]
     return list(zip([screen, cab, gap, box, top], paints, strict=True))

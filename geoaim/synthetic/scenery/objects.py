@@ -9,24 +9,30 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.exact import blur, pack, premultiplied, warp
-from geoaim.synthetic.scenery.cutouts import draw_bare_tree, draw_tree, draw_vehicle
-from geoaim.synthetic.scenery.day import PALETTES, Day, depth, throw, towards_sun
-from geoaim.synthetic.scenery.page import (
+from geoaim.synthetic.scenery.canvas import (
     BLOTCH,
     GRAIN,
     PATCH,
-    Page,
+    Canvas,
     Window,
-    bar,
-    circle,
     fill,
-    mask_of,
-    noise,
+    make_bar,
+    make_circle,
+    make_rectangle,
+    rasterize_shape,
+    sample_noise,
     shade,
-    turned,
 )
-from geoaim.synthetic.scenery.scene import Building, Scenery, Tree
-from geoaim.synthetic.scenery.texture import BAND, Colour, darken, lay
+from geoaim.synthetic.scenery.day import (
+    PALETTES,
+    Day,
+    compute_shadow_depth,
+    compute_shadow_offset,
+    compute_sun_direction,
+)
+from geoaim.synthetic.scenery.scenery import Building, Scenery, Tree
+from geoaim.synthetic.scenery.sprites import draw_bare_tree, draw_tree, draw_vehicle
+from geoaim.synthetic.scenery.texture import BAND, Colour, blend, darken
 
 PAINTS: tuple[Colour, ...] = (
     (206, 208, 210), (236, 236, 233), (40, 42, 46), (128, 132, 137), (64, 68, 74),
@@ -52,32 +58,36 @@ class _Stamp:
     height: float
 
 
-def draw_things(page: Page, scenery: Scenery, day: Day, generator: np.random.Generator) -> None:
+def draw_objects(
+    canvas: Canvas, scenery: Scenery, day: Day, generator: np.random.Generator
+) -> None:
     """Shadows first, then what casts them; `generator` is that of the day."""
-    trees = [_stand(page, tree, day) for tree in _still_there(scenery.trees, day, generator)]
-    cars = _park(page, scenery, generator)
+    trees = [
+        _place_tree(canvas, tree, day) for tree in _remove_felled(scenery.trees, day, generator)
+    ]
+    cars = _park_cars(canvas, scenery, generator)
     boxes = list(scenery.spare[: max(day.changes // 2, 0)])
-    _cast_shadows(page, scenery, [*trees, *cars], boxes, day)
+    _cast_shadows(canvas, scenery, [*trees, *cars], boxes, day)
     for car in cars:
-        _press(page, car)
+        _paste(canvas, car)
     for number, box in enumerate(boxes):
-        fill(page, box, CONTAINERS[number % len(CONTAINERS)], grain=[(GRAIN, 5)])
-        fill(page, _shrunk(box, 0.96), CONTAINERS[number % len(CONTAINERS)], grain=[(BLOTCH, 6)])
-    _draw_hedges(page, scenery, day)
+        fill(canvas, box, CONTAINERS[number % len(CONTAINERS)], grain=[(GRAIN, 5)])
+        fill(canvas, _shrink(box, 0.96), CONTAINERS[number % len(CONTAINERS)], grain=[(BLOTCH, 6)])
+    _draw_hedges(canvas, scenery, day)
     for building in scenery.buildings:
-        (_draw_flat if building.flat else _draw_pitched)(page, building, day)
+        (_draw_flat_roof if building.flat else _draw_pitched_roof)(canvas, building, day)
     for tree in trees:
-        _press(page, tree)
+        _paste(canvas, tree)
     for foot, tip in scenery.lamps:
-        fill(page, bar(foot, tip, 0.07), (196, 198, 198))
-        fill(page, circle(foot, 0.16), (120, 122, 124))
+        fill(canvas, make_bar(foot, tip, 0.07), (196, 198, 198))
+        fill(canvas, make_circle(foot, 0.16), (120, 122, 124))
 
 
-def grade(page: Page, day: Day, contrast: float) -> None:
+def grade_colours(canvas: Canvas, day: Day, contrast: float) -> None:
     """Uneven light, the day's colour, the haze of pictures from the air, the camera's contrast."""
     light = np.asarray(PALETTES[day.season].light, np.float32) * np.float32(1 - 0.12 * day.clouds)
-    uneven = 1 + np.float32(0.012) * noise(page, PATCH)
-    image = page.image
+    uneven = 1 + np.float32(0.012) * sample_noise(canvas, PATCH)
+    image = canvas.image
     image *= uneven[..., None]
     image *= light
     image += np.asarray(HAZE, np.float32)
@@ -92,7 +102,7 @@ def grade(page: Page, day: Day, contrast: float) -> None:
         image[rows] = tones[place.astype(np.int32)]
 
 
-def _still_there(trees: tuple[Tree, ...], day: Day, generator: np.random.Generator) -> list[Tree]:
+def _remove_felled(trees: tuple[Tree, ...], day: Day, generator: np.random.Generator) -> list[Tree]:
     """Without those that have been felled since day 0."""
     felled = (
         set(generator.permutation(len(trees))[: day.changes].tolist()) if day.changes else set()
@@ -100,20 +110,22 @@ def _still_there(trees: tuple[Tree, ...], day: Day, generator: np.random.Generat
     return [tree for k, tree in enumerate(trees) if k not in felled]
 
 
-def _stand(page: Page, tree: Tree, day: Day) -> _Stamp:
+def _place_tree(canvas: Canvas, tree: Tree, day: Day) -> _Stamp:
     """A tree's crown; it has the same shape on every day of a season."""
     palette, generator = PALETTES[day.season], np.random.default_rng(tree.number)
     colour = palette.leaves[int(generator.integers(len(palette.leaves)))]
     bare = generator.uniform() < palette.bare
-    radius = max(round(tree.radius / page.resolution), 3)
+    radius = max(round(tree.radius / canvas.resolution), 3)
     if bare:
         crown = draw_bare_tree(radius, generator)
     else:
-        crown = draw_tree(radius, colour, towards_sun(day), page.fields[GRAIN], generator)
+        crown = draw_tree(
+            radius, colour, compute_sun_direction(day), canvas.fields[GRAIN], generator
+        )
     return _Stamp(np.array(tree.place), 0.0, crown, CROWN * tree.radius)
 
 
-def _park(page: Page, scenery: Scenery, generator: np.random.Generator) -> list[_Stamp]:
+def _park_cars(canvas: Canvas, scenery: Scenery, generator: np.random.Generator) -> list[_Stamp]:
     """Cars in some of the spots."""
     cars = []
     for spot in scenery.spots:
@@ -128,59 +140,59 @@ def _park(page: Page, scenery: Scenery, generator: np.random.Generator) -> list[
             generator.normal(),
         )
         if there < spot.share:
-            sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], page.resolution)
+            sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], canvas.resolution)
             heading = spot.heading + np.pi * float(flip) + 0.02 * lean
             cars.append(_Stamp(np.array(spot.place) + aside, heading, sprite, CAR))
     return cars
 
 
 def _cast_shadows(
-    page: Page,
+    canvas: Canvas,
     scenery: Scenery,
     stamps: list[_Stamp],
     boxes: list[Float[Array, "4 2"]],
     day: Day,
 ) -> None:
     """Darken the ground away from the sun; where shadows meet, it is not darker."""
-    cast = throw(day)
+    cast = compute_shadow_offset(day)
     solids = [
-        _swept(turned(np.array(b.centre), b.size, b.angle), b.height * cast)
+        _sweep(make_rectangle(np.array(b.centre), b.size, b.angle), b.height * cast)
         for b in scenery.buildings
     ]
-    solids += [_swept(hedge, 1.1 * cast) for hedge in scenery.hedges]
-    solids += [_swept(box, 2.6 * cast) for box in boxes]
+    solids += [_sweep(hedge, 1.1 * cast) for hedge in scenery.hedges]
+    solids += [_sweep(box, 2.6 * cast) for box in boxes]
     for foot, tip in scenery.lamps:
-        solids.append(bar(foot, foot + LAMP * cast, 0.08))
-        solids.append(bar(foot + LAMP * cast, tip + LAMP * cast, 0.08))
-    whole = slice(0, page.shape[0]), slice(0, page.shape[1])
-    mask = mask_of(page, solids, within=whole)[1]
+        solids.append(make_bar(foot, foot + LAMP * cast, 0.08))
+        solids.append(make_bar(foot + LAMP * cast, tip + LAMP * cast, 0.08))
+    whole = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
+    mask = rasterize_shape(canvas, solids, within=whole)[1]
     for stamp in stamps:
         moved = _Stamp(stamp.place + stamp.height * cast, stamp.heading, stamp.sprite, 0.0)
-        placed = _placed(page, moved)
+        placed = _render_stamp(canvas, moved)
         if placed is not None:
             window, sprite = placed
             np.maximum(mask[window], sprite[..., 3], out=mask[window])
-    soft = blur(mask, (0.06 + 0.25 * day.clouds) / page.resolution)
-    darken(page.image, soft.astype(np.float32) / np.float32(255), depth(day))
+    soft = blur(mask, (0.06 + 0.25 * day.clouds) / canvas.resolution)
+    darken(canvas.image, soft.astype(np.float32) / np.float32(255), compute_shadow_depth(day))
 
 
-def _press(page: Page, stamp: _Stamp) -> None:
+def _paste(canvas: Canvas, stamp: _Stamp) -> None:
     """Lay a stamp on the picture."""
-    placed = _placed(page, stamp)
+    placed = _render_stamp(canvas, stamp)
     if placed is not None:
         window, sprite = placed
         alpha = sprite[..., 3:].astype(np.float32) / np.float32(255)
-        page.image[window] *= 1 - alpha
-        page.image[window] += sprite[..., :3].astype(np.float32)
+        canvas.image[window] *= 1 - alpha
+        canvas.image[window] += sprite[..., :3].astype(np.float32)
 
 
-def _placed(page: Page, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] | None:
-    """The window of a stamp and its picture there, premultiplied; None where it is off the page.
+def _render_stamp(canvas: Canvas, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] | None:
+    """The window of a stamp and its picture there, premultiplied; None where it is off the canvas.
 
     What is not turned is laid on whole pixels.
     """
     sprite = premultiplied(stamp.sprite)
-    u, v = transform_points(page.image_from_plan, stamp.place[None])[0]
+    u, v = transform_points(canvas.image_from_plan, stamp.place[None])[0]
     rows, columns = sprite.shape[:2]
     if stamp.heading == 0.0:
         left, top = round(u - columns / 2), round(v - rows / 2)
@@ -188,12 +200,12 @@ def _placed(page: Page, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] |
     else:
         reach = int(np.hypot(rows, columns) / 2) + 2
         left, top, size = int(u) - reach, int(v) - reach, (2 * reach, 2 * reach)
-        sprite = _turned(sprite, stamp.heading, (u - left, v - top), size)
+        sprite = _rotate_sprite(sprite, stamp.heading, (u - left, v - top), size)
     inner = [
         max(left, 0),
         max(top, 0),
-        min(left + size[1], page.shape[1]),
-        min(top + size[0], page.shape[0]),
+        min(left + size[1], canvas.shape[1]),
+        min(top + size[0], canvas.shape[0]),
     ]
     if inner[2] <= inner[0] or inner[3] <= inner[1]:
         return None
@@ -201,7 +213,7 @@ def _placed(page: Page, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] |
     return (slice(inner[1], inner[3]), slice(inner[0], inner[2])), part
 
 
-def _turned(
+def _rotate_sprite(
     sprite: UInt8[Array, "h w 4"],
     heading: float,
     middle: tuple[float, float],
@@ -215,44 +227,44 @@ def _turned(
     return np.concatenate([colour, alpha[..., :1]], axis=-1)
 
 
-def _draw_hedges(page: Page, scenery: Scenery, day: Day) -> None:
+def _draw_hedges(canvas: Canvas, scenery: Scenery, day: Day) -> None:
     """Clipped leaves, ragged at the rim."""
     if not scenery.hedges:
         return
-    window, mask = mask_of(page, list(scenery.hedges))
-    clumps, leaves = noise(page, BLOTCH, window), noise(page, GRAIN, window)
-    ragged = blur(mask, 0.18 / page.resolution).astype(np.float32) / np.float32(255)
+    window, mask = rasterize_shape(canvas, list(scenery.hedges))
+    clumps, leaves = sample_noise(canvas, BLOTCH, window), sample_noise(canvas, GRAIN, window)
+    ragged = blur(mask, 0.18 / canvas.resolution).astype(np.float32) / np.float32(255)
     ragged += np.float32(0.10) * clumps + np.float32(0.05) * leaves
     alpha = np.minimum(np.maximum((ragged - np.float32(0.45)) * 6, 0), 1) * (ragged > 0.3)
     green = np.asarray(PALETTES[day.season].leaves[0], np.float32) * np.float32(0.8)
-    lay(page.image[window], alpha, green + (12 * clumps + 12 * leaves)[..., None])
+    blend(canvas.image[window], alpha, green + (12 * clumps + 12 * leaves)[..., None])
 
 
-def _draw_flat(page: Page, building: Building, day: Day) -> None:
+def _draw_flat_roof(canvas: Canvas, building: Building, day: Day) -> None:
     """Gravel or tar, a parapet, and things on the roof, with their shadows."""
     centre, (long, wide), angle = np.array(building.centre), building.size, building.angle
-    cast, ahead = throw(day), np.array([np.cos(angle), np.sin(angle)])
+    cast, ahead = compute_shadow_offset(day), np.array([np.cos(angle), np.sin(angle)])
     left = np.array([-ahead[1], ahead[0]])
     outline, inner = (
-        turned(centre, building.size, angle),
-        turned(centre, (long - 1, wide - 1), angle),
+        make_rectangle(centre, building.size, angle),
+        make_rectangle(centre, (long - 1, wide - 1), angle),
     )
     base: Colour = (158, 155, 150) if building.colour == 0 else (120, 118, 118)
-    fill(page, outline, (206, 203, 197), grain=[(GRAIN, 3)])
-    fill(page, inner, base, grain=[(PATCH, 6), (GRAIN, 7)])
-    window, mask = mask_of(page, inner)
-    moved = mask_of(page, turned(centre + 0.9 * cast, (long - 1, wide - 1), angle), within=window)[
-        1
-    ]
+    fill(canvas, outline, (206, 203, 197), grain=[(GRAIN, 3)])
+    fill(canvas, inner, base, grain=[(PATCH, 6), (GRAIN, 7)])
+    window, mask = rasterize_shape(canvas, inner)
+    moved = rasterize_shape(
+        canvas, make_rectangle(centre + 0.9 * cast, (long - 1, wide - 1), angle), within=window
+    )[1]
     rim = np.minimum(mask, 255 - moved).astype(np.float32) / np.float32(255)
-    darken(page.image[window], rim, 0.72 * depth(day))
-    for (along, across), size, height, colour in _on_roof(long, wide):
-        body = turned(centre + along * ahead + across * left, size, angle)
-        shade(page, _swept(body, height * cast), tuple(0.85 * depth(day)))
-        fill(page, body, colour, grain=[(GRAIN, 4)])
+    darken(canvas.image[window], rim, 0.72 * compute_shadow_depth(day))
+    for (along, across), size, height, colour in _list_roof_objects(long, wide):
+        body = make_rectangle(centre + along * ahead + across * left, size, angle)
+        shade(canvas, _sweep(body, height * cast), tuple(0.85 * compute_shadow_depth(day)))
+        fill(canvas, body, colour, grain=[(GRAIN, 4)])
 
 
-def _on_roof(
+def _list_roof_objects(
     long: float, wide: float
 ) -> list[tuple[tuple[float, float], tuple[float, float], float, Colour]]:
     """Place, size, height and colour of the stairs, machines and skylights of a flat roof."""
@@ -269,10 +281,10 @@ def _on_roof(
     ]
 
 
-def _draw_pitched(page: Page, building: Building, day: Day) -> None:
+def _draw_pitched_roof(canvas: Canvas, building: Building, day: Day) -> None:
     """Two slopes of tiles, one more in the sun, with a ridge and a chimney."""
     centre, angle = np.array(building.centre), building.angle
-    a, b, c, d = turned(centre, building.size, angle)
+    a, b, c, d = make_rectangle(centre, building.size, angle)
     ridge = [(b + c) / 2, (a + d) / 2]
     colour = TILES[building.colour % len(TILES)]
     across = np.array([-np.sin(angle), np.cos(angle)])
@@ -281,31 +293,38 @@ def _draw_pitched(page: Page, building: Building, day: Day) -> None:
         (np.array([a, b, *ridge]), 0.93 - 0.16 * lean),
         (np.array([d, c, *ridge]), 0.93 + 0.16 * lean),
     ):
-        window, mask = mask_of(page, slope)
+        window, mask = rasterize_shape(canvas, slope)
         if mask.size == 0:
             continue
         rows, columns = (np.arange(side.start, side.stop) for side in window)
         place = (columns * np.sin(angle))[None] + (rows * np.cos(angle))[:, None]
-        row = np.round(np.sin(place * page.resolution * 2 * np.pi / 0.36), 6)
+        row = np.round(np.sin(place * canvas.resolution * 2 * np.pi / 0.36), 6)
         look = (
-            1 + 0.05 * noise(page, BLOTCH, window) + 0.06 * noise(page, GRAIN, window) + 0.05 * row
+            1
+            + 0.05 * sample_noise(canvas, BLOTCH, window)
+            + 0.06 * sample_noise(canvas, GRAIN, window)
+            + 0.05 * row
         )
         tiles = np.asarray(colour) * (light * look)[..., None]
-        lay(page.image[window], mask.astype(np.float32) / np.float32(255), tiles)
+        blend(canvas.image[window], mask.astype(np.float32) / np.float32(255), tiles)
     pale = tuple(1.15 * channel + 8 for channel in colour)
-    fill(page, bar((a + d) / 2, (b + c) / 2, 0.14), (pale[0], pale[1], pale[2]))
+    fill(canvas, make_bar((a + d) / 2, (b + c) / 2, 0.14), (pale[0], pale[1], pale[2]))
     foot = 0.7 * (a + d) / 2 + 0.3 * (b + c) / 2 + (d - a) * 0.12
-    chimney = turned(foot, (1.1, 0.8), angle)
-    shade(page, _swept(chimney, 1.6 * throw(day)), tuple(0.8 * depth(day)))
-    fill(page, chimney, (140, 84, 70))
+    chimney = make_rectangle(foot, (1.1, 0.8), angle)
+    shade(
+        canvas,
+        _sweep(chimney, 1.6 * compute_shadow_offset(day)),
+        tuple(0.8 * compute_shadow_depth(day)),
+    )
+    fill(canvas, chimney, (140, 84, 70))
 
 
-def _shrunk(outline: Float[Array, "4 2"], share: float) -> Float[Array, "4 2"]:
+def _shrink(outline: Float[Array, "4 2"], share: float) -> Float[Array, "4 2"]:
     middle = outline.mean(axis=0)
     return middle + share * (outline - middle)
 
 
-def _swept(corners: Float[Array, "_ 2"], cast: Float[Array, "2"]) -> Float[Array, "_ 2"]:
+def _sweep(corners: Float[Array, "_ 2"], cast: Float[Array, "2"]) -> Float[Array, "_ 2"]:
     """The convex hull of a polygon and of itself moved: the shadow of an upright prism."""
     both = np.concatenate([corners, corners + cast]).astype(np.float32)
     return np.asarray(cv2.convexHull(both), np.float64)[:, 0]

@@ -1,10 +1,15 @@
 import numpy as np
 import pytest
 
-from geoaim.synthetic.scenery.cutouts import draw_bare_tree, draw_person, draw_tree, draw_vehicle
-from geoaim.synthetic.scenery.texture import natural_noise
+from geoaim.synthetic.scenery.sprites import (
+    draw_bare_tree,
+    draw_pedestrian,
+    draw_tree,
+    draw_vehicle,
+)
+from geoaim.synthetic.scenery.texture import make_natural_noise
 
-GRAIN = natural_noise((256, 256), 0.5, np.random.default_rng(1))
+GRAIN = make_natural_noise((256, 256), 0.5, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(("length", "width"), [(4.4, 1.8), (8.0, 2.45), (12.0, 2.5)])
@@ -16,7 +21,9 @@ def test_vehicle_has_its_size(length, width):
 
 
 def test_cyclist_is_longer_than_somebody_on_foot():
-    long, short = (draw_person((60, 60, 90), 0.05, cycle=c)[..., 3] > 127 for c in (True, False))
+    long, short = (
+        draw_pedestrian((60, 60, 90), 0.05, cycle=c)[..., 3] > 127 for c in (True, False)
+    )
     assert np.ptp(np.nonzero(long)[1]) > 2 * np.ptp(np.nonzero(short)[1])
 
 
