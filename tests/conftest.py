@@ -8,7 +8,8 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from geoaim.synthetic.camera import Clip, Hover, Traffic, film
+from geoaim.synthetic.camera import HoverClip, SpriteTracks, film
+from geoaim.synthetic.hover import Hover
 
 
 @pytest.fixture
@@ -40,12 +41,12 @@ def textured(generator: np.random.Generator, height: int, width: int) -> np.ndar
     return np.clip(128 + 20 * image, 0, 255).astype(np.uint8)
 
 
-def no_traffic(count: int) -> Traffic:
-    return Traffic((), np.empty((0, 2)), np.empty((count, 0, 3)))
+def no_traffic(count: int) -> SpriteTracks:
+    return SpriteTracks((), np.empty((0, 2)), np.empty((count, 0, 3)))
 
 
 @pytest.fixture(scope="session")
-def clip() -> Clip:
+def clip() -> HoverClip:
     generator = np.random.default_rng(7)
     hover = Hover(count=12, drift=8, perspective=1.0, noise=2.0, blur=0.6)
     still = textured(generator, 500, 800)

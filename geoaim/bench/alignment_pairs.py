@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.geometry import similarity_about, transform_points
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.imagery import Sensor, another_day, photograph
+from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
 from geoaim.synthetic.roads.layouts import PLAIN
 from geoaim.tracks import Tracks
 
@@ -52,7 +52,7 @@ def made_pairs(seeds: int) -> Iterator[Pair]:
             resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
             tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
             sensor = Sensor(resolution=resolution)
-            photo = photograph(place, another_day(place), tracks, sensor, resolution=DRAWN)
+            photo = photograph(place, make_other_day(place), tracks, sensor, resolution=DRAWN)
             ground = draw_place(place, resolution=GROUND)
             yield Pair(
                 f"{kind} {seed}",

@@ -39,7 +39,12 @@ from geoaim.mapping.registration.register import register
 from geoaim.mapping.video.detections import Boxes, read_boxes
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, open_video
-from geoaim.synthetic import clean_frame, frame_boxes, reference_from_frames, traffic_share
+from geoaim.synthetic import (
+    list_boxes,
+    measure_traffic_share,
+    reference_from_frames,
+    render_background,
+)
 
 MARGIN = 100  # px; the camera's drift leaves the rim to fewer frames
 STOOD = 0.3  # share of the time from which traffic counts as standing
@@ -148,14 +153,14 @@ def make_input(still: str, size: str, count: int, folder: Path) -> None:
     video = make_hover_video(still, size=size, count=600, kind="queue")
     order = np.linspace(0, len(video) - 1, count).round().astype(int)[spread_order(count)]
     write_video((video[index] for index in order), folder / "frames.mp4", frame_rate=1)
-    boxes = [np.insert(frame_boxes(video.clip, i), 0, n, axis=1) for n, i in enumerate(order)]
+    boxes = [np.insert(list_boxes(video.clip, i), 0, n, axis=1) for n, i in enumerate(order)]
     np.savez(
         folder / "truth.npz",
         # the first frame in order is the reference
         reference_from_frame=reference_from_frames(video.clip)[order],
         boxes=np.concatenate(boxes),
-        clean=clean_frame(video.clip, 0),
-        share=traffic_share(video.clip),
+        clean=render_background(video.clip, 0),
+        share=measure_traffic_share(video.clip),
     )
 
 

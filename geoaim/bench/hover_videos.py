@@ -10,13 +10,8 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.stills import STILLS, cut_sprites, read_clean_still
-from geoaim.synthetic.camera import (
-    Clip,
-    Hover,
-    Traffic,
-    film,
-    render_frame,
-)
+from geoaim.synthetic.camera import HoverClip, SpriteTracks, film, render_frame
+from geoaim.synthetic.hover import Hover
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 SIZES = {"720p": (720, 1280), "1080p": (1080, 1920), "4k": (2160, 3840)}
@@ -63,10 +58,10 @@ class HoverVideo:
         other: the scene that the invalid frames of a "cut" show.
     """
 
-    clip: Clip
+    clip: HoverClip
     kind: Kind
     is_valid: Bool[Array, "T"]
-    other: Clip | None = None
+    other: HoverClip | None = None
 
     def __len__(self) -> int:
         return len(self.is_valid)
@@ -132,7 +127,7 @@ def make_hover_video(
 
 def make_lane_traffic(
     still: str, hover: Hover, *, moving: int, queue: int, generator: np.random.Generator
-) -> Traffic:
+) -> SpriteTracks:
     """Drive cars along the still's lanes: platoons, and queues that stop for 60 % of the clip.
 
     Args:
@@ -165,7 +160,7 @@ def make_lane_traffic(
     sprites = cut_sprites(still)
     chosen = generator.integers(0, len(sprites), len(poses))
     sizes = np.array([sprites[i].shape[1::-1] for i in chosen], float) - 4
-    return Traffic(tuple(sprites[i] for i in chosen), sizes, np.stack(poses, axis=1))
+    return SpriteTracks(tuple(sprites[i] for i in chosen), sizes, np.stack(poses, axis=1))
 
 
 def _smooth_lane(corners: list[tuple[int, int]]) -> Float[Array, "L 2"]:

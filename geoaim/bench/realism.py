@@ -24,7 +24,7 @@ from geoaim.bench.data import find_data
 from geoaim.bench.report import format_table, write_rows
 from geoaim.errors import GeoaimWarning
 from geoaim.synthetic import Sample, draw_place, make_sample, tracks_of
-from geoaim.synthetic.camera import paste
+from geoaim.synthetic.compositing import paste
 from geoaim.synthetic.filming import draw_agents, image_poses
 from geoaim.synthetic.roads.layouts import PLAIN
 from geoaim.track_formats import read_geotrax, read_interaction, read_sdd

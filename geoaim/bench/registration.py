@@ -22,7 +22,7 @@ from geoaim.bench.stills import STILLS
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.patches import align, make_template
 from geoaim.mapping.video.video import open_video
-from geoaim.synthetic import frame_boxes, reference_from_frames, write_video
+from geoaim.synthetic import list_boxes, reference_from_frames, write_video
 
 Frames = list[UInt8[Array, "H W 3"]]
 HARD: tuple[Kind, ...] = ("cars", "shadow", "gain", "cut", "noise")
@@ -59,7 +59,7 @@ def measure(name: str, method: Method, video: HoverVideo, frames: Any) -> dict[s
     Returns:
         A row of the table.
     """
-    boxes = [frame_boxes(video.clip, index) for index in range(len(video))]
+    boxes = [list_boxes(video.clip, index) for index in range(len(video))]
     matrices, seconds = method(frames, boxes)
     errors = measure_corner_errors(matrices, reference_from_frames(video.clip), video)
     registered = np.isfinite(errors)

@@ -42,7 +42,7 @@ from geoaim.bench.registration_methods import (
 from geoaim.bench.report import format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
-from geoaim.synthetic.imagery import Sensor, another_day, photograph
+from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
 from geoaim.synthetic.roads.layouts import PLAIN, Kind
 from geoaim.tracks import Tracks
 
@@ -225,7 +225,7 @@ def _made_pairs(kind: Kind) -> Iterator[tuple[Array, Array]]:
     """A drawn place, and an orthophoto of it by another sensor on another day."""
     for seed in range(1, PLACES + 1):
         sample = make_sample(seed, kind=kind, minutes=0.2, video=None)
-        place, day, sensor = sample.place, another_day(sample.place), Sensor(PIXEL)
+        place, day, sensor = sample.place, make_other_day(sample.place), Sensor(PIXEL)
         photo = photograph(place, day, tracks_of(sample), sensor, resolution=0.1)
         yield _grey(draw_place(place, resolution=0.1), 0.1), _grey(photo, PIXEL)
 

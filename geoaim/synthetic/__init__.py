@@ -6,41 +6,41 @@ write_sample(sample, Path("sample"))
 
 from geoaim.encode import write_video
 from geoaim.synthetic.camera import (
-    Clip,
-    Hover,
-    Traffic,
-    clean_frame,
+    HoverClip,
+    SpriteTracks,
     film,
-    frame_boxes,
-    hover_frames,
+    list_boxes,
+    measure_traffic_share,
     reference_from_frames,
+    render_background,
     render_frame,
-    traffic_share,
+    render_frames,
 )
 from geoaim.synthetic.files import write_sample
+from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import Place, draw_place, make_place, world_from_image
 from geoaim.synthetic.sample import VIDEOS, Sample, make_sample, tracks_of
 from geoaim.synthetic.scenery.day import Day
 
 __all__ = [
     "VIDEOS",
-    "Clip",
     "Day",
     "Hover",
+    "HoverClip",
     "Place",
     "Sample",
-    "Traffic",
-    "clean_frame",
+    "SpriteTracks",
     "draw_place",
     "film",
-    "frame_boxes",
-    "hover_frames",
+    "list_boxes",
     "make_place",
     "make_sample",
+    "measure_traffic_share",
     "reference_from_frames",
+    "render_background",
     "render_frame",
+    "render_frames",
     "tracks_of",
-    "traffic_share",
     "world_from_image",
     "write_sample",
     "write_video",

@@ -39,7 +39,7 @@ def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array,
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LANCZOS4))
 
 
-def premultiplied(sprite: UInt8[Array, "h w 4"]) -> UInt8[Array, "_ _ 4"]:
+def premultiply(sprite: UInt8[Array, "h w 4"]) -> UInt8[Array, "_ _ 4"]:
     """Colours times alpha, with a clear rim, so that it can be resampled."""
     whole = sprite.astype(np.uint16)
     whole[..., :3] = (whole[..., :3] * whole[..., 3:] + 127) // 255
@@ -71,12 +71,12 @@ def warp(
     flat = words.ravel()
     for top in range(0, height, ROWS):
         rows = np.arange(top, min(top + ROWS, height))
-        u, v = _places(source_from_image, rows, width)
+        u, v = _map_pixels(source_from_image, rows, width)
         image[rows[0] : rows[-1] + 1] = _sample(flat, words.shape, u, v)
     return image
 
 
-def _places(
+def _map_pixels(
     matrix: Float[Array, "3 3"], rows: Int[Array, "h"], width: int
 ) -> tuple[Int[Array, "h W"], Int[Array, "h W"]]:
     """Where pixels lie in the source, in parts of a pixel from the middle of its first one."""

@@ -22,14 +22,14 @@ from geoaim.encode import write_video
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
 from geoaim.progress import Progress, no_progress
-from geoaim.synthetic.camera import Clip, boxed_agents, clean_frame, hover_frames
+from geoaim.synthetic.camera import HoverClip, list_boxed_agents, render_background, render_frames
 from geoaim.synthetic.imagery import (
     WEB,
     Imagery,
-    another_day,
     cut_tiles,
     draw_offset,
     georeference_photo,
+    make_other_day,
     photograph,
 )
 from geoaim.synthetic.place import Place, world_from_image
@@ -200,7 +200,7 @@ def _write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
         present=tracks.present[:, -1:],
     )
     offset = draw_offset(place)
-    day, m = another_day(place), sample.resolution
+    day, m = make_other_day(place), sample.resolution
     photo = photograph(place, day, last, resolution=m)
     _write_geotiff(
         georeference_photo(place, photo, "EPSG:3035", offset=offset), folder / "ortho.tif"
@@ -235,12 +235,12 @@ def _write_geotiff(imagery: Imagery, path: Path) -> None:
         dataset.colorinterp = names
 
 
-def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> None:
+def _write_film(sample: Sample, clip: HoverClip, folder: Path, report: Progress) -> None:
     """The video, what a surveyor and a detector would add, and the truth."""
     place, total = sample.place, len(clip.times)
 
     def frames() -> Iterator[UInt8[Array, "H W 3"]]:
-        for number, frame in enumerate(hover_frames(clip)):
+        for number, frame in enumerate(render_frames(clip)):
             report("film", number, total)
             yield frame
 
@@ -250,7 +250,7 @@ def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> N
     _write_control_points(place, clip, world_from_frame, folder / "gcps.csv")
     _write_boxes(clip, folder / "boxes")
     _write_telemetry(place, world_from_frame, clip, folder / "hover.SRT")
-    _write_image(clean_frame(clip), folder / "background.jpg", quality=95)
+    _write_image(render_background(clip), folder / "background.jpg", quality=95)
     np.savez_compressed(
         folder / "truth.npz",
         times=clip.times,
@@ -262,7 +262,7 @@ def _write_film(sample: Sample, clip: Clip, folder: Path, report: Progress) -> N
 
 
 def _write_control_points(
-    place: Place, clip: Clip, world_from_frame: Float[Array, "T 3 3"], path: Path
+    place: Place, clip: HoverClip, world_from_frame: Float[Array, "T 3 3"], path: Path
 ) -> None:
     """Surveyed points: name, pixel in frame 0 (corner origin), longitude and latitude (WGS 84)."""
     names, marks = landmarks(place.roads)
@@ -278,12 +278,12 @@ def _write_control_points(
     _write_text(path, "\n".join(lines) + "\n")
 
 
-def _write_boxes(clip: Clip, folder: Path) -> None:
+def _write_boxes(clip: HoverClip, folder: Path) -> None:
     """A YOLO text file for each frame, named by its index: class, centre x and y, width, height."""
     folder.mkdir(exist_ok=True)
     size = np.array([clip.width, clip.height, clip.width, clip.height])
     for index in range(len(clip.times)):
-        agents, boxes = boxed_agents(clip, index)
+        agents, boxes = list_boxed_agents(clip, index)
         boxes = boxes / size
         middle, extent = (boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]
         lines = []
@@ -294,7 +294,7 @@ def _write_boxes(clip: Clip, folder: Path) -> None:
 
 
 def _write_telemetry(
-    place: Place, world_from_frame: Float[Array, "T 3 3"], clip: Clip, path: Path
+    place: Place, world_from_frame: Float[Array, "T 3 3"], clip: HoverClip, path: Path
 ) -> None:
     """Subtitles as DJI writes them: where the camera is above the ground, and where it looks."""
     middle = np.array([clip.width, clip.height]) / 2
@@ -328,7 +328,7 @@ def _srt_time(milliseconds: int) -> str:
 
 def _write_truth(sample: Sample, folder: Path, offset: tuple[float, float]) -> None:
     """What else is known: the place, its lights, and by how much the imagery is misplaced."""
-    place, day, signals = sample.place, another_day(sample.place), sample.recordings[0].signals
+    place, day, signals = sample.place, make_other_day(sample.place), sample.recordings[0].signals
     names, marks = landmarks(place.roads)
     world = np.round(transform_points(place.world_from_plan, marks), 4).tolist()
     content: dict[str, Any] = {

@@ -5,7 +5,8 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.synthetic.camera import Clip, Hover, Traffic, film
+from geoaim.synthetic.camera import HoverClip, SpriteTracks, film
+from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.scenery.day import Day, compute_shadow_offset
 from geoaim.synthetic.scenery.objects import CAR, PAINTS
@@ -24,8 +25,8 @@ def film_place(
     *,
     size: tuple[int, int],
     resolution: float = RESOLUTION,
-) -> Clip:
-    """A clip of a place and its traffic; frames come from `hover_frames(clip)`.
+) -> HoverClip:
+    """A clip of a place and its traffic; frames come from `render_frames(clip)`.
 
     Args:
         place: what is filmed.
@@ -40,7 +41,7 @@ def film_place(
     """
     shadow = CAR * compute_shadow_offset(day) * (1 - day.clouds) / resolution
     colours = np.random.default_rng([place.seed, COLOURS])
-    traffic = Traffic(
+    traffic = SpriteTracks(
         sprites=draw_agents(tracks, resolution, colours),
         sizes=tracks.sizes / resolution,
         poses=image_poses(place, tracks, resolution),

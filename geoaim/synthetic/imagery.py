@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
-from geoaim.synthetic.camera import paste
+from geoaim.synthetic.compositing import paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
@@ -65,9 +65,9 @@ class Imagery:
     offset: tuple[float, float]
 
 
-def another_day(place: Place) -> Day:
+def make_other_day(place: Place) -> Day:
     """A day of another season and another sun than day 0, on which some things have changed."""
-    generator = _generator(place)
+    generator = _make_generator(place)
     return Day(
         season=SEASONS[int(generator.choice([0, 2, 3]))],
         azimuth=float(generator.uniform(0, 2 * np.pi)),
@@ -91,23 +91,23 @@ def photograph(
     Its sides are those of the drawn place, at the sensor's resolution; it is drawn finer, at
     `resolution`.
     """
-    generator = _generator(place, day.number)
+    generator = _make_generator(place, day.number)
     still = draw_place(place, day, resolution=resolution)
     agents = draw_agents(tracks, resolution, generator)
     paste(still, agents, image_poses(place, tracks, resolution)[0])
-    return _sense(still, Sensor() if sensor is None else sensor, generator)
+    return _apply_sensor(still, Sensor() if sensor is None else sensor, generator)
 
 
 def georeference_photo(
     place: Place, photo: UInt8[Array, "_ _ 3"], crs: str, *, offset: tuple[float, float]
 ) -> Imagery:
     """A photo on a north-up grid of some CRS, misplaced by some metres on the ground."""
-    crs_from_photo = _crs_from_photo(place, photo.shape[:2], crs)
+    crs_from_photo = _fit_crs_from_photo(place, photo.shape[:2], crs)
     unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # of the CRS, for a pixel of the photo
     pixel = float(np.float32(unit))  # a number that is the same on every machine
-    crs_from_image, (height, width) = _grid(crs_from_photo, photo.shape[:2], pixel)
+    crs_from_image, (height, width) = _make_grid(crs_from_photo, photo.shape[:2], pixel)
     photo_from_image = np.linalg.inv(crs_from_photo) @ crs_from_image
-    image, covered = _resampled(photo, photo_from_image, height, width)
+    image, covered = _resample(photo, photo_from_image, height, width)
     middle = place.world_from_plan[None, :2, 2]
     here, there = (crs_from_world(place.world, spot, crs)[0] for spot in (middle, middle + offset))
     right, up = there - here
@@ -117,7 +117,7 @@ def georeference_photo(
 
 def draw_offset(place: Place) -> tuple[float, float]:
     """By how many metres east and north imagery of a place is misplaced."""
-    generator = _generator(place, 0)
+    generator = _make_generator(place, 0)
     reach, turn = generator.uniform(2.0, 6.0), generator.uniform(0, 2 * np.pi)
     return round(float(reach * np.cos(turn)), 2), round(float(reach * np.sin(turn)), 2)
 
@@ -139,21 +139,21 @@ def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Arr
             west, north, pixel = column * side - ROUND, ROUND - row * side, side / TILE
             crs_from_tile = np.array([[pixel, 0, west], [0, -pixel, north], [0, 0, 1.0]])
             image_from_tile = np.linalg.inv(imagery.crs_from_image) @ crs_from_tile
-            tile, inside = _resampled(imagery.image, image_from_tile, TILE, TILE)
+            tile, inside = _resample(imagery.image, image_from_tile, TILE, TILE)
             covered = np.repeat(imagery.covered[..., None] * np.uint8(255), 3, axis=-1)
-            inside &= _resampled(covered, image_from_tile, TILE, TILE)[0][..., 0] == 255
+            inside &= _resample(covered, image_from_tile, TILE, TILE)[0][..., 0] == 255
             tile[~inside] = 255
             if inside.any():
                 yield column, row, tile
 
 
-def _generator(place: Place, *number: int) -> np.random.Generator:
+def _make_generator(place: Place, *number: int) -> np.random.Generator:
     """Places of one seed and of different kinds are seen on different days."""
     kind = KINDS.index(place.roads.layout.kind)
     return np.random.default_rng([place.seed, IMAGERY, kind, *number])
 
 
-def _crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:
+def _fit_crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:
     """Pixels of a photo to a CRS: over a place this small, affine to under a millimetre."""
     rows, columns = shape
     u, v = np.meshgrid(np.linspace(0, columns, 5), np.linspace(0, rows, 5))
@@ -168,7 +168,7 @@ def _crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Arr
     return affine
 
 
-def _grid(
+def _make_grid(
     crs_from_photo: Float[Array, "3 3"], shape: tuple[int, ...], pixel: float
 ) -> tuple[Float[Array, "3 3"], tuple[int, int]]:
     """A north-up grid around a photo, its corner on whole units of the CRS."""
@@ -179,7 +179,7 @@ def _grid(
     return np.array([[pixel, 0, left], [0, -pixel, top], [0, 0, 1.0]]), size
 
 
-def _sense(
+def _apply_sensor(
     still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
     """The drawn place as the sensor renders it, at its resolution."""
@@ -193,7 +193,7 @@ def _sense(
     return np.rint(np.minimum(np.maximum(light, 0), 255)).astype(np.uint8)
 
 
-def _resampled(
+def _resample(
     image: UInt8[Array, "h w 3"], image_from_grid: Float[Array, "3 3"], height: int, width: int
 ) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
     """A picture on another grid, and where it is."""

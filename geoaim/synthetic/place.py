@@ -47,8 +47,8 @@ def make_place(seed: int, *, kind: Kind = "junction") -> Place:
     Raises:
         ValueError: there is no such kind.
     """
-    roads = make_roads(kind, _generator(seed, PLAN))
-    generator = _generator(seed, SCENERY)
+    roads = make_roads(kind, _make_generator(seed, PLAN))
+    generator = _make_generator(seed, SCENERY)
     turn = generator.uniform(-np.pi, np.pi)  # nobody flies along the grid
     c, s = np.cos(turn), np.sin(turn)
     world_from_plan = np.array([[c, -s, 180.0], [s, c, 240.0], [0, 0, 1.0]])
@@ -64,8 +64,8 @@ def draw_place(
     and resize it.
     """
     day = Day() if day is None else day
-    canvas = make_canvas(HEIGHT, WIDTH, resolution, _generator(place.seed, GROUND))
-    generator = _generator(place.seed, DAY, day.number)
+    canvas = make_canvas(HEIGHT, WIDTH, resolution, _make_generator(place.seed, GROUND))
+    generator = _make_generator(place.seed, DAY, day.number)
     draw_ground(canvas, place.roads, place.scenery, day, generator)
     draw_objects(canvas, place.scenery, day, generator)
     grade_colours(
@@ -86,5 +86,5 @@ def plan_from_image(resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
     return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])
 
 
-def _generator(*seeds: int) -> np.random.Generator:
+def _make_generator(*seeds: int) -> np.random.Generator:
     return np.random.default_rng(seeds)

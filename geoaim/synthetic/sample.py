@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geoaim.synthetic.camera import Clip, Hover
+from geoaim.synthetic.camera import HoverClip
 from geoaim.synthetic.filming import film_place
+from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import RESOLUTION, Place, make_place
 from geoaim.synthetic.roads.layouts import Kind
 from geoaim.synthetic.scenery.day import Day
@@ -48,7 +49,7 @@ class Sample:
     place: Place
     flow: Flow
     recordings: tuple[Recording, ...]
-    clip: Clip | None
+    clip: HoverClip | None
     resolution: float
 
 
@@ -61,7 +62,7 @@ def make_sample(
     hover: Hover = HOVER,
     resolution: float = RESOLUTION,
 ) -> Sample:
-    """Make a place and let its traffic run; frames come from `hover_frames(sample.clip)`.
+    """Make a place and let its traffic run; frames come from `render_frames(sample.clip)`.
 
     Args:
         seed: the same seed gives the same numbers and frames on every machine.

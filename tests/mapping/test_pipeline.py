@@ -5,7 +5,7 @@ from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.synthetic.camera import clean_frame, reference_from_frames, render_frame
+from geoaim.synthetic.camera import reference_from_frames, render_background, render_frame
 from tests.conftest import textured
 
 # a plane of its own: 5 cm a pixel, y up
@@ -39,7 +39,7 @@ def test_the_map_lies_where_the_points_say(aim):
 
 
 def test_the_background_is_the_clean_ground(aim, clip):
-    truth = clean_frame(clip, 0).astype(float)
+    truth = render_background(clip, 0).astype(float)
     inner = (slice(30, -30), slice(30, -30))
     assert np.abs(aim.image[inner] - truth[inner]).mean() < 2
 

@@ -6,18 +6,18 @@ import pytest
 
 from geoaim.geometry import to_opencv, transform_points
 from geoaim.synthetic.camera import (
-    Hover,
-    Traffic,
-    boxed_agents,
-    clean_frame,
+    SpriteTracks,
     film,
-    frame_boxes,
-    hover_frames,
-    paste,
+    list_boxed_agents,
+    list_boxes,
+    measure_traffic_share,
     reference_from_frames,
+    render_background,
     render_frame,
-    traffic_share,
+    render_frames,
 )
+from geoaim.synthetic.compositing import paste
+from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.scenery.texture import make_natural_noise
 
 QUIET = Hover(count=6, drift=6.0, noise=0.0, exposure=0.0, blur=0.8)
@@ -34,7 +34,7 @@ def _traffic(count):
     poses = np.zeros((count, 2, 3))
     poses[:, 0] = [250, 150, 0.3]
     poses[:, 1] = np.stack([140 + 25 * np.arange(count), np.full(count, 80), np.zeros(count)], 1)
-    return Traffic((sprite, sprite), np.array([[24.0, 10.0]] * 2), poses)
+    return SpriteTracks((sprite, sprite), np.array([[24.0, 10.0]] * 2), poses)
 
 
 def _clip(hover=QUIET, seed=0, **options):
@@ -49,9 +49,9 @@ def _clip(hover=QUIET, seed=0, **options):
 def test_frame_warped_by_the_truth_lies_on_the_reference(index):
     clip = _clip()
     matrix = to_opencv(reference_from_frames(clip)[index])
-    frame, reference = render_frame(clip, index), clean_frame(clip)
+    frame, reference = render_frame(clip, index), render_background(clip)
     warped = cv2.warpPerspective(frame, matrix, (360, 200), flags=cv2.INTER_LANCZOS4)
-    free = traffic_share(clip) == 0
+    free = measure_traffic_share(clip) == 0
     free[:25], free[-25:], free[:, :25], free[:, -25:] = False, False, False, False
     difference = (warped[..., 0].astype(float) - reference[..., 0])[free]
     down, right = np.gradient(reference[..., 0].astype(float))
@@ -75,15 +75,17 @@ def test_drift_is_the_mean_distance_of_the_centre():
 def test_vehicles_lie_inside_their_boxes():
     clip = _clip(replace(QUIET, blur=0.0))
     for index in range(6):
-        changed = np.abs(render_frame(clip, index).astype(int) - clean_frame(clip, index)) > 12
-        for left, top, right, bottom in frame_boxes(clip, index):
+        changed = (
+            np.abs(render_frame(clip, index).astype(int) - render_background(clip, index)) > 12
+        )
+        for left, top, right, bottom in list_boxes(clip, index):
             changed[int(top) : int(bottom) + 1, int(left) : int(right) + 1] = False
         assert not changed.any()
 
 
 def test_share_of_traffic_is_one_where_a_car_stands_and_small_where_one_passes():
     clip = _clip()
-    share = traffic_share(clip)
+    share = measure_traffic_share(clip)
     (u, v), (x, y) = transform_points(
         clip.frame_from_background[0], clip.traffic.poses[[0, 2], [0, 1], :2]
     )
@@ -95,8 +97,8 @@ def test_absent_vehicles_leave_no_trace():
     poses = _traffic(6).poses
     poses[:] = np.nan
     clip = _clip(poses=poses)
-    assert len(frame_boxes(clip, 0)) == 0
-    np.testing.assert_array_equal(render_frame(clip, 3), clean_frame(clip, 3))
+    assert len(list_boxes(clip, 0)) == 0
+    np.testing.assert_array_equal(render_frame(clip, 3), render_background(clip, 3))
 
 
 def test_shadow_darkens_beside_the_vehicle():
@@ -105,12 +107,12 @@ def test_shadow_darkens_beside_the_vehicle():
         int
     )
     u, v = shaded
-    assert render_frame(clip, 0)[v, u].mean() < 0.6 * clean_frame(clip, 0)[v, u].mean()
+    assert render_frame(clip, 0)[v, u].mean() < 0.6 * render_background(clip, 0)[v, u].mean()
 
 
 def test_same_seed_gives_the_same_frames():
     hover = replace(QUIET, noise=2.0, exposure=0.05)
-    first, again, other = (list(hover_frames(_clip(hover, seed))) for seed in (1, 1, 2))
+    first, again, other = (list(render_frames(_clip(hover, seed))) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -130,7 +132,7 @@ def test_traffic_of_another_length_is_refused():
 def test_boxes_tell_whose_they_are():
     poses = _traffic(6).poses
     poses[:, 0] = np.nan
-    numbers, boxes = boxed_agents(_clip(poses=poses), 0)
+    numbers, boxes = list_boxed_agents(_clip(poses=poses), 0)
     assert numbers.tolist() == [1]
     assert boxes.shape == (1, 4)
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geoaim.geometry import to_opencv
-from geoaim.synthetic.exact import blur, pack, premultiplied, settle, warp
+from geoaim.synthetic.exact import blur, pack, premultiply, settle, warp
 
 # what a whole made place hashes to, on every machine that adds and multiplies as IEEE 754 says
 MADE = """
@@ -80,7 +80,7 @@ def test_single_channel_comes_back_in_the_first():
 def test_premultiplied_clear_pixels_are_black():
     sprite = np.full((4, 4, 4), 200, np.uint8)
     sprite[..., 3] = [0, 255, 128, 0]
-    light = premultiplied(sprite)
+    light = premultiply(sprite)
     assert light.shape == (6, 6, 4)
     assert light[1:5, 2, :3].tolist() == [[200] * 3] * 4
     assert light[1:5, 3, 0].tolist() == [100] * 4

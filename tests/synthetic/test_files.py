@@ -15,9 +15,9 @@ from geoaim.mapping import open_video, read_boxes
 from geoaim.mapping.video.telemetry import read_srt
 from geoaim.synthetic import (
     Hover,
-    clean_frame,
-    frame_boxes,
+    list_boxes,
     make_sample,
+    render_background,
     render_frame,
     tracks_of,
     write_sample,
@@ -60,7 +60,7 @@ def test_video_holds_the_frames(sample, folder):
 def test_boxes_are_those_of_the_frames(sample, folder):
     assert len(list((folder / "boxes").iterdir())) == 25
     rows = [line.split() for line in (folder / "boxes" / "000012.txt").read_text().splitlines()]
-    wanted = frame_boxes(sample.clip, 12)
+    wanted = list_boxes(sample.clip, 12)
     assert len(rows) == len(wanted)
     left, _, right, _ = wanted[0]
     assert float(rows[0][1]) == pytest.approx((left + right) / 2 / 320, abs=1e-5)
@@ -71,7 +71,7 @@ def test_boxes_are_those_of_the_frames(sample, folder):
 
 def test_background_is_the_first_frame_without_traffic(sample, folder):
     image = cv2.imread(str(folder / "background.jpg"))[..., ::-1].astype(int)
-    assert np.abs(image - clean_frame(sample.clip)).mean() < 3
+    assert np.abs(image - render_background(sample.clip)).mean() < 3
 
 
 def test_tracks_read_back_and_lie_where_the_vehicles_are_seen(sample, folder):
@@ -83,7 +83,7 @@ def test_tracks_read_back_and_lie_where_the_vehicles_are_seen(sample, folder):
     frame = 12  # at 6 s
     step = int(np.flatnonzero(np.isclose(tracks.times, truth["times"][frame]))[0])
     pixels = transform_points(truth["frame_from_world"][frame], tracks.states[:, step, :2])
-    boxes = frame_boxes(sample.clip, frame)
+    boxes = list_boxes(sample.clip, frame)
     middles = (boxes[:, :2] + boxes[:, 2:]) / 2
     inside = np.array([kind in ("car", "van", "bus", "truck") for kind in tracks.types])
     inside &= tracks.present[:, step] & (pixels > 5).all(axis=1) & (pixels < [315, 175]).all(axis=1)

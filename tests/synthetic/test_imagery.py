@@ -7,10 +7,10 @@ from geoaim.synthetic.imagery import (
     TILE,
     WEB,
     Sensor,
-    another_day,
     cut_tiles,
     draw_offset,
     georeference_photo,
+    make_other_day,
     photograph,
 )
 from geoaim.synthetic.place import make_place, plan_from_image
@@ -33,7 +33,7 @@ def photo(place):
         (),
         place.world,
     )
-    return photograph(place, another_day(place), nobody, Sensor(0.4), resolution=0.2)
+    return photograph(place, make_other_day(place), nobody, Sensor(0.4), resolution=0.2)
 
 
 def _middle_in(place, crs):
@@ -112,6 +112,6 @@ def test_offset_is_some_metres_and_that_of_the_seed(place):
 
 
 def test_another_day_is_another_season():
-    seasons = {another_day(make_place(seed, kind="street")).season for seed in range(6)}
+    seasons = {make_other_day(make_place(seed, kind="street")).season for seed in range(6)}
     assert "summer" not in seasons
     assert len(seasons) > 1

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.synthetic.exact import blur, pack, premultiplied, warp
+from geoaim.synthetic.exact import blur, pack, premultiply, warp
 from geoaim.synthetic.scenery.canvas import (
     BLOTCH,
     GRAIN,
@@ -187,11 +187,11 @@ def _paste(canvas: Canvas, stamp: _Stamp) -> None:
 
 
 def _render_stamp(canvas: Canvas, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] | None:
-    """The window of a stamp and its picture there, premultiplied; None where it is off the canvas.
+    """The window of a stamp and its picture there, premultiply; None where it is off the canvas.
 
     What is not turned is laid on whole pixels.
     """
-    sprite = premultiplied(stamp.sprite)
+    sprite = premultiply(stamp.sprite)
     u, v = transform_points(canvas.image_from_plan, stamp.place[None])[0]
     rows, columns = sprite.shape[:2]
     if stamp.heading == 0.0:

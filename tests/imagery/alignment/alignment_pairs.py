@@ -6,7 +6,7 @@ from functools import cache
 from geoaim.aim import AIM
 from geoaim.geometry import similarity_about
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.imagery import Sensor, another_day, photograph
+from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
 from geoaim.world import World
 
 GROUND, PHOTO = 0.2, 0.5  # m a pixel
@@ -24,7 +24,7 @@ def made(seed=2, kind="junction"):
     place = make_place(seed, kind=kind)
     tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.5, video=None))
     sensor = Sensor(resolution=PHOTO)
-    photo = photograph(place, another_day(place), tracks, sensor, resolution=0.2)
+    photo = photograph(place, make_other_day(place), tracks, sensor, resolution=0.2)
     return (
         as_aim(draw_place(place, resolution=GROUND), world_from_image(place, GROUND), place.world),
         as_aim(photo, world_from_image(place, PHOTO), place.world),

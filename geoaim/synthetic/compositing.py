@@ -1,0 +1,77 @@
+"""Sprites warped into an image and blended over it."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Float, UInt8, UInt64
+from numpy import ndarray as Array
+
+from geoaim.geometry import image_corners, transform_points, translation
+from geoaim.synthetic.exact import pack, premultiply, warp
+
+SpritePatch = tuple[tuple[slice, slice], UInt8[Array, "_ _ 3"], UInt8[Array, "_ _"]]
+
+
+def paste(
+    image: UInt8[Array, "H W 3"],
+    sprites: Sequence[UInt8[Array, "_ _ 4"]],
+    poses: Float[Array, "N 3"],
+) -> None:
+    """Paste sprites onto an image, in place.
+
+    Args:
+        image: the image.
+        sprites: RGBA, heading right, one for each agent.
+        poses: (N, 3) u, v in pixels and heading, as in `SpriteTracks`; NaN where absent.
+    """
+    for sprite, pose in zip(sprites, poses, strict=True):
+        if np.isfinite(pose).all():
+            light = premultiply(sprite)
+            packed = pack(light[..., :3]), pack(light[..., 3:])
+            for patch in warp_sprite(packed, compute_background_from_sprite(pose), image.shape[:2]):
+                blend_patch(image, *patch)
+
+
+def blend_patch(
+    image: UInt8[Array, "H W 3"],
+    window: tuple[slice, slice],
+    colour: UInt8[Array, "h w 3"],
+    alpha: UInt8[Array, "h w"],
+) -> None:
+    """Lay a premultiply picture over a window."""
+    ground = image[window].astype(np.uint16) * (255 - alpha[..., None].astype(np.uint16))
+    image[window] = np.minimum((ground + 127) // 255 + colour, 255).astype(np.uint8)
+
+
+def warp_sprite(
+    sprite: tuple[UInt64[Array, "h w"], UInt64[Array, "h w"]],
+    frame_from_centred: Float[Array, "3 3"],
+    shape: tuple[int, int],
+) -> Iterator[SpritePatch]:
+    """Warp a sprite into its window of an image.
+
+    Args:
+        sprite: packed premultiplied colour and alpha.
+        frame_from_centred: (3, 3) sprite pixels around its centre to image pixels.
+        shape: height and width of the image.
+
+    Yields:
+        The window with colour and alpha; nothing if the sprite lies outside.
+    """
+    rows, columns = sprite[0].shape
+    frame_from_sprite = frame_from_centred @ translation(-columns / 2, -rows / 2)
+    corners = transform_points(frame_from_sprite, image_corners(rows, columns))
+    left, top = np.floor(corners.min(axis=0)).clip(0, shape[::-1]).astype(int).tolist()
+    right, bottom = np.ceil(corners.max(axis=0)).clip(0, shape[::-1]).astype(int).tolist()
+    if right > left and bottom > top:
+        matrix = np.linalg.inv(frame_from_sprite) @ translation(left, top)
+        colour, alpha = (warp(part, matrix, bottom - top, right - left) for part in sprite)
+        yield (slice(top, bottom), slice(left, right)), colour, alpha[..., 0]
+
+
+def compute_background_from_sprite(pose: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
+    """Compute transforms from sprite pixels (x forward, y right, centred) to background pixels."""
+    cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    zero, one = np.zeros_like(cosine), np.ones_like(cosine)
+    rows = [[cosine, sine, pose[..., 0]], [-sine, cosine, pose[..., 1]], [zero, zero, one]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
