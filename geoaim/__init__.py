@@ -39,17 +39,17 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from geoaim import mapping as mapping
     from geoaim.aim import AIM as AIM
-    from geoaim.aim import read_aim as read_aim
-    from geoaim.aim import rectify as rectify
-    from geoaim.aim import write_aim as write_aim
+    from geoaim.aim_files import read_aim as read_aim
+    from geoaim.aim_files import write_aim as write_aim
     from geoaim.errors import GeoaimError as GeoaimError
     from geoaim.errors import GeoaimWarning as GeoaimWarning
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
     from geoaim.mapping.pipeline import build_aim as build_aim
     from geoaim.mapping.texture import export_texture as export_texture
+    from geoaim.rectify import rectify as rectify
+    from geoaim.track_files import read_tracks as read_tracks
+    from geoaim.track_files import write_tracks as write_tracks
     from geoaim.tracks import Tracks as Tracks
-    from geoaim.tracks import read_tracks as read_tracks
-    from geoaim.tracks import write_tracks as write_tracks
     from geoaim.world import World as World
 
 # where each public name lives; loaded on first use, so that `import geoaim` costs nothing
@@ -62,11 +62,11 @@ _HOMES = {
     "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
     "export_texture": "geoaim.mapping.texture",
-    "read_aim": "geoaim.aim",
-    "read_tracks": "geoaim.tracks",
-    "rectify": "geoaim.aim",
-    "write_aim": "geoaim.aim",
-    "write_tracks": "geoaim.tracks",
+    "read_aim": "geoaim.aim_files",
+    "read_tracks": "geoaim.track_files",
+    "rectify": "geoaim.rectify",
+    "write_aim": "geoaim.aim_files",
+    "write_tracks": "geoaim.track_files",
 }
 _MODULES = ("mapping",)
 __all__ = [*_HOMES, *_MODULES]

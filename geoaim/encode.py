@@ -1,4 +1,4 @@
-"""Frames to a video file."""
+"""Frames -> video file."""
 
 from collections.abc import Iterable
 from fractions import Fraction
@@ -19,16 +19,24 @@ def write_video(
     crf: int = 20,
     megabits: float | None = None,
 ) -> Path:
-    """Encode frames to H.264, yuv420p, with a keyframe each second; the file appears when done.
+    """Encode frames as H.264 (yuv420p) with a keyframe each second.
 
-    At constant quality `crf`, or at about so many megabits a second.
+    Args:
+        frames: (H, W, 3) RGB images of one size.
+        path: the video file; it appears when it is complete.
+        frame_rate: frames per second.
+        crf: constant rate factor of x264; lower is better.
+        megabits: bit rate in Mbit/s; it replaces the constant quality.
+
+    Returns:
+        The path.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
-    with atomic_write(path) as part, av.open(str(part), "w") as container:
-        second = str(round(frame_rate))
-        options = {"preset": "medium", "g": second, "keyint_min": second}
+    with atomic_write(path) as temporary, av.open(str(temporary), "w") as container:
+        interval = str(round(frame_rate))
+        options = {"preset": "medium", "g": interval, "keyint_min": interval, "sc_threshold": "0"}
         options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
-        stream = container.add_stream("libx264", rate, options=options | {"sc_threshold": "0"})
+        stream = container.add_stream("libx264", rate, options=options)
         stream.pix_fmt = "yuv420p"
         for index, frame in enumerate(frames):
             if index == 0:

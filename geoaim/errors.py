@@ -1,19 +1,4 @@
-"""Every error that geoaim raises about data; a bad call raises ValueError or TypeError.
-
-GeoaimError
-├── VideoError          no frame could be read
-├── RegistrationError   too few frames agree with the reference
-├── BackgroundError     the registered frames do not give a background
-├── GeoreferenceError   the control points or the telemetry do not fix a place
-├── AlignmentError      imagery cannot be laid on what it should lie on
-├── AimError            a file is not an AIM, or an AIM cannot be written as asked
-├── TracksError         a file holds no tracks or lights, or such as contradict themselves
-├── MapError            a file is no HD map, or does not lie where it is needed
-├── ImageryError        imagery cannot be read, or does not lie where it is needed
-└── ModelError          a file is no prediction model, or one of another version
-
-GeoaimWarning           the work went on, with less than was asked for
-"""
+"""Errors about data, all under `GeoaimError`; a bad call raises ValueError or TypeError."""
 
 
 class GeoaimError(Exception):
@@ -21,11 +6,11 @@ class GeoaimError(Exception):
 
 
 class VideoError(GeoaimError):
-    """No frame could be read."""
+    """No frame of a video could be read."""
 
 
 class RegistrationError(GeoaimError):
-    """Too few frames agree with the reference."""
+    """Too few frames could be registered to the reference."""
 
 
 class BackgroundError(GeoaimError):
@@ -33,11 +18,11 @@ class BackgroundError(GeoaimError):
 
 
 class GeoreferenceError(GeoaimError):
-    """The control points or the telemetry do not fix a place."""
+    """Control points, telemetry or a CRS do not give a position on the Earth."""
 
 
 class AlignmentError(GeoaimError):
-    """Imagery cannot be laid on what it should lie on: too little in common, or in two ways."""
+    """Imagery cannot be aligned: too little in common with the evidence, or an ambiguous fit."""
 
 
 class AimError(GeoaimError):
@@ -45,20 +30,20 @@ class AimError(GeoaimError):
 
 
 class TracksError(GeoaimError):
-    """A file holds no tracks or lights, or such as contradict themselves."""
+    """A file has no tracks or traffic lights, or they contradict themselves."""
 
 
 class MapError(GeoaimError):
-    """A file is no HD map, or does not lie where it is needed."""
+    """A file is not an HD map or drawing, or lies elsewhere than needed."""
 
 
 class ImageryError(GeoaimError):
-    """Imagery cannot be read, or does not lie where it is needed."""
+    """Imagery cannot be read, or lies elsewhere than needed."""
 
 
 class ModelError(GeoaimError):
-    """A file is no prediction model, or one of another version."""
+    """A file is not a prediction model, or has another version."""
 
 
 class GeoaimWarning(UserWarning):
-    """The work went on, with less than was asked for: a damaged file, a skipped point."""
+    """The result is less than was asked for: a damaged file, a skipped point."""

@@ -1,4 +1,4 @@
-"""Files that are replaced whole or not at all."""
+"""Files that are written whole or not at all."""
 
 import os
 import tempfile
@@ -13,9 +13,10 @@ if TYPE_CHECKING:
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path whose file takes the place of `path` when the block ends well.
+    """Yield a temporary path whose file replaces `path` when the block ends without an error.
 
-    The folder is made when it is missing. When the block fails, an old file stays as it was.
+    The folder is created when it is missing. When the block fails, an existing file stays as it
+    was.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -25,6 +26,6 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
-    """Write a drawn figure as a PNG."""
-    with atomic_write(path) as part:
-        figure.savefig(part, dpi=100, format="png")
+    """Write a figure as a PNG."""
+    with atomic_write(path) as temporary:
+        figure.savefig(temporary, dpi=100, format="png")

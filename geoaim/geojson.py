@@ -1,4 +1,4 @@
-"""Hand-drawn shapes: GeoJSON to shapely geometries in the world, and back."""
+"""Hand-drawn shapes: GeoJSON <-> shapely geometries in the world."""
 
 import json
 import os
@@ -18,48 +18,61 @@ from geoaim.world import World, lonlat_from_world, world_from_lonlat
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """A shape, metres in some world, and what its file says about it."""
+    """A shape and its properties.
+
+    Attributes:
+        geometry: coordinates are metres in some world.
+        properties: as the file states them.
+    """
 
     geometry: BaseGeometry
     properties: Mapping[str, Any] = field(default_factory=dict)
 
 
 def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
-    """Read GeoJSON; its numbers are longitude and latitude, or metres of a plane of its own.
+    """Read a GeoJSON file in longitude and latitude, or in metres for a world without a CRS.
 
     Raises:
         FileNotFoundError: there is no such file.
-        MapError: it is no GeoJSON.
+        MapError: the file is not GeoJSON.
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     try:
         content = json.loads(path.read_text(encoding="utf-8-sig"))
-        parts = [
-            (shape(part.get("geometry", part)), part.get("properties") or {})
-            for part in content.get("features", [content])
+        features = [
+            Feature(shape(item.get("geometry", item)), item.get("properties") or {})
+            for item in content.get("features", [content])
         ]
     except (ValueError, TypeError, KeyError, AttributeError, shapely.errors.ShapelyError) as error:
-        raise MapError(f"{path} is no GeoJSON: {error}") from error
-    if world.crs is not None:
-        parts = [
-            (shapely.transform(found, lambda points: world_from_lonlat(world, points)), said)
-            for found, said in parts
-        ]
-    return [Feature(found, said) for found, said in parts]
+        raise MapError(f"{path} is not GeoJSON: {error}") from error
+    if world.crs is None:
+        return features
+    return [
+        Feature(
+            shapely.transform(feature.geometry, lambda points: world_from_lonlat(world, points)),
+            feature.properties,
+        )
+        for feature in features
+    ]
 
 
 def write_features(features: list[Feature], world: World, path: str | os.PathLike[str]) -> None:
-    """Write GeoJSON, in longitude and latitude, or in metres of a plane of its own."""
+    """Write a GeoJSON file in longitude and latitude, or in metres for a world without a CRS.
+
+    Args:
+        features: the shapes to write.
+        world: the plane of their coordinates.
+        path: the .geojson file.
+    """
     rows = []
     for feature in features:
-        found = feature.geometry
+        geometry = feature.geometry
         if world.crs is not None:
-            found = shapely.transform(found, lambda points: lonlat_from_world(world, points))
-        rows.append(
-            {"type": "Feature", "properties": dict(feature.properties), "geometry": mapping(found)}
-        )
-    with atomic_write(Path(path)) as temporary:
+            geometry = shapely.transform(geometry, lambda points: lonlat_from_world(world, points))
+        properties = dict(feature.properties)
+        rows.append({"type": "Feature", "properties": properties, "geometry": mapping(geometry)})
+    with atomic_write(path) as temporary:
         content = {"type": "FeatureCollection", "features": rows}
-        Path(temporary).write_text(json.dumps(content), encoding="utf-8")
+        temporary.write_text(json.dumps(content), encoding="utf-8")

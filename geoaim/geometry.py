@@ -1,25 +1,25 @@
-"""Homographies, points and boxes in float64. Pixels have their origin at the image's corner."""
+"""Homographies, points, boxes and angles in float64; the pixel origin is the image's corner."""
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-HALF = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-MINUS_HALF = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
+ADD_HALF_PX = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
+SUBTRACT_HALF_PX = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
 
 
 def to_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
-    """The same pixel transform for OpenCV, whose origin is the centre of the first pixel.
+    """Convert a pixel transform to OpenCV's origin, the centre of the first pixel.
 
     >>> to_opencv(np.diag([2.0, 2.0, 1.0]))[0, 2]   # resizing by 2 moves pixel centres by 1/2
     np.float64(0.5)
     """
-    return MINUS_HALF @ matrix @ HALF
+    return SUBTRACT_HALF_PX @ matrix @ ADD_HALF_PX
 
 
 def from_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
-    """Undo `to_opencv`: a transform between pixel centres becomes one between pixel corners."""
-    return HALF @ matrix @ MINUS_HALF
+    """Convert a pixel transform from OpenCV's origin: the inverse of `to_opencv`."""
+    return ADD_HALF_PX @ matrix @ SUBTRACT_HALF_PX
 
 
 def transform_points(
@@ -38,7 +38,7 @@ def transform_points(
 def transform_boxes(
     matrix: Float[Array, "*#batch 3 3"], boxes: Float[Array, "*#batch m 4"]
 ) -> Float[Array, "*#batch m 4 2"]:
-    """The four corners of boxes (left, top, right, bottom), mapped by a homography."""
+    """Map the four corners of boxes (left, top, right, bottom) by a homography."""
     left, top, right, bottom = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
     corners = np.stack([left, top, right, top, right, bottom, left, bottom], axis=-1)
     mapped = transform_points(matrix, corners.reshape(*boxes.shape[:-2], 4 * boxes.shape[-2], 2))
@@ -51,7 +51,7 @@ def image_corners(height: float, width: float) -> Float[Array, "4 2"]:
 
 
 def wrap_angle(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Angles brought into [-pi, pi).
+    """Wrap angles (radians) to [-pi, pi).
 
     >>> wrap_angle(np.array([0.5, 1.5 * np.pi])).round(3)
     array([ 0.5  , -1.571])
@@ -60,14 +60,23 @@ def wrap_angle(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def translation(x: float, y: float) -> Float[Array, "3 3"]:
-    """A shift, as a matrix."""
+    """The matrix of a translation."""
     return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
 
-def similarity_about(middle: Float[Array, "2"], turn: float, zoom: float) -> Float[Array, "3 3"]:
-    """A turn (radians, counter-clockwise) and a zoom about a place, as a matrix."""
-    cosine, sine = zoom * np.cos(turn), zoom * np.sin(turn)
-    turned = np.array([[cosine, -sine], [sine, cosine]])
+def similarity_about(centre: Float[Array, "2"], angle: float, scale: float) -> Float[Array, "3 3"]:
+    """The matrix of a rotation and scaling about a point.
+
+    Args:
+        centre: the point that stays where it is.
+        angle: radians, counter-clockwise.
+        scale: factor of all distances.
+
+    Returns:
+        (3, 3) homogeneous matrix.
+    """
+    cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
+    linear = np.array([[cosine, -sine], [sine, cosine]])
     matrix = np.eye(3)
-    matrix[:2, :2], matrix[:2, 2] = turned, middle - turned @ middle
+    matrix[:2, :2], matrix[:2, 2] = linear, centre - linear @ centre
     return matrix

@@ -1,13 +1,13 @@
-"""Traffic lights: where they stop traffic, and their states over time.
+"""Traffic lights: their stop lines, and their states over time.
 
-The plain table has a row for each change, and each light keeps its state until its next one:
+The plain table has a row for each change; a light keeps its state until its next change:
 
     time,signal,state
     0.0,east,green
     24.5,east,yellow
 
 SinD's tables (github.com/SOTIF-AVLab/SinD) have a row for each time at which any light changes and
-a column for each light; its name there is the signal's.
+a column for each light, whose name is that of the signal.
 """
 
 import os
@@ -32,7 +32,7 @@ GREEN, YELLOW, RED = 0, 1, 2
 STATES = ("green", "yellow", "red")
 UNKNOWN = -1
 COLUMNS = ["time", "signal", "state"]
-SHORTEST = 0.1  # m of a stop line: degrees taken for metres are shorter
+MIN_STOP_LINE_M = 0.1  # degrees mistaken for metres are shorter
 SIND_TIME = "timestamp(ms)"
 SIND_LIGHT = "traffic light"
 SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
@@ -40,7 +40,12 @@ SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
 
 @dataclass(frozen=True, eq=False)
 class StopLine:
-    """Where a signal stops traffic: both ends of the line, metres. A signal may have several."""
+    """A line at which a signal stops traffic; a signal may have several.
+
+    Attributes:
+        signal: name of the signal.
+        ends: (2, 2) both ends of the line, metres in the world.
+    """
 
     signal: str
     ends: Float[Array, "2 2"]
@@ -48,15 +53,15 @@ class StopLine:
 
 @dataclass(frozen=True, eq=False)
 class Lights:
-    """Traffic lights.
+    """Traffic lights: L stop lines and their states over time.
 
     Attributes:
-        names: of the signals.
-        lines: (L, 2, 2) both ends of each one's stop line, metres in the world.
+        names: L names of signals; a signal with several stop lines comes several times.
+        lines: (L, 2, 2) both ends of each stop line, metres in the world.
         times: (K,) seconds at which states begin, increasing.
-        states: (K, L) from each of the times until the next one: `GREEN`, `YELLOW`, `RED`, or
-            `UNKNOWN`.
-        world: the plane that the metres lie in.
+        states: (K, L) `GREEN`, `YELLOW`, `RED` or `UNKNOWN`, from each of the times until the
+            next one.
+        world: the plane of the lines.
     """
 
     names: tuple[str, ...]
@@ -67,101 +72,116 @@ class Lights:
 
 
 def find_light_states(lights: Lights, times: Float[Array, "T"]) -> Int8[Array, "T L"]:
-    """The state of each light at each time; `UNKNOWN` before the first one is told."""
+    """Find the state of each light at each time; `UNKNOWN` before its first one."""
     last = np.searchsorted(lights.times, np.asarray(times), side="right") - 1
     states = lights.states[np.maximum(last, 0)]
     return np.where(last[:, None] < 0, UNKNOWN, states).astype(np.int8)
 
 
 def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLine, ...]:
-    """Read hand-drawn stop lines, GeoJSON: lines with the property `signal`.
+    """Read hand-drawn stop lines from GeoJSON: lines with the property `signal`.
 
     Raises:
         FileNotFoundError: there is no such file.
-        MapError: it is no GeoJSON, holds no line with a signal's name, or one without a length.
+        MapError: the file is not GeoJSON, has no line with a signal, or one without a length.
     """
     features = read_features(path, world)
-    named = [
-        (str(f.properties["signal"]), line)
-        for f in features
-        for line in getattr(f.geometry, "geoms", [f.geometry])  # the parts of several lines
-        if line.geom_type == "LineString" and f.properties.get("signal") is not None
+    lines = [
+        (str(feature.properties["signal"]), line)
+        for feature in features
+        for line in getattr(feature.geometry, "geoms", [feature.geometry])
+        if line.geom_type == "LineString" and feature.properties.get("signal") is not None
     ]
-    if not named:
-        kinds = ", ".join(sorted({f.geometry.geom_type for f in features})) or "nothing"
-        raise MapError(f"{path} holds {kinds}; a LineString with the property 'signal' is needed")
-    short = [signal for signal, line in named if not line.length > SHORTEST]
-    if short:
+    if not lines:
+        kinds = sorted({feature.geometry.geom_type for feature in features})
         raise MapError(
-            f"{path}: a line of signal {short[0]!r} is shorter than {SHORTEST} m; its numbers are "
-            f"taken for {'metres' if world.crs is None else 'longitude and latitude'}"
+            f"{path} holds {', '.join(kinds) or 'nothing'}; a LineString with the property "
+            "'signal' is needed"
         )
-    return tuple(StopLine(name, np.array(line.coords)[[0, -1], :2]) for name, line in named)
+    short = [signal for signal, line in lines if not line.length > MIN_STOP_LINE_M]
+    if short:
+        unit = "metres" if world.crs is None else "longitude and latitude"
+        raise MapError(
+            f"{path}: a line of signal {short[0]!r} is shorter than {MIN_STOP_LINE_M} m; its "
+            f"coordinates are taken for {unit}"
+        )
+    return tuple(StopLine(signal, np.array(line.coords)[[0, -1], :2]) for signal, line in lines)
 
 
 def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: World) -> Lights:
-    """Read a plain table or one of SinD's, of the signals whose stop lines are given.
+    """Read states of traffic lights from a plain table or one of SinD's.
 
     Args:
-        path: the table, CSV.
-        lines: where the signals stop traffic, metres in the world; signals of the table without a
-            line are left out.
+        path: the .csv file.
+        lines: stop lines of the signals; signals of the table without a line are left out.
         world: the plane of the lines.
+
+    Returns:
+        The lights, in the order in which the table first names their signals.
 
     Raises:
         FileNotFoundError: there is no such file.
-        TracksError: it is no such table, a state is none of `STATES`, a signal has two at one
-            time, or no signal has a line.
+        TracksError: the file is not such a table, a state is not one of `STATES`, a signal has
+            two states at one time, or no signal has a stop line.
     """
     path = Path(path)
-    rows = _changes(path)
-    moments = rows["time"].to_numpy(np.float64)
-    strange = ~rows["state"].isin(STATES).to_numpy() | ~np.isfinite(moments)
-    if strange.any():
-        row = rows.iloc[int(strange.argmax())].to_dict()
+    rows = _read_rows(path)
+    _check_rows(path, rows)
+    signals = list(dict.fromkeys(rows["signal"]))
+    used = [line for signal in signals for line in lines if line.signal == signal]
+    if not used:
+        available = ", ".join(line.signal for line in lines) or "none"
         raise TracksError(
-            f"{path}: {strange.sum()} rows have no time in seconds or a state other than "
+            f"{path}: none of the signals {', '.join(map(str, signals))} has a stop line; there "
+            f"are stop lines of {available}"
+        )
+    times, step = np.unique(rows["time"].to_numpy(np.float64), return_inverse=True)
+    states = np.full((len(times), len(used)), UNKNOWN, np.int8)
+    for light, line in enumerate(used):
+        mask = (rows["signal"] == line.signal).to_numpy()
+        states[step[mask], light] = [STATES.index(state) for state in rows["state"][mask]]
+        states[:, light] = _hold_states(states[:, light])
+    ends = np.array([line.ends for line in used], np.float64)
+    return Lights(tuple(line.signal for line in used), ends, times, states, world)
+
+
+def _hold_states(states: Int8[Array, "K"]) -> Int8[Array, "K"]:
+    """Fill unknown states of one light with its last known one."""
+    last = np.maximum.accumulate(np.where(states >= 0, np.arange(len(states)), -1))
+    return np.where(last >= 0, states[last], UNKNOWN)
+
+
+def _check_rows(path: Path, rows: "pd.DataFrame") -> None:
+    """Refuse unknown states, missing times, and two states of a signal at one time."""
+    finite = np.isfinite(rows["time"].to_numpy(np.float64))
+    invalid = ~rows["state"].isin(STATES).to_numpy() | ~finite
+    if invalid.any():
+        row = rows.iloc[int(invalid.argmax())].to_dict()
+        raise TracksError(
+            f"{path}: {invalid.sum()} rows have no time in seconds or a state other than "
             f"{', '.join(STATES)}; the first is {row}"
         )
-    once = rows.drop_duplicates()
-    twice = once[once.duplicated(["time", "signal"], keep=False)].sort_values(["time", "signal"])
-    if len(twice):
-        raise TracksError(
-            f"{path}: a signal has two states at one time: {twice[:2].to_dict('records')}; keep one"
-        )
-    signals = list(dict.fromkeys(rows["signal"]))
-    mine = [line for signal in signals for line in lines if line.signal == signal]
-    if not mine:
-        there = ", ".join(line.signal for line in lines) or "none"
-        raise TracksError(
-            f"{path}: none of the lights {', '.join(map(str, signals))} has a stop line; there are "
-            f"lines of {there}"
-        )
-    times, step = np.unique(moments, return_inverse=True)
-    states = np.full((len(times), len(mine)), UNKNOWN, np.int8)
-    for light, line in enumerate(mine):
-        its = (rows["signal"] == line.signal).to_numpy()
-        states[step[its], light] = [STATES.index(state) for state in rows["state"][its]]
-        told = np.maximum.accumulate(np.where(states[:, light] >= 0, np.arange(len(times)), -1))
-        states[:, light] = np.where(told >= 0, states[told, light], UNKNOWN)
-    ends = np.array([line.ends for line in mine], np.float64)
-    return Lights(tuple(line.signal for line in mine), ends, times, states, world)
+    unique = rows.drop_duplicates()
+    repeated = unique[unique.duplicated(["time", "signal"], keep=False)]
+    if len(repeated):
+        first = repeated.sort_values(["time", "signal"])[:2].to_dict("records")
+        raise TracksError(f"{path}: a signal has two states at one time: {first}; keep one")
 
 
-def _changes(path: Path) -> "pd.DataFrame":
-    """The table's `COLUMNS`, whichever form it has; times are NaN that are no numbers."""
+def _read_rows(path: Path) -> "pd.DataFrame":
+    """Read the table's `COLUMNS` from either format; a time that is not a number is NaN."""
     import pandas as pd
 
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     try:
-        with warnings.catch_warnings():  # a row may end in a comma, but not in another field
+        with warnings.catch_warnings():  # a row may end in a comma, but not in an extra field
             warnings.simplefilter("error", pd.errors.ParserWarning)
             rows = pd.read_csv(  # a signal may be called NA
                 path, dtype=str, index_col=False, keep_default_na=False, na_values=[""]
             )
     except (ValueError, OSError, pd.errors.ParserWarning) as error:
-        raise TracksError(f"{path} is no table of lights: {error}") from error
+        raise TracksError(f"{path} is not a table of traffic lights: {error}") from error
     lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]
     if SIND_TIME in rows.columns and lights:
         rows["time"] = pd.to_numeric(rows[SIND_TIME], errors="coerce") / 1000

@@ -1,9 +1,9 @@
-"""How far long work has come, told to whoever shows it."""
+"""The callback by which long work reports its progress."""
 
 from collections.abc import Callable
 
-Progress = Callable[[str, float, float | None], None]  # stage, done, and of how much, if known
+Progress = Callable[[str, float, float | None], None]  # stage, done, total if it is known
 
 
 def no_progress(stage: str, done: float, total: float | None) -> None:
-    """Tell nobody."""
+    """Ignore progress; the default of functions that report it."""

@@ -1,4 +1,4 @@
-"""The same tracks at another rate, or in another world."""
+"""Tracks resampled to another rate or transformed to another world."""
 
 from dataclasses import replace
 
@@ -8,89 +8,105 @@ from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
-from geoaim.tracks import MOST, TICKS, Tracks
+from geoaim.tracks import MAX_STATES, TICKS_PER_S, Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
 
 
 def to_world(tracks: Tracks, world: World) -> Tracks:
-    """The same tracks in another world: places and headings; lengths and speeds stay.
+    """Transform tracks to another world: positions and headings; sizes and speeds stay.
 
     Raises:
-        TracksError: one of the worlds has a place on the Earth, and the other has none.
+        TracksError: only one of the two worlds has a place on the Earth.
     """
     if tracks.world == world:
         return tracks
     if (tracks.world.crs is None) != (world.crs is None):
         raise TracksError(
-            f"the tracks lie in {tracks.world.crs or 'a plane of their own'}, and are needed in "
-            f"{world.crs or 'a plane of its own'}; give both a place on the Earth, or none"
+            f"the tracks lie in {_name_world(tracks.world)}, and are needed in "
+            f"{_name_world(world)}; give both a place on the Earth, or none"
         )
-    states, there = tracks.states.copy(), tracks.present
-    here, heading = states[there, :2], states[there, 2]
-    ahead = here + np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    here, ahead = (
+    states, present = tracks.states.copy(), tracks.present
+    position, heading = states[present, :2], states[present, 2]
+    ahead = position + np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    position, ahead = (
         world_from_crs(world, crs_from_world(tracks.world, points), tracks.world.crs)
-        for points in (here, ahead)
+        for points in (position, ahead)
     )
-    states[there, :2] = here
-    states[there, 2] = np.arctan2(*(ahead - here).T[::-1])
+    states[present, :2] = position
+    states[present, 2] = np.arctan2(*(ahead - position).T[::-1])
     return replace(tracks, states=states, world=world)
 
 
-def resample_tracks(tracks: Tracks, rate: float, *, gap: float = 0.5) -> Tracks:
-    """The same tracks at an even rate, from their first time on.
+def _name_world(world: World) -> str:
+    return world.crs or "a local plane without a CRS"
 
-    Between two recorded states positions and speeds are linear in time and headings turn the
-    shorter way; at a recorded time the state is the recorded one. Nothing is extrapolated. Agents
-    keep their order, also one who is there only between two of the new times, and so never.
+
+def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tracks:
+    """Resample tracks at an even rate, from their first time on.
+
+    Positions and speeds are interpolated linearly in time, headings along the shorter turn; a
+    recorded time keeps its recorded state. Nothing is extrapolated.
 
     Args:
         tracks: at any times.
         rate: in Hz.
-        gap: the longest time between two recorded states, in seconds, over which an agent is taken
-            to be there; a longer absence stays one.
+        max_gap: seconds between two recorded states over which an agent is still taken to be
+            present; it stays absent over a longer gap.
+
+    Returns:
+        The same agents, even those that are absent at all of the new times.
 
     Raises:
-        ValueError: the rate is not positive or asks for too much, or the agents' usual step is
-            longer than the gap, so that hardly anybody would be left.
+        ValueError: the rate is not positive or gives too many states, or the recorded states are
+            mostly further apart than the gap.
     """
     if not 0 < rate < np.inf:
         raise ValueError(f"rate is {rate}; a positive number of Hz is needed")
     if len(tracks.times) == 0:
         return tracks
-    steps = [np.diff(tracks.times[there]) for there in tracks.present]
-    usual = float(np.median(np.concatenate([[], *steps]))) if any(map(len, steps)) else 0.0
-    if not gap >= usual - 1 / TICKS:
-        raise ValueError(f"gap is {gap} s, less than the usual step of {usual:g} s; give more")
-    count = int((tracks.times[-1] - tracks.times[0]) * rate + rate / TICKS) + 1
-    if count * max(len(tracks.ids), 1) > MOST:
+    _check_gap(tracks, max_gap)
+    steps = int((tracks.times[-1] - tracks.times[0]) * rate + rate / TICKS_PER_S) + 1
+    if steps * max(len(tracks.ids), 1) > MAX_STATES:
         raise ValueError(
-            f"{len(tracks.ids)} agents times {count} times are too many; lower the rate of {rate} "
-            "Hz or cut the tracks"
+            f"{len(tracks.ids)} agents times {steps} times exceed {MAX_STATES} states; lower the "
+            f"rate of {rate} Hz or cut the tracks"
         )
-    times = tracks.times[0] + np.arange(count) / rate
-    states = np.full((len(tracks.ids), count, 4), np.nan)
-    for agent, there in enumerate(tracks.present):
-        states[agent] = _between(tracks.times[there], tracks.states[agent, there], times, gap)
+    times = tracks.times[0] + np.arange(steps) / rate
+    states = np.full((len(tracks.ids), steps, 4), np.nan)
+    for agent, present in enumerate(tracks.present):
+        recorded = tracks.times[present], tracks.states[agent, present]
+        states[agent] = _interpolate(*recorded, times, max_gap)
     return replace(tracks, times=times, states=states, present=np.isfinite(states[..., 0]))
 
 
-def _between(
-    times: Float[Array, "M"], states: Float[Array, "M 4"], wanted: Float[Array, "T"], gap: float
+def _check_gap(tracks: Tracks, max_gap: float) -> None:
+    """Refuse a gap below the median time between an agent's recorded states."""
+    dts = np.concatenate([[], *(np.diff(tracks.times[present]) for present in tracks.present)])
+    dt = float(np.median(dts)) if len(dts) else 0.0
+    if not max_gap >= dt - 1 / TICKS_PER_S:
+        raise ValueError(
+            f"max_gap is {max_gap} s, less than the median time of {dt:g} s between recorded "
+            "states, so that most of them would be lost; increase it"
+        )
+
+
+def _interpolate(
+    times: Float[Array, "M"], states: Float[Array, "M 4"], at: Float[Array, "T"], max_gap: float
 ) -> Float[Array, "T 4"]:
-    """An agent's states at other times; NaN where it is not known to be there."""
-    found = np.full((len(wanted), 4), np.nan)
-    before = np.searchsorted(times, wanted + 1 / TICKS, side="right") - 1
-    after = np.searchsorted(times, wanted - 1 / TICKS)
+    """Interpolate an agent's states at other times; NaN where it is absent."""
+    tick = 1 / TICKS_PER_S
+    interpolated = np.full((len(at), 4), np.nan)
+    before = np.searchsorted(times, at + tick, side="right") - 1
+    after = np.searchsorted(times, at - tick)
     inside = np.flatnonzero((before >= 0) & (after < len(times)))
-    before, after = before[inside], np.maximum(before, after)[inside]  # one, at a recorded time
-    near = times[after] - times[before] <= gap + 1 / TICKS
+    before, after = before[inside], np.maximum(before, after)[inside]  # equal at a recorded time
+    near = times[after] - times[before] <= max_gap + tick
     inside, before, after = inside[near], before[near], after[near]
-    apart = np.where(after > before, times[after] - times[before], 1.0)
-    share = np.where(after > before, (wanted[inside] - times[before]) / apart, 0.0)[:, None]
+    dt = np.where(after > before, times[after] - times[before], 1.0)
+    weight = np.where(after > before, (at[inside] - times[before]) / dt, 0.0)[:, None]
     change = states[after] - states[before]
     change[:, 2] = wrap_angle(change[:, 2])
-    found[inside] = states[before] + share * change
-    turned = np.abs(found[:, 2]) >= np.pi
-    found[turned, 2] = wrap_angle(found[turned, 2])
-    return found
+    interpolated[inside] = states[before] + weight * change
+    unwrapped = np.abs(interpolated[:, 2]) >= np.pi
+    interpolated[unwrapped, 2] = wrap_angle(interpolated[unwrapped, 2])
+    return interpolated

@@ -12,8 +12,10 @@ from pyproj.exceptions import CRSError, ProjError
 from geoaim.errors import GeoreferenceError
 
 LONLAT = "EPSG:4326"
-ROUND = 100.0  # origins are multiples of this, metres
-SCALE_LIMIT = 0.01  # a "metre" of the CRS may differ by this share from a metre on the ground
+ORIGIN_STEP_M = 100.0  # origins are multiples of this
+MAX_SCALE_ERROR = 0.01  # of a metre in the CRS against one on the ground
+MAX_NAME_CHARS = 40  # a longer CRS text, such as WKT, is called by its name
+MAX_AREA_DEGREES = 12.0  # a CRS for a wider area does not tell its UTM zone
 
 
 @dataclass(frozen=True)
@@ -21,7 +23,7 @@ class World:
     """A metric plane, x east and y north, in metres from an origin.
 
     Attributes:
-        crs: anything that pyproj takes for a projected CRS in metres, or None for a plane
+        crs: a projected CRS in metres, in any form that pyproj reads, or None for a plane
             whose place on the Earth is not known.
         origin: easting and northing of the world's (0, 0) in that CRS, metres.
 
@@ -34,16 +36,18 @@ class World:
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.origin).all():
-            raise GeoreferenceError(f"The world's origin {self.origin} is not a pair of numbers.")
+            raise GeoreferenceError(
+                f"The origin {self.origin} of a world is not a pair of finite numbers."
+            )
         if self.crs is not None:
-            refusal = describe_crs_problem(self.crs, self.origin)
-            if refusal:
-                raise GeoreferenceError(refusal)
+            problem = describe_crs_problem(self.crs, self.origin)
+            if problem:
+                raise GeoreferenceError(problem)
 
 
 @lru_cache(maxsize=64)
 def parse_crs(crs: str) -> CRS:
-    """The CRS that a text names: "EPSG:n", a PROJ string or WKT.
+    """Parse the text of a CRS: "EPSG:n", a PROJ string or WKT.
 
     Raises:
         GeoreferenceError: pyproj does not know it.
@@ -52,27 +56,27 @@ def parse_crs(crs: str) -> CRS:
         return CRS.from_user_input(crs)
     except CRSError as error:
         raise GeoreferenceError(
-            f"{crs!r} names no coordinate reference system. Write for example 'EPSG:32635'."
+            f"{crs!r} is not a known coordinate reference system. Write for example 'EPSG:32635'."
         ) from error
 
 
 @lru_cache(maxsize=64)
-def _transformer(source: str, destination: str) -> Transformer:
+def _make_transformer(source: str, destination: str) -> Transformer:
     return Transformer.from_crs(parse_crs(source), parse_crs(destination), always_xy=True)
 
 
-def utm_crs(longitude: float, latitude: float) -> str:
-    """EPSG code of the UTM zone (WGS 84) of a place given in degrees.
+def find_utm_crs(longitude: float, latitude: float) -> str:
+    """Find the EPSG code of the UTM zone (WGS 84) at a longitude and latitude in degrees.
 
     Raises:
-        GeoreferenceError: no zone there: a pole, or latitude and longitude swapped.
+        GeoreferenceError: there is no zone: a pole, or swapped latitude and longitude.
 
-    >>> utm_crs(27.56, 53.9)
+    >>> find_utm_crs(27.56, 53.9)
     'EPSG:32635'
     """
     if not (-80.0 <= latitude <= 84.0 and -180.0 <= longitude <= 360.0):
-        swap = abs(longitude) <= 84.0 and abs(latitude) <= 180.0
-        advice = " Are longitude and latitude swapped?" if swap else " Name a world CRS yourself."
+        swapped = abs(longitude) <= 84.0 and abs(latitude) <= 180.0
+        advice = " Are longitude and latitude swapped?" if swapped else " Give a CRS for the world."
         raise GeoreferenceError(
             f"Longitude {longitude:g}, latitude {latitude:g} lies in no UTM zone"
             f" (latitude -80 to 84, longitude -180 to 180).{advice}"
@@ -82,26 +86,26 @@ def utm_crs(longitude: float, latitude: float) -> str:
 
 
 def describe_crs_problem(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> str:
-    """What keeps a CRS from being a world, and what to use; empty when nothing does."""
+    """Describe why a CRS cannot be that of a world, and what to use; empty when it can."""
     parsed = parse_crs(crs)
-    name = f"{crs if len(crs) < 40 else parsed.name!r}"
+    name = crs if len(crs) < MAX_NAME_CHARS else repr(parsed.name)
     units = {axis.unit_name for axis in parsed.axis_info[:2]}
     directions = {axis.direction for axis in parsed.axis_info[:2]}
     if not parsed.is_projected:
-        found = f"{name} is not projected (its units: {', '.join(sorted(units))})"
+        problem = f"{name} is not projected (its units: {', '.join(sorted(units))})"
     elif any(axis.unit_conversion_factor != 1.0 for axis in parsed.axis_info[:2]):
-        found = f"{name} counts in {', '.join(sorted(units))}, not in metres"
+        problem = f"{name} has the units {', '.join(sorted(units))}, not metres"
     elif directions != {"east", "north"}:
-        found = f"{name} has its axes towards {', '.join(sorted(directions))}, not east and north"
-    elif abs(_scale(parsed, origin) - 1.0) > SCALE_LIMIT:
-        found = f"a metre of {name} is {_scale(parsed, origin):.3g} times a metre on the ground"
+        problem = f"{name} has its axes towards {', '.join(sorted(directions))}, not east and north"
+    elif abs((scale := _measure_scale(parsed, origin)) - 1.0) > MAX_SCALE_ERROR:
+        problem = f"a metre of {name} is {scale:.3g} times a metre on the ground"
     else:
         return ""
-    return f"{found}; a world needs metres, x east and y north. Use {_suggestion(parsed)}."
+    return f"{problem}; a world needs metres, x east and y north. Use {_suggest_crs(parsed)}."
 
 
-def _scale(crs: CRS, origin: tuple[float, float]) -> float:
-    """Length in the CRS per length on the ground at the origin; at (0, 0), amid the CRS's area."""
+def _measure_scale(crs: CRS, origin: tuple[float, float]) -> float:
+    """Length in the CRS per length on the ground, at the origin or amid the CRS's area of use."""
     proj = Proj(crs)
     try:
         if origin != (0.0, 0.0):
@@ -117,40 +121,51 @@ def _scale(crs: CRS, origin: tuple[float, float]) -> float:
     return float(np.sqrt(factors.areal_scale))
 
 
-def _suggestion(crs: CRS) -> str:
+def _suggest_crs(crs: CRS) -> str:
     area = crs.area_of_use
-    if area is None or area.east - area.west > 12.0 or area.east < area.west:
-        return "the UTM zone of the scene (geoaim.world.choose_world finds it)"
-    return utm_crs((area.west + area.east) / 2.0, (area.south + area.north) / 2.0)
+    if area is None or area.east - area.west > MAX_AREA_DEGREES or area.east < area.west:
+        return "the UTM zone of the scene, which geoaim.world.choose_world finds"
+    return find_utm_crs((area.west + area.east) / 2.0, (area.south + area.north) / 2.0)
 
 
 def choose_world(lonlat: Float[Array, "m 2"], *, crs: str | None = None) -> World:
-    """A world for some places: their UTM zone, and an origin at a round coordinate amid them.
+    """Choose a world for some points: their UTM zone and an origin at a round coordinate.
 
     Args:
-        lonlat: longitude and latitude, degrees.
-        crs: a projected CRS in metres to use in place of UTM.
+        lonlat: (M, 2) longitude and latitude, degrees.
+        crs: a projected CRS in metres to use instead of UTM.
+
+    Returns:
+        The world; its origin is the mean of the points, rounded to 100 m.
 
     Raises:
-        GeoreferenceError: the places lie in no UTM zone, or the CRS cannot be a world.
+        GeoreferenceError: the points lie in no UTM zone, or the CRS cannot be a world.
 
     >>> choose_world(np.array([[27.56, 53.9]]))
     World(crs='EPSG:32635', origin=(536800.0, 5972500.0))
     """
     lonlat = np.asarray(lonlat, np.float64)
     first = lonlat[0, 0]
-    longitude = first + np.mean((lonlat[:, 0] - first + 180.0) % 360.0 - 180.0)  # over 180 degrees
+    longitude = first + np.mean((lonlat[:, 0] - first + 180.0) % 360.0 - 180.0)  # the date line
     latitude = float(lonlat[:, 1].mean())
-    crs = crs or utm_crs(float(longitude), latitude)
+    crs = crs or find_utm_crs(float(longitude), latitude)
     middle = transform_crs(LONLAT, crs, np.array([[longitude, latitude]]))[0]
-    east, north = (np.round(middle / ROUND) * ROUND).tolist()
+    east, north = (np.round(middle / ORIGIN_STEP_M) * ORIGIN_STEP_M).tolist()
     return World(crs, (east, north))
 
 
 def transform_crs(
     source: str, destination: str, points: Float[Array, "m 2"]
 ) -> Float[Array, "m 2"]:
-    """Points from one CRS to another, x (or longitude) first whatever the CRS's own order.
+    """Transform points between CRSs, x (or longitude) first whatever the CRS's axis order.
+
+    Args:
+        source: the CRS of the points.
+        destination: the CRS to transform to.
+        points: (M, 2) coordinates.
+
+    Returns:
+        (M, 2) coordinates in the destination.
 
     Raises:
         GeoreferenceError: a point cannot be expressed in the destination.
@@ -159,7 +174,7 @@ def transform_crs(
     if source == destination:
         return points.copy()
     try:
-        x, y = _transformer(source, destination).transform(points[:, 0], points[:, 1])
+        x, y = _make_transformer(source, destination).transform(points[:, 0], points[:, 1])
     except ProjError as error:
         raise GeoreferenceError(f"{source} to {destination}: {error}") from error
     mapped = np.stack([x, y], axis=-1)
@@ -172,11 +187,11 @@ def transform_crs(
     return mapped
 
 
-def _crs_of(world: World) -> str:
+def _require_crs(world: World) -> str:
     if world.crs is None:
         raise GeoreferenceError(
-            "This world is a plane of its own, without a place on the Earth. Georeference it with"
-            " control points or telemetry first."
+            "This world is a local plane without a place on the Earth. Georeference it with control"
+            " points or telemetry first."
         )
     return world.crs
 
@@ -184,12 +199,15 @@ def _crs_of(world: World) -> str:
 def world_from_crs(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
-    """Coordinates in a CRS (x, y or longitude, latitude) to world metres.
+    """Convert coordinates in a CRS (x, y or longitude, latitude) to world metres.
 
     Args:
-        world: where to.
-        points: (M, 2), x first whatever the CRS's own axis order.
-        crs: where from; None means the world's own CRS.
+        world: the world to convert to.
+        points: (M, 2), x first whatever the CRS's axis order.
+        crs: the CRS of the points; None for that of the world.
+
+    Returns:
+        (M, 2) metres from the world's origin.
 
     Raises:
         GeoreferenceError: a point cannot be expressed there, or the world has no CRS.
@@ -199,23 +217,35 @@ def world_from_crs(
     """
     points = np.asarray(points, np.float64)
     if crs is not None:
-        points = transform_crs(crs, _crs_of(world), points)
+        points = transform_crs(crs, _require_crs(world), points)
     return points - world.origin
 
 
 def crs_from_world(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
-    """Undo `world_from_crs`: world metres to coordinates in a CRS, x first."""
+    """Convert world metres to coordinates in a CRS; the inverse of `world_from_crs`.
+
+    Args:
+        world: the world of the points.
+        points: (M, 2) metres from its origin.
+        crs: the CRS to convert to; None for that of the world.
+
+    Returns:
+        (M, 2) coordinates, x first.
+
+    Raises:
+        GeoreferenceError: a point cannot be expressed there, or the world has no CRS.
+    """
     points = np.asarray(points, np.float64) + world.origin
-    return points if crs is None else transform_crs(_crs_of(world), crs, points)
+    return points if crs is None else transform_crs(_require_crs(world), crs, points)
 
 
 def world_from_lonlat(world: World, lonlat: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
-    """Longitude and latitude (WGS 84, degrees) to world metres."""
+    """Convert longitude and latitude (WGS 84, degrees) to world metres."""
     return world_from_crs(world, lonlat, LONLAT)
 
 
 def lonlat_from_world(world: World, points: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
-    """World metres to longitude and latitude (WGS 84, degrees)."""
+    """Convert world metres to longitude and latitude (WGS 84, degrees)."""
     return crs_from_world(world, points, LONLAT)

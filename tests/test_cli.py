@@ -7,7 +7,7 @@ from PIL import Image
 from shapely import LineString, MultiPolygon, box
 from typer.testing import CliRunner
 
-from geoaim.aim import read_aim, write_aim
+from geoaim.aim_files import read_aim, write_aim
 from geoaim.cli import app
 from geoaim.cli.made import PlaceKind
 from geoaim.geojson import Feature, write_features
@@ -15,8 +15,8 @@ from geoaim.hdmap.drivable import write_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.synthetic.camera import render_frame
-from geoaim.synthetic.roads.layouts import KINDS
-from geoaim.tracks import read_tracks
+from geoaim.synthetic.roads.layouts import PLACE_KINDS
+from geoaim.track_files import read_tracks
 
 run = CliRunner().invoke
 
@@ -215,7 +215,7 @@ def test_align_lays_an_orthophoto_under_tracks(tmp_path):
     result = run(app, [*given, "--tracks", "samples/tracks.csv", "-o", f"{output}"])
     assert result.exit_code == 0, result.output
     said = " ".join(result.output.split())
-    assert "by tracks" in said
+    assert "alignment by tracks" in said
     assert "m east" in said
     assert output.with_suffix(".png").stat().st_size > 50_000
     east, north = read_aim(output).report["alignment"]["tracks"]["shift_m"]
@@ -260,7 +260,7 @@ def test_neither_map_nor_look_replaces_what_is_read(tmp_path, monkeypatch, given
 
 
 def test_sample_offers_every_kind_of_place():
-    assert get_args(PlaceKind) == KINDS
+    assert get_args(PlaceKind) == PLACE_KINDS
 
 
 def test_sample_is_not_written_among_other_files(tmp_path):

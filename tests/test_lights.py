@@ -32,7 +32,7 @@ def _read(tmp_path, content=TABLE, lines=LINES):
 
 def test_state_lasts_until_its_next_change(tmp_path):
     lights = _read(tmp_path)
-    assert lights.names == ("a", "b")  # nobody knows where "walk" stops whom
+    assert lights.names == ("a", "b")  # "walk" has no stop line
     states = find_light_states(lights, np.array([-1.0, 0.0, 1.9, 24.4, 24.5, 100.0]))
     assert states[:, 0].tolist() == [UNKNOWN, GREEN, GREEN, GREEN, YELLOW, RED]
     assert states[:, 1].tolist() == [UNKNOWN, UNKNOWN, UNKNOWN, RED, RED, RED]
@@ -57,7 +57,7 @@ def test_sinds_table_has_a_column_for_each_light(tmp_path):
     states = find_light_states(lights, np.array([0.0, 28.0, 30.95, 80.0]))
     assert states[:, 0].tolist() == [UNKNOWN, RED, GREEN, YELLOW]
     assert (states[:, 0] == states[:, 1]).all()  # one signal at two lines
-    assert states[:, 2].tolist() == [UNKNOWN, YELLOW, RED, RED]  # and what is not told stays
+    assert states[:, 2].tolist() == [UNKNOWN, YELLOW, RED, RED]  # a state without a change stays
     names, rows = SIND.split("\n", 1)
     again = _read(tmp_path, names + "\n" + rows.replace("\n", ",\n"), (north, south, east))
     assert (again.states == lights.states).all()
@@ -79,7 +79,7 @@ def test_sinds_recordings_have_three_seconds_of_yellow(data_folder, table, count
     assert not (lights.states == GREEN).all(axis=1).any()
 
 
-def test_stop_lines_are_drawn_by_hand(tmp_path):
+def test_hand_drawn_stop_lines_are_read(tmp_path):
     world, path = World("EPSG:32635", (500000.0, 5900000.0)), tmp_path / "lines.geojson"
     lines = [Feature(LineString(line.ends), {"signal": "east"}) for line in LINES]
     write_features([*lines, Feature(LineString([[0, 0], [9, 9]]), {"name": "kerb"})], world, path)
@@ -89,8 +89,8 @@ def test_stop_lines_are_drawn_by_hand(tmp_path):
         np.testing.assert_allclose(line.ends, drawn.ends, atol=1e-6)
 
 
-def test_lines_in_parts_of_several_editors(tmp_path):
-    """Several lines of one signal, none of another one's, and a mark of byte order."""
+def test_multi_lines_and_a_byte_order_mark_are_read(tmp_path):
+    """Several lines of one signal, a line without a signal, and a byte order mark."""
     path, parts = tmp_path / "lines.geojson", [line.ends for line in LINES]
     named = Feature(MultiLineString(parts), {"signal": "a"})
     write_features([named, Feature(LineString(parts[0]), {"signal": None})], WORLD, path)
@@ -124,7 +124,7 @@ def test_bundled_lights_stop_traffic_at_the_maps_lines():
     states = find_light_states(lights, np.arange(0, 60, 0.1))
     crossing = (states[:, [0]] == GREEN) & (states[:, 2:] == GREEN)
     assert (states >= 0).all()
-    assert not crossing.any()  # east and west never with north and south
+    assert not crossing.any()  # east and west are never green with north and south
 
 
 @pytest.mark.parametrize(
@@ -134,12 +134,12 @@ def test_bundled_lights_stop_traffic_at_the_maps_lines():
         ("time,signal,state\n0,a,blue\n", r"1 rows have no time.*blue"),
         ("time,signal,state\nnoon,a,red\n", "1 rows have no time"),
         ("time,signal,state\n0,a,red\n0,a,green\n", "two states at one time.*red.*green"),
-        ("time,signal,state\n0,a,red,9\n", "is no table of lights"),
-        ("time,signal,state\n0,c,red\n", "none of the lights c has a stop line.*a, b"),
-        ("", "is no table of lights"),
+        ("time,signal,state\n0,a,red,9\n", "is not a table of traffic lights"),
+        ("time,signal,state\n0,c,red\n", "none of the signals c has a stop line.*a, b"),
+        ("", "is not a table of traffic lights"),
     ],
 )
-def test_what_is_no_table_of_lights_is_refused(tmp_path, content, message):
+def test_a_broken_table_is_refused_with_its_reason(tmp_path, content, message):
     with pytest.raises(TracksError, match=message):
         _read(tmp_path, content)
 

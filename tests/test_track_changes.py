@@ -38,7 +38,7 @@ def test_resampling_is_linear_between_states_and_exact_at_them():
     rate=st.floats(0.5, 60),
     heading=st.floats(-3.1, 3.1),
 )
-def test_resampled_straight_motion_is_the_motion(steps, start, rate, heading):
+def test_resampled_straight_motion_stays_straight(steps, start, rate, heading):
     offsets = np.concatenate([[0.0], np.cumsum(steps)])
     tracks = _straight(offsets, heading=heading)
     tracks = replace(tracks, times=offsets + start)
@@ -53,12 +53,12 @@ def test_resampled_heading_turns_the_shorter_way():
     tracks = _straight([0.0, 0.4])
     states = tracks.states.copy()
     states[0, :, 2] = 3.0, -3.0
-    found = resample_tracks(replace(tracks, states=states), 10).states[0, :, 2]
-    assert (found >= -np.pi).all()
-    assert (found < np.pi).all()
+    heading = resample_tracks(replace(tracks, states=states), 10).states[0, :, 2]
+    assert (heading >= -np.pi).all()
+    assert (heading < np.pi).all()
     turn = 2 * np.pi - 6
     np.testing.assert_allclose(
-        np.exp(1j * found), np.exp(1j * (3 + turn * np.arange(5) / 4)), atol=1e-12
+        np.exp(1j * heading), np.exp(1j * (3 + turn * np.arange(5) / 4)), atol=1e-12
     )
 
 
@@ -71,10 +71,10 @@ def test_resampling_fills_a_missing_row_and_keeps_an_absence():
     wanted[3] = True
     np.testing.assert_array_equal(again.present[0], wanted)
     assert np.isnan(again.states[~again.present]).all()
-    assert resample_tracks(tracks, 10, gap=0.7).present.all()
+    assert resample_tracks(tracks, 10, max_gap=0.7).present.all()
 
 
-def test_resampling_extrapolates_nobody():
+def test_resampling_does_not_extrapolate():
     present = [False, True, True, False]
     again = resample_tracks(_straight([0.0, 0.2, 0.4, 0.6], present), 10)
     np.testing.assert_array_equal(again.present[0], [0, 0, 1, 1, 1, 0, 0])
@@ -88,25 +88,25 @@ def test_resampling_downwards_and_back_up_keeps_ids_types_and_world():
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, np.nan, np.inf])
-def test_rate_that_is_none_is_refused(rate):
+def test_a_rate_that_is_not_positive_is_refused(rate):
     with pytest.raises(ValueError, match="positive number of Hz"):
         resample_tracks(_straight([0.0, 0.1]), rate)
 
 
-def test_resampling_that_cannot_be_meant_is_refused():
-    with pytest.raises(ValueError, match="are too many; lower the rate"):
-        resample_tracks(_straight(np.arange(10)), 1e9, gap=2)
-    with pytest.raises(ValueError, match="usual step of 1 s"):
+def test_too_many_states_and_too_small_a_gap_are_refused():
+    with pytest.raises(ValueError, match="lower the rate"):
+        resample_tracks(_straight(np.arange(10)), 1e9, max_gap=2)
+    with pytest.raises(ValueError, match="median time of 1 s"):
         resample_tracks(_straight(np.arange(10)), 10)
 
 
-def test_resampling_nobody_gives_nobody():
-    nobody = resample_tracks(_straight([0.0, 0.1], [False, False]), 20)
-    assert not nobody.present.any()
-    assert len(nobody.times) == 3
+def test_resampling_absent_agents_keeps_them_absent():
+    absent = resample_tracks(_straight([0.0, 0.1], [False, False]), 20)
+    assert not absent.present.any()
+    assert len(absent.times) == 3
 
 
-def test_tracks_go_to_another_world_and_back():
+def test_tracks_transform_to_another_world_and_back():
     here = World("EPSG:32635", (583000.0, 6062000.0))
     there = World("EPSG:3035", (5100000.0, 3400000.0))
     tracks = replace(_straight(np.arange(5) / 10, heading=0.4), world=here)
@@ -119,6 +119,6 @@ def test_tracks_go_to_another_world_and_back():
     np.testing.assert_allclose(nearer.states[..., 0], tracks.states[..., 0] - 100, atol=1e-6)
 
 
-def test_tracks_of_no_place_on_the_earth_stay_there():
+def test_tracks_without_a_place_on_the_earth_are_not_transformed():
     with pytest.raises(TracksError, match="give both a place on the Earth, or none"):
         to_world(_straight([0.0, 0.1]), World("EPSG:32635", (583000.0, 6062000.0)))

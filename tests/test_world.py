@@ -8,8 +8,8 @@ from geoaim.world import (
     World,
     choose_world,
     crs_from_world,
+    find_utm_crs,
     lonlat_from_world,
-    utm_crs,
     world_from_crs,
     world_from_lonlat,
 )
@@ -48,7 +48,7 @@ def test_the_origin_is_round_and_near(place):
      (180.0, 10.0, "EPSG:32601"), (-180.0, 10.0, "EPSG:32601")],
 )  # fmt: skip
 def test_utm_zone_of_known_places(longitude, latitude, crs):
-    assert utm_crs(longitude, latitude) == crs
+    assert find_utm_crs(longitude, latitude) == crs
 
 
 def test_places_on_both_sides_of_the_date_line_share_a_world():
@@ -64,12 +64,12 @@ def test_a_known_point_of_the_korean_grid():
 
 
 @pytest.mark.parametrize(
-    ("crs", "found"),
+    ("crs", "message"),
     [("EPSG:4326", "not projected"), ("EPSG:2992", "foot"), ("EPSG:3857", "times a metre"),
-     ("EPSG:2053", "axes towards"), ("nonsense", "names no coordinate")],
+     ("EPSG:2053", "axes towards"), ("nonsense", "not a known coordinate")],
 )  # fmt: skip
-def test_a_crs_that_is_no_metric_plane_is_refused(crs, found):
-    with pytest.raises(GeoreferenceError, match=found):
+def test_a_crs_that_is_not_a_metric_plane_is_refused(crs, message):
+    with pytest.raises(GeoreferenceError, match=message):
         World(crs, (3000000.0, 7000000.0) if crs == "EPSG:3857" else (0.0, 0.0))
 
 
@@ -83,8 +83,8 @@ def test_swapped_latitude_is_named():
         choose_world(np.array([[34.4, -119.9]]))
 
 
-def test_a_plane_of_its_own_has_no_longitude():
-    with pytest.raises(GeoreferenceError, match="plane of its own"):
+def test_a_world_without_a_crs_has_no_longitude():
+    with pytest.raises(GeoreferenceError, match="local plane"):
         lonlat_from_world(World(None), np.zeros((1, 2)))
 
 

@@ -34,7 +34,7 @@ from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.result import Alignment
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.synthetic.roads.layouts import PLAIN
+from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.track_formats import read_geotrax
 from geoaim.tracks import Tracks
 
@@ -172,7 +172,7 @@ def songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
 def made_tracks(pairs: list[Pair]) -> list[dict[str, Any]]:
     """A minute of made traffic on other days' pictures, by kind of place."""
     rows = []
-    for kind in PLAIN:
+    for kind in STANDARD_KINDS:
         mine = [pair for pair in pairs if pair.name.startswith(kind)]
         parts = [
             _by_tracks(kind, pair.picture, pair.tracks, None, 2)

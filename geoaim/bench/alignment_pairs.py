@@ -11,7 +11,7 @@ from geoaim.aim import AIM
 from geoaim.geometry import similarity_about, transform_points
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
-from geoaim.synthetic.roads.layouts import PLAIN
+from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks import Tracks
 
 RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
@@ -47,7 +47,7 @@ def misplaced(pair: Pair, generator: np.random.Generator) -> Pair:
 def made_pairs(seeds: int) -> Iterator[Pair]:
     """A place of each kind and seed, and what another sensor saw of it on another day."""
     for seed in range(1, seeds + 1):
-        for kind in PLAIN:
+        for kind in STANDARD_KINDS:
             place = make_place(seed, kind=kind)
             resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
             tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))

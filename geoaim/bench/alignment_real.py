@@ -79,7 +79,7 @@ def _by_brightness(pair: Pair) -> Float[Array, "2"]:
 
 def zooms(folder: Path) -> list[dict[str, Any]]:
     """Tiles of three zooms of one place laid on each other: by how much they are said to be off."""
-    from geoaim.imagery.sources import Tiles
+    from geoaim.imagery.tiles import Tiles
 
     tiles = folder / "tiles/kampala_xyz"
     whole = read_imagery(Tiles(tiles, zoom=19))

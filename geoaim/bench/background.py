@@ -36,7 +36,7 @@ from geoaim.mapping.background.estimate import (
     spread_order,
 )
 from geoaim.mapping.registration.register import register
-from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.detections import Detections, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, open_video
 from geoaim.synthetic import (
@@ -70,7 +70,7 @@ class Registered:
 
     video: Video | Held
     reference_from_frame: Float[Array, "T 3 3"]
-    boxes: Boxes | None = None
+    boxes: Detections | None = None
     most: int | None = None
 
     def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
@@ -90,7 +90,7 @@ def plain_mean(frames: Registered) -> Background:
 
 def masked_mean(frames: Registered) -> Background:
     """The mean of what lies outside of the boxes."""
-    return average_frames(frames, size=frames.size, boxes=frames.boxes)
+    return average_frames(frames, size=frames.size, detections=frames.boxes)
 
 
 def without_boxes(frames: Registered) -> Background:
@@ -169,7 +169,7 @@ def read_input(folder: Path) -> tuple[Registered, Any]:
     truth = np.load(folder / "truth.npz")
     boxes = truth["boxes"]
     video = open_video(folder / "frames.mp4", threads=cv2.getNumThreads())
-    by_frame = read_boxes([boxes[boxes[:, 0] == i, 1:] for i in range(len(truth["boxes"]))])
+    by_frame = read_detections([boxes[boxes[:, 0] == i, 1:] for i in range(len(truth["boxes"]))])
     return Registered(video, truth["reference_from_frame"], by_frame), truth
 
 
@@ -257,11 +257,11 @@ def real_table() -> list[dict[str, Any]]:
         frames = Registered(
             open_video(sorted((data / place).glob("*.jpg"))),
             registration.reference_from_frame,
-            read_boxes(data / place),
+            read_detections(data / place),
         )
         rows.append(_compare(place, frames, valid))
     for path in sorted((data / "static").glob("*.mp4")):
-        frames_read = [frame.image for frame in open_video(path).sampled(64)]
+        frames_read = [frame.image for frame in open_video(path).sample(64)]
         still = np.broadcast_to(np.eye(3), (len(frames_read), 3, 3))
         frames = Registered(open_video(frames_read), still)
         rows.append(_compare(path.name, frames, np.ones(len(frames_read), bool)))
@@ -282,7 +282,7 @@ def _compare(name: str, frames: Registered, valid: Bool[Array, "T"]) -> dict[str
         "ghosts of boxes %": float("nan"),
     }
     if frames.boxes is not None:
-        boxed = average_frames(keep, size=frames.size, boxes=frames.boxes)
+        boxed = average_frames(keep, size=frames.size, detections=frames.boxes)
         row["ghosts of boxes %"] = _ghosts(boxed, found)
     return row
 

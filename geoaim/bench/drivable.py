@@ -22,8 +22,9 @@ from geoaim.bench.report import format_table, write_rows
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.simulation.layers import KINDS
+from geoaim.track_files import read_tracks
 from geoaim.track_formats import read_interaction
-from geoaim.tracks import Tracks, read_tracks
+from geoaim.tracks import Tracks
 from geoaim.world import LONLAT, World, transform_crs
 
 JUNCTIONS = ("k729_2022-03-16", "k733_2018-05-02")

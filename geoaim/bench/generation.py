@@ -1,9 +1,9 @@
-"""How long a made place takes: its traffic, its picture, its video; each against a floor.
+"""Cost of a synthetic place: its traffic, image and video, each beside a lower bound.
 
     python -m geoaim.bench.generation --json docs/bench/generation.json
 
-Floors: for traffic, one addition of 40 numbers by numpy, of which a step makes some hundreds; for a
-picture, one Fourier transform of its size; for frames, one bilinear warp of the ground by OpenCV.
+Lower bounds: for traffic, one NumPy addition of 40 numbers (a step makes some hundreds); for an
+image, one Fourier transform of its size; for frames, one bilinear warp of the ground by OpenCV.
 """
 
 import time
@@ -30,62 +30,71 @@ from geoaim.synthetic.traffic.simulate import EARLY, INTERVAL, prepare_traffic, 
 RATES = {"usual": {}, "busy": {"lane_rate": 0.13, "walk_rate": 0.26}}
 
 
-def traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
-    """A junction's traffic: seconds, times real time, and numpy additions that a step costs."""
+def time_traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
+    """Time the traffic of a junction.
+
+    Args:
+        minutes: duration of the traffic.
+        name: its density, a key of `RATES`.
+        repeats: number of timed runs; the median counts.
+
+    Returns:
+        A row of the table.
+    """
     flow = prepare_traffic(make_place(1).roads, np.random.default_rng(0))
     some = np.ones(40)
     floor = time_medians([lambda: [np.add(some, some) for _ in range(10_000)]], 5)[0] / 10_000
     rates: dict[str, float] = dict(RATES[name])
-    seconds, agents = [], []
+    durations, agents = [], []
     for seed in range(repeats + 1):
         generator = np.random.default_rng(seed)
         start = time.perf_counter()
-        made = record(flow, seconds=60 * minutes, generator=generator, **rates)
-        seconds.append(time.perf_counter() - start)
-        agents.append((len(made.vehicles) + len(made.people)) / len(made.times))
-    middle = float(np.median(seconds[1:]))
+        recording = record(flow, seconds=60 * minutes, generator=generator, **rates)
+        durations.append(time.perf_counter() - start)
+        agents.append((len(recording.vehicles) + len(recording.people)) / len(recording.times))
+    middle = float(np.median(durations[1:]))
     steps = (60 * minutes + EARLY) / INTERVAL
     return {
         "what": f"traffic, {minutes:g} min, {name}",
         "seconds": middle,
-        "floor": "np.add of 40",
-        "times the floor": middle / steps / floor,
+        "lower bound": "np.add of 40",
+        "times the bound": middle / steps / floor,
         "more": f"{np.mean(agents[1:]):.0f} agents, {60 * minutes / middle:.0f} x real time",
     }
 
 
-def preparation(repeats: int) -> dict[str, Any]:
-    """The plan and its tables."""
+def time_preparation(repeats: int) -> dict[str, Any]:
+    """Time the road layout and the tables that its traffic needs."""
     generator = np.random.default_rng(0)
     plan = time_medians([lambda: make_place(1)], repeats)[0]
     roads = make_place(1).roads
     tables = time_medians([lambda: prepare_traffic(roads, generator)], repeats)[0]
     return {
-        "what": "plan and tables of a junction",
+        "what": "layout and tables of a junction",
         "seconds": plan + tables,
-        "floor": "-",
-        "times the floor": float("nan"),
-        "more": f"plan {plan:.2f} s, tables {tables:.2f} s",
+        "lower bound": "-",
+        "times the bound": float("nan"),
+        "more": f"layout {plan:.2f} s, tables {tables:.2f} s",
     }
 
 
-def drawing(resolution: float, repeats: int) -> dict[str, Any]:
-    """The picture of a junction."""
+def time_drawing(resolution: float, repeats: int) -> dict[str, Any]:
+    """Time the image of a junction."""
     place = make_place(1)
     size = draw_place(place, resolution=resolution).shape[:2]
     noise = np.random.default_rng(0).standard_normal(size)
     seconds = time_medians([lambda: draw_place(place, resolution=resolution)], repeats)[0]
     return {
-        "what": f"picture, {resolution:g} m/px",
+        "what": f"image, {resolution:g} m/px",
         "seconds": seconds,
-        "floor": "Fourier transform",
-        "times the floor": seconds / time_medians([lambda: np.fft.rfft2(noise)], 5)[0],
+        "lower bound": "Fourier transform",
+        "times the bound": seconds / time_medians([lambda: np.fft.rfft2(noise)], 5)[0],
         "more": f"{size[1]} x {size[0]} px, {np.prod(size) / 1e6 / seconds:.2f} Mpx/s",
     }
 
 
-def filming(size: str, count: int) -> dict[str, Any]:
-    """Frames of a junction's video, and their encoding."""
+def time_video(size: str, count: int) -> dict[str, Any]:
+    """Time the rendering and the encoding of a junction's video."""
     clip = make_sample(1, video=VIDEOS[size]).clip
     assert clip is not None
     frames, times, floors = [], [], []
@@ -106,25 +115,25 @@ def filming(size: str, count: int) -> dict[str, Any]:
     return {
         "what": f"{count} frames of {size}",
         "seconds": float(np.sum(times)) + coded,
-        "floor": "warpPerspective, linear",
-        "times the floor": float(np.median(times) / np.median(floors)),
+        "lower bound": "warpPerspective, linear",
+        "times the bound": float(np.median(times) / np.median(floors)),
         "more": f"rendering {np.sum(times):.1f} s, H.264 {coded:.1f} s",
     }
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
-    repeats: Annotated[int, typer.Option(help="of each measurement; the median counts")] = 5,
-    frames: Annotated[int, typer.Option(help="of each video")] = 100,
-    threads: Annotated[int, typer.Option(help="of OpenCV")] = 2,
+    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
+    repeats: Annotated[int, typer.Option(help="runs of each measurement; the median counts")] = 5,
+    frames: Annotated[int, typer.Option(help="frames of each video")] = 100,
+    threads: Annotated[int, typer.Option(help="OpenCV's threads")] = 2,
 ) -> None:
-    """Measure all parts; print a table, and write JSON when asked."""
+    """Measure all parts; print a table; write JSON if asked."""
     cv2.setNumThreads(threads)
-    rows = [preparation(repeats)]
-    rows += [traffic(1.0, name, repeats) for name in RATES]
-    rows += [traffic(5.0, "usual", 2)]
-    rows += [drawing(metres, min(repeats, 3)) for metres in (0.2, 0.1, 0.05)]
-    rows += [filming(size, frames) for size in ("720p", "1080p")]
+    rows = [time_preparation(repeats)]
+    rows += [time_traffic(1.0, name, repeats) for name in RATES]
+    rows += [time_traffic(5.0, "usual", 2)]
+    rows += [time_drawing(metres, min(repeats, 3)) for metres in (0.2, 0.1, 0.05)]
+    rows += [time_video(size, frames) for size in ("720p", "1080p")]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.generation", repeats=repeats)
 

@@ -27,8 +27,8 @@ from geoaim.geometry import transform_points
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.synthetic import draw_place, make_place, world_from_image
-from geoaim.synthetic.roads.lanelet import lanelet_map
-from geoaim.synthetic.roads.layouts import PLAIN, Kind
+from geoaim.synthetic.roads.lanelet import make_lanelet_map
+from geoaim.synthetic.roads.layouts import STANDARD_KINDS, PlaceKind
 
 FEWEST = 20  # places for a figure
 REACH = 0.5  # m to each side
@@ -88,14 +88,14 @@ def row(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
     }
 
 
-def drawn(kind: Kind) -> tuple[AIM, HDMap]:
+def drawn(kind: PlaceKind) -> tuple[AIM, HDMap]:
     """A place's picture, which lies where the place does, and its HD map by way of a file."""
     place = make_place(1, kind=kind)
     image = draw_place(place, resolution=RESOLUTION)
     aim = AIM.from_image(image, world_from_image(place, RESOLUTION), place.world, "drawn")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "map.osm"
-        path.write_bytes(lanelet_map(place.roads, place.world_from_plan, place.world))
+        path.write_bytes(make_lanelet_map(place.roads, place.world_from_plan, place.world))
         return aim, read_hdmap(path, place.world)
 
 
@@ -105,7 +105,7 @@ def main(
     """Look for the HD maps' lines on the sample's AIM and on drawn places of each kind."""
     built = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
     rows = [row("sample, built of its video", built, read_hdmap("samples/map.osm", built.world))]
-    rows += [row(f"{kind}, drawn", *drawn(kind)) for kind in PLAIN]
+    rows += [row(f"{kind}, drawn", *drawn(kind)) for kind in STANDARD_KINDS]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.overlay")
 

@@ -1,8 +1,8 @@
-"""The whole way, H.264 file to AIM, against decoding alone; and what length costs.
+"""Throughput of the mapping pipeline against decoding alone, and its cost by video length.
 
     python -m geoaim.bench.pipeline --json docs/bench/pipeline.json
 
-The long files repeat one made clip's packets, so that ten minutes of 4K take seconds to make.
+Long files repeat the packets of one rendered clip, so that ten minutes of 4K take seconds to make.
 """
 
 import subprocess
@@ -23,7 +23,7 @@ from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.pipeline import build_aim
-from geoaim.mapping.registration.register import choose_reference, place_frames
+from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
@@ -32,37 +32,37 @@ GROUND = np.array([[0.04, 0, 0], [0, -0.04, 0], [0, 0, 1.0]])
 
 
 def decode(path: Path) -> int:
-    """Decode all frames and do nothing with them."""
+    """Decode all frames and return their number."""
     return sum(1 for _ in open_video(path, threads=THREADS))
 
 
-def mean_of_all(path: Path) -> int:
-    """Register every frame and average every one, all rows of it."""
+def average_all(path: Path) -> int:
+    """Register and average all frames."""
     return _mean(path, bands=1)
 
 
-def mean_of_bands(path: Path) -> int:
-    """Register every frame; each adds one of 12 stripes: a pixel averages every twelfth frame."""
+def average_bands(path: Path) -> int:
+    """Register all frames and average one of 12 bands of each: every twelfth frame for a pixel."""
     return _mean(path, bands=12)
 
 
 def register_all(path: Path) -> int:
-    """Register every frame, and no more."""
+    """Register all frames."""
     video = open_video(path, threads=THREADS)
-    return sum(1 for _ in place_frames(video, choose_reference(video)))
+    return sum(1 for _ in register_frames(video, choose_reference(video)))
 
 
 def _mean(path: Path, *, bands: int) -> int:
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
-    placements = place_frames(video, reference)
+    placements = register_frames(video, reference)
     frames = ((frame, placement.matrix) for frame, placement in placements if placement.valid)
     size = reference.height, reference.width
     return average_frames(frames, size=size, bands=bands).frames_used
 
 
-def opencv_script(path: Path) -> int:
-    """What a script does: VideoCapture, ORB 2000, MAGSAC++, warp, accumulate, every frame."""
+def run_opencv_script(path: Path) -> int:
+    """Average all frames as scripts do: VideoCapture, ORB, MAGSAC++, warp, accumulate."""
     capture = cv2.VideoCapture(str(path))
     orb, matcher = cv2.ORB.create(2000), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
     first: Any = None
@@ -83,28 +83,28 @@ def opencv_script(path: Path) -> int:
         count += 1
 
 
-def throughput(path: Path, runs: int) -> list[dict[str, Any]]:
-    """Frames a second of each way, in turn, its setup included; medians, share of decode-only."""
-    ways: list[Callable[[Path], int]] = [
+def measure_throughput(path: Path, runs: int) -> list[dict[str, Any]]:
+    """Measure the frames per second of each method in turn, set-up included; medians."""
+    methods: list[Callable[[Path], int]] = [
         decode,
         register_all,
-        mean_of_bands,
-        mean_of_all,
-        opencv_script,
+        average_bands,
+        average_all,
+        run_opencv_script,
     ]
-    rates: dict[str, list[float]] = {way.__name__: [] for way in ways}
-    decode(path)  # warms the file's pages
+    rates: dict[str, list[float]] = {method.__name__: [] for method in methods}
+    decode(path)  # fills the page cache
     for run in range(runs):
-        for way in ways:
-            if way is opencv_script and run > 0:  # slow
+        for method in methods:
+            if method is run_opencv_script and run > 0:  # slow
                 continue
             start = time.perf_counter()
-            count = way(path)
-            rates[way.__name__].append(count / (time.perf_counter() - start))
+            count = method(path)
+            rates[method.__name__].append(count / (time.perf_counter() - start))
     limit = float(np.median(rates["decode"]))
     return [
         {
-            "way": name,
+            "method": name,
             "frames_per_s": float(np.median(measured)),
             "share_of_decode_only": float(np.median(measured)) / limit,
         }
@@ -112,22 +112,40 @@ def throughput(path: Path, runs: int) -> list[dict[str, Any]]:
     ]
 
 
-def length(clip: Path, folder: Path, minutes: list[int]) -> list[dict[str, Any]]:
-    """Seconds and peak memory of build_aim and of decoding, each in a process of its own."""
+def measure_lengths(clip: Path, folder: Path, minutes: list[int]) -> list[dict[str, Any]]:
+    """Measure seconds and peak memory of build_aim and of decoding, each in its own process.
+
+    Args:
+        clip: video whose packets are repeated.
+        folder: where the long videos are written.
+        minutes: durations of the videos.
+
+    Returns:
+        Rows of the table.
+    """
     rows = []
-    for duration in minutes:
-        path = repeat_packets(clip, folder / f"{duration}min.mp4", 60.0 * duration)
-        for way in ("build_aim", "decode"):
-            seconds, peak = _in_process(way, path)
-            row = {"minutes": duration, "way": way, "seconds": seconds, "peak_rss_mb": peak}
+    for minute in minutes:
+        path = repeat_packets(clip, folder / f"{minute}min.mp4", 60.0 * minute)
+        for method in ("build_aim", "decode"):
+            seconds, peak = _measure_in_process(method, path)
+            row = {"minutes": minute, "method": method, "seconds": seconds, "peak_rss_mb": peak}
             rows.append(row)
             print(format_table(rows[-1:]).splitlines()[-1], flush=True)
         path.unlink()
     return rows
 
 
-def repeat_packets(clip: Path, path: Path, seconds: float) -> Path:
-    """Copy the packets of a clip again and again, without decoding them."""
+def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
+    """Repeat the packets of a clip without decoding them.
+
+    Args:
+        clip: video to repeat.
+        path: video to write.
+        duration: of the video to write, seconds.
+
+    Returns:
+        `path`.
+    """
     with av.open(str(path), "w") as out:
         copied: Any = None
         offset = 0
@@ -136,7 +154,7 @@ def repeat_packets(clip: Path, path: Path, seconds: float) -> Path:
                 stream = container.streams.video[0]
                 copied = copied or out.add_stream_from_template(stream)
                 span = int(stream.duration or 0)
-                if stream.time_base is None or offset * stream.time_base >= seconds:
+                if stream.time_base is None or offset * stream.time_base >= duration:
                     return path
                 for packet in container.demux(stream):
                     if packet.dts is not None and packet.pts is not None:
@@ -147,18 +165,18 @@ def repeat_packets(clip: Path, path: Path, seconds: float) -> Path:
                 offset += span
 
 
-def _in_process(way: str, path: Path) -> tuple[float, float]:
-    command = [sys.executable, "-m", "geoaim.bench.pipeline", "--one", way, "--clip", str(path)]
+def _measure_in_process(method: str, path: Path) -> tuple[float, float]:
+    command = [sys.executable, "-m", "geoaim.bench.pipeline", "--one", method, "--clip", str(path)]
     seconds, peak = subprocess.run(
         command, check=True, capture_output=True, text=True
     ).stdout.split()[-2:]
     return float(seconds), float(peak)
 
 
-def _run_one(way: str, path: Path) -> None:
-    """One measurement, printed as seconds and peak megabytes."""
+def _run_one(method: str, path: Path) -> None:
+    """Run one method, and print its seconds and peak MiB."""
     start = time.perf_counter()
-    if way == "decode":
+    if method == "decode":
         decode(path)
     else:
         video = open_video(path, threads=THREADS)
@@ -166,23 +184,25 @@ def _run_one(way: str, path: Path) -> None:
         pixels *= [video.width, video.height]
         places = transform_points(GROUND, pixels)
         keys = ("u", "v", "x", "y", "crs")
-        both = zip(pixels, places, strict=True)
-        build_aim(video, [dict(zip(keys, (*p, *q, "local"), strict=True)) for p, q in both])
+        pairs = zip(pixels, places, strict=True)
+        build_aim(video, [dict(zip(keys, (*p, *q, "local"), strict=True)) for p, q in pairs])
     print(time.perf_counter() - start, measure_peak_megabytes())
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
-    size: Annotated[str, typer.Option(help="of the made clip")] = "4k",
-    frames: Annotated[int, typer.Option(help="of the made clip, 30 a second")] = 150,
-    megabits: Annotated[float, typer.Option(help="a second; drones record 4K at 60 to 100")] = 60.0,
-    seconds: Annotated[float, typer.Option(help="of the video for throughput")] = 20.0,
-    runs: Annotated[int, typer.Option(help="counted, in turn")] = 2,
-    minutes: Annotated[str, typer.Option(help="lengths to compare, or nothing")] = "1,10",
+    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
+    size: Annotated[str, typer.Option(help="frame size of the rendered clip")] = "4k",
+    frames: Annotated[int, typer.Option(help="frames of the rendered clip, at 30 frames/s")] = 150,
+    megabits: Annotated[
+        float, typer.Option(help="Mbit/s of the clip; drones record 4K at 60 to 100")
+    ] = 60.0,
+    duration: Annotated[float, typer.Option(help="seconds of the video for throughput")] = 20.0,
+    runs: Annotated[int, typer.Option(help="timed runs of each method")] = 2,
+    minutes: Annotated[str, typer.Option(help="durations to compare, comma-separated")] = "1,10",
     one: Annotated[str, typer.Option(hidden=True)] = "",
     clip: Annotated[Path | None, typer.Option(help="use this file instead of making one")] = None,
 ) -> None:
-    """Measure throughput and length; print tables, and write JSON when asked."""
+    """Measure throughput and the cost of length; print tables; write JSON if asked."""
     cv2.setNumThreads(THREADS)
     if one and clip:
         _run_one(one, clip)
@@ -194,9 +214,9 @@ def main(
             folder / "clip.mp4",
             megabits=megabits,
         )
-        rates = throughput(repeat_packets(video, folder / "short.mp4", seconds), runs)
+        rates = measure_throughput(repeat_packets(video, folder / "short.mp4", duration), runs)
         print(format_table(rates))
-        lasting = length(video, folder, [int(m) for m in minutes.split(",") if m])
+        lengths = measure_lengths(video, folder, [int(m) for m in minutes.split(",") if m])
         command = "python -m geoaim.bench.pipeline"
         write_rows(
             rates,
@@ -205,8 +225,8 @@ def main(
             threads=THREADS,
             size=size,
             megabits=megabits,
-            seconds=seconds,
-            length=lasting,
+            duration=duration,
+            lengths=lengths,
         )
 
 

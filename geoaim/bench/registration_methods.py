@@ -13,9 +13,9 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import from_opencv
-from geoaim.mapping.registration.keyframes import Placement
+from geoaim.mapping.registration.keyframes import FrameRegistration
 from geoaim.mapping.registration.patches import reduce
-from geoaim.mapping.registration.register import choose_reference, place_frames
+from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
 
 Matrices = Float[Array, "T 3 3"]
@@ -27,7 +27,7 @@ Method = Callable[[Any, list[Array]], tuple[Matrices, list[float]]]
 def register_with_geoaim(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
     """Register with this library: no boxes, motion model chosen from the data."""
     reference = choose_reference(open_video(frames), time=0.0)
-    placed: Iterator[tuple[Any, Placement]] = place_frames(open_video(frames), reference)
+    placed: Iterator[tuple[Any, FrameRegistration]] = register_frames(open_video(frames), reference)
     matrices: list[Array] = []
     seconds: list[float] = []
     while True:

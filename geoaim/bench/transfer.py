@@ -30,7 +30,14 @@ from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import HoverVideo, make_lane_traffic
-from geoaim.bench.realism import SMOOTH, STEP, VEHICLES, real_people, real_vehicles, resample
+from geoaim.bench.realism_motion import (
+    DT,
+    SMOOTH,
+    VEHICLES,
+    read_real_pedestrians,
+    read_real_vehicles,
+    resample_positions,
+)
 from geoaim.bench.registration import measure
 from geoaim.bench.registration_methods import (
     Method,
@@ -43,7 +50,7 @@ from geoaim.bench.report import format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
 from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
-from geoaim.synthetic.roads.layouts import PLAIN, Kind
+from geoaim.synthetic.roads.layouts import STANDARD_KINDS, PlaceKind
 from geoaim.tracks import Tracks
 
 EQUAL = 0.1  # relative difference below which two figures are not told apart
@@ -112,7 +119,7 @@ def registration(frames: int) -> Figures:
         "ECC quarter": register_with_ecc,
     }
     videos = {f"still {still}": _over_still(still, frames) for still in STILLS}
-    for kind in PLAIN:
+    for kind in STANDARD_KINDS:
         made = make_sample(1, kind=kind, video=(1080, 1920), hover=Hover(count=frames))
         assert made.clip is not None
         videos[f"made {kind}"] = HoverVideo(made.clip, "plain", np.ones(frames, bool))
@@ -137,11 +144,11 @@ def _over_still(still: str, frames: int) -> HoverVideo:
 
 def prediction(folder: Path, minutes: float) -> Iterator[tuple[str, Figures]]:
     """Mean displacement of each rule after 3 s: vehicles, then people on foot."""
-    samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in PLAIN]
+    samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in STANDARD_KINDS]
     made = {f"made {s.place.roads.layout.kind}": [tracks_of(s)] for s in samples}
     for task, real, types in (
-        ("vehicles, m", real_vehicles(folder), VEHICLES),
-        ("pedestrians, m", real_people(folder), ("pedestrian",)),
+        ("vehicles, m", read_real_vehicles(folder), VEHICLES),
+        ("pedestrians, m", read_real_pedestrians(folder), ("pedestrian",)),
     ):
         noisy = {"noisy": [_noisy(tracks) for several in made.values() for tracks in several]}
         sources = made | noisy | real if types == VEHICLES else made | real
@@ -159,11 +166,11 @@ def predicted(recordings: list[Tracks], types: tuple[str, ...]) -> dict[str, flo
     """Mean displacement of each rule after 3 s, of agents that move when last seen."""
     windows = np.concatenate([_windows(tracks, types) for tracks in recordings])
     seen, truth = windows[:, :SEEN], windows[:, -1]
-    seconds = STEP * AHEAD
-    last, before = (seen[:, -1] - seen[:, -4]) / (3 * STEP), (seen[:, 3] - seen[:, 0]) / (3 * STEP)
+    seconds = DT * AHEAD
+    last, before = (seen[:, -1] - seen[:, -4]) / (3 * DT), (seen[:, 3] - seen[:, 0]) / (3 * DT)
     moves = np.hypot(*last.T) > 0.5
-    mean = (seen[:, -1] - seen[:, 0]) / (STEP * (SEEN - 1))
-    since = STEP * (SEEN - 4)  # s between the two velocities
+    mean = (seen[:, -1] - seen[:, 0]) / (DT * (SEEN - 1))
+    since = DT * (SEEN - 4)  # s between the two velocities
     pull = (last - before) / since
     turn = np.arctan2(
         before[:, 0] * last[:, 1] - before[:, 1] * last[:, 0], (before * last).sum(axis=1)
@@ -183,7 +190,7 @@ def predicted(recordings: list[Tracks], types: tuple[str, ...]) -> dict[str, flo
 
 def _windows(tracks: Tracks, types: tuple[str, ...]) -> Float[Array, "n S 2"]:
     """Each second, whoever is there from the first step seen to the one that is predicted."""
-    places = resample(tracks, np.array([kind in types for kind in tracks.types]))
+    places = resample_positions(tracks, np.array([kind in types for kind in tracks.types]))
     length, rows = SEEN + AHEAD, []
     for start in range(SMOOTH // 2, places.shape[1] - length - SMOOTH // 2 + 1, 10):
         window = places[:, start : start + length]
@@ -208,7 +215,7 @@ def alignment(folder: Path) -> Figures:
         "orientation": _orientation,
     }
     found: Figures = {}
-    made = {f"made {kind}": _made_pairs(kind) for kind in PLAIN}
+    made = {f"made {kind}": _made_pairs(kind) for kind in STANDARD_KINDS}
     for source, pairs in (made | {"rotterdam": _real_pairs(folder)}).items():
         wrong: list[Array] = []
         for one, two in pairs:
@@ -221,7 +228,7 @@ def alignment(folder: Path) -> Figures:
     return found
 
 
-def _made_pairs(kind: Kind) -> Iterator[tuple[Array, Array]]:
+def _made_pairs(kind: PlaceKind) -> Iterator[tuple[Array, Array]]:
     """A drawn place, and an orthophoto of it by another sensor on another day."""
     for seed in range(1, PLACES + 1):
         sample = make_sample(seed, kind=kind, minutes=0.2, video=None)

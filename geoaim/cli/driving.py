@@ -99,7 +99,7 @@ def simulate(
     from geoaim.hdmap.drivable import read_area
     from geoaim.simulation.episodes import rules_of, simulate_scene
     from geoaim.simulation.scene import agent_number, tracks_of
-    from geoaim.tracks import write_tracks
+    from geoaim.track_files import write_tracks
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"), [aim, tracks, lights])
@@ -133,7 +133,7 @@ def read_scene(
 
     At a rate in Hz, if one is given.
     """
-    from geoaim.aim import read_aim
+    from geoaim.aim_files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.lights import read_lights, read_stop_lines
     from geoaim.simulation.scene import make_scene

@@ -31,14 +31,16 @@ Points = Annotated[
     typer.Option(help="control points: CSV, OpenDroneMap gcp_list.txt, QGIS .points"),
 ]
 GEOTIFF = (".tif", ".tiff")
-BoxFolder = Annotated[Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")]
+DetectionsFolder = Annotated[
+    Path | None, typer.Option(help="folder of YOLO .txt files, one a frame")
+]
 
 
 def build(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help="GeoTIFF to write")],
     gcps: Points = None,
-    boxes: BoxFolder = None,
+    detections: DetectionsFolder = None,
     frames: Annotated[str, typer.Option(help="auto, all, or how many")] = "auto",
     crs: Annotated[str | None, typer.Option(help="of the map, e.g. EPSG:32635")] = None,
     resolution: Annotated[
@@ -55,11 +57,12 @@ def build(
     Control points are picked on the first frame unless their file says on which. Without them the
     telemetry beside the video gives an approximate place, or --frame-resolution a local one.
     """
-    from geoaim.aim import rectify, write_aim
+    from geoaim.aim_files import write_aim
     from geoaim.mapping.georeference.from_telemetry import make_local_georeference
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook
+    from geoaim.rectify import rectify
 
     with stages() as progress, plain_errors():
         if frame_resolution is not None and gcps is not None:
@@ -73,7 +76,7 @@ def build(
         aim = build_aim(
             opened,
             place,
-            boxes=boxes,
+            detections=detections,
             frames=_count(frames),
             crs=crs,
             progress=progress,
@@ -112,11 +115,12 @@ def align(
     The first of these that is given places it, the others check. A quick look beside the map shows
     it before and after. Without any of them the imagery stays where it says to lie.
     """
-    from geoaim.aim import read_aim, rectify, write_aim
+    from geoaim.aim_files import read_aim, write_aim
+    from geoaim.alignment_picture import draw_alignment
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
-    from geoaim.quicklook import draw_alignment
+    from geoaim.rectify import rectify
     from geoaim.track_changes import to_world
 
     with plain_errors():
@@ -146,7 +150,7 @@ def align(
 def register(
     video: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help=".csv or .parquet to write")],
-    boxes: BoxFolder = None,
+    detections: DetectionsFolder = None,
     reference: Annotated[
         float | None, typer.Option(help="seconds of the reference; chosen by the data if left out")
     ] = None,
@@ -161,7 +165,9 @@ def register(
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"))
-        result = register_frames(video, boxes=boxes, reference_time=reference, progress=progress)
+        result = register_frames(
+            video, detections=detections, reference_time=reference, progress=progress
+        )
         write_registration(result, output)
     table = Table(title=Text(str(output)), show_header=False)
     table.add_row("motion model", result.reference.model)
@@ -178,7 +184,7 @@ def texture(
     resolution: Annotated[float | None, typer.Option(help="metres a pixel")] = None,
 ) -> None:
     """Export an AIM as a texture and its corner frame, for a renderer."""
-    from geoaim.aim import read_aim
+    from geoaim.aim_files import read_aim
     from geoaim.mapping.texture import export_texture
 
     with plain_errors():
@@ -196,7 +202,7 @@ def draw(
 
     A map of metres about (0, 0), as INTERACTION's and SinD's, needs no --aim.
     """
-    from geoaim.aim import read_aim, write_aim
+    from geoaim.aim_files import read_aim, write_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap
 
@@ -211,7 +217,7 @@ def draw(
 
 def info(aim: AimFile) -> None:
     """Say what an AIM is, where it lies and how far to trust it."""
-    from geoaim.aim import read_aim
+    from geoaim.aim_files import read_aim
 
     with plain_errors():
         found = read_aim(aim)
@@ -250,9 +256,9 @@ def _count(text: str) -> int | Literal["auto", "all"]:
 
 
 def _show(aim: "AIM", title: str) -> None:
-    from geoaim.quicklook import summary
+    from geoaim.aim_summary import summarize_aim
 
     table = Table(title=Text(title), show_header=False)
-    for name, value in summary(aim).items():
+    for name, value in summarize_aim(aim).items():
         table.add_row(name, value)
     console.print(table)

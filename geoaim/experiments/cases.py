@@ -15,14 +15,14 @@ from geoaim.prediction.itra import ITRA, Config
 from geoaim.prediction.lessons import HELD_OUT
 from geoaim.prediction.metrics import Measure, merged, pooled
 from geoaim.progress import Progress
-from geoaim.synthetic.roads.layouts import KINDS, PLAIN, Kind
+from geoaim.synthetic.roads.layouts import PLACE_KINDS, STANDARD_KINDS, PlaceKind
 
 Judge = Callable[..., list[dict[str, Measure]]]
-WHERE: Mapping[str, Sequence[Kind]] = {
-    "new": KINDS,
-    "learnt": KINDS,
+WHERE: Mapping[str, Sequence[PlaceKind]] = {
+    "new": PLACE_KINDS,
+    "learnt": PLACE_KINDS,
     "lights": ("junction",),
-    "plain": PLAIN,
+    "plain": STANDARD_KINDS,
     "parks": ("park",),
     "campus": ("campus",),
 }

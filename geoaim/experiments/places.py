@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, read_aim, write_aim
+from geoaim.aim import AIM
+from geoaim.aim_files import read_aim, write_aim
 from geoaim.hdmap.drivable import drivable_area
 from geoaim.hdmap.lanelet2 import Area, HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
@@ -20,11 +21,12 @@ from geoaim.progress import Progress, no_progress
 from geoaim.simulation.episodes import Rules, rules_of
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
-from geoaim.synthetic.roads.layouts import Kind
+from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.track_changes import resample_tracks
-from geoaim.tracks import Tracks, read_tracks
+from geoaim.track_files import read_tracks
+from geoaim.tracks import Tracks
 
-Places = Sequence[tuple[int, Kind]]
+Places = Sequence[tuple[int, PlaceKind]]
 ROADS: Places = (
     (201, "junction"),
     (202, "junction"),

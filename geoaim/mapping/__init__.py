@@ -7,7 +7,7 @@ from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import register, write_registration
 from geoaim.mapping.texture import export_texture
-from geoaim.mapping.video.detections import read_boxes
+from geoaim.mapping.video.detections import read_detections
 from geoaim.mapping.video.video import open_video
 
 __all__ = [
@@ -16,8 +16,8 @@ __all__ = [
     "estimate_georeference",
     "export_texture",
     "open_video",
-    "read_boxes",
     "read_control_points",
+    "read_detections",
     "register",
     "remove_traffic",
     "transform_boxes",

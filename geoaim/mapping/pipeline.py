@@ -41,12 +41,12 @@ from geoaim.mapping.registration.register import (
     Registration,
     choose_reference,
     collect,
-    place_frames,
+    register_frames,
     tally,
 )
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
-from geoaim.mapping.video.detections import Boxes, read_boxes
+from geoaim.mapping.video.detections import Detections, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 from geoaim.progress import Progress, no_progress
@@ -58,7 +58,7 @@ def build_aim(
     video: Any,
     gcps: Any = None,
     *,
-    boxes: str | Path | Boxes | None = None,
+    detections: str | Path | Detections | None = None,
     frames: FrameCount = "auto",
     crs: str | None = None,
     progress: Progress = no_progress,
@@ -70,10 +70,10 @@ def build_aim(
         gcps: what `read_control_points` takes, at least four points, better six or more; picked
             on the first frame unless they say on which. A Georeference of the first frame serves
             too. None takes an approximate place from the telemetry beside the video.
-        boxes: vehicles to leave out: a folder of YOLO text files, or a function of a frame.
+        detections: vehicles to leave out: a folder of YOLO text files, or a function of a frame.
         frames: how many to use. "auto" samples the video, up to 64 frames, and stops when the
             background has converged; "all" is the mean of every frame, traffic and all where no
-            boxes are given (a long video's frames add a stripe each, 50 or more to a pixel).
+            detections are given (a long video's frames add a stripe each, 50 or more to a pixel).
         crs: of the world, projected and in metres, when control points place the map; None keeps
             the points' own, or their UTM zone.
         progress: called with stage, done and total.
@@ -88,10 +88,10 @@ def build_aim(
         raise ValueError(f"crs is {crs}, but there are no control points to bring into it")
     video = open_video(video)
     sampling = sample_video(video, frames)
-    vehicles = read_boxes(boxes) if isinstance(boxes, str | Path) else boxes
+    vehicles = read_detections(detections) if isinstance(detections, str | Path) else detections
     points = None if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
     first = choose_reference_time(gcps if points is None else points)
-    reference = choose_reference(video, boxes=vehicles, time=first)
+    reference = choose_reference(video, detections=vehicles, time=first)
     if points is not None:
         points = transform_points_to_reference(points, video, reference, vehicles)
     place = gcps
@@ -121,13 +121,15 @@ def build_aim(
 
 
 def _register_and_average(
-    sampling: Sampling, reference: Reference, boxes: Boxes | None, progress: Progress
+    sampling: Sampling, reference: Reference, detections: Detections | None, progress: Progress
 ) -> tuple[Registration, Background]:
-    """The mean outside the boxes, the plain mean, or in a second reading the mean of the ground."""
+    """Register and average the frames; without detections, read them again to remove traffic."""
     size = (reference.height, reference.width)
-    register = partial(_register_until_converged, sampling, reference, boxes, progress)
-    if boxes or sampling.plain_mean:
-        mean = start_mean(size, boxes=boxes, tolerance=sampling.tolerance, bands=sampling.bands)
+    register = partial(_register_until_converged, sampling, reference, detections, progress)
+    if detections or sampling.plain_mean:
+        mean = start_mean(
+            size, detections=detections, tolerance=sampling.tolerance, bands=sampling.bands
+        )
         return register(mean, add_to_mean), finish_mean(mean)
     search = start_search(size, sampling.tolerance)
     registration = register(search, add_to_search)
@@ -139,13 +141,15 @@ def _register_and_average(
 def _register_until_converged(
     sampling: Sampling,
     reference: Reference,
-    boxes: Boxes | None,
+    detections: Detections | None,
     progress: Progress,
     background: Accumulated,
     add: Callable[[Accumulated, Frame, Float[Array, "3 3"]], None],
 ) -> Registration:
     """Register frames and add each to a background, until that has converged."""
-    placements = (place_frames(batch, reference, boxes=boxes) for batch in sampling.read())
+    placements = (
+        register_frames(batch, reference, detections=detections) for batch in sampling.read()
+    )
     rows = []
     for frame, placement in chain.from_iterable(placements):
         rows.append((frame.index, frame.time, placement))
@@ -166,7 +170,7 @@ def _refuse_few_frames(registration: Registration) -> None:
             f"{valid.sum()} of {len(valid)} frames could be laid on the reference at "
             f"{registration.reference.time:.1f} s{f' ({reasons})' if reasons else ''}; at least "
             f"{FEWEST} are needed to tell traffic from ground. "
-            "Use more frames, or boxes, or frames='all' for the mean as it is"
+            "Use more frames, or detections, or frames='all' for the mean as it is"
         )
 
 
@@ -180,13 +184,13 @@ def _warn_of_less(registration: Registration, background: Background) -> None:
         )
     if background.frames_used < 0.5 * valid.sum():
         _warn(
-            f"boxes are known of {background.frames_used} of {valid.sum()} frames only, and the "
+            f"detections are known of {background.frames_used} of {valid.sum()} frames only; the "
             "others are not used: give a file for every frame, empty where there is no vehicle"
         )
     if background.contested.mean() > 0.1:
         _warn(
             f"the ground is in doubt in {background.contested.mean():.0%} of the pixels: give "
-            "boxes of the vehicles, or a longer video"
+            "detections of the vehicles, or a longer video"
         )
     middle = np.array([[reference.width / 2, reference.height / 2]])
     centres = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
@@ -202,9 +206,9 @@ def _warn(message: str) -> None:
     warnings.warn(message, GeoaimWarning, stacklevel=4)
 
 
-def _method(boxes: Boxes | None, sampling: Sampling) -> str:
-    if boxes:
-        return "mean masked by boxes"
+def _method(detections: Detections | None, sampling: Sampling) -> str:
+    if detections:
+        return "mean masked by detections"
     return "mean" if sampling.plain_mean else "mean of what is not traffic"
 
 

@@ -59,13 +59,11 @@ def sample_video(video: Video, frames: FrameCount) -> Sampling:
         count = min(MAX_AUTO_FRAMES, total)
         return Sampling(lambda: _read_batches(video), count, CONVERGED_GREY_LEVELS)
     if frames == "auto":
-        return Sampling(
-            lambda: iter([video.sampled(MAX_AUTO_FRAMES)]), total, CONVERGED_GREY_LEVELS
-        )
+        return Sampling(lambda: iter([video.sample(MAX_AUTO_FRAMES)]), total, CONVERGED_GREY_LEVELS)
     if not isinstance(frames, int) or frames < 1:
         raise ValueError(f"frames is {frames!r}; 'auto', 'all' or a number of frames is needed")
     count = frames if total is None else min(frames, total)
-    return Sampling(lambda: iter([video.sampled(frames)]), None if total is None else count)
+    return Sampling(lambda: iter([video.sample(frames)]), None if total is None else count)
 
 
 def read_registered(

@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geoaim.aim import AIM, rectify
+from geoaim.aim import AIM
 from geoaim.files import atomic_write
+from geoaim.rectify import rectify
 
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 

@@ -18,7 +18,7 @@ from geoaim.simulation.layers import lights_at, usual_colours
 from geoaim.simulation.lines import path_boxes
 from geoaim.simulation.pictures import pixels_of
 from geoaim.simulation.scene import Scene
-from geoaim.tracks import format_world
+from geoaim.track_files import format_world
 from geoaim.world import World
 
 WIDE = 1280  # px of a picture's longer side

@@ -1,19 +1,17 @@
 """Policies that need no training: as it was, straight on, on the same curve, along a path."""
 
-import math
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
 from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, invert_agents
 from geoaim.simulation.overlap import cross
 from geoaim.simulation.simulator import Policy, Recording
 
-GAP = 2.0  # m that stay to the vehicle ahead at standstill
-HEADWAY = 1.5  # s
-STRONGEST, COMFORTABLE = 1.5, 2.0  # m/s² of acceleration, of braking
+# calmer than `geoaim.synthetic.traffic`, where brisk drivers empty short green phases
+DRIVER = DriverParameters(acceleration=1.5, deceleration=2.0, standstill_gap=2.0, headway=1.5)
 LANE = 2.0  # m from a path within which somebody is in the way
 AHEAD = 4.0  # m along the path that is steered at, at least
 SHORT = 0.5  # m before its line that one stops
@@ -85,7 +83,9 @@ def intelligent_driver(
         if lines is not None and light_states is not None and lines.shape[-1]:
             way = _way_to_lights(lines, mine + long / 2, speed, light_states[:, number])
             way = torch.where(recording.on_foot, torch.inf, way)
-            push = torch.minimum(push, _acceleration(speed, speeds, way + GAP - SHORT, speed))
+            push = torch.minimum(
+                push, _acceleration(speed, speeds, way + DRIVER.standstill_gap - SHORT, speed)
+            )
         push = torch.maximum(push.clamp_min(-BRAKES), -speed.clamp_min(0) / recording.seconds)
         curve = _curve(routes, mine, states, long)
         wheel = torch.atan(WHEELBASE_PER_LENGTH * long * curve).clamp(-0.6, 0.6)
@@ -120,11 +120,9 @@ def _way_to_lights(
 
 
 def _acceleration(speed: Tensor, wanted: Tensor, gap: Tensor, closing: Tensor) -> Tensor:
-    brake = speed * closing / (2 * math.sqrt(STRONGEST * COMFORTABLE))
-    desired = GAP + (speed * HEADWAY + brake).clamp_min(0)
-    near = (desired / gap.clamp_min(0.1)).square()
+    ratio = compute_gap_ratio(DRIVER, speed, closing, gap)
     free = torch.where(wanted > 0.1, 1 - (speed / wanted.clamp_min(0.1)) ** 4, -1.0)  # or parked
-    return STRONGEST * (free - near)
+    return DRIVER.acceleration * (free - ratio.square())
 
 
 def _on_routes(

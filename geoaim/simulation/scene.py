@@ -9,11 +9,12 @@ from numpy import ndarray as Array
 from shapely import MultiPolygon
 from torch import Tensor
 
-from geoaim.aim import AIM, rectify
+from geoaim.aim import AIM
 from geoaim.errors import MapError, TracksError
 from geoaim.hdmap.drivable import lane_directions, signed_distance
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.lights import UNKNOWN, Lights, find_light_states
+from geoaim.rectify import rectify
 from geoaim.simulation.ground import Ground, make_ground, on_device
 from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.track_changes import to_world

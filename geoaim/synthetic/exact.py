@@ -16,10 +16,10 @@ LANE = 21  # bits for each of three channels in one word
 ROWS = 16  # that are warped at a time, so that they stay in the cache
 
 
-def settle(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
+def round_reproducibly(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """Round to about a millionth, so that errors in the last bits cannot grow.
 
-    >>> settle(np.array([0.1 + 0.2])) == settle(np.array([0.3]))
+    >>> round_reproducibly(np.array([0.1 + 0.2])) == round_reproducibly(np.array([0.3]))
     array([ True])
     """
     return np.rint(np.asarray(values) * FINEST) / FINEST

@@ -34,12 +34,12 @@ from geoaim.synthetic.imagery import (
 )
 from geoaim.synthetic.place import Place, world_from_image
 from geoaim.synthetic.readme import TITLE, ZOOM, describe
-from geoaim.synthetic.roads.lanelet import lanelet_map
-from geoaim.synthetic.roads.markings import landmarks
-from geoaim.synthetic.roads.paving import crossing_area
+from geoaim.synthetic.roads.lanelet import make_lanelet_map
+from geoaim.synthetic.roads.markings import list_landmarks
+from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.sample import Sample, tracks_of
 from geoaim.synthetic.traffic.signals import lights_at
-from geoaim.tracks import write_tracks
+from geoaim.track_files import write_tracks
 from geoaim.world import lonlat_from_world
 
 CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files
@@ -145,20 +145,20 @@ def _write_maps(sample: Sample, folder: Path) -> None:
     """The HD map as such maps often are, one with everything, and all surfaces."""
     place = sample.place
     given = place.roads, place.world_from_plan, place.world
-    _write_bytes(folder / "map.osm", lanelet_map(*given))
-    _write_bytes(folder / "map_full.osm", lanelet_map(*given, whole=True))
+    _write_bytes(folder / "map.osm", make_lanelet_map(*given))
+    _write_bytes(folder / "map_full.osm", make_lanelet_map(*given, complete=True))
     paving = place.roads.paving
     surfaces = {
         "carriageway": paving.carriageway,
         "island": paving.islands,
-        "pavement": shapely.union_all([paving.pavement, place.roads.walks.paths]),
+        "pavement": shapely.union_all([paving.pavement, place.roads.footpaths.surface]),
         "drive": paving.drive,
         "car park": paving.lot,
     }
     features = [_feature(place, geometry, {"kind": kind}) for kind, geometry in surfaces.items()]
     for crossing in place.roads.crossings:
         about = {"kind": "crossing", "name": crossing.name, "marked": crossing.marked}
-        features.append(_feature(place, crossing_area(crossing), about))
+        features.append(_feature(place, outline_crossing(crossing), about))
     features = [feature for feature in features if feature["geometry"]["coordinates"]]
     content = {"type": "FeatureCollection", "features": features}
     _write_text(folder / "surfaces.geojson", json.dumps(content, indent=None) + "\n")
@@ -166,7 +166,7 @@ def _write_maps(sample: Sample, folder: Path) -> None:
 
 def _feature(place: Place, geometry: shapely.Geometry, about: dict[str, Any]) -> dict[str, Any]:
     """A polygon in longitude and latitude, of what lies on the page."""
-    parts = shapely.get_parts(geometry.intersection(place.roads.page))
+    parts = shapely.get_parts(geometry.intersection(place.roads.extent))
     polygons = [
         Polygon(*_rings(place, part)) for part in parts if part.geom_type == "Polygon" and part.area
     ]
@@ -265,7 +265,7 @@ def _write_control_points(
     place: Place, clip: HoverClip, world_from_frame: Float[Array, "T 3 3"], path: Path
 ) -> None:
     """Surveyed points: name, pixel in frame 0 (corner origin), longitude and latitude (WGS 84)."""
-    names, marks = landmarks(place.roads)
+    names, marks = list_landmarks(place.roads)
     world = transform_points(place.world_from_plan, marks)
     pixels = transform_points(np.linalg.inv(world_from_frame[0]), world)
     lines = ["name,u,v,lon,lat"]
@@ -329,7 +329,7 @@ def _srt_time(milliseconds: int) -> str:
 def _write_truth(sample: Sample, folder: Path, offset: tuple[float, float]) -> None:
     """What else is known: the place, its lights, and by how much the imagery is misplaced."""
     place, day, signals = sample.place, make_other_day(sample.place), sample.recordings[0].signals
-    names, marks = landmarks(place.roads)
+    names, marks = list_landmarks(place.roads)
     world = np.round(transform_points(place.world_from_plan, marks), 4).tolist()
     content: dict[str, Any] = {
         "seed": place.seed,

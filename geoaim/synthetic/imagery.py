@@ -12,8 +12,8 @@ from geoaim.synthetic.compositing import paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.filming import draw_agents, image_poses
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
-from geoaim.synthetic.roads.layouts import KINDS
-from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
+from geoaim.synthetic.roads.layouts import PLACE_KINDS
+from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.day import SEASONS, Day
 from geoaim.tracks import Tracks
 from geoaim.world import crs_from_world
@@ -149,7 +149,7 @@ def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Arr
 
 def _make_generator(place: Place, *number: int) -> np.random.Generator:
     """Places of one seed and of different kinds are seen on different days."""
-    kind = KINDS.index(place.roads.layout.kind)
+    kind = PLACE_KINDS.index(place.roads.layout.kind)
     return np.random.default_rng([place.seed, IMAGERY, kind, *number])
 
 
@@ -158,7 +158,7 @@ def _fit_crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float
     rows, columns = shape
     u, v = np.meshgrid(np.linspace(0, columns, 5), np.linspace(0, rows, 5))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    world = transform_points(world_from_image(place, WIDTH / columns), pixels)
+    world = transform_points(world_from_image(place, WIDTH_M / columns), pixels)
     places = crs_from_world(place.world, world, crs)
     middle = places.mean(axis=0)
     system = np.column_stack([pixels, np.ones(len(pixels))])
@@ -183,7 +183,7 @@ def _apply_sensor(
     still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
     """The drawn place as the sensor renders it, at its resolution."""
-    width, height = (round(side / sensor.resolution) for side in (WIDTH, HEIGHT))
+    width, height = (round(side / sensor.resolution) for side in (WIDTH_M, HEIGHT_M))
     small = blur(resize(still, (width, height)), sensor.blur)
     levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)
     light = levels[small] * np.asarray(sensor.balance, np.float32)

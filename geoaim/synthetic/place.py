@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.layouts import Kind
-from geoaim.synthetic.roads.plan import HEIGHT, WIDTH, Roads, make_roads
+from geoaim.synthetic.roads.layouts import PlaceKind
+from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M, Roads, make_roads
 from geoaim.synthetic.scenery.canvas import make_canvas
 from geoaim.synthetic.scenery.day import Day
 from geoaim.synthetic.scenery.ground import draw_ground
@@ -41,7 +41,7 @@ class Place:
     world_from_plan: Float[Array, "3 3"]
 
 
-def make_place(seed: int, *, kind: Kind = "junction") -> Place:
+def make_place(seed: int, *, kind: PlaceKind = "junction") -> Place:
     """A place of some kind: "junction", "t", "roundabout", "street", "park" or "campus".
 
     Raises:
@@ -64,7 +64,7 @@ def draw_place(
     and resize it.
     """
     day = Day() if day is None else day
-    canvas = make_canvas(HEIGHT, WIDTH, resolution, _make_generator(place.seed, GROUND))
+    canvas = make_canvas(HEIGHT_M, WIDTH_M, resolution, _make_generator(place.seed, GROUND))
     generator = _make_generator(place.seed, DAY, day.number)
     draw_ground(canvas, place.roads, place.scenery, day, generator)
     draw_objects(canvas, place.scenery, day, generator)
@@ -82,7 +82,7 @@ def world_from_image(place: Place, resolution: float = RESOLUTION) -> Float[Arra
 def plan_from_image(resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
     """Pixels of a drawn place (corner origin) to plan metres."""
     m = resolution
-    left, top = (-m * round(side / m) / 2 for side in (WIDTH, HEIGHT))
+    left, top = (-m * round(side / m) / 2 for side in (WIDTH_M, HEIGHT_M))
     return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])
 
 

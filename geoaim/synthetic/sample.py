@@ -8,7 +8,7 @@ from geoaim.synthetic.camera import HoverClip
 from geoaim.synthetic.filming import film_place
 from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import RESOLUTION, Place, make_place
-from geoaim.synthetic.roads.layouts import Kind
+from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.scenery.day import Day
 from geoaim.synthetic.traffic.replay import replay
 from geoaim.synthetic.traffic.simulate import Flow, Recording, prepare_traffic, record
@@ -56,7 +56,7 @@ class Sample:
 def make_sample(
     seed: int,
     *,
-    kind: Kind = "junction",
+    kind: PlaceKind = "junction",
     minutes: float = 1.0,
     video: tuple[int, int] | None = VIDEOS["720p"],
     hover: Hover = HOVER,

@@ -1,4 +1,4 @@
-"""What all forms share: which columns a table has, whether they are numbers, what agents are."""
+"""Columns that all formats share: required columns, numbers, agent types and sizes."""
 
 import os
 from pathlib import Path
@@ -13,15 +13,15 @@ from geoaim.errors import TracksError
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-# our words for what data sets call their agents
-TYPES = {
+# names of agent types in datasets -> ours; all others are only written in lower case
+AGENT_TYPES = {
     "bicycle": "cyclist",
     "bicyclist": "cyclist",
     "biker": "cyclist",
     "truck_bus": "truck",
 }
-# length and width in metres of who is written as a point, and of all others
-SIZES = {
+# length and width in metres of agents whose size a file does not give
+TYPICAL_SIZES = {
     "car": (4.5, 1.8),
     "van": (5.5, 2.0),
     "truck": (8.0, 2.5),
@@ -29,40 +29,58 @@ SIZES = {
     "motorcycle": (2.1, 0.8),
     "cyclist": (1.8, 0.65),
 }
-POINT = (0.5, 0.5)
+OTHER_SIZE = (0.5, 0.5)
 
 
-def types_of(names: "Series[Any]") -> "Series[Any]":
-    """What agents are, in our words."""
+def map_types(names: "Series[Any]") -> "Series[Any]":
+    """Map a dataset's names of agent types to ours."""
     lower = names.str.lower()
-    return lower.map(TYPES).fillna(lower)
+    return lower.map(AGENT_TYPES).fillna(lower)
 
 
-def need_columns(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
-    """Refuse a table that lacks columns."""
+def check_columns(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
+    """Refuse a table that lacks columns.
+
+    Args:
+        path: of the table, for the message.
+        table: as it was read.
+        names: columns that it needs.
+
+    Raises:
+        TracksError: a column is missing.
+    """
     missing = [name for name in names if name not in table.columns]
     if missing:
-        found = ", ".join(map(str, table.columns[:20]))
+        columns = ", ".join(map(str, table.columns[:20]))
         raise TracksError(
-            f"{Path(path)} lacks the columns {', '.join(missing)}; it has {found}. "
-            "Is it of another data set?"
+            f"{Path(path)} lacks the columns {', '.join(missing)}; it has {columns}. "
+            "Does it belong to another dataset?"
         )
 
 
-def need_numbers(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
-    """Refuse a table that has text, or nothing at all, where numbers are needed."""
+def check_numbers(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
+    """Refuse a table without rows, or with text where numbers are needed.
+
+    Args:
+        path: of the table, for the message.
+        table: as it was read.
+        names: columns that must hold numbers.
+
+    Raises:
+        TracksError: there are no rows, or a value is not a number.
+    """
     import pandas as pd
 
     if len(table) == 0:
         raise TracksError(f"{Path(path)} has no rows")
     for name in names:
         if not pd.api.types.is_numeric_dtype(table[name]):
-            found = table[name][pd.to_numeric(table[name], errors="coerce").isna()].iloc[0]
-            raise TracksError(f"{Path(path)}: {name} is {found!r} in a row; a number is needed")
+            text = table[name][pd.to_numeric(table[name], errors="coerce").isna()].iloc[0]
+            raise TracksError(f"{Path(path)}: {name} is {text!r} in a row; a number is needed")
 
 
-def sizes_of(rows: "DataFrame") -> Float[Array, "m 2"]:
-    """Length and width in metres; what is 0 or missing is what the type usually has."""
-    usual = np.array([SIZES.get(kind, POINT) for kind in rows["type"]]).reshape(-1, 2)
-    found = rows[["length", "width"]].to_numpy(np.float64)
-    return np.where(np.isnan(found) | (found == 0), usual, found)
+def fill_sizes(rows: "DataFrame") -> Float[Array, "m 2"]:
+    """Length and width in metres; where a size is 0 or missing, the typical one of the type."""
+    typical = np.array([TYPICAL_SIZES.get(name, OTHER_SIZE) for name in rows["type"]])
+    sizes = rows[["length", "width"]].to_numpy(np.float64)
+    return np.where(np.isnan(sizes) | (sizes == 0), typical.reshape(-1, 2), sizes)

@@ -1,49 +1,55 @@
-"""geo-trax's form: vehicles found in drone videos, on an orthophoto."""
+"""The geo-trax format: vehicles detected in drone videos, on an orthophoto."""
 
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geoaim.errors import TracksError
-from geoaim.track_formats.columns import need_columns, need_numbers
-from geoaim.track_formats.motion import tracks_of_places
-from geoaim.tracks import Tracks, read_table
+from geoaim.track_files import read_table
+from geoaim.track_formats.columns import check_columns, check_numbers
+from geoaim.track_formats.motion import make_tracks_from_positions
+from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.tracks import Tracks
 from geoaim.world import World
 
 if TYPE_CHECKING:
     from pandas import Series
 
-GEOTRAX_TYPES = {0: "car", 1: "bus", 2: "truck", 3: "motorcycle"}
+VEHICLE_CLASSES = {0: "car", 1: "bus", 2: "truck", 3: "motorcycle"}
+SIZES = ("Vehicle_Length", "Vehicle_Width")
 
 
 def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tracks:
-    """Read a file of geo-trax's form: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, ...`.
+    """Read a geo-trax file: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, Local_Y, ...`.
 
-    Headings and speeds come from the motion over half a second; a size that was not measured is
-    that of its class.
+    Headings and speeds are derived from the positions over half a second; a size that was not
+    measured is the median of its class.
 
     Args:
         path: a .csv file.
-        crs: of Local_X (east) and Local_Y (north); a plane of its own when None.
+        crs: of Local_X (east) and Local_Y (north); None for a plane without a place on the Earth.
+
+    Returns:
+        The tracks, in a world whose origin is near their mean position.
 
     Raises:
-        TracksError: columns are missing, or a value is no number.
+        TracksError: columns are missing, or a value is not a number.
     """
     import pandas as pd
 
     table = read_table(path, text=("Vehicle_ID",))
-    needed = ("Vehicle_ID", "Timestamp", "Local_X", "Local_Y", "Vehicle_Class")
-    need_columns(path, table, (*needed, "Vehicle_Length", "Vehicle_Width"))
-    need_numbers(path, table, (*needed[2:], "Vehicle_Length", "Vehicle_Width"))
-    for name in ("Vehicle_Length", "Vehicle_Width"):  # not every vehicle could be measured
-        usual = table.groupby("Vehicle_Class")[name].transform("median")
-        table[name] = table[name].fillna(usual).fillna(table[name].median())
-    time = _seconds(path, table["Timestamp"])
+    numbers = ("Local_X", "Local_Y", "Vehicle_Class", *SIZES)
+    check_columns(path, table, ("Vehicle_ID", "Timestamp", *numbers))
+    check_numbers(path, table, numbers)
+    for name in SIZES:
+        median = table.groupby("Vehicle_Class")[name].transform("median")
+        table[name] = table[name].fillna(median).fillna(table[name].median())
+    time = _parse_times(path, table["Timestamp"])
     origin = (round(float(table["Local_X"].mean()), -2), round(float(table["Local_Y"].mean()), -2))
     rows = pd.DataFrame(
         {
             "id": table["Vehicle_ID"],
-            "type": [GEOTRAX_TYPES.get(kind, "other") for kind in table["Vehicle_Class"]],
+            "type": [VEHICLE_CLASSES.get(number, "other") for number in table["Vehicle_Class"]],
             "time": time - time.min(),
             "x": table["Local_X"] - origin[0],
             "y": table["Local_Y"] - origin[1],
@@ -51,11 +57,11 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
             "width": table["Vehicle_Width"],
         }
     )
-    return tracks_of_places(rows, World(crs, origin), reach=0.25)
+    return make_tracks_from_positions(rows, World(crs, origin), half_window=0.25)
 
 
-def _seconds(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series[float]":
-    """Times of day, or numbers, which are seconds."""
+def _parse_times(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series[float]":
+    """Parse time stamps: dates with times, or numbers of seconds."""
     import pandas as pd
 
     if pd.api.types.is_numeric_dtype(stamps):
@@ -63,5 +69,15 @@ def _seconds(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series[flo
     try:
         clock = pd.to_datetime(stamps)
     except ValueError as error:
-        raise TracksError(f"{Path(path)}: a Timestamp is no time: {error}") from error
+        raise TracksError(f"{Path(path)}: a Timestamp is not a time: {error}") from error
     return (clock - clock.min()).dt.total_seconds()
+
+
+def _read_in_world(path: Path, *, world: World | None = None) -> Tracks:
+    """Read with a world's CRS; its origin is not used, since the file has full coordinates."""
+    return read_geotrax(path, crs=None if world is None else world.crs)
+
+
+GEOTRAX = TrackFormat(
+    "geo-trax", has_columns("Vehicle_ID", "Local_X", "Local_Y"), _read_in_world, options=("world",)
+)

@@ -1,4 +1,4 @@
-"""INTERACTION's form, which others have taken over."""
+"""The INTERACTION format, which other datasets use as well."""
 
 import os
 import warnings
@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from geoaim.errors import GeoaimWarning
-from geoaim.track_formats.columns import need_columns, need_numbers, sizes_of, types_of
-from geoaim.track_formats.motion import LEAST, kept_heading, warn_of_backwards
-from geoaim.tracks import Tracks, make_tracks, read_table
+from geoaim.track_files import read_table
+from geoaim.track_formats.columns import check_columns, check_numbers, fill_sizes, map_types
+from geoaim.track_formats.motion import fill_headings, warn_of_reversed_headings
+from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.track_tables import make_tracks
+from geoaim.tracks import MIN_HEADING_SPEED, Tracks
 from geoaim.world import World
 
 if TYPE_CHECKING:
@@ -19,57 +22,66 @@ NUMBERS = ("timestamp_ms", "x", "y", "vx", "vy")
 
 
 def read_interaction(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
-    """Read a file of INTERACTION's form: `track_id, frame_id, timestamp_ms, agent_type, x, y, ...`.
+    """Read an INTERACTION file: `track_id, frame_id, timestamp_ms, agent_type, x, y, vx, vy, ...`.
 
     Args:
-        path: a .csv file with vx, vy, psi_rad, length and width for each row; where heading or
-            size are missing, as for pedestrians, they come from the motion and the type.
-        world: where x and y lie; a plane of its own when None.
+        path: a .csv file. Where psi_rad (heading), length or width are missing, as for
+            pedestrians, the heading is that of the motion and the size is typical of the type.
+        world: the plane of x and y; None for a plane without a place on the Earth.
+
+    Returns:
+        The tracks.
 
     Raises:
-        TracksError: columns are missing, or a value is no number.
+        TracksError: columns are missing, or a value is not a number.
     """
     table = read_states(path, heading="psi_rad")
-    if "case_id" in table:  # tracks are counted anew in each case
+    if "case_id" in table:  # track ids are unique within a case only
         table["track_id"] = table["case_id"] + "/" + table["track_id"]
-    rows = rows_of_states(table, heading="psi_rad")
-    once = rows.drop_duplicates(["id", "time"])
-    if len(once) < len(rows):
-        twice = len(rows) - len(once)
+    rows = convert_states(table, heading="psi_rad")
+    unique = rows.drop_duplicates(["id", "time"])
+    if len(unique) < len(rows):
         warnings.warn(
-            f"{path}: {twice} rows repeat an agent's time; the first of each is kept",
+            f"{path}: {len(rows) - len(unique)} rows repeat an agent's time; the first of each is "
+            "kept",
             GeoaimWarning,
             stacklevel=2,
         )
-    tracks = make_tracks(once, world if world is not None else World(None))
-    warn_of_backwards(path, tracks)
+    tracks = make_tracks(unique, world if world is not None else World(None))
+    warn_of_reversed_headings(path, tracks)
     return tracks
 
 
 def read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
-    """The table of such a file, with numbers where they are needed.
+    """Read the table of a file in this format or SinD's, and check its columns.
 
     Args:
         path: a .csv file.
-        heading: the column of headings, which pedestrians need not have.
+        heading: the column of headings, which may be missing.
+
+    Returns:
+        The table; length and width are NaN where the file has none.
+
+    Raises:
+        TracksError: columns are missing, or a value is not a number.
     """
-    table = read_table(path, text=("track_id", "agent_type", "case_id"), low_memory=False)
-    need_columns(path, table, ("track_id", "agent_type", *NUMBERS))
-    given = tuple(name for name in (heading, "length", "width") if name in table)
-    need_numbers(path, table, NUMBERS + given)
-    for name in {"length", "width"} - set(given):
+    table = read_table(path, text=("track_id", "agent_type", "case_id"))
+    check_columns(path, table, ("track_id", "agent_type", *NUMBERS))
+    optional = tuple(name for name in (heading, "length", "width") if name in table)
+    check_numbers(path, table, NUMBERS + optional)
+    for name in {"length", "width"} - set(optional):
         table[name] = np.nan
     return table
 
 
-def rows_of_states(table: "DataFrame", *, heading: str) -> "DataFrame":
-    """Rows for `make_tracks`; a heading that is missing comes from the velocity."""
+def convert_states(table: "DataFrame", *, heading: str) -> "DataFrame":
+    """Convert a table of `read_states` to rows for `make_tracks`; fill missing headings, sizes."""
     import pandas as pd
 
     rows = pd.DataFrame(
         {
             "id": table["track_id"],
-            "type": types_of(table["agent_type"]),
+            "type": map_types(table["agent_type"]),
             "time": table["timestamp_ms"] / 1000.0,
             "x": table["x"],
             "y": table["y"],
@@ -79,7 +91,16 @@ def rows_of_states(table: "DataFrame", *, heading: str) -> "DataFrame":
             "width": table["width"],
         }
     )
-    rows[["length", "width"]] = sizes_of(rows)
-    moving = np.where(rows["speed"] > LEAST, np.arctan2(table["vy"], table["vx"]), np.nan)
-    rows["heading"] = rows["heading"].where(rows["heading"].notna(), moving)
-    return kept_heading(rows)
+    rows[["length", "width"]] = fill_sizes(rows)
+    moving = rows["speed"] > MIN_HEADING_SPEED
+    direction = np.where(moving, np.arctan2(table["vy"], table["vx"]), np.nan)
+    rows["heading"] = rows["heading"].where(rows["heading"].notna(), direction)
+    return fill_headings(rows)
+
+
+INTERACTION = TrackFormat(
+    "INTERACTION",
+    has_columns("track_id", "timestamp_ms", "x", "vx"),
+    read_interaction,
+    options=("world",),
+)

@@ -1,4 +1,4 @@
-"""Headings and speeds from the motion, and whether a file's own agree with it."""
+"""Headings and speeds from positions, and a check of a file's own headings."""
 
 import os
 import warnings
@@ -11,81 +11,97 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning
-from geoaim.tracks import COLUMNS, Tracks, estimate_heading, make_tracks
+from geoaim.track_tables import make_tracks
+from geoaim.tracks import COLUMNS, Tracks, estimate_heading
 from geoaim.world import World
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-LEAST = 0.3  # m/s under which a motion has no direction
-MOVING = 1.0  # m/s from which a motion tells the heading
-BACKWARDS = 0.05  # the share of moving states against their heading that is not noise
+CHECK_HALF_WINDOW_S = 0.25
+MIN_CHECKED_SPEED = 1.0  # m/s; the direction of slower motion is too noisy to check a heading
+MAX_REVERSED_SHARE = 0.05  # of moving states; fewer against their heading are noise
 
 
-def with_motion(tracks: Tracks, *, reach: float) -> Tracks:
-    """The same places, with the speed and heading of the way within `reach` seconds to each side.
+def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
+    """Replace headings and speeds by those of the positions over time.
 
-    Who stands keeps the direction; nobody is seen to drive in reverse.
+    Args:
+        tracks: with trustworthy positions.
+        half_window: seconds to each side over which positions are differenced.
+
+    Returns:
+        The same positions. An agent that stands keeps the direction of its last motion; no agent
+        drives in reverse.
     """
-    velocity = velocity_of(tracks, reach)
+    velocity = estimate_velocity(tracks, half_window)
     states = tracks.states.copy()
     states[..., 2] = np.where(tracks.present, estimate_heading(velocity), np.nan)
     states[..., 3] = np.where(tracks.present, np.hypot(velocity[..., 0], velocity[..., 1]), np.nan)
     return replace(tracks, states=states)
 
 
-def tracks_of_places(rows: "DataFrame", world: World, *, reach: float) -> Tracks:
-    """Tracks from rows without heading and speed."""
+def make_tracks_from_positions(rows: "DataFrame", world: World, *, half_window: float) -> Tracks:
+    """Make tracks from rows without heading and speed; both are derived from the positions.
+
+    Args:
+        rows: has the columns of `make_tracks` other than heading and speed.
+        world: the plane of x and y.
+        half_window: seconds to each side over which positions are differenced.
+
+    Returns:
+        The tracks.
+    """
     tracks = make_tracks(rows.assign(heading=0.0, speed=0.0)[list(COLUMNS)], world)
-    return with_motion(tracks, reach=reach)
+    return derive_motion(tracks, half_window=half_window)
 
 
-def velocity_of(tracks: Tracks, reach: float) -> Float[Array, "N T 2"]:
-    """Central differences; at the ends and beside gaps one-sided ones; 0 for a lone step."""
+def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2"]:
+    """Estimate velocities by central differences; one-sided where a track begins or ends."""
     velocity = np.full((*tracks.present.shape, 2), np.nan)
     for agent in range(len(tracks.ids)):
         steps = np.flatnonzero(tracks.present[agent])
-        places, times = tracks.states[agent, steps, :2], tracks.times[steps]
-        before = np.searchsorted(times, times - reach)
-        after = np.searchsorted(times, times + reach, side="right") - 1
-        apart = np.maximum(times[after] - times[before], 1e-6)
-        velocity[agent, steps] = (places[after] - places[before]) / apart[:, None]
+        positions, times = tracks.states[agent, steps, :2], tracks.times[steps]
+        before = np.searchsorted(times, times - half_window)
+        after = np.searchsorted(times, times + half_window, side="right") - 1
+        dt = np.maximum(times[after] - times[before], 1e-6)  # a lone step has velocity 0
+        velocity[agent, steps] = (positions[after] - positions[before]) / dt[:, None]
     return velocity
 
 
-def kept_heading(rows: "DataFrame") -> "DataFrame":
-    """The rows with unknown headings filled: who stands keeps the direction it had, or will have.
-
-    Args:
-        rows: with id, time and heading, which is NaN where unknown.
-    """
-    along = rows.sort_values("time").groupby("id")["heading"]
-    return rows.assign(heading=along.ffill().fillna(along.bfill()).fillna(0.0))
+def fill_headings(rows: "DataFrame") -> "DataFrame":
+    """Fill headings that are NaN: with the agent's last known one, else its next one, else 0."""
+    headings = rows.sort_values("time").groupby("id")["heading"]
+    return rows.assign(heading=headings.ffill().fillna(headings.bfill()).fillna(0.0))
 
 
-def signed_speed(velocity: Float[Array, "m 2"], heading: Float[Array, "m"]) -> Float[Array, "m"]:
-    """The speed in m/s, negative when it goes against the heading.
+def compute_signed_speed(
+    velocity: Float[Array, "m 2"], heading: Float[Array, "m"]
+) -> Float[Array, "m"]:
+    """Speeds in m/s, negative where the motion is against the heading.
 
-    >>> signed_speed(np.array([[3.0, 4.0], [0.0, -2.0]]), np.array([0.0, np.pi / 2]))
+    >>> compute_signed_speed(np.array([[3.0, 4.0], [0.0, -2.0]]), np.array([0.0, np.pi / 2]))
     array([ 5., -2.])
     """
     along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
     return np.where(along < 0, -1.0, 1.0) * np.hypot(velocity[:, 0], velocity[:, 1])
 
 
-def warn_of_backwards(path: str | os.PathLike[str], tracks: Tracks) -> None:
-    """Warn when many agents move against the heading that the file gives them."""
-    velocity = velocity_of(tracks, 0.25)
-    heading, forwards = tracks.states[..., 2], np.where(tracks.states[..., 3] < 0, -1.0, 1.0)
+def warn_of_reversed_headings(path: str | os.PathLike[str], tracks: Tracks) -> None:
+    """Warn when many agents move against the headings that the file gives them."""
+    velocity = estimate_velocity(tracks, CHECK_HALF_WINDOW_S)
+    heading, sign = tracks.states[..., 2], np.where(tracks.states[..., 3] < 0, -1.0, 1.0)
     along = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
-    moving = tracks.present & (np.hypot(velocity[..., 0], velocity[..., 1]) > MOVING)
-    against = moving & (along * forwards < 0)
-    share = against.sum() / max(moving.sum(), 1)
-    if share > BACKWARDS:
+    speed = np.hypot(velocity[..., 0], velocity[..., 1])
+    moving = tracks.present & (speed > MIN_CHECKED_SPEED)
+    reversed_ = moving & (along * sign < 0)
+    share = reversed_.sum() / max(moving.sum(), 1)
+    if share > MAX_REVERSED_SHARE:
         warnings.warn(
             f"{Path(path)}: {100 * share:.0f} % of the moving states, of "
-            f"{against.any(axis=1).sum()} agents, go against their heading. To take heading and "
-            "speed from the way instead: geoaim.track_formats.with_motion(tracks, reach=0.5)",
+            f"{reversed_.any(axis=1).sum()} agents, move against their heading. To derive heading "
+            "and speed from the positions instead, use "
+            "geoaim.track_formats.derive_motion(tracks, half_window=0.5)",
             GeoaimWarning,
             stacklevel=3,
         )

@@ -19,7 +19,7 @@ from geoaim.hdmap.drivable import (
 )
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine, read_hdmap
 from geoaim.hdmap.rasterize import GROUND, LINES, draw_hdmap
-from geoaim.tracks import read_tracks
+from geoaim.track_files import read_tracks
 from geoaim.world import World
 
 LANE = Lanelet("road", True, np.array([[0.0, 3], [30, 3]]), np.array([[0.0, 0], [30, 0]]))
@@ -81,7 +81,7 @@ def test_drawn_area_comes_back(tmp_path, world):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("nonsense", "is no GeoJSON"),
+        ("nonsense", "is not GeoJSON"),
         (json.dumps({"type": "Point", "coordinates": [1, 2]}), "holds Point; polygons are needed"),
         (json.dumps({"type": "FeatureCollection", "features": []}), "holds nothing"),
         (json.dumps(mapping(Polygon())), "encloses 0 m².*for metres"),

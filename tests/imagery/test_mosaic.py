@@ -15,12 +15,13 @@ import rasterio.shutil
 from rasterio.enums import ColorInterp, Resampling
 from rasterio.transform import Affine, from_origin
 
-from geoaim.aim import AIM, read_aim, write_aim
+from geoaim.aim import AIM
+from geoaim.aim_files import read_aim, write_aim
 from geoaim.errors import AimError, GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
-from geoaim.imagery import rasters
+from geoaim.imagery import resampling
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.sources import HALF_WORLD, Tiles
+from geoaim.imagery.tiles import HALF_WORLD_M, Tiles
 from geoaim.world import World, choose_world, lonlat_from_world, transform_crs, world_from_crs
 
 WORLD = World("EPSG:32633", (600_000.0, 5_340_000.0))  # Vienna
@@ -173,14 +174,14 @@ def test_corners_outside_the_imagery_are_covered_by_nothing(tmp_path):
 
 
 def tile_place(zoom: int, x: int, y: int, side: int = 256) -> np.ndarray:
-    span = 2 * HALF_WORLD / 2**zoom
-    place = from_origin(x * span - HALF_WORLD, HALF_WORLD - y * span, span / side, span / side)
+    span = 2 * HALF_WORLD_M / 2**zoom
+    place = from_origin(x * span - HALF_WORLD_M, HALF_WORLD_M - y * span, span / side, span / side)
     return np.array(place).reshape(3, 3)
 
 
 def tiles_here(zoom: int) -> list[tuple[int, int, int]]:
     mercator = transform_crs(WORLD.crs, "EPSG:3857", HERE + BOX * 1.2)
-    x, y = ((mercator * [1, -1] + HALF_WORLD) / (2 * HALF_WORLD) * 2**zoom).astype(int).T
+    x, y = ((mercator * [1, -1] + HALF_WORLD_M) / (2 * HALF_WORLD_M) * 2**zoom).astype(int).T
     return [(zoom, i, j) for i in range(x.min(), x.max() + 1) for j in range(y.min(), y.max() + 1)]
 
 
@@ -230,9 +231,9 @@ def test_tiles_equal_one_raster_of_the_same_content(tmp_path):
 def test_tiles_counted_from_the_south_are_turned_over(tmp_path):
     write_tiles(tmp_path / "t", 17, "{z}/{x}/{tms}.png")
     area = {"world": WORLD, "corners": BOX, "resolution": 1.0}
-    aim = read_imagery(Tiles(tmp_path / "t", upside_down=True), **area)
+    aim = read_imagery(Tiles(tmp_path / "t", tms=True), **area)
     assert misplaced(aim, 15.0) < 0.02
-    with pytest.raises(ImageryError, match="upside_down"):
+    with pytest.raises(ImageryError, match="tms="):
         read_imagery(tmp_path / "t", **area)
 
 
@@ -686,7 +687,7 @@ def test_blocks_meet_without_a_seam(tmp_path, monkeypatch):
     for resolution in (0.4, 1.3):
         whole = read_imagery(path, world=WORLD, resolution=resolution)
         with monkeypatch.context() as small:
-            small.setattr("geoaim.imagery.mosaic.BLOCK", 64)
+            small.setattr("geoaim.imagery.blocks.BLOCK_PX", 64)
             parts = read_imagery(path, world=WORLD, resolution=resolution)
         both = (whole.coverage > 0) & (parts.coverage > 0)
         assert both.sum() > whole.coverage.sum() - 9  # on the very edge either may be right
@@ -698,10 +699,10 @@ def test_more_is_not_read_than_the_image_needs(tmp_path, monkeypatch):
 
     def noted(source, *rest):
         read.append(source.size)
-        return resample(source, *rest)
+        return convolve(source, *rest)
 
-    resample = rasters._resample
-    monkeypatch.setattr(rasters, "_resample", noted)
+    convolve = resampling._convolve
+    monkeypatch.setattr(resampling, "_convolve", noted)
     aim = read_imagery(ortho(tmp_path / "a.tif", pixel=0.1, side=700), world=WORLD, resolution=1.3)
     assert max(read) < 4 * 4 * aim.coverage.size
 
@@ -717,7 +718,7 @@ def test_missing_files_are_named(tmp_path, source):
 
 
 def test_pattern_of_an_address_is_no_service():
-    with pytest.raises(ImageryError, match="of files the folder is needed"):
+    with pytest.raises(ImageryError, match="for files give the folder"):
         read_imagery("tiles/{z}/{x}/{y}.png", world=WORLD, corners=BOX, resolution=1.0)
 
 
@@ -738,7 +739,7 @@ def test_cut_geotiff_is_refused(tmp_path):
 
 def test_image_without_a_place_is_refused(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((8, 8, 3), np.uint8))
-    with pytest.raises(ImageryError, match=r"no transform.* lay a world file beside it"):
+    with pytest.raises(ImageryError, match=r"no transform.* put a world file beside it"):
         read_imagery(tmp_path / "a.png", crs="EPSG:32633")
 
 
@@ -783,7 +784,7 @@ def test_half_the_world_is_not_read_as_a_whole(tmp_path):
 
 @pytest.mark.usefixtures("unchecked")
 def test_compressed_images_of_gigapixels_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("geoaim.imagery.rasters.MOST_PIXELS", 1000)
+    monkeypatch.setattr("geoaim.imagery.rasters.MAX_BLOCK_PIXELS", 1000)
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((40, 40, 3), np.uint8))
     with pytest.raises(ImageryError, match="40 x 40 pixels in one piece"):
         read_imagery(tmp_path / "a.png")

@@ -134,8 +134,8 @@ def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
 
 def test_boxes_of_few_frames_are_said(frames):
     none = np.empty((0, 4))
-    with pytest.warns(GeoaimWarning, match="boxes are known of 3 of 12 frames"):
-        build_aim(frames, points_on(0), boxes=lambda f: none if f.index < 3 else None)
+    with pytest.warns(GeoaimWarning, match="detections are known of 3 of 12 frames"):
+        build_aim(frames, points_on(0), detections=lambda f: none if f.index < 3 else None)
 
 
 def test_frames_of_unknown_number_are_sampled(frames):

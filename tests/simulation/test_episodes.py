@@ -11,7 +11,7 @@ from geoaim.lights import UNKNOWN, read_lights
 from geoaim.simulation.episodes import OBSERVED, POLICIES, Rules, rules_of, simulate_scene
 from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.scene import make_scene, tracks_of
-from geoaim.tracks import read_tracks, write_tracks
+from geoaim.track_files import read_tracks, write_tracks
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from geoaim.geometry import to_opencv
-from geoaim.synthetic.exact import blur, pack, premultiply, settle, warp
+from geoaim.synthetic.exact import blur, pack, premultiply, round_reproducibly, warp
 
 # what a whole made place hashes to, on every machine that adds and multiplies as IEEE 754 says
 MADE = """
@@ -39,14 +39,14 @@ def _image(seed=0, shape=(40, 60, 3)):
 
 
 @given(st.floats(-1e6, 1e6))
-def test_settled_numbers_are_near_and_stay(value):
-    once = settle(np.array([value]))
+def test_rounded_numbers_change_little_and_only_once(value):
+    once = round_reproducibly(np.array([value]))
     assert abs(once[0] - value) <= 0.5 / 2**20
-    np.testing.assert_array_equal(settle(once), once)
+    np.testing.assert_array_equal(round_reproducibly(once), once)
 
 
-def test_numbers_that_differ_in_the_last_bit_settle_on_one():
-    assert settle(np.array([0.1 + 0.2])) == settle(np.array([0.3]))
+def test_numbers_that_differ_in_the_last_bit_are_rounded_to_one():
+    assert round_reproducibly(np.array([0.1 + 0.2])) == round_reproducibly(np.array([0.3]))
 
 
 def test_identity_warps_to_the_same_picture():

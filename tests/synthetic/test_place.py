@@ -7,8 +7,8 @@ import shapely
 from geoaim.geometry import transform_points
 from geoaim.synthetic import Day, draw_place, make_place
 from geoaim.synthetic.place import plan_from_image
-from geoaim.synthetic.roads.markings import paint
-from geoaim.synthetic.roads.plan import HEIGHT, WIDTH
+from geoaim.synthetic.roads.markings import make_markings
+from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.canvas import make_canvas
 
 COARSE = 0.2
@@ -32,7 +32,7 @@ def _grey_at(picture, points):
 
 @pytest.mark.parametrize("metres", [0.05, 0.06, 0.07, 0.15, 0.2])
 def test_drawn_and_told_places_of_pixels_agree(metres):
-    canvas = make_canvas(HEIGHT, WIDTH, metres, np.random.default_rng(0))
+    canvas = make_canvas(HEIGHT_M, WIDTH_M, metres, np.random.default_rng(0))
     np.testing.assert_allclose(
         plan_from_image(metres) @ canvas.image_from_plan, np.eye(3), atol=1e-9
     )
@@ -50,10 +50,10 @@ def test_same_seed_gives_the_same_picture(place, picture):
 
 
 def test_paint_is_bright_where_the_plan_has_it(place, picture):
-    shapes = [shapely.Polygon(p) for p in paint(place.roads)]
+    shapes = [shapely.Polygon(p) for p in make_markings(place.roads)]
     wide = [shape for shape in shapes if shape.area > 1.0 and place.roads.extent.contains(shape)]
     middles = np.array([shape.centroid.coords[0] for shape in wide])
-    lanes = np.concatenate([lane.centre for lane in place.roads.lanes])
+    lanes = np.concatenate([lane.centreline for lane in place.roads.lanes])
     assert np.median(_grey_at(picture, middles)) > np.median(_grey_at(picture, lanes)) + 50
 
 

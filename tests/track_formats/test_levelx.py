@@ -53,7 +53,7 @@ def _write_ind(folder, name="07"):
 
 
 def _write_highd(folder, slow=0.0):
-    """A car to the left on the upper carriageway, a lorry to the right, one who hardly moves."""
+    """A car to the left on the upper carriageway, a truck to the right, a car that hardly moves."""
     tail = "0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0"
     rows = []
     for k in range(1, 4):
@@ -76,7 +76,7 @@ def _write_highd(folder, slow=0.0):
     return folder / "01_tracks.csv"
 
 
-def test_ind_lies_in_utm_and_has_metres_radians_and_seconds(tmp_path):
+def test_ind_is_read_in_utm_metres_radians_and_seconds(tmp_path):
     tracks = read_ind(_write_ind(tmp_path))
     assert tracks.world.crs == "EPSG:32632"
     assert tracks.world.origin == (293487.1224, 5629711.58163)
@@ -96,14 +96,14 @@ def test_ind_gives_points_the_size_of_their_type(tmp_path):
     np.testing.assert_allclose(sizes, [[4.4, 1.8], [4.4, 1.8], [0.5, 0.5], [1.8, 0.65]])
 
 
-def test_headings_against_the_motion_are_told(tmp_path):
+def test_headings_against_the_motion_give_a_warning(tmp_path):
     path = _write_ind(tmp_path)
     path.write_text(path.read_text().replace("360.0", "180.0"))
-    with pytest.warns(GeoaimWarning, match="% of the moving states, of 1 agents, go against"):
+    with pytest.warns(GeoaimWarning, match="% of the moving states, of 1 agents, move against"):
         read_ind(path)
 
 
-def test_highd_gives_middles_with_y_up_and_headings_of_the_motion(tmp_path):
+def test_highd_is_read_as_box_middles_with_y_up_and_headings_of_the_motion(tmp_path):
     tracks = read_highd(_write_highd(tmp_path))
     assert tracks.world.crs is None
     assert tracks.types == ("car", "truck", "car")
@@ -114,7 +114,7 @@ def test_highd_gives_middles_with_y_up_and_headings_of_the_motion(tmp_path):
 
 
 @pytest.mark.parametrize("slow", [0.0, 0.4])
-def test_highd_who_hardly_moves_heads_along_the_carriageway(tmp_path, slow):
+def test_highd_agents_that_hardly_move_head_along_the_carriageway(tmp_path, slow):
     tracks = read_highd(_write_highd(tmp_path, slow))
     np.testing.assert_allclose(tracks.states[2, :, 2], -np.pi)
 
@@ -128,7 +128,7 @@ def test_recording_without_one_of_its_tables_is_refused(tmp_path, read, write, k
         read(path)
 
 
-def test_tables_that_do_not_fit_are_refused(tmp_path):
+def test_tables_that_contradict_each_other_are_refused(tmp_path):
     path = _write_ind(tmp_path)
     meta = tmp_path / "07_tracksMeta.csv"
     meta.write_text(meta.read_text().replace("7,3,", "7,9,"))

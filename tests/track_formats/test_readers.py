@@ -30,7 +30,7 @@ def test_interaction_gives_states_as_written(tmp_path):
     np.testing.assert_allclose(tracks.times, [0.1, 0.2])
 
 
-def test_interaction_keeps_the_first_of_repeated_rows_and_says_so(tmp_path):
+def test_interaction_keeps_the_first_of_repeated_rows_and_warns(tmp_path):
     path = tmp_path / "a.csv"
     row = "1,1,100,car,{},20.0,3.0,4.0,0.927,4.5,1.8\n"
     path.write_text(INTERACTION + row.format(1) + row.format(2))
@@ -67,7 +67,7 @@ def test_geotrax_subtracts_an_origin_and_fills_sizes_of_the_class(tmp_path):
 
 
 @pytest.mark.parametrize("read", [read_interaction, read_geotrax])
-def test_file_of_another_data_set_says_what_it_lacks(tmp_path, read):
+def test_a_file_of_another_dataset_is_refused_with_its_missing_columns(tmp_path, read):
     path = tmp_path / "a.csv"
     path.write_text("a,b\n1,2\n")
     with pytest.raises(TracksError, match="lacks the columns"):
@@ -78,22 +78,22 @@ def test_real_files_read(data_folder):
     songdo = read_geotrax(data_folder / "tracks/songdo_u/U_video_cut.csv", crs="EPSG:5186")
     assert songdo.present.shape == (144, 150)
     path = next((data_folder / "tracks/sdd_raw").glob("gates/video4/annotations.txt.gz"))
-    people = read_sdd(path, resolution=0.0441)
-    assert "pedestrian" in people.types
-    walking = people.states[[t == "pedestrian" for t in people.types], :, 3]
+    tracks = read_sdd(path, resolution=0.0441)
+    assert "pedestrian" in tracks.types
+    walking = tracks.states[[t == "pedestrian" for t in tracks.types], :, 3]
     assert 0.8 < np.nanmedian(walking[walking > 0.5]) < 1.8
 
 
 SHORT = "track_id,timestamp_ms,agent_type,x,y,vx,vy\n"
 
 
-def test_interaction_counts_tracks_anew_in_each_case(tmp_path):
+def test_interaction_track_ids_are_unique_per_case(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("case_id," + SHORT + "1,1,0,car,0,0,1,0\n2,1,0,car,500,0,1,0\n")
     assert read_interaction(path).ids == ("1/1", "2/1")
 
 
-def test_who_stands_keeps_the_direction(tmp_path):
+def test_a_standing_agent_keeps_its_direction(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(SHORT + "1,0,pedestrian,0,0,0,1\n1,100,pedestrian,0,0.1,0,0\n")
     np.testing.assert_allclose(read_interaction(path).states[0, :, 2], np.pi / 2)
@@ -102,17 +102,17 @@ def test_who_stands_keeps_the_direction(tmp_path):
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
-        (read_interaction, "", "no table of tracks"),
+        (read_interaction, "", "not a table of tracks"),
         (read_interaction, SHORT, "has no rows"),
         (read_interaction, SHORT + "1,soon,car,0,0,1,0\n", "timestamp_ms is 'soon'"),
         (read_interaction, SHORT + "1,0,car,0,0,1,0,9\n", "more fields"),
         (read_geotrax, GEOTRAX, "has no rows"),
-        (read_geotrax, GEOTRAX + "1,noon,0,0,0,1,2,37,126,4,2,0\n", "Timestamp is no time"),
+        (read_geotrax, GEOTRAX + "1,noon,0,0,0,1,2,37,126,4,2,0\n", "Timestamp is not a time"),
         (partial(read_sdd, resolution=0.1), "0 1 2 3 4 5 1 0 0 Biker\n", "are lost"),
         (partial(read_sdd, resolution=0.1), "0 1 2 3\n", "4 columns; 10 are needed"),
     ],
 )
-def test_broken_files_are_refused_in_words(tmp_path, read, text, message):
+def test_broken_files_are_refused_with_their_reason(tmp_path, read, text, message):
     path = tmp_path / "a.csv"
     path.write_text(text)
     with pytest.raises(TracksError, match=message):

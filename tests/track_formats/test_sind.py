@@ -3,13 +3,13 @@ import pytest
 
 from geoaim.errors import TracksError
 from geoaim.track_formats import read_sind
-from geoaim.track_formats.motion import velocity_of
+from geoaim.track_formats.motion import estimate_velocity
 
 VEHICLES = (
     "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,yaw_rad,heading_rad,length,width,ax,ay,"
     "v_lon,v_lat,a_lon,a_lat\n"
 )
-PEOPLE = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,ax,ay\n"
+PEDESTRIANS = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,ax,ay\n"
 
 
 def _write(folder):
@@ -17,7 +17,9 @@ def _write(folder):
     vehicles += "1,1,100.1001,car,5,6.3,0,3,1.5708,1.5708,4.5,1.8,0,0,3,0,0,0\n"
     vehicles += "2,1,100.1001,bicycle,5,9,0,-0.5,1.5708,-1.5708,1.7,0.6,0,0,-0.5,0,0,0\n"
     (folder / "Veh_smoothed_tracks.csv").write_text(VEHICLES + vehicles)
-    (folder / "Ped_smoothed_tracks.csv").write_text(PEOPLE + "P1,0,0.0,pedestrian,1,2,-1,0,0,0\n")
+    (folder / "Ped_smoothed_tracks.csv").write_text(
+        PEDESTRIANS + "P1,0,0.0,pedestrian,1,2,-1,0,0,0\n"
+    )
 
 
 def test_folder_of_a_recording_gives_vehicles_and_pedestrians_together(tmp_path):
@@ -31,7 +33,7 @@ def test_folder_of_a_recording_gives_vehicles_and_pedestrians_together(tmp_path)
     np.testing.assert_allclose(tracks.sizes, [[4.5, 1.8], [1.7, 0.6], [0.5, 0.5]])
 
 
-def test_vehicles_head_as_they_stand_and_reverse_with_a_negative_speed(tmp_path):
+def test_a_vehicle_in_reverse_keeps_its_heading_and_has_a_negative_speed(tmp_path):
     _write(tmp_path)
     tracks = read_sind(tmp_path / "Veh_smoothed_tracks.csv")
     np.testing.assert_allclose(tracks.states[1, 1, 2:], [1.5708, -0.5])
@@ -41,17 +43,17 @@ def test_folder_without_the_files_and_vehicles_without_yaw_are_refused(tmp_path)
     with pytest.raises(TracksError, match=r"has neither Veh_smoothed_tracks.csv nor Ped_"):
         read_sind(tmp_path)
     path = tmp_path / "Veh_smoothed_tracks.csv"
-    path.write_text(PEOPLE + "1,0,0,car,1,2,-1,0,0,0\n")
+    path.write_text(PEDESTRIANS + "1,0,0,car,1,2,-1,0,0,0\n")
     with pytest.raises(TracksError, match="lacks the columns yaw_rad"):
         read_sind(path)
 
 
 @pytest.mark.parametrize(("place", "agents"), [("Changchun", 49), ("Chongqing", 40)])
-def test_real_pedestrians_head_where_they_go(data_folder, place, agents):
+def test_real_pedestrians_head_along_their_motion(data_folder, place, agents):
     folder = next((data_folder / "tracks/sind" / place).glob("*/Ped_smoothed_tracks.csv")).parent
     tracks = read_sind(folder)
     assert len(tracks.ids) == agents
-    velocity = velocity_of(tracks, 0.25)
+    velocity = estimate_velocity(tracks, 0.25)
     moving = tracks.present & (np.hypot(*np.moveaxis(velocity, -1, 0)) > 1)
     turn = np.arctan2(velocity[..., 1], velocity[..., 0]) - tracks.states[..., 2]
     off = np.angle(np.exp(1j * turn[moving]))

@@ -12,25 +12,26 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM, rectify
+from geoaim.aim import AIM
 from geoaim.errors import AlignmentError, GeoaimWarning, ImageryError, TracksError
 from geoaim.geometry import transform_points, translation
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.result import CHI2, PRIOR, Alignment, Prior, moved, report_alignment
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.rasters import (
-    HALF_SEEN,
-    colours_of,
-    describe_raster,
-    find_stretch,
-    place_raster,
+from geoaim.imagery.rasters import describe_raster
+from geoaim.imagery.resampling import (
+    MIN_ALPHA,
+    estimate_stretch,
+    resample_raster,
+    unpremultiply,
 )
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
+from geoaim.rectify import rectify
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World
@@ -172,17 +173,17 @@ def _picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
 
 def _masked_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
     """Without what nodata, masks and alpha hide; more than 8 bits are stretched."""
-    raster = describe_raster(str(path), place=("pixels", np.eye(3)))
-    stretch = find_stretch([raster], {"pixels": np.array([[0.0, 0.0], [1.0, 1.0]])})
+    raster = describe_raster(str(path), georeference=("pixels", np.eye(3)))
+    stretch = estimate_stretch([raster], {"pixels": np.array([[0.0, 0.0], [1.0, 1.0]])})
     image = np.zeros((*raster.grid.shape, 3), np.uint8)
     seen = np.zeros(image.shape[:2], bool)
     for top in range(0, raster.grid.height, STRIP):
         strip = image[top : top + STRIP]
         raster_from_strip = translation(0, top)
-        placed = place_raster(raster, raster_from_strip, strip.shape[:2], stretch)
+        placed = resample_raster(raster, raster_from_strip, strip.shape[:2], stretch)
         if placed is not None:
-            strip[:] = colours_of(placed[2])
-            seen[top : top + STRIP] = placed[2][3] >= HALF_SEEN
+            strip[:] = unpremultiply(placed[2])
+            seen[top : top + STRIP] = placed[2][3] >= MIN_ALPHA
     if not seen.any():
         raise ImageryError(f"{path} shows nothing but nodata or transparency; give another picture")
     return image, seen

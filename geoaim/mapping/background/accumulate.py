@@ -114,9 +114,9 @@ def mean_image(planes: tuple[Plane, ...], frame: Frame) -> UInt8[Array, "H W 3"]
             rim = cv2.dilate(blank.view(np.uint8), np.ones((5, 5), np.uint8)).view(bool)
             sharp[rim] = plane.total[rim]
         plane.total[:] = sharp
-    if frame.colour is not None and len(planes) == 3:
+    if frame.encoding is not None and len(planes) == 3:
         y, u, v = (plane.total[..., 0] for plane in planes)
-        image = image_from_planes(y, u, v, frame.colour)
+        image = image_from_planes(y, u, v, frame.encoding)
     else:
         image = np.rint(planes[0].total).clip(0, 255).astype(np.uint8)
     image[(planes[0].weight == 0) & (planes[0].spare_weight == 0)] = 0
@@ -262,4 +262,4 @@ def enlarge(mask: Bool[Array, "h w"], size: tuple[int, int]) -> UInt8[Array, "H 
 
 def _black(frame: Frame) -> float:
     """The grey level that stands for no light."""
-    return 0.0 if frame.colour is None or frame.colour.full_range else 16.0
+    return 0.0 if frame.encoding is None or frame.encoding.full_range else 16.0

@@ -30,7 +30,7 @@ from geoaim.mapping.background.accumulate import (
     warp,
 )
 from geoaim.mapping.background.traffic_removal import FEWEST, Traffic, find_traffic
-from geoaim.mapping.video.detections import Boxes, grow_boxes
+from geoaim.mapping.video.detections import Detections, grow_boxes
 from geoaim.mapping.video.frames import Frame
 
 Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its reference_from_frame
@@ -70,7 +70,7 @@ class RunningMean:
 
     Attributes:
         size: (height, width) of the image, pixels.
-        boxes: what to leave out of each frame, or None.
+        detections: what to leave out of each frame, or None.
         tolerance: `change` at which the mean has converged, grey levels; 0 takes all frames.
         bands: stripes of rows that the frames fill in turn.
         exposure: of the frames so far.
@@ -82,7 +82,7 @@ class RunningMean:
     """
 
     size: tuple[int, int]
-    boxes: Boxes | None
+    detections: Detections | None
     tolerance: float
     bands: int
     exposure: Exposure
@@ -145,7 +145,7 @@ def average_frames(
     *,
     size: tuple[int, int],
     image_from_reference: Float[Array, "3 3"] | None = None,
-    boxes: Boxes | None = None,
+    detections: Detections | None = None,
     tolerance: float = 0.0,
     bands: int = 1,
 ) -> Background:
@@ -158,8 +158,8 @@ def average_frames(
         frames: each with its reference_from_frame, read once.
         size: (height, width) of the image, pixels.
         image_from_reference: where the image lies; by default it begins at the reference's corner.
-        boxes: what to leave out of a frame, as left, top, right, bottom in its pixels; grown by
-            12 %. None for a frame of which nothing is known: it is then left out as a whole.
+        detections: boxes to leave out of a frame, grown by 12 %. A frame of which nothing is
+            known (None) is left out as a whole.
         tolerance: stop when `Background.change` is at most this (grey levels); give the frames in
             an order that spreads over the video, as `spread_order` does. 0 takes all frames.
         bands: stripes that the image is cut into.
@@ -168,7 +168,7 @@ def average_frames(
         BackgroundError: not one frame.
     """
     place = np.eye(3) if image_from_reference is None else image_from_reference
-    mean = start_mean(size, boxes=boxes, tolerance=tolerance, bands=bands)
+    mean = start_mean(size, detections=detections, tolerance=tolerance, bands=bands)
     for frame, reference_from_frame in frames:
         add_to_mean(mean, frame, place @ reference_from_frame)
         if mean.converged:
@@ -222,17 +222,21 @@ def spread_order(count: int) -> list[int]:
 
 
 def start_mean(
-    size: tuple[int, int], *, boxes: Boxes | None = None, tolerance: float = 0.0, bands: int = 1
+    size: tuple[int, int],
+    *,
+    detections: Detections | None = None,
+    tolerance: float = 0.0,
+    bands: int = 1,
 ) -> RunningMean:
     """A mean of no frames yet; the arguments are those of `average_frames`."""
-    return RunningMean(size, boxes, tolerance, bands, first_exposure(size))
+    return RunningMean(size, detections, tolerance, bands, first_exposure(size))
 
 
 def add_to_mean(mean: RunningMean, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> None:
     """Add a registered frame to a mean, in place; nothing is added when its boxes are unknown."""
-    if mean.boxes is None:
+    if mean.detections is None:
         _add_masked(mean, frame, image_from_frame, None)
-    elif (known := mean.boxes(frame)) is not None:
+    elif (known := mean.detections(frame)) is not None:
         _add_masked(mean, frame, image_from_frame, _mask_boxes(known, image_from_frame, mean.size))
 
 
@@ -262,7 +266,7 @@ def finish_mean(mean: RunningMean) -> Background:
     """
     if mean.frame is None:
         raise BackgroundError(
-            "there is no frame to average: none is registered, or no boxes are known of any; "
+            "there is no frame to average: none is registered, or no detections are known of any; "
             "look at the registration's reasons and at the names of the box files"
         )
     image = mean_image(mean.planes, mean.frame)
@@ -308,7 +312,7 @@ def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Backg
     if len(search.stack) < FEWEST:
         raise BackgroundError(
             f"{len(search.stack)} registered frames; at least {FEWEST} are needed to tell traffic "
-            "from ground: register more frames, give boxes, or average the frames as they are"
+            "from ground: register more frames, give detections, or average the frames as they are"
         )
     traffic = search.traffic or find_traffic(*_pack(search.stack, search.seen))
     search.stack.clear()

@@ -10,8 +10,8 @@ from geoaim.mapping.georeference.control_points import ControlPoints, merge_obse
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.registration.register import Reference, place_frames
-from geoaim.mapping.video.detections import Boxes
+from geoaim.mapping.registration.register import Reference, register_frames
+from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.video import Video
 from geoaim.world import LONLAT, choose_world, transform_crs
 
@@ -54,7 +54,7 @@ def georeference_reference_frame(
 
 
 def transform_points_to_reference(
-    points: ControlPoints, video: Video, reference: Reference, boxes: Boxes | None
+    points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
 ) -> ControlPoints:
     """Transform control points from the frames that they were picked on to the reference frame.
 
@@ -62,7 +62,7 @@ def transform_points_to_reference(
         points: picked on any frames.
         video: with these frames.
         reference: the reference frame.
-        boxes: vehicles that registration leaves out.
+        detections: vehicles that registration leaves out.
 
     Returns:
         One point for each place, with pixels of the reference frame.
@@ -74,7 +74,7 @@ def transform_points_to_reference(
     for picked in dict.fromkeys(points.frames):
         index = _find_frame_index(picked, video)
         frame = next(iter(video.frames_at([index / video.rate])))
-        [(_, placement)] = place_frames([frame], reference, boxes=boxes)
+        [(_, placement)] = register_frames([frame], reference, detections=detections)
         on_frame = np.array([other == picked for other in points.frames])
         if not placement.valid:
             names = ", ".join(np.array(points.names)[on_frame])

@@ -22,8 +22,8 @@ from geoaim.mapping.registration.patches import (
     make_template,
     reduce,
 )
-from geoaim.mapping.video.detections import Boxes, mask_of_boxes
-from geoaim.mapping.video.video import Frame
+from geoaim.mapping.video.detections import Detections, mask_boxes
+from geoaim.mapping.video.frames import Frame
 
 COARSE_WIDTH = 480  # px of the level that widens the search
 LEAST_PATCHES = 16  # in agreement, of about 300
@@ -34,7 +34,7 @@ OVERLAP = 0.55  # share of a keyframe's patches in view below which another is m
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class FrameRegistration:
     """One frame on the reference.
 
     Attributes:
@@ -74,9 +74,9 @@ def place(
     keyframe: Keyframe,
     prior: Float[Array, "3 3"],
     model: Model,
-) -> tuple[Placement, Alignment | None]:
+) -> tuple[FrameRegistration, Alignment | None]:
     """Search near the prior, then wider, then everywhere; the first that can be trusted."""
-    best: tuple[Placement, Alignment | None] = (_refusal("no patch in view"), None)
+    best: tuple[FrameRegistration, Alignment | None] = (_refusal("no patch in view"), None)
 
     def attempt(home: Keyframe, start: Float[Array, "3 3"], *, coarse: bool) -> bool:
         """Keep the better of this and the best so far; whether to look no further."""
@@ -104,7 +104,7 @@ def place(
     return best
 
 
-def _judge(keyframe: Keyframe, alignment: Alignment | None, model: Model) -> Placement:
+def _judge(keyframe: Keyframe, alignment: Alignment | None, model: Model) -> FrameRegistration:
     """Whether an alignment can be trusted, and where it lays the frame."""
     if alignment is None:
         return _refusal("no overlap with the reference, or nothing in common")
@@ -124,22 +124,22 @@ def _judge(keyframe: Keyframe, alignment: Alignment | None, model: Model) -> Pla
         reason = f"badly spread inliers: corners uncertain by {uncertainty:.1f} px"
     matrix = keyframe.reference_from_keyframe @ alignment.matrix
     matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
-    return Placement(matrix, reason, quality, share, total)
+    return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def _refusal(reason: str) -> Placement:
-    return Placement(np.full((3, 3), np.nan), reason, 0.0, 0.0, np.inf)
+def _refusal(reason: str) -> FrameRegistration:
+    return FrameRegistration(np.full((3, 3), np.nan), reason, 0.0, 0.0, np.inf)
 
 
 def make_keyframe(
     frame: Frame,
     features: Features,
-    boxes: Boxes | None,
+    detections: Detections | None,
     reference_from_keyframe: Float[Array, "3 3"],
     uncertainty: float,
 ) -> Keyframe:
     """Prepare a frame for others to be laid on it."""
-    exclude = excluded(frame, boxes)
+    exclude = excluded(frame, detections)
     height, width = frame.grey.shape
     factor = max(min(round(width / COARSE_WIDTH), height // (4 * SIDE)), 1)
     return Keyframe(
@@ -171,7 +171,7 @@ def share_in_view(
     return float(((points > 0) & (points < np.array(shape[::-1]))).all(1).mean())
 
 
-def excluded(frame: Frame, boxes: Boxes | None) -> Bool[Array, "H W"] | None:
-    """Pixels of a frame that its boxes say are vehicles."""
-    found = boxes(frame) if boxes else None
-    return None if found is None else mask_of_boxes(found, frame.grey.shape)
+def excluded(frame: Frame, detections: Detections | None) -> Bool[Array, "H W"] | None:
+    """Pixels of a frame that its detections say are vehicles."""
+    found = detections(frame) if detections else None
+    return None if found is None else mask_boxes(found, frame.grey.shape)

@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,8 +23,8 @@ from geoaim.mapping.registration.features import Features, detect, match
 from geoaim.mapping.registration.keyframes import (
     LEAST_PATCHES,
     OVERLAP,
+    FrameRegistration,
     Keyframe,
-    Placement,
     excluded,
     keyframe_in_view,
     make_keyframe,
@@ -33,8 +32,9 @@ from geoaim.mapping.registration.keyframes import (
     share_in_view,
 )
 from geoaim.mapping.registration.motion_models import Match, Model, ModelChoice, choose_model
-from geoaim.mapping.video.detections import Boxes, read_boxes
-from geoaim.mapping.video.video import Frame, Video, open_video
+from geoaim.mapping.video.detections import Detections, read_detections
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
 
 PROBES = 5  # frames that choose the reference and the model
@@ -101,9 +101,9 @@ class Registration:
 
 
 def register(
-    video: Video | Any,
+    video: VideoSource,
     *,
-    boxes: Boxes | str | Path | None = None,
+    detections: Detections | str | Path | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
     progress: Progress = no_progress,
@@ -112,8 +112,8 @@ def register(
 
     Args:
         video: what `open_video` takes.
-        boxes: vehicles to leave out of the estimate: a folder of YOLO text files, or a function
-            of a frame, as `read_boxes` makes it.
+        detections: vehicles to leave out: a folder of YOLO text files, or a function of a frame,
+            as `read_detections` makes it.
         model: the motion model; chosen by the data when None.
         reference_time: seconds; the reference is chosen by the data when None.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
@@ -122,10 +122,10 @@ def register(
         RegistrationError: no frame can serve as the reference, or none can be laid on it.
     """
     video = open_video(video)
-    boxes = read_boxes(boxes) if isinstance(boxes, str | Path) else boxes
-    reference = choose_reference(video, boxes=boxes, model=model, time=reference_time)
+    detections = read_detections(detections) if isinstance(detections, str | Path) else detections
+    reference = choose_reference(video, detections=detections, model=model, time=reference_time)
     rows = []
-    for frame, placement in place_frames(video, reference, boxes=boxes):
+    for frame, placement in register_frames(video, reference, detections=detections):
         rows.append((frame.index, frame.time, placement))
         progress("register", len(rows), video.frame_count)
     return _refuse_jumps(collect(rows, reference))
@@ -158,7 +158,9 @@ def tally(reasons: Iterable[str]) -> dict[str, int]:
     return dict(kinds.most_common())
 
 
-def collect(rows: Iterable[tuple[int, float, Placement]], reference: Reference) -> Registration:
+def collect(
+    rows: Iterable[tuple[int, float, FrameRegistration]], reference: Reference
+) -> Registration:
     """Gather (index, time, placement) of frames into a table.
 
     Raises:
@@ -191,7 +193,7 @@ def collect(rows: Iterable[tuple[int, float, Placement]], reference: Reference) 
 def choose_reference(
     video: Video,
     *,
-    boxes: Boxes | None = None,
+    detections: Detections | None = None,
     model: Model | None = None,
     time: float | None = None,
 ) -> Reference:
@@ -199,14 +201,14 @@ def choose_reference(
 
     Where the view moves on, so that no frame sees what all others see, it is the first frame.
     """
-    probes = list(video.sampled(PROBES))
+    probes = list(video.sample(PROBES))
     if time is not None:
         probes = [*video.frames_at([time]), *probes]
     rivals = probes if time is None else probes[:1]
-    found = [detect(probe.grey, exclude=excluded(probe, boxes)) for probe in rivals]
+    found = [detect(probe.grey, exclude=excluded(probe, detections)) for probe in rivals]
     best = _best_connected(found, (video.height, video.width))
     probe = probes[best]
-    keyframe = make_keyframe(probe, found[best], boxes, np.eye(3), 0.0)
+    keyframe = make_keyframe(probe, found[best], detections, np.eye(3), 0.0)
     if len(keyframe.fine.points) < LEAST_PATCHES:
         raise RegistrationError(
             f"the frame at {probe.time:.2f} s has {len(keyframe.fine.points)} patches with enough "
@@ -218,9 +220,9 @@ def choose_reference(
     return reference if model else _choose_model(reference, probes)
 
 
-def place_frames(
-    frames: Iterable[Frame], reference: Reference, *, boxes: Boxes | None = None
-) -> Iterator[tuple[Frame, Placement]]:
+def register_frames(
+    frames: Iterable[Frame], reference: Reference, *, detections: Detections | None = None
+) -> Iterator[tuple[Frame, FrameRegistration]]:
     """Lay frames on the reference, one after another, each starting from the last."""
     keyframes = [reference.keyframe]
     prior = np.eye(3)
@@ -232,8 +234,8 @@ def place_frames(
             prior = placement.matrix
             nearest = keyframe_in_view(keyframes, prior, frame.grey.shape)
             if share_in_view(nearest, prior, frame.grey.shape) < OVERLAP:
-                features = detect(frame.grey, exclude=excluded(frame, boxes))
-                new = make_keyframe(frame, features, boxes, prior, placement.uncertainty)
+                features = detect(frame.grey, exclude=excluded(frame, detections))
+                new = make_keyframe(frame, features, detections, prior, placement.uncertainty)
                 if len(new.fine.points) >= LEAST_PATCHES:
                     keyframes.append(new)
 

@@ -1,4 +1,4 @@
-"""Video files by FFmpeg: all frames in order, or those at given times by leaps to keyframes."""
+"""Decode video files with FFmpeg: all frames in order, or frames at given times by seeking."""
 
 import math
 import warnings
@@ -14,148 +14,158 @@ import av
 import numpy as np
 
 from geoaim.errors import GeoaimWarning, VideoError
-from geoaim.mapping.video.frames import UPRIGHT, Frame, Turn
+from geoaim.mapping.video.frames import UPRIGHT, Frame, Orientation
 
-TICK = 1e-3  # seconds; Matroska rounds timestamps to milliseconds
+TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
+DEFAULT_RATE = 25  # frames per second, where a file states none
+MIN_END_TOLERANCE_S = 0.25  # by which a file may last beyond the time of its last frame
 
 
 @dataclass(frozen=True)
-class Clip:
-    """What opening a video file told.
+class VideoFile:
+    """A video file that can be decoded, and the properties that it states.
 
     Attributes:
         path: the file.
-        threads: decoding threads, None for the decoder's choice.
-        stored_size: (height, width) of the frames before they are set upright.
-        turn: sets them upright.
+        threads: decoding threads; None leaves the number to the decoder.
+        stored_size: (height, width) of the decoded frames, before `orientation` is applied.
+        orientation: how decoded frames become upright.
         start: presentation time of the first frame, seconds; NaN where frames carry no time.
         rate: average frames per second.
-        count: frames that the file states to have, 0 when it does not.
-        counted: whether `count` is a count, not duration times rate.
-        searchable: whether seeking finds the frame of a time; raw streams and AVI do not.
+        count: number of frames that the file states; 0 when it states none.
+        count_is_exact: whether `count` is a count of frames, not duration times rate.
+        seekable: whether frames can be found by time; not in raw streams and AVI.
     """
 
     path: Path
     threads: int | None
     stored_size: tuple[int, int]
-    turn: Turn
+    orientation: Orientation
     start: float
     rate: float
     count: int
-    counted: bool
-    searchable: bool
+    count_is_exact: bool
+    seekable: bool
 
 
 @dataclass(frozen=True)
-class _Key:
-    """A keyframe: when it is shown, how to seek to it, and whether it is all that is wanted."""
+class _Keyframe:
+    """A keyframe: its time (s), how to seek to it, and whether no other frame is to be decoded."""
 
     time: float
-    offset: int = field(compare=False)  # several lead to one keyframe
+    offset: int = field(compare=False)  # several offsets lead to the same keyframe
     backward: bool = field(compare=False)
-    alone: bool = False
+    decode_alone: bool = False
 
 
-def open_clip(path: Path, threads: int | None) -> Clip:
-    """Decode the first frame of a video file, and learn what the file says of itself.
+def open_video_file(path: Path, threads: int | None) -> VideoFile:
+    """Decode the first frame of a video file, and read the properties that the file states.
 
     Raises:
-        VideoError: empty, not a video, no video stream, or not one frame that can be decoded.
+        VideoError: the file is empty, no video, has no video stream, or no frame can be decoded.
     """
-    with _container(path) as container:
-        stream = _video_stream(container, path, threads)
-        decoded = _decoded(stream.codec_context, container.demux(stream))
+    with _open_container(path) as container:
+        stream = _select_stream(container, path, threads)
+        decoded = _decode(stream.codec_context, container.demux(stream))
         first = next((frame for frame in decoded if frame is not None), None)
         if first is None:
-            raise VideoError(f"{path}: not one frame could be decoded; the file is damaged")
-        count, counted = _stated_count(container, stream)
+            raise VideoError(f"{path}: no frame could be decoded; the file is damaged")
+        count, count_is_exact = _read_frame_count(container, stream)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
-        return Clip(
+        return VideoFile(
             path=path,
             threads=threads,
             stored_size=(first.height, first.width),
-            turn=_turn(first),
+            orientation=_read_orientation(first),
             start=float(first.pts * stream.time_base) if stamped else math.nan,
-            rate=_rate(stream),
+            rate=_read_rate(stream),
             count=count,
-            counted=counted,
-            searchable=stamped and count > 0 and _is_searchable(container),
+            count_is_exact=count_is_exact,
+            seekable=stamped and count > 0 and _is_seekable(container),
         )
 
 
-def read_clip(clip: Clip) -> Iterator[Frame]:
-    """Every frame in presentation order, then a warning where some are missing."""
-    index, time, missed = -1, -1 / clip.rate, 0
-    breaks: list[str] = []
-    with _container(clip.path) as container:
-        stream = _video_stream(container, clip.path, clip.threads)
-        for decoded in _decoded(stream.codec_context, container.demux(stream)):
+def read_frames(file: VideoFile) -> Iterator[Frame]:
+    """Yield every frame in presentation order; warn at the end when frames were missing."""
+    index, time, missing = -1, -1 / file.rate, 0
+    gaps: list[str] = []
+    with _open_container(file.path) as container:
+        stream = _select_stream(container, file.path, file.threads)
+        for decoded in _decode(stream.codec_context, container.demux(stream)):
             if decoded is None:
-                missed += 1
+                missing += 1
                 continue
-            now = _time(clip, stream, decoded, time + (missed + 1) / clip.rate)
-            if missed:  # the decoder may drop more than it tells: the time says how many
-                lost = max(round((now - time) * clip.rate) - 1, 0)
-                breaks.append(f"{lost} frame(s) after frame {index} ({time:.3f} s)")
+            now = _compute_time(file, stream, decoded, time + (missing + 1) / file.rate)
+            if missing:  # the decoder may drop more than it reports; the timestamps tell how many
+                lost = max(round((now - time) * file.rate) - 1, 0)
+                gaps.append(f"{lost} frame(s) after frame {index} ({time:.3f} s)")
                 index += lost
-            index, time, missed = index + 1, now, 0
-            yield _frame(clip, decoded, index, time)
-    if missed:
-        breaks.append(f"{missed} frame(s) after frame {index} ({time:.3f} s)")
-    _warn_of_breaks(clip, breaks, index, time)
+            index, time, missing = index + 1, now, 0
+            yield _make_frame(file, decoded, index, time)
+    if missing:
+        gaps.append(f"{missing} frame(s) after frame {index} ({time:.3f} s)")
+    _warn_of_gaps(file, gaps, index, time)
 
 
-def seek_clip(clip: Clip, times: list[float], slack: float) -> Iterator[Frame]:
-    """The frame shown at each of the times, which are in order; each frame once.
+def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterator[Frame]:
+    """Yield the frames displayed at given times, in order and each once.
 
-    Only what lies between the keyframe before a time and that time is decoded; or nothing but a
-    keyframe, where one lies within `slack` seconds of the time.
+    For each time only the frames from the preceding keyframe on are decoded, or a single keyframe
+    where one lies within `slack` seconds of the time.
+
+    Args:
+        file: the file.
+        times: seconds, in ascending order.
+        slack: seconds; 0 decodes exactly the frame at each time.
+
+    Yields:
+        The frames; their index is estimated from the time.
     """
-    if not clip.searchable:
-        yield from _shown(read_clip(clip), times)
+    if not file.seekable:
+        yield from _select_shown(read_frames(file), times)
         return
-    lost: list[float] = []
+    unread: list[float] = []
     last = -math.inf
-    with _container(clip.path) as container:
-        stream = _video_stream(container, clip.path, clip.threads)
-        keys = [_keyframe_for(clip, container, stream, time, slack) for time in times]
-        for key, run in groupby(zip(keys, times, strict=True), itemgetter(0)):
-            wanted = [time for _, time in run]
-            frames = _frames_from(clip, container, stream, key) if key else iter(())
-            read = False
-            for frame in _shown(frames, wanted):
-                read = True
+    with _open_container(file.path) as container:
+        stream = _select_stream(container, file.path, file.threads)
+        keyframes = [_find_keyframe(file, container, stream, time, slack) for time in times]
+        for keyframe, run in groupby(zip(keyframes, times, strict=True), itemgetter(0)):
+            requested = [time for _, time in run]
+            frames = _decode_from(file, container, stream, keyframe) if keyframe else iter(())
+            any_read = False
+            for frame in _select_shown(frames, requested):
+                any_read = True
                 if frame.time > last:
                     last = frame.time
                     yield frame
-            ended = not (key and key.alone) and next(frames, None) is None
-            beyond = last + _hold(clip) if ended else math.inf
-            lost += [time for time in wanted if not read or time > beyond]
-    if lost:
+            ended = not (keyframe and keyframe.decode_alone) and next(frames, None) is None
+            end = last + _compute_end_tolerance(file) if ended else math.inf
+            unread += [time for time in requested if not any_read or time > end]
+    if unread:
         message = (
-            f"{clip.path}: {len(lost)} of {len(times)} wanted frames cannot be read, the first at "
-            f"{lost[0]:.3f} s: the file ends before, or is damaged"
+            f"{file.path}: {len(unread)} of {len(times)} requested frames cannot be read, the "
+            f"first at {unread[0]:.3f} s: the file ends earlier, or is damaged"
         )
         warnings.warn(GeoaimWarning(message), stacklevel=2)
 
 
-def _container(path: Path) -> Any:
+def _open_container(path: Path) -> Any:
     try:
         return av.open(str(path))
     except av.FFmpegError as error:
-        with path.open("rb") as file:
-            head = file.read(8)
+        with path.open("rb") as opened:
+            head = opened.read(8)
         if not head:
             raise VideoError(f"{path}: the file is empty") from error
         if head[4:] == b"ftyp":
             raise VideoError(
                 f"{path}: an MP4 or MOV whose index (moov atom) cannot be read: the recording or "
-                "the copy broke off before its end; copy it again, or repair it (untrunc)"
+                "the copy was interrupted; copy it again, or repair it (untrunc)"
             ) from error
         raise VideoError(f"{path}: not a video that FFmpeg can read ({error.strerror})") from error
 
 
-def _video_stream(container: Any, path: Path, threads: int | None) -> Any:
+def _select_stream(container: Any, path: Path, threads: int | None) -> Any:
     cover = av.stream.Disposition.attached_pic
     streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
@@ -167,43 +177,43 @@ def _video_stream(container: Any, path: Path, threads: int | None) -> Any:
     return streams[0]
 
 
-def _turn(frame: Any) -> Turn:
+def _read_orientation(frame: Any) -> Orientation:
     """From the display matrix: stored (x, y) is shown at (a x + c y, b x + d y)."""
     matrix = frame.side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return UPRIGHT
     a, b, _, c, d = np.frombuffer(matrix, "<i4")[:5].tolist()
     transpose = abs(b) > abs(a)
-    return Turn(transpose, (b if transpose else d) < 0, (c if transpose else a) < 0)
+    return Orientation(transpose, (b if transpose else d) < 0, (c if transpose else a) < 0)
 
 
-def _is_searchable(container: Any) -> bool:
+def _is_seekable(container: Any) -> bool:
     return any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
 
 
-def _rate(stream: Any) -> float:
-    return float(stream.average_rate or stream.guessed_rate or 25)
+def _read_rate(stream: Any) -> float:
+    return float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
 
 
-def _stated_count(container: Any, stream: Any) -> tuple[int, bool]:
-    """Frames that the file states to have, and whether it counts them or tells the duration."""
+def _read_frame_count(container: Any, stream: Any) -> tuple[int, bool]:
+    """Number of frames that the file states, and whether it is a count, not a duration."""
     if stream.frames and "mov" in container.format.name:  # an edit list may hide some of them
         return sum(not entry.is_discard for entry in stream.index_entries), True
     if stream.frames:
         return stream.frames, True
     if stream.duration is not None:
-        return round(stream.duration * stream.time_base * _rate(stream)), False
-    return round((container.duration or 0) / av.time_base * _rate(stream)), False
+        return round(stream.duration * stream.time_base * _read_rate(stream)), False
+    return round((container.duration or 0) / av.time_base * _read_rate(stream)), False
 
 
-def _decoded(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
-    """Decoded frames; None for each that is damaged, or built on a damaged one."""
+def _decode(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
+    """Yield decoded frames; None for each that is damaged or predicted from a damaged one."""
     intact = True
     while True:
         try:
             packet = next(packets, None)
-            cut = packet is not None and packet.is_corrupt  # then empty the decoder of what is good
-            frames = codec.decode(None if cut else packet)
+            corrupt = packet is not None and packet.is_corrupt
+            frames = codec.decode(None if corrupt else packet)  # None: the intact frames so far
         except av.error.EOFError:
             return
         except av.FFmpegError:
@@ -213,54 +223,55 @@ def _decoded(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
         for frame in frames:
             intact = not frame.is_corrupt and (intact or frame.key_frame)
             yield frame if intact else None
-        if cut:
+        if corrupt:
             codec.flush_buffers()
             intact = False
             yield None
 
 
-def _time(clip: Clip, stream: Any, decoded: Any, otherwise: float) -> float:
-    """Seconds since the first frame, by the presentation timestamp where there is one."""
-    if decoded.pts is None or math.isnan(clip.start):
-        return otherwise
-    return float(decoded.pts * stream.time_base) - clip.start
+def _compute_time(file: VideoFile, stream: Any, decoded: Any, default: float) -> float:
+    """Seconds since the first frame by the presentation timestamp, or `default` without one."""
+    if decoded.pts is None or math.isnan(file.start):
+        return default
+    return float(decoded.pts * stream.time_base) - file.start
 
 
-def _frame(clip: Clip, decoded: Any, index: int, time: float) -> Frame:
-    if (decoded.height, decoded.width) != clip.stored_size:
+def _make_frame(file: VideoFile, decoded: Any, index: int, time: float) -> Frame:
+    if (decoded.height, decoded.width) != file.stored_size:
         raise VideoError(
-            f"{clip.path}: frame {index} has {decoded.height} x {decoded.width} pixels (height x "
-            f"width), the first has {clip.stored_size[0]} x {clip.stored_size[1]}; split the file"
+            f"{file.path}: frame {index} has {decoded.height} x {decoded.width} pixels (height x "
+            f"width), the first has {file.stored_size[0]} x {file.stored_size[1]}; split the file"
         )
-    return Frame(index, time, None, decoded, clip.turn)
+    return Frame(index, time, None, decoded, file.orientation)
 
 
-def _warn_of_breaks(clip: Clip, breaks: list[str], index: int, time: float) -> None:
-    found = []
-    if breaks:
-        more = f" and more at {len(breaks) - 1} other places" if len(breaks) > 1 else ""
-        found.append(f"damaged, left out {breaks[0]}{more}")
-    duration = clip.count / clip.rate
-    short = index + 1 < clip.count if clip.counted else time + _hold(clip) < duration
-    if short:
-        found.append(
+def _warn_of_gaps(file: VideoFile, gaps: list[str], index: int, time: float) -> None:
+    """Warn of missing frames inside a file, and at its end, after the last frame that was read."""
+    problems = []
+    if gaps:
+        more = f" and more at {len(gaps) - 1} other places" if len(gaps) > 1 else ""
+        problems.append(f"damaged, left out {gaps[0]}{more}")
+    duration = file.count / file.rate
+    ends_early = time + _compute_end_tolerance(file) < duration
+    if index + 1 < file.count if file.count_is_exact else ends_early:
+        problems.append(
             f"breaks off after frame {index} ({time:.3f} s), "
-            f"{clip.count} frames ({duration:.3f} s) were expected"
+            f"{file.count} frames ({duration:.3f} s) were expected"
         )
-    if found:
-        warnings.warn(GeoaimWarning(f"{clip.path}: {'; '.join(found)}"), stacklevel=3)
+    if problems:
+        warnings.warn(GeoaimWarning(f"{file.path}: {'; '.join(problems)}"), stacklevel=3)
 
 
-def _hold(clip: Clip) -> float:
-    """Seconds for which the last frame may stand without anything being amiss."""
-    return max(0.25, 3 / clip.rate)
+def _compute_end_tolerance(file: VideoFile) -> float:
+    """Seconds that an intact file may last after the time of its last frame."""
+    return max(MIN_END_TOLERANCE_S, 3 / file.rate)
 
 
-def _shown(frames: Iterable[Frame], times: list[float]) -> Iterator[Frame]:
-    """Of frames in order of time, those on display at the times, which are in order too."""
+def _select_shown(frames: Iterable[Frame], times: list[float]) -> Iterator[Frame]:
+    """Of frames in order of time, yield those that are displayed at the given ordered times."""
     current, pending = None, deque(times)
     for following in chain(frames, [None]):
-        until = math.inf if following is None else following.time - TICK
+        until = math.inf if following is None else following.time - TIMESTAMP_STEP_S
         if current is not None and pending[0] < until:
             yield current
             while pending and pending[0] < until:
@@ -270,34 +281,36 @@ def _shown(frames: Iterable[Frame], times: list[float]) -> Iterator[Frame]:
         current = following
 
 
-def _keyframe_for(
-    clip: Clip, container: Any, stream: Any, time: float, slack: float
-) -> _Key | None:
-    """The keyframe to decode alone or from, for the frame at a time; None where nothing is left."""
-    before = _keyframe_before(clip, container, stream, time)
+def _find_keyframe(
+    file: VideoFile, container: Any, stream: Any, time: float, slack: float
+) -> _Keyframe | None:
+    """The keyframe with which to decode the frame at a time; None after the end of the file."""
+    before = _find_keyframe_before(file, container, stream, time)
     if before is None or slack == 0 or time <= 0:
         return before
-    after = _first_key(clip, container, stream, time, backward=False)
-    near = after if after and after.time - time < time - before.time else before
-    return replace(near, alone=True) if abs(near.time - time) <= slack else before
+    after = _seek_keyframe(file, container, stream, time, backward=False)
+    nearest = after if after and after.time - time < time - before.time else before
+    return replace(nearest, decode_alone=True) if abs(nearest.time - time) <= slack else before
 
 
-def _keyframe_before(clip: Clip, container: Any, stream: Any, time: float) -> _Key | None:
+def _find_keyframe_before(
+    file: VideoFile, container: Any, stream: Any, time: float
+) -> _Keyframe | None:
     earlier = 0.0
     while True:
         target = time - earlier if earlier <= time else -10.0  # well before the first frame
-        key = _first_key(clip, container, stream, target, backward=True)
-        if key is not None and (key.time <= time + TICK or earlier > time):
-            return key
-        if key is None and (earlier > time or "mpegts" not in container.format.name):
+        keyframe = _seek_keyframe(file, container, stream, target, backward=True)
+        if keyframe is not None and (keyframe.time <= time + TIMESTAMP_STEP_S or earlier > time):
+            return keyframe
+        if keyframe is None and (earlier > time or "mpegts" not in container.format.name):
             return None
-        earlier = 2 * earlier or 0.25  # MPEG-TS has no index: seeking lands behind the keyframe
+        earlier = 2 * earlier or 0.25  # MPEG-TS has no index: a seek may end after the keyframe
 
 
-def _first_key(
-    clip: Clip, container: Any, stream: Any, time: float, *, backward: bool
-) -> _Key | None:
-    offset = math.floor((clip.start + time + TICK) / stream.time_base)
+def _seek_keyframe(
+    file: VideoFile, container: Any, stream: Any, time: float, *, backward: bool
+) -> _Keyframe | None:
+    offset = math.floor((file.start + time + TIMESTAMP_STEP_S) / stream.time_base)
     try:
         container.seek(offset, stream=stream, backward=backward)
         packet = next((packet for packet in container.demux(stream) if packet.is_keyframe), None)
@@ -306,16 +319,18 @@ def _first_key(
     if packet is None:
         return None
     stamp = packet.dts if packet.pts is None else packet.pts
-    return _Key(float(stamp * stream.time_base) - clip.start, offset, backward)
+    return _Keyframe(float(stamp * stream.time_base) - file.start, offset, backward)
 
 
-def _frames_from(clip: Clip, container: Any, stream: Any, key: _Key) -> Iterator[Frame]:
-    """The frames from a keyframe on, or the keyframe alone; the index is estimated from time."""
-    container.seek(key.offset, stream=stream, backward=key.backward)
+def _decode_from(
+    file: VideoFile, container: Any, stream: Any, keyframe: _Keyframe
+) -> Iterator[Frame]:
+    """Yield the frames from a keyframe on, or only that; their index is estimated from the time."""
+    container.seek(keyframe.offset, stream=stream, backward=keyframe.backward)
     packets = container.demux(stream)
-    if key.alone:
+    if keyframe.decode_alone:
         packets = islice((packet for packet in packets if packet.is_keyframe), 1)
-    for decoded in _decoded(stream.codec_context, packets):
+    for decoded in _decode(stream.codec_context, packets):
         if decoded is not None:
-            time = _time(clip, stream, decoded, key.time)
-            yield _frame(clip, decoded, round(time * clip.rate), time)
+            time = _compute_time(file, stream, decoded, keyframe.time)
+            yield _make_frame(file, decoded, round(time * file.rate), time)

@@ -1,4 +1,4 @@
-"""Vehicle boxes that are known beforehand: YOLO text files or arrays."""
+"""Detections: boxes of vehicles in frames, from YOLO text files or arrays."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -8,22 +8,22 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimError
-from geoaim.mapping.video.video import Frame
+from geoaim.mapping.video.frames import Frame
 
-GROW = 1.12  # boxes as detectors draw them leave out shadows and mirrors
-# Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None where nothing is known.
-Boxes = Callable[[Frame], Float[Array, "N 4"] | None]
+BOX_SCALE = 1.12  # detectors' boxes leave out shadows and mirrors
+# Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None for a frame without labels.
+Detections = Callable[[Frame], Float[Array, "N 4"] | None]
 
 
-def read_boxes(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Boxes:
-    """Boxes from a folder of YOLO text, or from arrays in the order of the frames.
+def read_detections(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Detections:
+    """Read detections from a folder of YOLO text files, or from arrays in the order of the frames.
 
     A text file is named like the frame's image, or by the frame's index (`000123.txt` or
-    `123.txt`), and has a row a box: class, centre x, centre y, width, height, all but the class
-    as shares of the image's size.
+    `123.txt`), and has one row per box: class, centre x, centre y, width, height; all but the class
+    are shares of the image's size.
 
     Raises:
-        GeoaimError: the folder holds no text files, or a row is not as described.
+        GeoaimError: the folder holds no text files, or a row has another form.
     """
     if not isinstance(source, str | Path):
         return lambda frame: source[frame.index] if frame.index < len(source) else None
@@ -33,24 +33,24 @@ def read_boxes(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Boxes:
     if not files:
         raise GeoaimError(f"{source} holds no .txt files; one YOLO file for each frame is needed")
 
-    def boxes_of(frame: Frame) -> Float[Array, "N 4"] | None:
+    def read_boxes(frame: Frame) -> Float[Array, "N 4"] | None:
         stem = Path(frame.name).stem if frame.name else str(frame.index)
         file = files.get(stem.lstrip("0") or "0")
         return None if file is None else _read_yolo(file, frame.grey.shape)
 
-    return boxes_of
+    return read_boxes
 
 
 def grow_boxes(boxes: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
-    """Each box grown by 12 % about its centre."""
-    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * GROW
+    """Enlarge each box by 12 % about its centre."""
+    centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * BOX_SCALE
     return np.concatenate([centre - half, centre + half], axis=1)
 
 
-def mask_of_boxes(boxes: Float[Array, "N 4"], shape: tuple[int, ...]) -> Bool[Array, "H W"]:
-    """True inside the grown boxes."""
-    mask = np.zeros(shape[:2], bool)
-    limits = np.array([shape[1], shape[0]])
+def mask_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Bool[Array, "H W"]:
+    """Mask of a (height, width) image that is True inside the boxes, enlarged by 12 %."""
+    mask = np.zeros(size, bool)
+    limits = np.array(size[::-1])
     grown = grow_boxes(boxes)
     low = np.clip(np.floor(grown[:, :2]), 0, limits).astype(int)
     high = np.clip(np.ceil(grown[:, 2:]), 0, limits).astype(int)
@@ -59,13 +59,14 @@ def mask_of_boxes(boxes: Float[Array, "N 4"], shape: tuple[int, ...]) -> Bool[Ar
     return mask
 
 
-def _read_yolo(file: Path, shape: tuple[int, ...]) -> Float[Array, "N 4"]:
+def _read_yolo(file: Path, size: tuple[int, int]) -> Float[Array, "N 4"]:
+    """Boxes in pixels of a (height, width) image."""
     rows = [line.split() for line in file.read_text().splitlines() if line.strip()]
-    odd = [row for row in rows if len(row) not in (5, 6)]
-    if odd:
+    malformed = [row for row in rows if len(row) not in (5, 6)]
+    if malformed:
         raise GeoaimError(
-            f"{file}: a row has {len(odd[0])} fields; class, x, y, width and height are needed "
-            "(a confidence may follow)"
+            f"{file}: a row has {len(malformed[0])} fields; class, x, y, width and height are "
+            "needed (a confidence may follow)"
         )
     try:
         values = np.array([[float(value) for value in row[1:5]] for row in rows]).reshape(-1, 4)
@@ -73,6 +74,5 @@ def _read_yolo(file: Path, shape: tuple[int, ...]) -> Float[Array, "N 4"]:
         raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error
     if not ((values >= 0) & (values <= 1)).all():
         raise GeoaimError(f"{file}: values reach {values.max():g}; shares of the size are needed")
-    size = np.array([shape[1], shape[0]])
     low, high = values[:, :2] - values[:, 2:] / 2, values[:, :2] + values[:, 2:] / 2
-    return np.concatenate([low * size, high * size], axis=1)
+    return np.concatenate([low * size[::-1], high * size[::-1]], axis=1)

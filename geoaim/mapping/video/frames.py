@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Shaped, UInt8
 from numpy import ndarray as Array
 
-# Pixel formats whose first plane is 8-bit luma: the decoder's own memory serves as the grey image.
+# Pixel formats whose first plane is 8-bit luma, so that grey images need no copy.
 LUMA_FIRST = frozenset(
     {"yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p", "nv12", "nv21", "gray"}
 )
@@ -20,56 +20,56 @@ BT601 = (0.299, 0.114)
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 
 
-class Turn(NamedTuple):
-    """How stored pixels become upright ones: transpose, then flip."""
+class Orientation(NamedTuple):
+    """How to turn stored pixels upright: transpose, then flip."""
 
     transpose: bool = False
     flip_rows: bool = False
     flip_columns: bool = False
 
 
-class Colour(NamedTuple):
-    """How YUV means RGB: weights of red and blue in luma, and whether luma spans 0 to 255."""
+class YuvEncoding(NamedTuple):
+    """How YUV encodes RGB: weights of red and blue in luma, and whether luma spans 0 to 255."""
 
     red: float
     blue: float
     full_range: bool
 
 
-UPRIGHT = Turn()
+UPRIGHT = Orientation()
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One decoded frame. `grey` and `image` are made when first asked for, and kept with it.
+    """One decoded frame. `grey` and `image` are computed on first access and cached.
 
     Attributes:
-        index: position in presentation order; after `sampled` or `frames_at` on a video file it
-            is time x average rate, an estimate where the frame rate varies.
+        index: position in presentation order; from `sample` and `frames_at` of a video file it is
+            time x average rate, an estimate where the frame rate varies.
         time: seconds since the first frame, from presentation timestamps.
         name: file name of an image, None for a frame of a video.
-        decoded: what was decoded: a frame of PyAV, or an array.
-        turn: how to set it upright.
+        decoded: the frame of PyAV, or the array, that holds the pixels.
+        orientation: how to turn the pixels upright.
     """
 
     index: int
     time: float
     name: str | None
     decoded: Any
-    turn: Turn = UPRIGHT
+    orientation: Orientation = UPRIGHT
 
     @cached_property
     def grey(self) -> UInt8[Array, "H W"]:
         """Luma as stored: 16 to 235 where the video has limited range, 0 to 255 otherwise.
 
-        Of upright 8-bit YUV it is a read-only view of the decoder's memory; others are converted.
+        Upright 8-bit YUV gives a read-only view of the decoder's memory; others are converted.
         """
         if isinstance(self.decoded, Array):
             is_grey = self.decoded.ndim == 2
             return self.decoded if is_grey else cv2.cvtColor(self.decoded, cv2.COLOR_RGB2GRAY)
         as_stored = self.decoded.format.name in LUMA_FIRST
         luma = self.decoded if as_stored else self.decoded.reformat(format="yuv420p")
-        return set_upright(_plane(luma, 0), self.turn)
+        return set_upright(_view_plane(luma, 0), self.orientation)
 
     @cached_property
     def image(self) -> UInt8[Array, "H W 3"]:
@@ -77,68 +77,81 @@ class Frame:
         if isinstance(self.decoded, Array):
             is_grey = self.decoded.ndim == 2
             return cv2.cvtColor(self.decoded, cv2.COLOR_GRAY2RGB) if is_grey else self.decoded
-        return set_upright(self.decoded.to_ndarray(format="rgb24"), self.turn)
+        return set_upright(self.decoded.to_ndarray(format="rgb24"), self.orientation)
 
     @property
     def planes(self) -> tuple[UInt8[Array, "H W"], UInt8[Array, "h w"], UInt8[Array, "h w"]] | None:
         """Raw (Y, U, V), read-only, of an upright 8-bit 4:2:0 video; None for any other source.
 
-        Averages of these become RGB by `image_from_planes(y, u, v, frame.colour)`.
+        `image_from_planes(y, u, v, frame.encoding)` converts them, or means of them, to RGB.
         """
-        if isinstance(self.decoded, Array) or self.turn != UPRIGHT:
+        if isinstance(self.decoded, Array) or self.orientation != UPRIGHT:
             return None
         if self.decoded.format.name not in ("yuv420p", "yuvj420p"):
             return None
-        return _plane(self.decoded, 0), _plane(self.decoded, 1), _plane(self.decoded, 2)
+        return (
+            _view_plane(self.decoded, 0),
+            _view_plane(self.decoded, 1),
+            _view_plane(self.decoded, 2),
+        )
 
     @property
-    def colour(self) -> Colour | None:
-        """What the planes of a video file's frame mean; None for images and arrays."""
+    def encoding(self) -> YuvEncoding | None:
+        """How the planes of a video file's frame encode RGB; None for images and arrays."""
         if isinstance(self.decoded, Array):
             return None
         full = self.decoded.color_range == FULL_RANGE or "yuvj" in self.decoded.format.name
-        return Colour(*LUMA_WEIGHTS.get(int(self.decoded.colorspace), BT601), full)
+        return YuvEncoding(*LUMA_WEIGHTS.get(int(self.decoded.colorspace), BT601), full)
 
 
 def image_from_planes(
-    y: Shaped[Array, "H W"], u: Shaped[Array, "h w"], v: Shaped[Array, "h w"], colour: Colour
+    y: Shaped[Array, "H W"], u: Shaped[Array, "h w"], v: Shaped[Array, "h w"], encoding: YuvEncoding
 ) -> UInt8[Array, "H W 3"]:
-    """RGB from Y, U, V planes, integer or averaged float, chroma at half size (ITU-T H.273, 8.3).
+    """Convert Y, U, V planes to RGB (ITU-T H.273, 8.3).
 
-    Chroma is repeated, not interpolated, as FFmpeg does for `Frame.image`; which rounds down, and
-    is darker by about one grey level.
+    Chroma is repeated, not interpolated, as by FFmpeg in `Frame.image`. FFmpeg rounds down, so that
+    its images are darker by about one grey level.
+
+    Args:
+        y: (H, W) luma, integer or float.
+        u: (H / 2, W / 2) blue difference, rounded up.
+        v: (H / 2, W / 2) red difference, rounded up.
+        encoding: of the planes, as `Frame.encoding` states it.
+
+    Returns:
+        The image.
 
     >>> half = np.full((1, 1), 128.0)
-    >>> image_from_planes(np.full((2, 2), 235.0), half, half, Colour(0.299, 0.114, False))[0, 0]
+    >>> image_from_planes(np.full((2, 2), 235.0), half, half, YuvEncoding(0.3, 0.1, False))[0, 0]
     array([255, 255, 255], dtype=uint8)
     """
     height, width = y.shape
-    offset, luma, chroma = (0.0, 1.0, 1.0) if colour.full_range else (16.0, 255 / 219, 255 / 224)
+    offset, luma, chroma = (0.0, 1.0, 1.0) if encoding.full_range else (16.0, 255 / 219, 255 / 224)
     grey = (y.astype(np.float32) - offset) * luma
     blue_difference, red_difference = (
         ((plane.astype(np.float32) - 128) * chroma).repeat(2, 0).repeat(2, 1)[:height, :width]
         for plane in (u, v)
     )
     image = np.empty((height, width, 3), np.uint8)
-    red = grey + 2 * (1 - colour.red) * red_difference
-    blue = grey + 2 * (1 - colour.blue) * blue_difference
-    green = (grey - colour.red * red - colour.blue * blue) / (1 - colour.red - colour.blue)
+    red = grey + 2 * (1 - encoding.red) * red_difference
+    blue = grey + 2 * (1 - encoding.blue) * blue_difference
+    green = (grey - encoding.red * red - encoding.blue * blue) / (1 - encoding.red - encoding.blue)
     for channel, values in enumerate((red, green, blue)):
         image[..., channel] = np.clip(np.rint(values), 0, 255)
     return image
 
 
-def set_upright(pixels: UInt8[Array, "H W *C"], turn: Turn) -> UInt8[Array, "h w *C"]:
-    """Transpose and flip; what is upright already is not copied."""
-    if turn == UPRIGHT:
+def set_upright(pixels: UInt8[Array, "H W *C"], orientation: Orientation) -> UInt8[Array, "h w *C"]:
+    """Turn stored pixels upright; upright pixels are returned without a copy."""
+    if orientation == UPRIGHT:
         return pixels
-    turned = pixels.swapaxes(0, 1) if turn.transpose else pixels
-    turned = turned[:: -1 if turn.flip_rows else 1, :: -1 if turn.flip_columns else 1]
-    return np.ascontiguousarray(turned)
+    turned = pixels.swapaxes(0, 1) if orientation.transpose else pixels
+    rows, columns = (-1 if flip else 1 for flip in orientation[1:])
+    return np.ascontiguousarray(turned[::rows, ::columns])
 
 
-def _plane(frame: Any, index: int) -> UInt8[Array, "H W"]:
-    """A plane of 8-bit samples without its padding, as a read-only view."""
+def _view_plane(frame: Any, index: int) -> UInt8[Array, "H W"]:
+    """Read-only view of a plane of 8-bit samples, without its padding."""
     plane = frame.planes[index]
     rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
     view = rows[: plane.height, : plane.width]

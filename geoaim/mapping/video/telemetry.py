@@ -1,4 +1,4 @@
-"""Where a drone's camera was: read from DJI .SRT sidecars and from the EXIF and XMP of photos."""
+"""Telemetry: the camera's position and attitude, from DJI .SRT files or EXIF and XMP of photos."""
 
 import math
 import re
@@ -18,7 +18,7 @@ from geoaim.errors import GeoreferenceError
 FIELDS = ("latitude", "longitude", "height", "altitude", "yaw", "pitch", "focal_length")
 TIME_LINE = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->.*")
 NUMBER = r"([-+]?\d+(?:\.\d+)?)"
-# DJI's spellings differ between models: "latitude: 1", "longtitude : 1", "[rel_alt: 1 abs_alt: 2]",
+# DJI's formats differ between models: "latitude: 1", "longtitude : 1", "[rel_alt: 1 abs_alt: 2]",
 # "GPS(lon,lat,satellites) BAROMETER:1", "GPS (lon, lat, 19), D 75m, H 60.20m".
 PATTERNS = {
     "latitude": rf"latitude\s*:\s*{NUMBER}|\bGPS\s*\(\s*[-+\d.]+\s*,\s*{NUMBER}",
@@ -33,16 +33,16 @@ PATTERNS = {
 
 @dataclass(frozen=True)
 class Telemetry:
-    """State of the camera over time; NaN where it is not stated.
+    """State of the camera over time; NaN where the file does not state it.
 
     Attributes:
         time: (T,) seconds, on the clock of the video's frames.
         latitude: (T,) degrees, WGS 84.
         longitude: (T,) degrees, WGS 84.
         height: (T,) metres above the take-off point.
-        altitude: (T,) metres above sea level, as the drone believes.
-        yaw: (T,) radians counter-clockwise from east, in [-pi, pi): where the camera heads, and
-            where the top of the image points when it looks straight down.
+        altitude: (T,) metres above sea level, as the drone measures it.
+        yaw: (T,) radians counter-clockwise from east, in [-pi, pi): heading of the camera, and of
+            the top of the image when the camera looks straight down.
         pitch: (T,) radians, 0 at the horizon and -pi/2 straight down.
         focal_length: (T,) millimetres, 35 mm equivalent.
     """
@@ -58,38 +58,38 @@ class Telemetry:
 
 
 def read_srt(path: str | Path) -> Telemetry:
-    """Telemetry from a DJI .SRT file, of the bracketed or of the older GPS(...) style.
+    """Read telemetry from a DJI .SRT file, in the bracketed or the older GPS(...) style.
 
     Raises:
-        GeoreferenceError: no time line, no position, or one that is not on the Earth.
+        GeoreferenceError: the file has no time lines, no position, or one that is not on the Earth.
     """
     text = Path(path).read_bytes().decode("utf-8", errors="replace")
     lines = list(TIME_LINE.finditer(text))
     if not lines:
         raise GeoreferenceError(f"{path}: no line '00:00:00,000 --> ...' found: not an .SRT file")
     ends = [line.start() for line in lines[1:]] + [len(text)]
-    rows = [_srt_row(text[line.end() : end]) for line, end in zip(lines, ends, strict=True)]
-    times = [_seconds(line) for line in lines]
-    return _telemetry(times, rows, str(path))
+    rows = [_parse_srt_entry(text[line.end() : end]) for line, end in zip(lines, ends, strict=True)]
+    times = [_parse_seconds(line) for line in lines]
+    return _make_telemetry(times, rows, str(path))
 
 
 def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | None:
-    """Telemetry from the EXIF of photos and DJI's XMP in them; None when no photo has a position.
+    """Read telemetry from the EXIF and DJI's XMP of photos; None when no photo has a position.
 
-    Time is the index over `rate`, as `open_video` counts it for images.
+    Time is the index over `rate`, as in `open_video`.
 
     Raises:
         GeoreferenceError: a position is not on the Earth.
     """
-    rows = [_exif_row(Path(path)) for path in paths]
+    rows = [_read_exif_entry(Path(path)) for path in paths]
     if not any("latitude" in row and "longitude" in row for row in rows):
         return None
     times = [index / rate for index in range(len(rows))]
-    return _telemetry(times, rows, f"{paths[0]} and the images with it")
+    return _make_telemetry(times, rows, f"{paths[0]} and the images with it")
 
 
 def angle_from_compass(degrees: float) -> float:
-    """Radians counter-clockwise from east, in [-pi, pi), of degrees clockwise from north.
+    """Convert degrees clockwise from north to radians counter-clockwise from east, in [-pi, pi).
 
     >>> angle_from_compass(90.0), angle_from_compass(-90.0)   # east, west
     (0.0, -3.141592653589793)
@@ -97,10 +97,10 @@ def angle_from_compass(degrees: float) -> float:
     return (math.radians(90.0 - degrees) + math.pi) % (2 * math.pi) - math.pi
 
 
-def _telemetry(times: list[float], rows: list[dict[str, float]], source: str) -> Telemetry:
+def _make_telemetry(times: list[float], rows: list[dict[str, float]], source: str) -> Telemetry:
     table = np.array([[row.get(name, math.nan) for name in FIELDS] for row in rows], np.float64)
     table = table.reshape(-1, len(FIELDS))
-    table[(table[:, 0] == 0) & (table[:, 1] == 0), :2] = np.nan  # what DJI writes without a fix
+    table[(table[:, 0] == 0) & (table[:, 1] == 0), :2] = np.nan  # DJI writes (0, 0) without a fix
     if not np.isfinite(table[:, :2]).all(axis=1).any():
         raise GeoreferenceError(f"{source}: no latitude and longitude found")
     largest_latitude, largest_longitude = np.nanmax(np.abs(table[:, :2]), axis=0)
@@ -112,12 +112,12 @@ def _telemetry(times: list[float], rows: list[dict[str, float]], source: str) ->
     return Telemetry(np.array(times, np.float64), *table.T)
 
 
-def _seconds(line: re.Match[str]) -> float:
+def _parse_seconds(line: re.Match[str]) -> float:
     hours, minutes, seconds, fraction = line.groups()
     return 3600 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}")
 
 
-def _srt_row(text: str) -> dict[str, float]:
+def _parse_srt_entry(text: str) -> dict[str, float]:
     row = {}
     for name, pattern in PATTERNS.items():
         if found := re.search(pattern, text):
@@ -125,10 +125,10 @@ def _srt_row(text: str) -> dict[str, float]:
             # Older models write the focal length in tenths: "focal_len : 240" is 24 mm.
             tenths = name == "focal_length" and "." not in stated
             row[name] = float(stated) / 10 if tenths else float(stated)
-    return _with_angles(row)
+    return _convert_angles(row)
 
 
-def _with_angles(row: dict[str, float]) -> dict[str, float]:
+def _convert_angles(row: dict[str, float]) -> dict[str, float]:
     if "yaw" in row:
         row["yaw"] = angle_from_compass(row["yaw"])
     if "pitch" in row:
@@ -136,7 +136,7 @@ def _with_angles(row: dict[str, float]) -> dict[str, float]:
     return row
 
 
-def _exif_row(path: Path) -> dict[str, float]:
+def _read_exif_entry(path: Path) -> dict[str, float]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -146,19 +146,19 @@ def _exif_row(path: Path) -> dict[str, float]:
         return {}
     row = {}
     for name in ("Latitude", "Longitude"):
-        parts = _numbers(tags.get(f"EXIF_GPS{name}", ""))
+        parts = _parse_numbers(tags.get(f"EXIF_GPS{name}", ""))
         if parts:
             degrees = sum(part / 60**power for power, part in enumerate(parts))
             south_or_west = tags.get(f"EXIF_GPS{name}Ref", "").strip() in ("S", "W")
             row[name.lower()] = -degrees if south_or_west else degrees
     stated = {"altitude": "EXIF_GPSAltitude", "focal_length": "EXIF_FocalLengthIn35mmFilm"}
-    row |= {name: _numbers(tags[tag])[0] for name, tag in stated.items() if tags.get(tag)}
+    row |= {name: _parse_numbers(tags[tag])[0] for name, tag in stated.items() if tags.get(tag)}
     drone = {"height": "RelativeAltitude", "yaw": "GimbalYawDegree", "pitch": "GimbalPitchDegree"}
     for name, tag in drone.items():
         if found := re.search(rf"drone-dji:{tag}(?:=[\"']|>){NUMBER}", xmp):
             row[name] = float(found[1])
-    return _with_angles(row)
+    return _convert_angles(row)
 
 
-def _numbers(text: str) -> list[float]:
+def _parse_numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(NUMBER, text)]

@@ -1,4 +1,4 @@
-"""Frames of a video file, of a folder of images or of arrays: re-iterable, in constant memory."""
+"""Open a video file, images or arrays as a `Video`: frames that can be read again and again."""
 
 import glob
 import math
@@ -16,28 +16,31 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError, VideoError
-from geoaim.mapping.video.decoding import open_clip, read_clip, seek_clip
-from geoaim.mapping.video.frames import Colour, Frame, image_from_planes
+from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
+from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.telemetry import Telemetry, read_exif, read_srt
-
-__all__ = ["Colour", "Frame", "Video", "image_from_planes", "open_video"]
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
-TICK = 1e-6  # of a frame: 0.3 s at 10 frames a second is frame 2.999...
+INDEX_TOLERANCE = 1e-6  # frames: in floats, 0.3 s at 10 frames a second is frame 2.999...
 
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """Frames that can be read again and again: `for frame in video`. Made by `open_video`.
+    """Frames that can be read repeatedly, in constant memory, by `for frame in video`.
+
+    Made by `open_video`.
 
     Attributes:
-        source: what was opened, for messages.
+        source: name of what was opened, for messages.
         height: of an upright frame, pixels.
         width: of an upright frame, pixels.
         rate: frames per second, on average.
-        frame_count: number of frames that the source states; None when it does not.
+        frame_count: number of frames that the source states; None when it states none.
         names: file names of images, None for other sources.
+        read_all: reads every frame in order.
+        read_at: reads the frames at times (s, ascending), or keyframes within some seconds of them.
+        read_telemetry: reads the state of the camera over time; None where there is none.
     """
 
     source: str
@@ -55,30 +58,30 @@ class Video:
 
     @property
     def duration(self) -> float:
-        """Seconds that the source states to last; NaN when it does not state it."""
+        """Seconds, by the number of frames and their rate; NaN when that number is unknown."""
         return math.nan if self.frame_count is None else self.frame_count / self.rate
 
     @cached_property
     def telemetry(self) -> Telemetry | None:
-        """From the .SRT beside the video or the EXIF of the images; None where there is none."""
+        """State of the camera, from the .SRT beside the video or the EXIF of images, or None."""
         try:
             return self.read_telemetry()
         except (GeoreferenceError, OSError) as error:
-            message = f"{self.source}: its telemetry is left out: {error}"
+            message = f"{self.source}: its telemetry is ignored: {error}"
             warnings.warn(GeoaimWarning(message), stacklevel=2)
             return None
 
     def frames_at(self, times: Iterable[float]) -> Iterator[Frame]:
-        """The frames shown at these times (s), in order of time and each once."""
-        wanted = np.unique(np.asarray(list(times), np.float64))
-        if not np.isfinite(wanted).all():
+        """Read the frames displayed at some times (s), in order of time and each once."""
+        ordered = np.unique(np.asarray(list(times), np.float64))
+        if not np.isfinite(ordered).all():
             raise ValueError("times must be finite numbers of seconds")
-        return self.read_at(wanted, 0.0)
+        return self.read_at(ordered, 0.0)
 
-    def sampled(self, count: int) -> Iterator[Frame]:
-        """Up to `count` frames spread evenly over the whole, the first frame included.
+    def sample(self, count: int) -> Iterator[Frame]:
+        """Read up to `count` frames spread evenly over the video, including the first.
 
-        A keyframe within half a step of a wanted frame is taken in its place: it alone has to be
+        A keyframe replaces a frame within half a step of it, since only the keyframe has to be
         decoded. Nothing between is read, so that a longer video costs no more.
         """
         if count < 1:
@@ -91,23 +94,29 @@ class Video:
         return self.read_at(np.linspace(0.0, last, count), half_a_step)
 
 
-def open_video(source: Any, *, rate: float = 1.0, threads: int | None = None) -> Video:
+VideoSource = str | Path | Video | Sequence[str | Path] | Iterable[Array]
+
+
+def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = None) -> Video:
     """Open a video file, a folder or glob of images, a list of image paths, or arrays.
 
     Args:
         source: path of a video, of a folder of images (jpg, png, tif, in natural order) or of one
             image; a glob pattern; a sequence of image paths; a sequence or re-iterable of
             (H, W, 3) RGB or (H, W) grey uint8 arrays; or a Video, which is returned.
-        rate: frames per second of images and arrays; 1 makes time the index.
-            Video files carry their own timestamps.
-        threads: decoding threads; by default the decoder chooses.
+        rate: frames per second of images and arrays; 1 makes time the index. Video files carry
+            their own timestamps.
+        threads: decoding threads; None leaves the number to the decoder.
+
+    Returns:
+        The video. Frames are decoded when it is iterated.
 
     Raises:
-        VideoError: nothing there, or not one frame of it can be read.
-        TypeError: a one-shot iterator, or something that is no source at all.
+        VideoError: the source does not exist, or no frame of it can be read.
+        TypeError: the source is a one-shot iterator, or no source of frames.
 
     >>> video = open_video(np.zeros((5, 4, 6, 3), np.uint8), rate=10)
-    >>> [(frame.index, frame.time) for frame in video.sampled(3)]
+    >>> [(frame.index, frame.time) for frame in video.sample(3)]
     [(0, 0.0), (2, 0.2), (4, 0.4)]
     """
     if rate <= 0:
@@ -115,7 +124,7 @@ def open_video(source: Any, *, rate: float = 1.0, threads: int | None = None) ->
     if isinstance(source, Video):
         return source
     if isinstance(source, str | Path):
-        paths = _image_paths(str(source))
+        paths = _list_images(str(source))
         if paths is None:
             return _open_file(Path(source), threads)
         return _open_images(str(source), paths, rate)
@@ -123,8 +132,8 @@ def open_video(source: Any, *, rate: float = 1.0, threads: int | None = None) ->
         raise TypeError(f"a path or an iterable of images is needed, not {type(source).__name__}")
     if iter(source) is source:
         raise TypeError(
-            "the frames come from a one-shot iterator, and are read more than once: "
-            "give a list, or an object whose __iter__ starts anew"
+            "the source is a one-shot iterator, but frames are read more than once; give a list, "
+            "or an object whose __iter__ starts anew"
         )
     if not isinstance(source, Sequence | Array):
         return _open_stream(source, rate)
@@ -134,51 +143,50 @@ def open_video(source: Any, *, rate: float = 1.0, threads: int | None = None) ->
 
 
 def _open_file(path: Path, threads: int | None) -> Video:
-    clip = open_clip(path, threads)
-    height, width = clip.stored_size[::-1] if clip.turn.transpose else clip.stored_size
+    file = open_video_file(path, threads)
+    height, width = file.stored_size[::-1] if file.orientation.transpose else file.stored_size
     return Video(
         source=str(path),
         height=height,
         width=width,
-        rate=clip.rate,
-        frame_count=clip.count or None,
+        rate=file.rate,
+        frame_count=file.count or None,
         names=None,
-        read_all=lambda: read_clip(clip),
-        read_at=lambda times, slack: seek_clip(clip, times.tolist(), slack),
-        read_telemetry=lambda: _sidecar(path),
+        read_all=lambda: read_frames(file),
+        read_at=lambda times, slack: read_frames_at(file, times.tolist(), slack),
+        read_telemetry=lambda: _read_sidecar(path),
     )
 
 
-def _sidecar(path: Path) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video."""
-    beside = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
-    found = next((sidecar for sidecar in beside if sidecar.is_file()), None)
-    return None if found is None else read_srt(found)
+def _read_sidecar(path: Path) -> Telemetry | None:
+    """Telemetry from the .SRT file beside a video, or None."""
+    sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
+    return next((read_srt(sidecar) for sidecar in sidecars if sidecar.is_file()), None)
 
 
-def _image_paths(source: str) -> list[Path] | None:
-    """Images that a path or pattern names, in natural order; None when it names a video file."""
+def _list_images(source: str) -> list[Path] | None:
+    """Images of a folder or pattern, in natural order; None when the source is another file."""
     path = Path(source)
     if path.is_dir():
-        found = [entry for entry in path.iterdir() if _is_image(entry)]
+        images = [entry for entry in path.iterdir() if _is_image(entry)]
     elif path.exists():
         return [path] if _is_image(path) else None
     elif any(sign in source for sign in "*?["):
-        found = [Path(entry) for entry in glob.glob(source) if _is_image(Path(entry))]
+        images = [Path(entry) for entry in glob.glob(source) if _is_image(Path(entry))]
     else:
         raise VideoError(f"{source}: there is no such file or folder")
-    if not found:
+    if not images:
         kinds = ", ".join(sorted(IMAGE_SUFFIXES))
         raise VideoError(f"{source}: no image found; {kinds} are read")
-    return sorted(found, key=_natural_order)
+    return sorted(images, key=_natural_sort_key)
 
 
 def _is_image(path: Path) -> bool:
     return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
 
 
-def _natural_order(path: Path) -> list[tuple[int, str]]:
-    """Key that puts frame_2 before frame_10."""
+def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
+    """Sort key that puts frame_2 before frame_10."""
     parts = re.split(r"(\d+)", str(path).lower())
     return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
 
@@ -187,8 +195,8 @@ def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
     """RGB with the EXIF orientation applied."""
     image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if image is None:
-        found = "not an image that can be read" if path.is_file() else "there is no such file"
-        raise VideoError(f"{path}: {found}; leave it out, or repair it")
+        problem = "not an image that can be read" if path.is_file() else "there is no such file"
+        raise VideoError(f"{path}: {problem}; leave it out, or repair it")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image)
 
 
@@ -201,15 +209,15 @@ def _open_images(source: str, paths: list[Path], rate: float) -> Video:
 def _open_indexed(
     load: Callable[[int], Any], count: int, rate: float, names: tuple[str, ...] | None = None
 ) -> Video:
-    """Frames that can be had one by one: images, and sequences of arrays."""
+    """Open frames that can be loaded by index: images, and sequences of arrays."""
     if not count:
         raise VideoError("there are no frames: the sequence is empty")
     labels = names or [f"frame {index}" for index in range(count)]
-    height, width = _checked(load(0), labels[0]).shape[:2]
+    height, width = _check_pixels(load(0), labels[0]).shape[:2]
 
     def read(indices: Iterable[int]) -> Iterator[Frame]:
         for index in indices:
-            pixels = _checked(load(index), labels[index], (height, width))
+            pixels = _check_pixels(load(index), labels[index], (height, width))
             yield Frame(index, index / rate, names[index] if names else None, pixels)
 
     return Video(
@@ -220,26 +228,26 @@ def _open_indexed(
         frame_count=count,
         names=names,
         read_all=lambda: read(range(count)),
-        read_at=lambda times, _: read(_indices(times, rate, count)),
+        read_at=lambda times, _: read(_compute_indices(times, rate, count)),
         read_telemetry=lambda: None,
     )
 
 
 def _open_stream(arrays: Iterable[Any], rate: float) -> Video:
-    """Frames that can only be had from the first on, each time anew."""
+    """Open frames that can only be read from the first on, each time anew."""
     first = next(iter(arrays), None)
     if first is None:
         raise VideoError("there are no frames: the iterable is empty")
-    height, width = _checked(first, "frame 0").shape[:2]
+    height, width = _check_pixels(first, "frame 0").shape[:2]
 
     def read() -> Iterator[Frame]:
         for index, array in enumerate(arrays):
-            pixels = _checked(array, f"frame {index}", (height, width))
+            pixels = _check_pixels(array, f"frame {index}", (height, width))
             yield Frame(index, index / rate, None, pixels)
 
     def read_at(times: Float[Array, " n"], _: float) -> Iterator[Frame]:
-        wanted = set(_indices(times, rate, sum(1 for _ in arrays)))
-        return (frame for frame in read() if frame.index in wanted)
+        indices = set(_compute_indices(times, rate, sum(1 for _ in arrays)))
+        return (frame for frame in read() if frame.index in indices)
 
     return Video(
         source="arrays",
@@ -254,22 +262,22 @@ def _open_stream(arrays: Iterable[Any], rate: float) -> Video:
     )
 
 
-def _indices(times: Float[Array, " n"], rate: float, count: int) -> list[int]:
-    """Indices of the frames shown at the times, each once."""
-    shown = np.floor(times * rate + TICK).clip(0, count - 1).astype(np.int64)
-    return [int(index) for index in np.unique(shown)]
+def _compute_indices(times: Float[Array, " n"], rate: float, count: int) -> list[int]:
+    """Indices of the frames displayed at the times, each once."""
+    indices = np.floor(times * rate + INDEX_TOLERANCE).clip(0, count - 1).astype(np.int64)
+    return [int(index) for index in np.unique(indices)]
 
 
-def _checked(array: Any, where: str, size: tuple[int, int] | None = None) -> Pixels:
+def _check_pixels(array: Any, label: str, size: tuple[int, int] | None = None) -> Pixels:
     pixels = np.asarray(array)
     colour = pixels.ndim == 3 and pixels.shape[2] == 3
     if pixels.dtype != np.uint8 or not (pixels.ndim == 2 or colour):
         raise TypeError(
-            f"{where}: uint8 of shape (H, W, 3) or (H, W) needed, not {pixels.dtype} {pixels.shape}"
+            f"{label}: uint8 of shape (H, W, 3) or (H, W) needed, not {pixels.dtype} {pixels.shape}"
         )
     if size is not None and pixels.shape[:2] != size:
         raise VideoError(
-            f"{where}: {pixels.shape[0]} x {pixels.shape[1]} pixels (height x width), but the "
-            f"first frame has {size[0]} x {size[1]}; all must have one size"
+            f"{label}: {pixels.shape[0]} x {pixels.shape[1]} pixels (height x width), but the "
+            f"first frame has {size[0]} x {size[1]}; all must have the same size"
         )
     return pixels

@@ -1,1 +1,1 @@
-"""The plan of a made place: arms, lanes, paving, markings, car park, and the HD map of them."""
+"""The plan of a made place: approaches, lanes, paving, markings, car park, and its HD map."""

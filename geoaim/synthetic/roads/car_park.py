@@ -1,43 +1,44 @@
-"""A car park beside an arm: its drive, aisle and bays, and the lines that wheels follow there.
+"""A car park beside an approach: its driveway, aisle and bays, and the vehicles' manoeuvres.
 
-Its own coordinates are metres beside the drive's middle (outwards along the arm) and metres deep
-from the kerb. One enters on the side of lower `beside`, as traffic keeps to the right.
+Lot coordinates: metres along the kerb from the middle of the driveway (outwards), and metres deep
+from the kerb. Vehicles enter on the side with negative coordinates, as traffic drives on the right.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.arms import Arm, half_width, lane_out, on_arm
-from geoaim.synthetic.roads.curves import Line, headings, joint
+from geoaim.geometry import transform_points
+from geoaim.synthetic.roads.approaches import Approach, locate_outbound_lane, plan_from_road
+from geoaim.synthetic.roads.curves import Polyline, compute_headings, connect_poses
 
-DRIVE = 7.0  # m, width of the drive
-AISLE = 6.8  # m between the rows of bays
-BAY = (2.6, 5.0)  # m, width and depth
-NEAR = 6.5  # m from the kerb to the first bay
-SIDE = 1.7  # m from the drive's middle to the line that wheels follow
-TURN = 7.6  # m along the road that a turn into the drive takes
-SWING = 5.0  # m that a turn into a bay takes
-REST = 4.5  # m beside the middle of the aisle where the rear axle of a parked car stands
-SLOW = 5.0  # m/s in the car park
+DRIVEWAY_WIDTH_M = 7.0
+AISLE_WIDTH_M = 6.8  # between the rows of bays
+BAY_SIZE_M = (2.6, 5.0)  # width and depth
+FIRST_BAY_M = 6.5  # from the kerb
+PATH_OFFSET_M = 1.7  # from the middle of the driveway to the path of vehicles
+DRIVEWAY_TURN_M = 7.6  # along the road, of a turn into the driveway
+BAY_TURN_M = 5.0  # along the aisle, of a turn into a bay
+REST_OFFSET_M = 4.5  # from the middle of the aisle to the rear axle of a parked vehicle
+CAR_PARK_SPEED = 5.0  # m/s
 
 
 @dataclass(frozen=True)
 class CarPark:
-    """A car park on the right of an arm, seen from the middle.
+    """A car park on the right of an approach's outbound lanes.
 
     Attributes:
-        arm: the name of the arm.
-        along: metres along the arm of the middle of its drive.
-        bays: how many bays stand on either side of the aisle.
-        open_bays: which bays on the far side of those who enter are used by traffic.
-        plan_from_lot: (3, 3) its coordinates (beside, deep) to plan metres.
+        approach: its name.
+        s: of the middle of the driveway on the approach, metres.
+        bays: number of bays on either side of the aisle.
+        open_bays: the bays that traffic uses, on the side of positive coordinates.
+        plan_from_lot: (3, 3) lot coordinates to plan metres.
     """
 
-    arm: str
-    along: float
+    approach: str
+    s: float
     bays: int
     open_bays: tuple[int, ...]
     plan_from_lot: Float[Array, "3 3"]
@@ -45,102 +46,132 @@ class CarPark:
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A line into or out of a bay.
+    """The path into or out of a bay.
 
     Attributes:
         name: "into bay 3", "out of bay 3".
-        line: where the rear axle goes; its first or last point is on the road.
+        line: of the rear axle; its first or last point is on the road.
         forward: (L,) whether the vehicle drives forward there.
-        bay: the number of the bay.
+        bay: number of the bay.
     """
 
     name: str
-    line: Line
-    forward: Array
+    line: Polyline
+    forward: Bool[Array, "L"]
     bay: int
 
 
-def make_car_park(arm: Arm, along: float, *, bays: int) -> CarPark:
-    """A car park whose drive meets an arm at `along`; traffic uses every other bay.
+def make_car_park(approach: Approach, s: float, *, bays: int) -> CarPark:
+    """Place a car park beside an approach.
 
-    Next to each other, who backs out would touch his neighbour.
+    Traffic uses every other bay: a vehicle that backs out would touch one in the next bay.
+
+    Args:
+        approach: the road.
+        s: of the driveway on the approach, metres.
+        bays: their number on either side of the aisle.
+
+    Returns:
+        The car park.
     """
-    kerb, ahead = on_arm(arm, np.array([[along, -half_width(arm)], [along + 1, -half_width(arm)]]))
-    beside = (ahead - kerb) / np.hypot(*(ahead - kerb))
-    deep = np.array([beside[1], -beside[0]])
+    t = -approach.half_width
+    kerb, next_point = plan_from_road(approach, np.array([[s, t], [s + 1, t]]))
+    along = (next_point - kerb) / np.hypot(*(next_point - kerb))
+    deep = np.array([along[1], -along[0]])
     plan_from_lot = np.eye(3)
-    plan_from_lot[:2] = np.stack([beside, deep, kerb], axis=1)
-    return CarPark(arm.name, along, bays, tuple(range(2, bays - 2, 2)), plan_from_lot)
+    plan_from_lot[:2] = np.stack([along, deep, kerb], axis=1)
+    return CarPark(approach.name, s, bays, tuple(range(2, bays - 2, 2)), plan_from_lot)
 
 
-def bay_middle(bay: int) -> float:
-    """Metres deep of the middle of a bay."""
-    return NEAR + (bay + 0.5) * BAY[0]
+def measure_depth(car_park: CarPark) -> float:
+    """Metres from the kerb to the end of the aisle."""
+    return FIRST_BAY_M + car_park.bays * BAY_SIZE_M[0] + 2.0
 
 
-def lot_end(car_park: CarPark) -> float:
-    """Metres deep of the end of the aisle."""
-    return NEAR + car_park.bays * BAY[0] + 2.0
+def outline_lot_part(
+    car_park: CarPark, along: tuple[float, float], deep: tuple[float, float]
+) -> Polyline:
+    """The corners of a rectangle.
+
+    Args:
+        car_park: whose lot coordinates are used.
+        along: ends of the rectangle along the kerb, metres.
+        deep: its ends away from the kerb, metres.
+
+    Returns:
+        Four corners in plan coordinates.
+    """
+    (x0, x1), (y0, y1) = along, deep
+    corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return transform_points(car_park.plan_from_lot, corners)
 
 
-def manoeuvres(car_park: CarPark, arm: Arm) -> list[Manoeuvre]:
-    """A line from the road into each open bay, and one out of it; both turn right only."""
-    lines = []
+def make_manoeuvres(car_park: CarPark, approach: Approach) -> list[Manoeuvre]:
+    """The path from the road into each open bay, and the path out of it; both turn right only."""
+    manoeuvres = []
     for bay in car_park.open_bays:
-        road = _onto_drive(car_park, arm)
-        way = np.concatenate([road, _to_bay(car_park, bay, road[-1], headings(road)[-1])[1:]])
-        lines.append(Manoeuvre(f"into bay {bay}", way, np.ones(len(way), bool), bay))
-        back, road = _out_of_bay(car_park, bay), _off_drive(car_park, arm)
-        forward = joint(back[-1], headings(back)[-1] + np.pi, road[0], headings(road)[0])
-        way = np.concatenate([back, forward[1:], road[1:]])
-        lines.append(Manoeuvre(f"out of bay {bay}", way, np.arange(len(way)) >= len(back), bay))
-    return lines
+        road = _enter_driveway(car_park, approach)
+        into = np.concatenate([road, _enter_bay(car_park, bay, road)[1:]])
+        manoeuvres.append(Manoeuvre(f"into bay {bay}", into, np.ones(len(into), bool), bay))
+        back, road = _leave_bay(car_park, bay), _leave_driveway(car_park, approach)
+        heading = compute_headings(back)[-1] + np.pi
+        forward = connect_poses(back[-1], heading, road[0], compute_headings(road)[0])
+        out = np.concatenate([back, forward[1:], road[1:]])
+        is_forward = np.arange(len(out)) >= len(back)
+        manoeuvres.append(Manoeuvre(f"out of bay {bay}", out, is_forward, bay))
+    return manoeuvres
 
 
-def _onto_drive(car_park: CarPark, arm: Arm) -> Line:
-    """From the outer lane out of the place to the drive."""
-    end = _plan(car_park, [[-SIDE, TURN - 2.0]])[0]
-    start = _pose(arm, car_park.along - SIDE - TURN, lane_out(arm, arm.lanes_out - 1))
-    return joint(*start, end, _heading(car_park, deep=1))
+def _enter_driveway(car_park: CarPark, approach: Approach) -> Polyline:
+    """From the outer outbound lane into the driveway."""
+    end = _plan_from_lot(car_park, [[-PATH_OFFSET_M, DRIVEWAY_TURN_M - 2.0]])[0]
+    start = _locate_lane_pose(approach, car_park.s - PATH_OFFSET_M - DRIVEWAY_TURN_M)
+    return connect_poses(*start, end, _compute_heading(car_park, deep=1))
 
 
-def _off_drive(car_park: CarPark, arm: Arm) -> Line:
-    """From the drive to the same lane."""
-    start = _plan(car_park, [[SIDE, TURN - 2.0]])[0]
-    end = _pose(arm, car_park.along + SIDE + TURN, lane_out(arm, arm.lanes_out - 1))
-    return joint(start, _heading(car_park, deep=-1), *end)
+def _leave_driveway(car_park: CarPark, approach: Approach) -> Polyline:
+    """From the driveway into the same lane."""
+    start = _plan_from_lot(car_park, [[PATH_OFFSET_M, DRIVEWAY_TURN_M - 2.0]])[0]
+    end = _locate_lane_pose(approach, car_park.s + PATH_OFFSET_M + DRIVEWAY_TURN_M)
+    return connect_poses(start, _compute_heading(car_park, deep=-1), *end)
 
 
-def _to_bay(car_park: CarPark, bay: int, start: Array, heading: float) -> Line:
-    """Down the aisle and with one turn into the bay, nose first."""
-    deep = bay_middle(bay)
-    turn, mouth, rest = _plan(car_park, [[-SIDE, deep - SWING], [SWING - SIDE, deep], [REST, deep]])
-    aside = _heading(car_park, beside=1)
-    aisle = joint(start, heading, turn, _heading(car_park, deep=1))
-    swing = joint(turn, _heading(car_park, deep=1), mouth, aside)
-    return np.concatenate([aisle, swing[1:], np.linspace(mouth, rest, 4)[1:]])
+def _enter_bay(car_park: CarPark, bay: int, road: Polyline) -> Polyline:
+    """Down the aisle and with one turn forward into the bay."""
+    turn, mouth, rest = _locate_bay_path(car_park, bay, -BAY_TURN_M)
+    inwards = _compute_heading(car_park, deep=1)
+    aisle = connect_poses(road[-1], compute_headings(road)[-1], turn, inwards)
+    curve = connect_poses(turn, inwards, mouth, _compute_heading(car_park, along=1))
+    return np.concatenate([aisle, curve[1:], np.linspace(mouth, rest, 4)[1:]])
 
 
-def _out_of_bay(car_park: CarPark, bay: int) -> Line:
-    """Backwards out of the bay, with one turn, until the nose points to the road."""
-    deep = bay_middle(bay)
-    rest, mouth, turn = _plan(car_park, [[REST, deep], [SWING - SIDE, deep], [-SIDE, deep + SWING]])
-    aside = _heading(car_park, beside=-1)
-    swing = joint(mouth, aside, turn, _heading(car_park, deep=1))
-    return np.concatenate([np.linspace(rest, mouth, 4)[:-1], swing])
+def _leave_bay(car_park: CarPark, bay: int) -> Polyline:
+    """In reverse out of the bay, with one turn, until the vehicle points to the road."""
+    turn, mouth, rest = _locate_bay_path(car_park, bay, BAY_TURN_M)
+    headings = _compute_heading(car_park, along=-1), _compute_heading(car_park, deep=1)
+    curve = connect_poses(mouth, headings[0], turn, headings[1])
+    return np.concatenate([np.linspace(rest, mouth, 4)[:-1], curve])
 
 
-def _plan(car_park: CarPark, points: list[list[float]]) -> Line:
-    place = car_park.plan_from_lot
-    return np.asarray(points) @ place[:2, :2].T + place[:2, 2]
+def _locate_bay_path(car_park: CarPark, bay: int, turn: float) -> Polyline:
+    """Where a turn begins `turn` metres deeper than a bay, where it ends, where vehicles rest."""
+    deep = FIRST_BAY_M + (bay + 0.5) * BAY_SIZE_M[0]
+    points = [[-PATH_OFFSET_M, deep + turn], [BAY_TURN_M - PATH_OFFSET_M, deep]]
+    return _plan_from_lot(car_park, [*points, [REST_OFFSET_M, deep]])
 
 
-def _heading(car_park: CarPark, *, beside: float = 0.0, deep: float = 0.0) -> float:
-    x, y = car_park.plan_from_lot[:2, :2] @ [beside, deep]
+def _plan_from_lot(car_park: CarPark, points: list[list[float]]) -> Polyline:
+    return transform_points(car_park.plan_from_lot, np.array(points))
+
+
+def _compute_heading(car_park: CarPark, *, along: float = 0.0, deep: float = 0.0) -> float:
+    """The heading in the plan of a direction in lot coordinates."""
+    x, y = car_park.plan_from_lot[:2, :2] @ [along, deep]
     return float(np.arctan2(y, x))
 
 
-def _pose(arm: Arm, along: float, across: float) -> tuple[Array, float]:
-    """A point of an arm and the direction outwards there."""
-    place, ahead = on_arm(arm, np.array([[along, across], [along + 0.1, across]]))
-    return place, float(np.arctan2(*(ahead - place)[::-1]))
+def _locate_lane_pose(approach: Approach, s: float) -> tuple[Float[Array, "2"], float]:
+    """A point of the outer outbound lane and the heading there."""
+    t = locate_outbound_lane(approach, approach.outbound_lanes - 1)
+    point, next_point = plan_from_road(approach, np.array([[s, t], [s + 0.1, t]]))
+    return point, float(np.arctan2(*(next_point - point)[::-1]))

@@ -1,17 +1,32 @@
-"""Lanes of a place: along its arms, through its middle, around its ring."""
+"""Lanes of a place: on its approaches, through the junction, and around a roundabout."""
 
 from dataclasses import dataclass
+from itertools import pairwise, product
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.arms import Arm, lane_in, lane_out, on_arm, turn_between
-from geoaim.synthetic.roads.curves import Line, arc, even, headings, joint, parallel
-from geoaim.synthetic.roads.layouts import RING_LANE, Layout
+from geoaim.synthetic.roads.approaches import (
+    Approach,
+    classify_turn,
+    locate_inbound_lane,
+    locate_outbound_lane,
+    plan_from_road,
+)
+from geoaim.synthetic.roads.curves import (
+    Polyline,
+    compute_headings,
+    connect_poses,
+    offset_polyline,
+    resample_polyline,
+    sample_arc,
+)
+from geoaim.synthetic.roads.layouts import RING_LANE_WIDTH_M, Layout
 
-FAR = 150.0  # m from the middle to where lanes begin and end, out of sight
-MERGE = 0.62  # radians on the ring from an arm to where its lanes join and leave
+LANE_END_M = 150.0  # from the centre, outside the drawn extent, where lanes begin and end
+RING_JOIN_ANGLE = 0.62  # radians on the ring from an approach to where its lanes join and leave
+RING_SPEED_LIMIT = 8.3  # m/s
 
 
 @dataclass(frozen=True)
@@ -20,132 +35,140 @@ class Lane:
 
     Attributes:
         name: "east in 0", "east 0 to north 0", "north out 0", "ring past east", ...
-        centre: its middle, a point each half metre, plan metres.
+        centreline: equally spaced points, plan metres.
         width: (start, end) metres.
-        speed: limit, m/s.
-        turn: L, S or R through the middle; "" elsewhere.
+        speed_limit: m/s.
+        turn: L, S or R through the junction; "" elsewhere.
     """
 
     name: str
-    centre: Line
+    centreline: Polyline
     width: tuple[float, float]
-    speed: float = 13.9
+    speed_limit: float = 13.9
     turn: str = ""
 
 
-def sides(lane: Lane) -> tuple[Line, Line]:
-    """The left and the right edge of a lane."""
-    share = np.linspace(0, 1, len(lane.centre))
-    half = 0.5 * (lane.width[0] + (lane.width[1] - lane.width[0]) * share)
-    return parallel(lane.centre, half), parallel(lane.centre, -half)
-
-
 @dataclass(frozen=True)
-class Passage:
-    """A way through the place: the lanes that follow each other, from one arm to another.
+class Route:
+    """The sequence of lanes from one approach to another.
 
     Attributes:
-        come: the arm that it comes in on.
-        go: the arm that it leaves on.
-        lanes: names in the order of travel.
+        origin: name of the approach where it begins.
+        destination: name of the approach where it ends.
+        lanes: their names, in the order of travel.
         turn: L, S or R.
     """
 
-    come: str
-    go: str
+    origin: str
+    destination: str
     lanes: tuple[str, ...]
     turn: str
 
 
-def make_lanes(layout: Layout) -> tuple[tuple[Lane, ...], tuple[Passage, ...]]:
-    """All lanes of a layout, and all ways through it."""
-    lanes = [lane for arm in layout.arms for lane in _arm_lanes(arm)]
-    known = {lane.name: lane for lane in lanes}
-    if layout.ring:
-        links, passages = _ring_lanes(layout, known)
+def make_lanes(layout: Layout) -> tuple[tuple[Lane, ...], tuple[Route, ...]]:
+    """All lanes of a layout, and all routes over them."""
+    lanes = [lane for approach in layout.approaches for lane in _make_approach_lanes(approach)]
+    by_name = {lane.name: lane for lane in lanes}
+    if layout.ring_radius:
+        lanes += _make_ring_lanes(layout, by_name)
+        routes = _list_ring_routes(layout.approaches)
     else:
-        links, passages = _connectors(layout, known)
-    return (*lanes, *links), tuple(passages)
+        connecting, routes = _make_connecting_lanes(layout.approaches, by_name)
+        lanes += connecting
+    return tuple(lanes), tuple(routes)
 
 
-def _arm_lanes(arm: Arm) -> list[Lane]:
-    """The lanes of an arm outside of its mouth."""
-    lanes = []
-    for rank in range(len(arm.turns)):
-        inwards = on_arm(arm, np.array([[s, lane_in(arm, rank)] for s in _along(arm)[::-1]]))
-        lanes.append(Lane(f"{arm.name} in {rank}", even(inwards), (arm.lane,) * 2, arm.speed))
-    for rank in range(arm.lanes_out):
-        outwards = on_arm(arm, np.array([[s, lane_out(arm, rank)] for s in _along(arm)]))
-        lanes.append(Lane(f"{arm.name} out {rank}", even(outwards), (arm.lane,) * 2, arm.speed))
-    return lanes
+def compute_lane_bounds(lane: Lane) -> tuple[Polyline, Polyline]:
+    """The left and the right bound of a lane."""
+    share = np.linspace(0, 1, len(lane.centreline))
+    half = 0.5 * (lane.width[0] + (lane.width[1] - lane.width[0]) * share)
+    return offset_polyline(lane.centreline, half), offset_polyline(lane.centreline, -half)
 
 
-def _along(arm: Arm) -> Float[Array, "L"]:
-    return np.linspace(arm.mouth, FAR, int(2 * (FAR - arm.mouth)))
+def _make_approach_lanes(approach: Approach) -> list[Lane]:
+    """The inbound and outbound lanes of an approach, outside its mouth."""
+    s = np.linspace(approach.mouth, LANE_END_M, int(2 * (LANE_END_M - approach.mouth)))
+    inbound = [locate_inbound_lane(approach, k) for k in range(len(approach.turns))]
+    outbound = [locate_outbound_lane(approach, k) for k in range(approach.outbound_lanes)]
+
+    def make(name: str, s: Float[Array, "L"], t: float) -> Lane:
+        line = plan_from_road(approach, np.stack([s, np.full_like(s, t)], axis=1))
+        width = (approach.lane_width, approach.lane_width)
+        return Lane(name, resample_polyline(line), width, approach.speed_limit)
+
+    lanes = [make(f"{approach.name} in {k}", s[::-1], t) for k, t in enumerate(inbound)]
+    return lanes + [make(f"{approach.name} out {k}", s, t) for k, t in enumerate(outbound)]
 
 
-def _connectors(layout: Layout, known: dict[str, Lane]) -> tuple[list[Lane], list[Passage]]:
-    """A lane through the middle for each turn that a lane serves."""
-    links, passages = [], []
-    for come in layout.arms:
-        for rank, served in enumerate(come.turns):
-            for go in layout.arms:
-                turn = turn_between(come, go)
-                if go is come or turn not in served:
-                    continue
-                exit_rank = _exit_rank(come, go, rank, turn)
-                start, end = f"{come.name} in {rank}", f"{go.name} out {exit_rank}"
-                name = f"{come.name} {rank} to {go.name} {exit_rank}"
-                line = _join(known[start].centre, known[end].centre)
-                width = (come.lane, go.lane)
-                links.append(Lane(name, line, width, min(come.speed, go.speed), turn))
-                passages.append(Passage(come.name, go.name, (start, name, end), turn))
-    return links, passages
+def _make_connecting_lanes(
+    approaches: tuple[Approach, ...], by_name: dict[str, Lane]
+) -> tuple[list[Lane], list[Route]]:
+    """A lane through the junction for each turn that an inbound lane serves."""
+    connecting, routes = [], []
+    inbound = [(a, k, turns) for a in approaches for k, turns in enumerate(a.turns)]
+    for (origin, index, turns), destination in product(inbound, approaches):
+        turn = classify_turn(origin, destination)
+        if destination is origin or turn not in turns:
+            continue
+        exit_index = _choose_exit_lane(origin, destination, index, turn)
+        start, end = f"{origin.name} in {index}", f"{destination.name} out {exit_index}"
+        name = f"{origin.name} {index} to {destination.name} {exit_index}"
+        before, after = by_name[start].centreline, by_name[end].centreline
+        headings = compute_headings(before)[-1], compute_headings(after)[0]
+        line = connect_poses(before[-1], headings[0], after[0], headings[1])
+        width = (origin.lane_width, destination.lane_width)
+        speed_limit = min(origin.speed_limit, destination.speed_limit)
+        connecting.append(Lane(name, line, width, speed_limit, turn))
+        routes.append(Route(origin.name, destination.name, (start, name, end), turn))
+    return connecting, routes
 
 
-def _exit_rank(come: Arm, go: Arm, rank: int, turn: str) -> int:
+def _choose_exit_lane(origin: Approach, destination: Approach, index: int, turn: str) -> int:
     """Left turns take the inner lane, right turns the outer one, others the lane opposite."""
+    lanes = destination.outbound_lanes
     if turn == "L":
         return 0
     if turn == "R":
-        return go.lanes_out - 1
-    return int(np.clip(rank - (len(come.turns) - go.lanes_out), 0, go.lanes_out - 1))
+        return lanes - 1
+    return int(np.clip(index - (len(origin.turns) - lanes), 0, lanes - 1))
 
 
-def _join(before: Line, after: Line) -> Line:
-    """A gentle line from the end of one lane to the start of another."""
-    return joint(before[-1], headings(before)[-1], after[0], headings(after)[0])
-
-
-def _ring_lanes(layout: Layout, known: dict[str, Lane]) -> tuple[list[Lane], list[Passage]]:
-    """The ring in pieces, and for each arm the way onto it and off it."""
-    middle, radius, arms = np.zeros(2), layout.ring, layout.arms
-    links = []
-    for arm, after in zip(arms, [*arms[1:], arms[0]], strict=True):
-        on, off = arm.angle + MERGE, arm.angle - MERGE
-        start, end = known[f"{arm.name} in 0"].centre, known[f"{arm.name} out 0"].centre
-        spot, leave = arc(middle, radius, on, on + 0.1), arc(middle, radius, off - 0.1, off)
-        entry = joint(start[-1], headings(start)[-1], spot[0], on + np.pi / 2, end_bend=1 / radius)
-        away = joint(leave[-1], off + np.pi / 2, end[0], headings(end)[0], start_bend=1 / radius)
-        gap = (after.angle - MERGE - on) % (2 * np.pi)
-        widths = (arm.lane, RING_LANE), (RING_LANE, arm.lane), (RING_LANE, RING_LANE)
-        links += [
-            Lane(f"{arm.name} onto ring", entry, widths[0], 8.3),
-            Lane(f"{arm.name} off ring", away, widths[1], 8.3),
-            Lane(f"ring past {arm.name}", arc(middle, radius, off, on), widths[2], 8.3),
-            Lane(f"ring after {arm.name}", arc(middle, radius, on, on + gap), widths[2], 8.3),
+def _make_ring_lanes(layout: Layout, by_name: dict[str, Lane]) -> list[Lane]:
+    """The lanes around the ring, and for each approach one onto the ring and one off it."""
+    centre, radius, approaches = np.zeros(2), layout.ring_radius, layout.approaches
+    lanes = []
+    for road, following in zip(approaches, [*approaches[1:], approaches[0]], strict=True):
+        on, off = road.angle + RING_JOIN_ANGLE, road.angle - RING_JOIN_ANGLE
+        inbound, outbound = (by_name[f"{road.name} {way} 0"].centreline for way in ("in", "out"))
+        join = sample_arc(centre, radius, on, on + 0.1)[0]
+        leave = sample_arc(centre, radius, off - 0.1, off)[-1]
+        ends = compute_headings(inbound)[-1], compute_headings(outbound)[0]
+        onto = connect_poses(inbound[-1], ends[0], join, on + np.pi / 2, end_curvature=1 / radius)
+        away = connect_poses(
+            leave, off + np.pi / 2, outbound[0], ends[1], start_curvature=1 / radius
+        )
+        gap = (following.angle - RING_JOIN_ANGLE - on) % (2 * np.pi)
+        past, after = (sample_arc(centre, radius, *ends) for ends in ((off, on), (on, on + gap)))
+        wide, narrow = RING_LANE_WIDTH_M, road.lane_width
+        lanes += [
+            Lane(f"{road.name} onto ring", onto, (narrow, wide), RING_SPEED_LIMIT),
+            Lane(f"{road.name} off ring", away, (wide, narrow), RING_SPEED_LIMIT),
+            Lane(f"ring past {road.name}", past, (wide, wide), RING_SPEED_LIMIT),
+            Lane(f"ring after {road.name}", after, (wide, wide), RING_SPEED_LIMIT),
         ]
-    return links, _ring_passages(arms)
+    return lanes
 
 
-def _ring_passages(arms: tuple[Arm, ...]) -> list[Passage]:
-    passages = []
-    for i, come in enumerate(arms):
-        lanes = [f"{come.name} in 0", f"{come.name} onto ring"]
-        for step in range(1, len(arms)):
-            go = arms[(i + step) % len(arms)]
-            lanes.append(f"ring after {arms[(i + step - 1) % len(arms)].name}")
-            way = (*lanes, f"{go.name} off ring", f"{go.name} out 0")
-            passages.append(Passage(come.name, go.name, way, turn_between(come, go)))
-            lanes.append(f"ring past {go.name}")
-    return passages
+def _list_ring_routes(approaches: tuple[Approach, ...]) -> list[Route]:
+    """The routes from each approach of a roundabout to every other."""
+    routes = []
+    for i, origin in enumerate(approaches):
+        following = [*approaches[i:], *approaches[:i]]
+        lanes = [f"{origin.name} in 0", f"{origin.name} onto ring"]
+        for before, destination in pairwise(following):
+            lanes.append(f"ring after {before.name}")
+            names = (*lanes, f"{destination.name} off ring", f"{destination.name} out 0")
+            turn = classify_turn(origin, destination)
+            routes.append(Route(origin.name, destination.name, names, turn))
+            lanes.append(f"ring past {destination.name}")
+    return routes

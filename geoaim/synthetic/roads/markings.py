@@ -1,232 +1,252 @@
-"""Paint on the roads, as polygons: lines, arrows, crossings, bays."""
+"""Road markings as polygons, tactile paving, manholes, and landmarks among them."""
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.arms import (
-    GUTTER,
-    Arm,
-    divider,
-    half_width,
-    lane_in,
-    on_arm,
-    strip,
-    turn_between,
+from geoaim.synthetic.roads.approaches import (
+    GUTTER_M,
+    Approach,
+    classify_turn,
+    locate_inbound_lane,
+    outline_strip,
+    plan_from_road,
 )
-from geoaim.synthetic.roads.car_park import AISLE, BAY, NEAR, CarPark
-from geoaim.synthetic.roads.curves import Line
-from geoaim.synthetic.roads.lanes import FAR
-from geoaim.synthetic.roads.layouts import CROSSING, CYCLES, STRETCHES, Layout
-from geoaim.synthetic.roads.paving import Crossing, lot_polygon
+from geoaim.synthetic.roads.car_park import (
+    AISLE_WIDTH_M,
+    BAY_SIZE_M,
+    FIRST_BAY_M,
+    CarPark,
+    outline_lot_part,
+)
+from geoaim.synthetic.roads.curves import Polyline
+from geoaim.synthetic.roads.lanes import LANE_END_M
+from geoaim.synthetic.roads.layouts import CROSSING_WIDTH_M, CYCLE_STRIP_M, STREET_KINDS, Layout
+from geoaim.synthetic.roads.paving import Crossing
 from geoaim.synthetic.roads.plan import Roads
 
-THIN = 0.12  # m, width of a line
-STOP = 0.45  # m, width of a stop line
-DASH, GAP = 3.0, 4.5  # m
-SOLID = 18.0  # m before a stop line where lanes must be kept
-STRIPE = 0.5  # m, width of a crossing's stripes and of the gaps between them
-TEETH = 0.6  # m, length of the dashes of a give-way line
-RIM, JOIN = 2.9, (0.05, 0.5)  # m from the ring lane's middle, and radians: where they are
+LINE_WIDTH_M = 0.12
+STOP_LINE_WIDTH_M = 0.45
+DASH_M, DASH_GAP_M = 3.0, 4.5
+SOLID_LINE_M = 18.0  # before a stop line, where changing lanes is forbidden
+STRIPE_WIDTH_M = 0.5  # of a crossing's stripes, and of the gaps between them
+GIVE_WAY_DASH_M = 0.6
+RING_LINE_OFFSET_M = 2.9  # of a roundabout's give-way line, from the ring lane's centreline
+RING_LINE_ANGLES = (0.05, 0.5)  # radians from an approach, between which that line lies
 
 
-def paint(roads: Roads) -> list[Line]:
-    """White paint."""
-    polygons: list[Line] = []
-    for arm in roads.layout.arms:
-        polygons += [*_edges(arm), *_middle(arm), *_lane_lines(arm)]
-        polygons += [*_stop_line(arm, roads.layout), *_arrows(arm, roads.layout)]
+def make_markings(roads: Roads) -> list[Polyline]:
+    """The white markings of all roads."""
+    layout = roads.layout
+    polygons: list[Polyline] = []
+    for approach in layout.approaches:
+        polygons += _make_edge_lines(approach) + _make_divider(approach)
+        polygons += _make_lane_lines(approach)
+        polygons += _make_stop_line(approach, layout) + _make_arrows(approach, layout)
     for crossing in roads.crossings:
         if crossing.marked:
-            polygons += _stripes(crossing)
-    if roads.layout.ring:
-        polygons += _ring_teeth(roads.layout)
+            polygons += _make_stripes(crossing)
+    if layout.ring_radius:
+        polygons += _make_ring_dashes(layout)
     if roads.car_park is not None:
-        polygons += _bays(roads.car_park)
+        polygons += _make_bay_lines(roads.car_park)
     return polygons
 
 
-def cycle_strips(roads: Roads) -> list[Line]:
-    """The coloured strips on which cycles cross, between the stripes and the stop lines."""
+def make_cycle_strips(roads: Roads) -> list[Polyline]:
+    """The coloured strips on which cycles cross, between crossings and stop lines."""
     strips = []
     if roads.layout.kind == "junction":
-        for arm in roads.layout.arms:
-            at = arm.crossing + CROSSING + 0.35
-            half = half_width(arm) + 0.8
-            strips.append(strip(arm, (at, at + CYCLES - 0.7), (-half, half)))
+        for approach in roads.layout.approaches:
+            s = approach.crossing + CROSSING_WIDTH_M + 0.35
+            half = approach.half_width + 0.8
+            strips.append(outline_strip(approach, (s, s + CYCLE_STRIP_M - 0.7), (-half, half)))
     return strips
 
 
-def tactile_strips(roads: Roads) -> list[Line]:
-    """Ribbed slabs on the pavement at both ends of the marked crossings."""
+def make_tactile_strips(roads: Roads) -> list[Polyline]:
+    """The tactile paving at both ends of the marked crossings."""
     strips = []
     for crossing in roads.crossings:
         if crossing.marked:
             first, last = crossing.ends
-            ahead = (last - first) / np.hypot(*(last - first))
-            left = np.array([-ahead[1], ahead[0]]) * crossing.width / 2
-            for end, out in ((first, -ahead), (last, ahead)):
-                near, far = end + 0.25 * out, end + 1.35 * out
+            direction, left, _ = _measure_crossing(crossing)
+            for end, outwards in ((first, -direction), (last, direction)):
+                near, far = end + 0.25 * outwards, end + 1.35 * outwards
                 strips.append(np.array([near - left, far - left, far + left, near + left]))
     return strips
 
 
-def landmarks(roads: Roads) -> tuple[tuple[str, ...], Float[Array, "M 2"]]:
-    """Points that a surveyor would choose: ends of stop lines, corners of crossings, manholes."""
-    names, places = [], []
-    for arm in roads.layout.arms:
-        if np.isfinite(arm.stop) and not roads.layout.ring:
-            outer = lane_in(arm, len(arm.turns) - 1) + arm.lane / 2 - THIN
-            names.append(f"stop line {arm.name}")
-            places.append(on_arm(arm, np.array([[arm.stop + STOP, outer]]))[0])
+def list_landmarks(roads: Roads) -> tuple[tuple[str, ...], Float[Array, "M 2"]]:
+    """Names and places of surveyable points: stop lines' ends, crossings' corners, manholes."""
+    names, points = [], []
+    for approach in roads.layout.approaches:
+        if np.isfinite(approach.stop) and not roads.layout.ring_radius:
+            corner = [approach.stop + STOP_LINE_WIDTH_M, _span_inbound_lanes(approach)[1]]
+            names.append(f"stop line {approach.name}")
+            points.append(plan_from_road(approach, np.array([corner]))[0])
     for crossing in roads.crossings:
         if crossing.marked:
             names.append(f"crossing {crossing.name}")
-            places.append(_stripes(crossing)[0][0])
-    for number, place in enumerate(manholes(roads)):
+            points.append(_make_stripes(crossing)[0][0])
+    for number, point in enumerate(locate_manholes(roads)):
         names.append(f"manhole {number}")
-        places.append(place)
-    return tuple(names), np.array(places)
+        points.append(point)
+    return tuple(names), np.array(points)
 
 
-def manholes(roads: Roads) -> Line:
-    """Covers on the lanes: two on each arm."""
-    spots = []
-    for k, arm in enumerate(roads.layout.arms):
-        for along, across in ((22.0 + 3 * k, 0.4), (41.0 + 2 * k, -0.6)):
-            at = max(along, arm.mouth + 6 + along / 5)
-            spots.append(on_arm(arm, np.array([[at, across * half_width(arm)]]))[0])
-    return np.array(spots)
+def locate_manholes(roads: Roads) -> Float[Array, "M 2"]:
+    """The middles of manhole covers: two on each approach."""
+    points = []
+    for k, approach in enumerate(roads.layout.approaches):
+        for min_s, share in ((22.0 + 3 * k, 0.4), (41.0 + 2 * k, -0.6)):
+            s = max(min_s, approach.mouth + 6 + min_s / 5)
+            point = np.array([[s, share * approach.half_width]])
+            points.append(plan_from_road(approach, point)[0])
+    return np.array(points)
 
 
-def _start(arm: Arm) -> float:
-    """Where an arm's lines begin, outside of its stop line and crossing."""
-    ends = [arm.mouth, arm.stop, arm.crossing + CROSSING + 0.4]
+def locate_give_way_line(layout: Layout, approach: Approach) -> Polyline:
+    """The middle of a roundabout's give-way line at an approach."""
+    angle = approach.angle + np.linspace(*RING_LINE_ANGLES, 8)
+    radius = layout.ring_radius + RING_LINE_OFFSET_M + 0.2
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _locate_line_start(approach: Approach) -> float:
+    """The s where an approach's lines begin, behind its stop line and crossing."""
+    ends = [approach.mouth, approach.stop, approach.crossing + CROSSING_WIDTH_M + 0.4]
     return float(np.nanmax(ends))
 
 
-def _edges(arm: Arm) -> list[Line]:
-    at, start = half_width(arm) - GUTTER + 0.06, _start(arm)
-    return [strip(arm, (start, FAR), side) for side in ((at, at + THIN), (-at - THIN, -at))]
+def _make_edge_lines(approach: Approach) -> list[Polyline]:
+    t, start = approach.half_width - GUTTER_M + 0.06, _locate_line_start(approach)
+    spans = ((t, t + LINE_WIDTH_M), (-t - LINE_WIDTH_M, -t))
+    return [outline_strip(approach, (start, LANE_END_M), span) for span in spans]
 
 
-def _middle(arm: Arm) -> list[Line]:
-    """Between the directions: solid where there are lights or several lanes, else dashed."""
-    at, start, half = divider(arm), _start(arm), THIN / 2
-    if arm.median:
-        around = arm.median / 2 - 0.12
-        island = arm.crossing + CROSSING + 15.0
-        return [
-            strip(arm, (island, FAR), (at + side - half, at + side + half))
-            for side in (-around, around)
-        ]
-    if len(arm.turns) + arm.lanes_out > 2:
-        return [
-            strip(arm, (start, FAR), (at + side - half, at + side + half)) for side in (-0.12, 0.12)
-        ]
-    solid = strip(arm, (start, start + SOLID), (at - half, at + half))
-    return [solid, *_dashes(arm, start + SOLID + GAP, at)]
+def _make_divider(approach: Approach) -> list[Polyline]:
+    """Between the directions: solid at a median or with several lanes, else dashed at its end."""
+    t, start = approach.divider, _locate_line_start(approach)
+    if approach.median:
+        island_end = approach.crossing + CROSSING_WIDTH_M + 15.0
+        side = approach.median / 2 - 0.12
+        return [_make_line(approach, (island_end, LANE_END_M), t + x) for x in (-side, side)]
+    if len(approach.turns) + approach.outbound_lanes > 2:
+        return [_make_line(approach, (start, LANE_END_M), t + x) for x in (-0.12, 0.12)]
+    solid = _make_line(approach, (start, start + SOLID_LINE_M), t)
+    return [solid, *_make_dashes(approach, start + SOLID_LINE_M + DASH_GAP_M, t)]
 
 
-def _lane_lines(arm: Arm) -> list[Line]:
-    """Between lanes of one direction: kept before the stop line, dashed elsewhere."""
-    start, half, lines = _start(arm), THIN / 2, []
-    for rank in range(1, len(arm.turns)):
-        at = lane_in(arm, rank) - arm.lane / 2
-        lines.append(strip(arm, (start, start + SOLID), (at - half, at + half)))
-        lines += _dashes(arm, start + SOLID + GAP, at)
-    for rank in range(1, arm.lanes_out):
-        lines += _dashes(arm, start + GAP, divider(arm) - arm.median / 2 - rank * arm.lane)
+def _make_lane_lines(approach: Approach) -> list[Polyline]:
+    """Between lanes of one direction: solid before the stop line, dashed elsewhere."""
+    start, lines = _locate_line_start(approach), []
+    for index in range(1, len(approach.turns)):
+        t = locate_inbound_lane(approach, index) - approach.lane_width / 2
+        lines.append(_make_line(approach, (start, start + SOLID_LINE_M), t))
+        lines += _make_dashes(approach, start + SOLID_LINE_M + DASH_GAP_M, t)
+    for index in range(1, approach.outbound_lanes):
+        t = approach.divider - approach.median / 2 - index * approach.lane_width
+        lines += _make_dashes(approach, start + DASH_GAP_M, t)
     return lines
 
 
-def _dashes(arm: Arm, start: float, across: float) -> list[Line]:
-    half = THIN / 2
-    return [
-        strip(arm, (s, s + DASH), (across - half, across + half))
-        for s in np.arange(start, FAR, DASH + GAP).tolist()
-    ]
+def _make_line(approach: Approach, s: tuple[float, float], t: float) -> Polyline:
+    half = LINE_WIDTH_M / 2
+    return outline_strip(approach, s, (t - half, t + half))
 
 
-def _stop_line(arm: Arm, layout: Layout) -> list[Line]:
-    """A bar where lights or a stop sign hold; teeth where one gives way."""
-    if not np.isfinite(arm.stop) or layout.ring:
+def _make_dashes(approach: Approach, start: float, t: float) -> list[Polyline]:
+    starts = np.arange(start, LANE_END_M, DASH_M + DASH_GAP_M).tolist()
+    return [_make_line(approach, (s, s + DASH_M), t) for s in starts]
+
+
+def _span_inbound_lanes(approach: Approach) -> tuple[float, float]:
+    """The t of the inner and the outer end of a stop line."""
+    inner = locate_inbound_lane(approach, 0) - approach.lane_width / 2 + 0.15
+    outer = locate_inbound_lane(approach, len(approach.turns) - 1) + approach.lane_width / 2
+    return inner, outer - LINE_WIDTH_M
+
+
+def _make_stop_line(approach: Approach, layout: Layout) -> list[Polyline]:
+    """A solid stop line at traffic lights, a dashed give-way line elsewhere."""
+    if not np.isfinite(approach.stop) or layout.ring_radius:
         return []
-    inner = lane_in(arm, 0) - arm.lane / 2 + 0.15
-    outer = lane_in(arm, len(arm.turns) - 1) + arm.lane / 2 - THIN
+    inner, outer = _span_inbound_lanes(approach)
+    s = approach.stop, approach.stop + STOP_LINE_WIDTH_M
     if layout.signalised:
-        return [strip(arm, (arm.stop, arm.stop + STOP), (inner, outer))]
-    return [
-        strip(arm, (arm.stop, arm.stop + STOP), (o, min(o + TEETH, outer)))
-        for o in np.arange(inner, outer, 2 * TEETH).tolist()
-    ]
+        return [outline_strip(approach, s, (inner, outer))]
+    starts = np.arange(inner, outer, 2 * GIVE_WAY_DASH_M).tolist()
+    return [outline_strip(approach, s, (t, min(t + GIVE_WAY_DASH_M, outer))) for t in starts]
 
 
-def give_way_line(layout: Layout, arm: Arm) -> Line:
-    """The middle of a roundabout's dashes where an arm joins."""
-    angle = arm.angle + np.linspace(*JOIN, 8)
-    return (layout.ring + RIM + 0.2) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+def _make_ring_dashes(layout: Layout) -> list[Polyline]:
+    """The give-way lines of a roundabout: dashes along the ring where approaches join it."""
+    radius, dashes = layout.ring_radius + RING_LINE_OFFSET_M, []
+    length = GIVE_WAY_DASH_M / radius
+    for approach in layout.approaches:
+        for start in np.arange(*RING_LINE_ANGLES, 2 * GIVE_WAY_DASH_M / radius):
+            angle = approach.angle + np.linspace(start, start + length, 3)
+            circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            dashes.append(np.concatenate([radius * circle, (radius + 0.4) * circle[::-1]]))
+    return dashes
 
 
-def _ring_teeth(layout: Layout) -> list[Line]:
-    """The give-way lines of a roundabout: dashes along its rim where lanes join."""
-    outside, teeth = layout.ring + RIM, []
-    for arm in layout.arms:
-        for turn in np.arange(*JOIN, 2 * TEETH / outside):
-            angle = arm.angle + np.linspace(turn, turn + TEETH / outside, 3)
-            ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            teeth.append(np.concatenate([outside * ring, (outside + 0.4) * ring[::-1]]))
-    return teeth
-
-
-def _stripes(crossing: Crossing) -> list[Line]:
-    """Stripes along the traffic, side by side from kerb to kerb."""
+def _measure_crossing(crossing: Crossing) -> tuple[Array, Array, float]:
+    """Its unit direction, a vector to its left edge, and its length in metres."""
     first, last = crossing.ends
     length = float(np.hypot(*(last - first)))
-    ahead = (last - first) / length
-    left = np.array([-ahead[1], ahead[0]]) * crossing.width / 2
-    count = int((length - 0.6) / (2 * STRIPE))
-    start = (length - (2 * count - 1) * STRIPE) / 2
+    direction = (last - first) / length
+    return direction, np.array([-direction[1], direction[0]]) * crossing.width / 2, length
+
+
+def _make_stripes(crossing: Crossing) -> list[Polyline]:
+    """Stripes parallel to the traffic, side by side from kerb to kerb."""
+    direction, left, length = _measure_crossing(crossing)
+    count = int((length - 0.6) / (2 * STRIPE_WIDTH_M))
+    start = (length - (2 * count - 1) * STRIPE_WIDTH_M) / 2
     stripes = []
     for k in range(count):
-        near = first + ahead * (start + 2 * k * STRIPE)
-        far = near + ahead * STRIPE
+        near = crossing.ends[0] + direction * (start + 2 * k * STRIPE_WIDTH_M)
+        far = near + direction * STRIPE_WIDTH_M
         stripes.append(np.array([near - left, far - left, far + left, near + left]))
     return stripes
 
 
-def _arrows(arm: Arm, layout: Layout) -> list[Line]:
-    """The turns that each lane serves, where there is more than one lane or a light."""
-    if layout.ring or not np.isfinite(arm.stop) or layout.kind in STRETCHES:
+def _make_arrows(approach: Approach, layout: Layout) -> list[Polyline]:
+    """Arrows for the turns that each inbound lane serves, at junctions with a stop line."""
+    if layout.ring_radius or not np.isfinite(approach.stop) or layout.kind in STREET_KINDS:
         return []
-    possible = {turn_between(arm, other) for other in layout.arms if other is not arm}
+    others = [other for other in layout.approaches if other is not approach]
+    possible = {classify_turn(approach, other) for other in others}
     arrows = []
-    for rank, turns in enumerate(arm.turns):
-        for back in (6.0, 27.0):
-            spot = np.array([_start(arm) + back, lane_in(arm, rank)])
-            served = sorted(set(turns) & possible)
+    for index, turns in enumerate(approach.turns):
+        served = sorted(set(turns) & possible)
+        for distance in (6.0, 27.0):
+            s, t = _locate_line_start(approach) + distance, locate_inbound_lane(approach, index)
             for turn in served:
-                behind = 1.3 if len(served) > 1 and turn != "S" else 0.0
-                arrows.append(on_arm(arm, _arrow(turn) + spot + [behind, 0.0]))
+                shift = 1.3 if len(served) > 1 and turn != "S" else 0.0
+                outline = _outline_arrow(turn) + np.array([s, t]) + [shift, 0.0]
+                arrows.append(plan_from_road(approach, outline))
     return arrows
 
 
-def _arrow(turn: str) -> Line:
-    """An arrow along and across an arm that points to its middle, or bends to one side."""
+def _outline_arrow(turn: str) -> Polyline:
+    """An arrow in road coordinates that points to the centre, or turns to one side."""
     if turn == "S":
         half = [(3.6, 0.08), (1.4, 0.08), (1.4, 0.42), (0.0, 0.0)]
-        return np.array([*half, *[(s, -o) for s, o in half[-2::-1]]])
+        return np.array([*half, *[(s, -t) for s, t in half[-2::-1]]])
     bent = [(3.6, 0.08), (0.5, 0.08), (0.5, -0.5), (0.9, -0.5), (0.3, -1.15), (-0.3, -0.5)]
     bent += [(0.2, -0.5), (0.2, -0.08), (3.6, -0.08)]
     return np.array(bent) * [1.0, 1.0 if turn == "L" else -1.0]
 
 
-def _bays(car_park: CarPark) -> list[Line]:
-    """Lines between the bays."""
+def _make_bay_lines(car_park: CarPark) -> list[Polyline]:
+    """The lines between the bays."""
     lines = []
     for bay in range(car_park.bays + 1):
-        deep = NEAR + bay * BAY[0]
+        deep = FIRST_BAY_M + bay * BAY_SIZE_M[0]
         for side in (1, -1):
-            beside = (side * AISLE / 2, side * (AISLE / 2 + BAY[1]))
-            lines.append(lot_polygon(car_park, beside, (deep - 0.06, deep + 0.06)))
+            along = (side * AISLE_WIDTH_M / 2, side * (AISLE_WIDTH_M / 2 + BAY_SIZE_M[1]))
+            lines.append(outline_lot_part(car_park, along, (deep - 0.06, deep + 0.06)))
     return lines

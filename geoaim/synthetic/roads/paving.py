@@ -1,4 +1,4 @@
-"""What the ground is made of: carriageway, islands, pavement, crossings, car park, plots."""
+"""Surfaces of a place: carriageway, islands, pavement, crossings, car park, plots."""
 
 from dataclasses import dataclass
 
@@ -7,33 +7,37 @@ import shapely
 from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import Geometry, LineString, Point, Polygon
-from shapely.geometry import box
 
-from geoaim.synthetic.roads.arms import GUTTER, Arm, divider, half_width, on_arm, strip
-from geoaim.synthetic.roads.car_park import AISLE, BAY, DRIVE, CarPark, lot_end
-from geoaim.synthetic.roads.curves import Line
-from geoaim.synthetic.roads.lanes import FAR, Lane, sides
-from geoaim.synthetic.roads.layouts import CROSSING, RING_LANE, Layout
+from geoaim.synthetic.roads.approaches import GUTTER_M, Approach, outline_strip, plan_from_road
+from geoaim.synthetic.roads.car_park import (
+    AISLE_WIDTH_M,
+    BAY_SIZE_M,
+    DRIVEWAY_WIDTH_M,
+    CarPark,
+    measure_depth,
+    outline_lot_part,
+)
+from geoaim.synthetic.roads.lanes import LANE_END_M, Lane, compute_lane_bounds
+from geoaim.synthetic.roads.layouts import CROSSING_WIDTH_M, RING_LANE_WIDTH_M, Layout
 
-VERGE = 1.5  # m, width of the grass between kerb and pavement, away from crossings
-FLARE = 5.0  # m, radius of the kerbs of a drive
+VERGE_WIDTH_M = 1.5  # of the grass between kerb and pavement, away from crossings
+FLARE_RADIUS_M = 5.0  # of the kerbs where a driveway meets the road
+MIN_PLOT_M2 = 60.0
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where people cross an arm.
+    """Where pedestrians cross a road.
 
     Attributes:
-        name: of its arm, or "drive", or "east on foot" where nothing is marked.
-        arm: the arm that it crosses.
-        ends: left and right of somebody who looks outwards along the arm, on the kerbs.
-        width: metres along the arm.
+        name: of its approach, or "drive", or "east on foot" where nothing is marked.
+        ends: its ends on the kerbs, plan metres; that at larger t first.
+        width: metres along the road.
         marked: whether stripes are painted.
-        signalised: whether lights control it.
+        signalised: whether traffic lights control it.
     """
 
     name: str
-    arm: str
     ends: Float[Array, "2 2"]
     width: float
     marked: bool
@@ -42,14 +46,14 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Paving:
-    """Surfaces as polygons in plan metres, none of which overlaps another.
+    """Surfaces as polygons in plan metres that do not overlap.
 
     Attributes:
-        carriageway: tar between kerbs.
+        carriageway: asphalt between the kerbs.
         islands: raised ground within it.
-        drive: tar across the pavement into the car park.
-        lot: tar of the car park.
-        pavement: for those on foot, on both sides of the roads, with its verges.
+        drive: asphalt of the driveway, across the pavement.
+        lot: asphalt of the car park.
+        pavement: for pedestrians, on both sides of the roads, with its verges.
         plots: what lies between, one polygon a plot.
     """
 
@@ -61,116 +65,139 @@ class Paving:
     plots: tuple[Polygon, ...]
 
 
-def pave(
-    layout: Layout, lanes: tuple[Lane, ...], car_park: CarPark | None, page: Polygon, wide: float
+def make_paving(
+    layout: Layout,
+    lanes: tuple[Lane, ...],
+    car_park: CarPark | None,
+    extent: Polygon,
+    pavement_width: float,
 ) -> Paving:
-    """Surfaces of a layout, with a pavement so wide (metres), on a page."""
-    tar = [Polygon(strip(arm, (-1.0, FAR), _kerbs(arm))) for arm in layout.arms]
-    tar += [_lane_area(lane) for lane in lanes if " to " in lane.name or " ring" in lane.name]
-    if layout.ring:
-        tar.append(Point(0, 0).buffer(layout.ring + RING_LANE / 2 + 0.4, quad_segs=32))
-    edges = [sides(lane) for lane in lanes]
-    closed = shapely.union_all(tar).buffer(layout.corner, quad_segs=32).buffer(-layout.corner)
-    whole = Polygon(shapely.union_all([closed]).exterior)
-    wheels = [Polygon(np.concatenate([left, right[::-1]])).buffer(0) for left, right in edges]
-    islands = shapely.union_all(_islands(layout)).difference(shapely.union_all(wheels))
-    drive, lot = _drive_and_lot(car_park, whole)
-    around = whole.buffer(wide, quad_segs=32)
-    pavement = around.difference(shapely.union_all([whole, drive, lot]))
-    rest = page.difference(shapely.union_all([around, drive, lot.buffer(1.0)]))
-    parts = [part for part in shapely.get_parts(rest) if part.area > 60]
-    return Paving(whole.difference(islands), islands, drive, lot, pavement, tuple(parts))
+    """Make the surfaces of a layout.
+
+    Args:
+        layout: approaches and corners.
+        lanes: all lanes, which carriageway and islands leave room for.
+        car_park: beside an approach, or None.
+        extent: the part of the plan that is drawn, which the plots fill.
+        pavement_width: metres.
+
+    Returns:
+        The surfaces.
+    """
+    road = _outline_carriageway(layout, lanes)
+    bounds = [compute_lane_bounds(lane) for lane in lanes]
+    driven = [Polygon(np.concatenate([left, right[::-1]])).buffer(0) for left, right in bounds]
+    islands = shapely.union_all(_make_islands(layout)).difference(shapely.union_all(driven))
+    drive, lot = _make_drive_and_lot(car_park, road)
+    paved = road.buffer(pavement_width, quad_segs=32)
+    pavement = paved.difference(shapely.union_all([road, drive, lot]))
+    rest = extent.difference(shapely.union_all([paved, drive, lot.buffer(1.0)]))
+    plots = tuple(part for part in shapely.get_parts(rest) if part.area > MIN_PLOT_M2)
+    return Paving(road.difference(islands), islands, drive, lot, pavement, plots)
 
 
 def make_crossings(
     layout: Layout, car_park: CarPark | None, paving: Paving
 ) -> tuple[Crossing, ...]:
-    """Marked and unmarked crossings of the arms, and of the drive of the car park."""
-    found = []
-    arms = {arm.name: arm for arm in layout.arms}
-    road = outer_kerbs(paving)
-    for arm in layout.arms:
-        if np.isfinite(arm.crossing):
-            ends = _across(arm, arm.crossing + CROSSING / 2, road)
-            found.append(Crossing(arm.name, arm.name, ends, CROSSING, True, layout.signalised))
-    for name, along in layout.informal:
-        ends = _across(arms[name], along, road)
-        found.append(Crossing(f"{name} on foot", name, ends, 2.0, False, False))
+    """Make the marked and unmarked crossings of the approaches, and that of the driveway.
+
+    Args:
+        layout: says where the crossings are.
+        car_park: whose driveway pedestrians cross, or None.
+        paving: from kerb to kerb of which the crossings lead.
+
+    Returns:
+        Marked crossings, then informal ones, then that of the driveway.
+    """
+    crossings = []
+    road = outline_road(paving)
+    for approach in layout.approaches:
+        if np.isfinite(approach.crossing):
+            ends = _cut_across(approach, approach.crossing + CROSSING_WIDTH_M / 2, road)
+            crossings.append(
+                Crossing(approach.name, ends, CROSSING_WIDTH_M, True, layout.signalised)
+            )
+    by_name = {approach.name: approach for approach in layout.approaches}
+    for name, s in layout.informal_crossings:
+        ends = _cut_across(by_name[name], s, road)
+        crossings.append(Crossing(f"{name} on foot", ends, 2.0, False, False))
     if car_park is not None:
-        ends = lot_polygon(car_park, (DRIVE / 2 + 2.0, -DRIVE / 2 - 2.0), (2.8, 2.8))[:2]
-        found.append(Crossing("drive", car_park.arm, ends, 2.5, False, False))
-    return tuple(found)
+        half = DRIVEWAY_WIDTH_M / 2 + 2.0
+        ends = outline_lot_part(car_park, (half, -half), (2.8, 2.8))[:2]
+        crossings.append(Crossing("drive", ends, 2.5, False, False))
+    return tuple(crossings)
 
 
-def outer_kerbs(paving: Paving) -> Polygon:
-    """The roads with all islands in them."""
+def outline_road(paving: Paving) -> Polygon:
+    """The ground within the outer kerbs: carriageway and islands."""
     return Polygon(shapely.union_all([paving.carriageway, paving.islands]).exterior)
 
 
-def crossing_area(crossing: Crossing) -> Polygon:
+def outline_crossing(crossing: Crossing) -> Polygon:
     """The ground of a crossing, from kerb to kerb."""
     return LineString(crossing.ends).buffer(crossing.width / 2, cap_style="flat")
 
 
-def page_area(height: float, width: float) -> Polygon:
-    """The drawn part of the plan, metres, around the middle."""
-    return box(-width / 2, -height / 2, width / 2, height / 2)
+def _outline_carriageway(layout: Layout, lanes: tuple[Lane, ...]) -> Polygon:
+    """The outer kerbs, rounded where approaches meet."""
+    asphalt = []
+    for approach in layout.approaches:
+        kerbs = -approach.half_width, approach.half_width
+        asphalt.append(Polygon(outline_strip(approach, (-1.0, LANE_END_M), kerbs)))
+    for lane in lanes:
+        if " to " in lane.name or " ring" in lane.name:
+            half = min(lane.width) / 2 + GUTTER_M
+            asphalt.append(LineString(lane.centreline).buffer(half, cap_style="flat"))
+    if layout.ring_radius:
+        outer = layout.ring_radius + RING_LANE_WIDTH_M / 2 + 0.4
+        asphalt.append(Point(0, 0).buffer(outer, quad_segs=32))
+    radius = layout.corner_radius
+    rounded = shapely.union_all(asphalt).buffer(radius, quad_segs=32).buffer(-radius)
+    return Polygon(shapely.union_all([rounded]).exterior)
 
 
-def lot_polygon(car_park: CarPark, beside: tuple[float, float], deep: tuple[float, float]) -> Line:
-    """Corners of a rectangle in a car park's coordinates, in plan metres."""
-    (b0, b1), (d0, d1) = beside, deep
-    corners = np.array([[b0, d0], [b1, d0], [b1, d1], [b0, d1]])
-    place = car_park.plan_from_lot
-    return corners @ place[:2, :2].T + place[:2, 2]
+def _cut_across(approach: Approach, s: float, road: Polygon) -> Float[Array, "2 2"]:
+    """From kerb to kerb across an approach, which corner radii widen."""
+    reach = approach.half_width + 12.0
+    left, middle, right = plan_from_road(approach, np.array([[s, reach], [s, 0.0], [s, -reach]]))
+    parts = shapely.get_parts(LineString([left, right]).intersection(road))
+    nearest = min(parts, key=lambda part: part.distance(Point(middle)))
+    return np.array(nearest.coords)
 
 
-def _kerbs(arm: Arm) -> tuple[float, float]:
-    return -half_width(arm), half_width(arm)
-
-
-def _across(arm: Arm, along: float, road: Polygon) -> Line:
-    """From kerb to kerb: round corners widen the road."""
-    reach = half_width(arm) + 12.0
-    ends = on_arm(arm, np.array([[along, reach], [along, 0.0], [along, -reach]]))
-    parts = shapely.get_parts(LineString(ends[[0, 2]]).intersection(road))
-    middle = min(parts, key=lambda part: part.distance(Point(ends[1])))
-    return np.array(middle.coords)
-
-
-def _lane_area(lane: Lane) -> Geometry:
-    """The ground that wheels need where lanes turn."""
-    return LineString(lane.centre).buffer(min(lane.width) / 2 + GUTTER, cap_style="flat")
-
-
-def _islands(layout: Layout) -> list[Geometry]:
-    """The middle of a roundabout, and the medians of its arms, open where people cross."""
-    if not layout.ring:
+def _make_islands(layout: Layout) -> list[Geometry]:
+    """The central island of a roundabout, and the splitter islands, open at the crossings."""
+    if not layout.ring_radius:
         return []
-    islands: list[Geometry] = [Point(0, 0).buffer(layout.ring - RING_LANE / 2 - 0.3, quad_segs=32)]
-    for arm in layout.arms:
-        middle, half = divider(arm), arm.median / 2 - 0.35
-        start, crossing = layout.ring + RING_LANE / 2 + 2.2, arm.crossing
+    radius = layout.ring_radius
+    islands: list[Geometry] = [
+        Point(0, 0).buffer(radius - RING_LANE_WIDTH_M / 2 - 0.3, quad_segs=32)
+    ]
+    for approach in layout.approaches:
+        middle, half = approach.divider, approach.median / 2 - 0.35
+        start, crossing = radius + RING_LANE_WIDTH_M / 2 + 2.2, approach.crossing
         nose = [[start, -2.6], [start - 0.6, 0.0], [start, 2.6]]
-        outline = [[crossing - 0.3, -half], *nose, [crossing - 0.3, half]]
-        islands.append(Polygon(on_arm(arm, np.array(outline) + np.array([0, middle]))).buffer(0.0))
-        after = crossing + CROSSING + 0.3
-        islands.append(Polygon(strip(arm, (after, after + 14.0), (middle - half, middle + half))))
+        corners = np.array([[crossing - 0.3, -half], *nose, [crossing - 0.3, half]])
+        outline = plan_from_road(approach, corners + np.array([0, middle]))
+        islands.append(Polygon(outline).buffer(0.0))
+        end = crossing + CROSSING_WIDTH_M + 0.3
+        outline = outline_strip(approach, (end, end + 14.0), (middle - half, middle + half))
+        islands.append(Polygon(outline))
     return islands
 
 
-def _drive_and_lot(car_park: CarPark | None, road: Geometry) -> tuple[Geometry, Geometry]:
+def _make_drive_and_lot(car_park: CarPark | None, road: Geometry) -> tuple[Geometry, Geometry]:
+    """The driveway with rounded kerbs, and the car park; both empty without a car park."""
     if car_park is None:
         return Polygon(), Polygon()
-    lane = Polygon(lot_polygon(car_park, (-DRIVE / 2, DRIVE / 2), (-3.0, 12.0)))
+    half = DRIVEWAY_WIDTH_M / 2
+    lane = Polygon(outline_lot_part(car_park, (-half, half), (-3.0, 12.0)))
     near = lane.buffer(12.0)
     mouth = shapely.union_all([lane, road.intersection(near)])
-    mouth = mouth.buffer(FLARE, quad_segs=16).buffer(-FLARE, quad_segs=16).intersection(near)
-    half = AISLE / 2 + BAY[1]
-    lot = Polygon(lot_polygon(car_park, (-half - 0.4, half + 0.4), (6.0, lot_end(car_park))))
+    mouth = mouth.buffer(FLARE_RADIUS_M, quad_segs=16).buffer(-FLARE_RADIUS_M, quad_segs=16)
+    half = AISLE_WIDTH_M / 2 + BAY_SIZE_M[1] + 0.4
+    lot = Polygon(outline_lot_part(car_park, (-half, half), (6.0, measure_depth(car_park))))
     lot = lot.difference(road)
-    reach = Polygon(lot_polygon(car_park, (-12.0, 12.0), (0.0, 6.5)))
-    drive = shapely.union_all([mouth.intersection(reach)]).difference(
-        shapely.union_all([road, lot])
-    )
-    return drive, lot
+    reach = Polygon(outline_lot_part(car_park, (-12.0, 12.0), (0.0, 6.5)))
+    drive = shapely.union_all([mouth.intersection(near).intersection(reach)])
+    return drive.difference(shapely.union_all([road, lot])), lot

@@ -9,11 +9,21 @@ from shapely import Geometry, LineString
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.exact import blur
-from geoaim.synthetic.roads.arms import Arm, divider, half_width, lane_in, on_arm, strip
-from geoaim.synthetic.roads.curves import parallel
-from geoaim.synthetic.roads.lanes import FAR
-from geoaim.synthetic.roads.markings import cycle_strips, manholes, paint, tactile_strips
-from geoaim.synthetic.roads.paving import outer_kerbs
+from geoaim.synthetic.roads.approaches import (
+    Approach,
+    locate_inbound_lane,
+    outline_strip,
+    plan_from_road,
+)
+from geoaim.synthetic.roads.curves import offset_polyline
+from geoaim.synthetic.roads.lanes import LANE_END_M
+from geoaim.synthetic.roads.markings import (
+    locate_manholes,
+    make_cycle_strips,
+    make_markings,
+    make_tactile_strips,
+)
+from geoaim.synthetic.roads.paving import outline_road
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.canvas import (
     BLOTCH,
@@ -95,7 +105,7 @@ def _draw_plots(canvas: Canvas, scenery: Scenery) -> None:
 
 def _draw_pavement(canvas: Canvas, roads: Roads, scenery: Scenery, day: Day) -> None:
     """Slabs between kerb and plots, paths off them, verges of grass."""
-    paved = shapely.union_all([roads.paving.pavement, roads.walks.paths])
+    paved = shapely.union_all([roads.paving.pavement, roads.footpaths.surface])
     fill(canvas, paved, SLAB, grain=[(PATCH, 4), (GRAIN, 4.5)])
     _draw_joints(canvas, paved, 0.6, 0.22)
     rim = roads.paving.pavement.boundary.buffer(0.08)
@@ -103,7 +113,7 @@ def _draw_pavement(canvas: Canvas, roads: Roads, scenery: Scenery, day: Day) -> 
     palette = PALETTES[day.season]
     green = tuple(0.5 * a + 0.5 * b for a, b in zip((88, 108, 56), palette.grass, strict=True))
     fill(canvas, scenery.verges, (green[0], green[1], green[2]), grain=[(PATCH, 9), (GRAIN, 11)])
-    fill(canvas, tactile_strips(roads), (204, 176, 84), strength=0.8, only=paved)
+    fill(canvas, make_tactile_strips(roads), (204, 176, 84), strength=0.8, only=paved)
 
 
 def _draw_joints(canvas: Canvas, area: Geometry, step: float, share: float) -> None:
@@ -137,24 +147,27 @@ def _draw_tar(canvas: Canvas, roads: Roads) -> None:
         rim = shapely.LinearRing(outline).buffer(0.06)
         fill(canvas, rim, (74, 74, 75), strength=0.4, only=road)
     _draw_cracks(canvas, road)
-    whole = outer_kerbs(roads.paving)
+    whole = outline_road(roads.paving)
     gutter = whole.difference(whole.buffer(-0.5))
     shade(canvas, gutter, 0.13, only=road)
-    for place in manholes(roads):
+    for place in locate_manholes(roads):
         fill(canvas, make_circle(place, 0.42), (92, 90, 86))
         fill(canvas, make_circle(place, 0.33), (70, 67, 64))
 
 
 def _vary_age(canvas: Canvas, roads: Roads, window: Window) -> Float[Array, "h w"]:
-    """How much paler or darker each arm, its halves and the car park are, grey levels."""
+    """How much paler or darker each approach, its halves and the car park are, grey levels."""
     rows, columns = window
     change = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
     shapes: list[Shape] = []
-    for arm in roads.layout.arms:
-        middle, half = divider(arm), half_width(arm)
-        cut = canvas.generator.uniform(arm.mouth + 4, 60)
+    for approach in roads.layout.approaches:
+        middle, half = approach.divider, approach.half_width
+        cut = canvas.generator.uniform(approach.mouth + 4, 60)
         for span in ((middle, half), (-half, middle)):
-            shapes += [strip(arm, (arm.mouth, cut), span), strip(arm, (cut, FAR), span)]
+            shapes += [
+                outline_strip(approach, (approach.mouth, cut), span),
+                outline_strip(approach, (cut, LANE_END_M), span),
+            ]
     for shape in [*shapes, roads.paving.lot]:
         mask = rasterize_shape(canvas, shape, within=window)[1]
         change += np.float32(canvas.generator.uniform(-11, 9) / 255) * mask.astype(np.float32)
@@ -179,54 +192,63 @@ def _draw_strokes(
 
 
 def _list_wheel_tracks(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [parallel(lane.centre, side) for lane in roads.lanes for side in (-WHEELS, WHEELS)]
+    return [
+        offset_polyline(lane.centreline, side) for lane in roads.lanes for side in (-WHEELS, WHEELS)
+    ]
 
 
 def _list_centrelines(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [lane.centre for lane in roads.lanes]
+    return [lane.centreline for lane in roads.lanes]
 
 
 def _list_waiting_lines(roads: Roads) -> list[Float[Array, "_ 2"]]:
     """Behind stop lines, where oil drips."""
     lines = []
-    for arm in roads.layout.arms:
-        if np.isfinite(arm.stop):
-            for rank in range(len(arm.turns)):
-                spots = [[arm.stop + d, lane_in(arm, rank)] for d in (1.0, 6.0, 12.0)]
-                lines.append(on_arm(arm, np.array(spots)))
+    for approach in roads.layout.approaches:
+        if np.isfinite(approach.stop):
+            for rank in range(len(approach.turns)):
+                spots = [
+                    [approach.stop + d, locate_inbound_lane(approach, rank)]
+                    for d in (1.0, 6.0, 12.0)
+                ]
+                lines.append(plan_from_road(approach, np.array(spots)))
     return lines
 
 
 def _make_patches(canvas: Canvas, roads: Roads) -> list[tuple[Float[Array, "_ 2"], float]]:
     """Mended places and a trench: outlines, and grey levels that they are darker by."""
     patches = []
-    for arm in roads.layout.arms:
-        half = half_width(arm)
+    for approach in roads.layout.approaches:
+        half = approach.half_width
         for _ in range(2):
             along = canvas.generator.uniform(-4, 75)
             across = canvas.generator.uniform(-half + 0.5, half - 3.0)
             long, wide = canvas.generator.uniform(3, 10), canvas.generator.uniform(1.0, 3.2)
             change = float(canvas.generator.choice([16.0, 11.0, -9.0]))
-            patches.append((strip(arm, (along, along + long), (across, across + wide)), change))
-    arm = _pick_approach(canvas, roads.layout.arms)
-    across = canvas.generator.uniform(-0.7, 0.5) * half_width(arm)
-    patches.append((strip(arm, (arm.mouth, 80.0), (across, across + 0.9)), 13.0))
+            patches.append(
+                (outline_strip(approach, (along, along + long), (across, across + wide)), change)
+            )
+    approach = _pick_approach(canvas, roads.layout.approaches)
+    across = canvas.generator.uniform(-0.7, 0.5) * approach.half_width
+    patches.append((outline_strip(approach, (approach.mouth, 80.0), (across, across + 0.9)), 13.0))
     return patches
 
 
-def _pick_approach(canvas: Canvas, arms: tuple[Arm, ...]) -> Arm:
-    return arms[int(canvas.generator.integers(len(arms)))]
+def _pick_approach(canvas: Canvas, approaches: tuple[Approach, ...]) -> Approach:
+    return approaches[int(canvas.generator.integers(len(approaches)))]
 
 
 def _draw_fresh_tar(canvas: Canvas, roads: Roads, day: Day, generator: np.random.Generator) -> None:
     """Places that have been mended since day 0."""
     for _ in range(day.changes // 3):
-        arm = roads.layout.arms[int(generator.integers(len(roads.layout.arms)))]
+        approach = roads.layout.approaches[int(generator.integers(len(roads.layout.approaches)))]
         along, across = (
-            generator.uniform(arm.mouth, 60.0),
-            generator.uniform(-0.9, 0.1) * half_width(arm),
+            generator.uniform(approach.mouth, 60.0),
+            generator.uniform(-0.9, 0.1) * approach.half_width,
         )
-        shape = strip(arm, (along, along + generator.uniform(5, 14)), (across, across + 3.2))
+        shape = outline_strip(
+            approach, (along, along + generator.uniform(5, 14)), (across, across + 3.2)
+        )
         fill(canvas, shape, (92, 92, 93), grain=[(GRAIN, 4)], only=roads.paving.carriageway)
 
 
@@ -265,7 +287,7 @@ def _draw_islands(canvas: Canvas, roads: Roads, day: Day) -> None:
 def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
     """Pale stones along every rim of the tar but the drive's."""
     rims = [
-        outer_kerbs(roads.paving).exterior,
+        outline_road(roads.paving).exterior,
         *(p.boundary for p in shapely.get_parts(roads.paving.islands)),
     ]
     stones = shapely.union_all([rim.buffer(0.11) for rim in rims])
@@ -276,8 +298,8 @@ def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
 def _draw_paint(canvas: Canvas, roads: Roads) -> None:
     """Paint, worn off by chance."""
     tar = shapely.union_all([roads.paving.carriageway, roads.paving.lot]).buffer(-0.05)
-    _draw_worn_paint(canvas, cycle_strips(roads), (158, 66, 58), 0.8, tar)
-    _draw_worn_paint(canvas, paint(roads), WHITE, 0.9, tar)
+    _draw_worn_paint(canvas, make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
+    _draw_worn_paint(canvas, make_markings(roads), WHITE, 0.9, tar)
 
 
 def _draw_worn_paint(

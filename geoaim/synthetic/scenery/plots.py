@@ -11,13 +11,17 @@ from shapely import Geometry, LineString, Point, Polygon
 from shapely.affinity import rotate
 from shapely.geometry import box
 
-from geoaim.synthetic.roads.arms import Arm, half_width, on_arm
-from geoaim.synthetic.roads.car_park import AISLE, BAY, NEAR
+from geoaim.synthetic.roads.approaches import Approach, plan_from_road
+from geoaim.synthetic.roads.car_park import (
+    AISLE_WIDTH_M,
+    BAY_SIZE_M,
+    FIRST_BAY_M,
+    outline_lot_part,
+)
 from geoaim.synthetic.roads.paving import (
-    VERGE,
-    crossing_area,
-    lot_polygon,
-    outer_kerbs,
+    VERGE_WIDTH_M,
+    outline_crossing,
+    outline_road,
 )
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.parcels import (
@@ -60,7 +64,7 @@ def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
             rough = small or roads.layout.kind == "park"  # lawns and ponds bring paths of their own
             use = "field" if rough else USES[int(generator.integers(len(USES)))]
             parcels.append(Parcel(use, area))
-            free = area.buffer(-0.5).difference(roads.walks.paths.buffer(1.0))
+            free = area.buffer(-0.5).difference(roads.footpaths.surface.buffer(1.0))
             part = max(shapely.get_parts(free), key=lambda part: part.area, default=Polygon())
             if part.area > 80:
                 scenery = makers[use](scenery, part, angle, generator)
@@ -83,28 +87,28 @@ def _divide(plot: Polygon, angle: float, generator: np.random.Generator) -> list
 
 
 def _find_angle(roads: Roads, plot: Polygon) -> float:
-    """The direction of the arm that passes closest to a plot's middle."""
+    """The direction of the approach that passes closest to a plot's middle."""
     middle = np.array(plot.representative_point().coords[0])
 
-    def apart(arm: Arm) -> float:
+    def apart(approach: Approach) -> float:
         along = np.linspace(0, 100, 21)
-        axis = on_arm(arm, np.stack([along, 0 * along], axis=1))
+        axis = plan_from_road(approach, np.stack([along, 0 * along], axis=1))
         return float(((axis - middle) ** 2).sum(axis=1).min())
 
-    return min(roads.layout.arms, key=apart).angle
+    return min(roads.layout.approaches, key=apart).angle
 
 
 def _make_verges(roads: Roads) -> Geometry:
     """Strips of grass along the kerbs, interrupted where people cross and cars turn in."""
-    whole = outer_kerbs(roads.paving)
-    band = whole.buffer(VERGE + 0.3).difference(whole.buffer(0.35))
-    doors = [roads.walks.paths.buffer(0.8), roads.paving.drive.buffer(0.4)]
-    gaps = [crossing_area(crossing).buffer(3.2) for crossing in roads.crossings]
-    keep = [Point(0, 0).buffer(max(arm.mouth for arm in roads.layout.arms) + 3.0)]
+    whole = outline_road(roads.paving)
+    band = whole.buffer(VERGE_WIDTH_M + 0.3).difference(whole.buffer(0.35))
+    doors = [roads.footpaths.surface.buffer(0.8), roads.paving.drive.buffer(0.4)]
+    gaps = [outline_crossing(crossing).buffer(3.2) for crossing in roads.crossings]
+    keep = [Point(0, 0).buffer(max(approach.mouth for approach in roads.layout.approaches) + 3.0)]
     doors += [
-        LineString(leg.line[[0, -1]]).buffer(1.4)
-        for leg in roads.walks.legs
-        if leg.end in roads.walks.gates and len(leg.line) < 40
+        LineString(edge.line[[0, -1]]).buffer(1.4)
+        for edge in roads.footpaths.edges
+        if edge.end in roads.footpaths.spawn_nodes and len(edge.line) < 40
     ]
     return band.difference(shapely.union_all([*doors, *gaps, *keep]))
 
@@ -113,12 +117,12 @@ def _make_street_trees(
     roads: Roads, verges: Geometry, generator: np.random.Generator
 ) -> tuple[Tree, ...]:
     """Rows of trees in the verges."""
-    line = outer_kerbs(roads.paving).buffer(VERGE / 2 + 0.3).exterior
+    line = outline_road(roads.paving).buffer(VERGE_WIDTH_M / 2 + 0.3).exterior
     near = verges.buffer(-0.4)
     trees, at = [], generator.uniform(0, TREES)
     while at < line.length:
         spot = line.interpolate(at)
-        if near.contains(spot) and roads.page.buffer(4.0).contains(spot):
+        if near.contains(spot) and roads.extent.buffer(4.0).contains(spot):
             number, radius = int(generator.integers(1 << 16)), generator.uniform(1.2, 2.0)
             trees.append(Tree((spot.x, spot.y), radius, number))
         at += TREES * generator.uniform(0.85, 1.3)
@@ -126,17 +130,17 @@ def _make_street_trees(
 
 
 def _make_lamps(roads: Roads) -> Float[Array, "L 2 2"]:
-    """Lamps along the arms, and masts with signals over the stop lines."""
+    """Lamps along the approaches, and masts with signals over the stop lines."""
     rows = []
-    for arm in roads.layout.arms:
-        half = half_width(arm)
-        for along in np.arange(arm.mouth + 16.0, 100.0, 27.0):
+    for approach in roads.layout.approaches:
+        half = approach.half_width
+        for along in np.arange(approach.mouth + 16.0, 100.0, 27.0):
             for side in (-1, 1):
                 across = np.array([[along, side * (half + 0.7)], [along, side * (half - 1.5)]])
-                rows.append(on_arm(arm, across))
+                rows.append(plan_from_road(approach, across))
         if roads.layout.signalised:
-            mast = np.array([[arm.stop - 0.8, half + 0.7], [arm.stop - 0.8, 0.35 * half]])
-            rows.append(on_arm(arm, mast))
+            mast = np.array([[approach.stop - 0.8, half + 0.7], [approach.stop - 0.8, 0.35 * half]])
+            rows.append(plan_from_road(approach, mast))
     return np.array(rows)
 
 
@@ -150,8 +154,11 @@ def _list_bay_spots(roads: Roads) -> tuple[Spot, ...]:
         for side in (-1, 1):
             if side == 1 and bay in car_park.open_bays:
                 continue
-            beside, deep = side * (AISLE + BAY[1]) / 2, NEAR + (bay + 0.5) * BAY[0]
-            place, ahead = lot_polygon(car_park, (beside, beside + 1), (deep, deep + 1))[:2]
+            beside, deep = (
+                side * (AISLE_WIDTH_M + BAY_SIZE_M[1]) / 2,
+                FIRST_BAY_M + (bay + 0.5) * BAY_SIZE_M[0],
+            )
+            place, ahead = outline_lot_part(car_park, (beside, beside + 1), (deep, deep + 1))[:2]
             heading = float(np.arctan2(*(ahead - place)[::-1]))
             spots.append(Spot((float(place[0]), float(place[1])), heading, 0.7))
     return tuple(spots)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.curves import STEP
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.crowd import Crowd
 from geoaim.synthetic.traffic.demand import Driver, Walker
 from geoaim.synthetic.traffic.fleet import NOSE, TAIL, Fleet, Rules
@@ -82,14 +82,14 @@ def leave_bay(fleet: Fleet, rules: Rules, clock: float, generator: np.random.Gen
 
 def leave_plan(fleet: Fleet, rules: Rules) -> Fleet:
     """Without those who have come to the end of their way."""
-    done = (fleet.at >= rules.finish[fleet.way] - STEP) & ~rules.inwards[fleet.way]
+    done = (fleet.at >= rules.finish[fleet.way] - POINT_SPACING_M) & ~rules.inwards[fleet.way]
     return pick(fleet, ~done) if done.any() else fleet
 
 
 def step_in(crowd: Crowd, walker: Walker, number: int, done: float = 0.0) -> Crowd:
     """The crowd with one more, who has walked so many metres of his path."""
     last = len(walker.path) - 1
-    at = min(int(done / STEP), last - 1)
+    at = min(int(done / POINT_SPACING_M), last - 1)
     length = max(crowd.path.shape[1], last + 1)
     ahead = walker.path[at + 1] - walker.path[at]
     ahead = ahead / np.sqrt((ahead**2).sum())
@@ -101,7 +101,7 @@ def step_in(crowd: Crowd, walker: Walker, number: int, done: float = 0.0) -> Cro
         path=_long(walker.path[None], length),
         over=_long(walker.over[None], length),
         last=np.array([last]),
-        done=np.array([STEP * at]),
+        done=np.array([POINT_SPACING_M * at]),
         aside=np.array([walker.aside]),
         pace=np.array([walker.pace]),
         radius=np.array([RADIUS[walker.kind]]),

@@ -12,8 +12,8 @@ from jaxtyping import Bool, Float, Int, Int8
 from numpy import ndarray as Array
 
 from geoaim.lights import GREEN
-from geoaim.synthetic.exact import settle
-from geoaim.synthetic.roads.curves import STEP
+from geoaim.synthetic.exact import round_reproducibly
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.fleet import OnFoot, Rules, Vehicles
 
 RELAX = 0.5  # s in which one takes one's own speed again
@@ -39,7 +39,7 @@ class Crowd:
         number: who it is.
         place: plan metres.
         speed: m/s in x and y.
-        path: (n, K, 2) points each `STEP`; the last one repeated to the end.
+        path: (n, K, 2) points each `POINT_SPACING_M`; the last one repeated to the end.
         over: (n, K) crossing at each point of the path; -1: none.
         last: number of the path's last point.
         done: metres of the path that are behind.
@@ -121,13 +121,15 @@ class Outlook:
 def look_ahead(crowd: Crowd, crossings: Crossings) -> Outlook:
     """Where each path leads next, and over which crossing."""
     rows = np.arange(len(crowd.last))
-    here = np.minimum((crowd.done / STEP).astype(np.int64), crowd.last)
-    look = (np.maximum(AHEAD, 0.5 * crowd.pace) / STEP).astype(np.int64)
+    here = np.minimum((crowd.done / POINT_SPACING_M).astype(np.int64), crowd.last)
+    look = (np.maximum(AHEAD, 0.5 * crowd.pace) / POINT_SPACING_M).astype(np.int64)
     ahead = np.minimum(here + look, crowd.last)
     target = crowd.path[rows, ahead]
     along = target - crowd.path[rows, np.maximum(ahead - 2, 0)]
     along = along / np.maximum(np.sqrt(_dot(along, along)), 1e-6)[:, None]
-    soon = np.minimum(here + ((SOON + RELAX * crowd.pace) / STEP).astype(np.int64), crowd.last)
+    soon = np.minimum(
+        here + ((SOON + RELAX * crowd.pace) / POINT_SPACING_M).astype(np.int64), crowd.last
+    )
     now, after = crowd.over[rows, here], crowd.over[rows, soon]
     on = now >= 0
     which = np.where(on, now, after)
@@ -181,12 +183,12 @@ def walk(
     force += np.where(free, 0.0, push)[:, None] * edge[:, 1:]
     speed = crowd.speed + force * interval
     fast = np.maximum(np.sqrt(_dot(speed, speed)), 1e-6)
-    speed = settle(speed * np.minimum(1.0, 1.3 * crowd.pace / fast)[:, None])
+    speed = round_reproducibly(speed * np.minimum(1.0, 1.3 * crowd.pace / fast)[:, None])
     place = crowd.place + speed * interval
     edge = _look_up(place, ground)  # nobody is pushed off the pavement
     out = np.where(free, 0.0, np.maximum(INSIDE - edge[:, 0], 0))
-    place = settle(place + out[:, None] * edge[:, 1:])
-    done = settle(crowd.done + np.maximum(_dot(place - crowd.place, along), 0))
+    place = round_reproducibly(place + out[:, None] * edge[:, 1:])
+    done = round_reproducibly(crowd.done + np.maximum(_dot(place - crowd.place, along), 0))
     return replace(crowd, place=place, speed=speed, done=done)
 
 

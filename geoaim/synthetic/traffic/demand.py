@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from geoaim.synthetic.roads.pedestrian_network import find_route
 from geoaim.synthetic.roads.plan import Roads
-from geoaim.synthetic.roads.walks import route
 from geoaim.synthetic.traffic.fleet import STRAIGHT
 from geoaim.synthetic.traffic.ways import Way
 
@@ -121,14 +121,14 @@ def draw_walkers(
 
 
 def _draw_walker(roads: Roads, time: float, generator: np.random.Generator) -> Walker | None:
-    walks = roads.walks
-    start, end = generator.choice(walks.gates, 2, replace=False)
+    walks = roads.footpaths
+    start, end = generator.choice(walks.spawn_nodes, 2, replace=False)
     hasty = generator.uniform() < HASTY
-    favour = generator.uniform(0.9, 1.1, len(walks.legs))
-    for number, leg in enumerate(walks.legs):
+    favour = generator.uniform(0.9, 1.1, len(walks.edges))
+    for number, leg in enumerate(walks.edges):
         plain = leg.crossing >= 0 and roads.crossings[leg.crossing].name.endswith("on foot")
         favour[number] *= DETOUR if plain and not hasty else 1.0
-    legs = route(walks, int(start), int(end), favour)
+    legs = find_route(walks, int(start), int(end), favour)
     if not legs:
         return None
     path = np.concatenate([legs[0][0], *[line[1:] for line, _ in legs[1:]]])

@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, Int8
 from numpy import ndarray as Array
 
+from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
-from geoaim.synthetic.exact import settle
-from geoaim.synthetic.roads.curves import STEP
+from geoaim.synthetic.exact import round_reproducibly
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.overlaps import COARSE, Meetings, Overlaps
 from geoaim.synthetic.traffic.signals import Signals
 from geoaim.synthetic.traffic.ways import Way
@@ -26,7 +27,7 @@ GAP, MARGIN = 2.0, 0.7  # m behind others, and before a line
 SURE = 1.0  # s between those who pass the same ground
 JERK = (3.0, 7.0)  # m/s3 up and down
 FAR = 1e6
-COARSE_STEP = COARSE * STEP
+COARSE_STEP = COARSE * POINT_SPACING_M
 BODY = 1.6  # m from the middle of a vehicle to where nobody should stand
 STRAIGHT = 6.5  # m: longer vehicles do not turn
 
@@ -146,7 +147,7 @@ def make_rules(ways: tuple[Way, ...], overlaps: Overlaps, signals: Signals) -> R
         overlaps=overlaps,
         wish=wish,
         forward=forward,
-        finish=np.array([STEP * (len(way.line) - 1) for way in ways]),
+        finish=np.array([POINT_SPACING_M * (len(way.line) - 1) for way in ways]),
         stop=np.array([way.stop for way in ways]),
         light=np.array([signals.names.index(w.signal) if w.signal else -1 for w in ways]),
         entry=np.array([entries.index(way.entry) if way.entry else -1 for way in ways]),
@@ -216,12 +217,12 @@ def step(
     eased = np.minimum(change, fleet.change + JERK[0] * interval)
     eased = np.maximum(eased, fleet.change - JERK[1] * interval)
     change = np.where(change < -HARD, np.minimum(change, eased), eased)
-    speed = settle(np.maximum(fleet.speed + change * interval, 0))
+    speed = round_reproducibly(np.maximum(fleet.speed + change * interval, 0))
     stands = np.isfinite(fleet.leaves)
     speed = np.where(stands, 0.0, speed)
-    at = settle(fleet.at + 0.5 * (fleet.speed + speed) * interval)
+    at = round_reproducibly(fleet.at + 0.5 * (fleet.speed + speed) * interval)
     at = np.where(stands, fleet.at, at)
-    change = settle(np.where(speed > 0, change, np.maximum(change, 0)))
+    change = round_reproducibly(np.where(speed > 0, change, np.maximum(change, 0)))
     return replace(fleet, at=at, speed=speed, change=change)
 
 
@@ -229,22 +230,21 @@ def _calm(limit: Float[Array, "L"]) -> Float[Array, "L"]:
     """Speeds from which each later limit is reached with comfortable braking."""
     calm = limit**2
     for k in range(len(calm) - 2, -1, -1):
-        calm[k] = min(calm[k], calm[k + 1] + 2 * 0.8 * BRAKE * STEP)
+        calm[k] = min(calm[k], calm[k + 1] + 2 * 0.8 * BRAKE * POINT_SPACING_M)
     return np.sqrt(calm)
 
 
 def _point(at: Float[Array, "n"], rules: Rules) -> Int[Array, "n"]:
-    return np.minimum((at / STEP).astype(np.int64), rules.wish.shape[1] - 1)
+    return np.minimum((at / POINT_SPACING_M).astype(np.int64), rules.wish.shape[1] - 1)
 
 
 def _press(
     fleet: Fleet, gap: Array, leader: Array | float, rest: float, headway: Array | float
 ) -> Float[Array, "n"]:
     """The braking term of the intelligent driver model, m/s2."""
-    approach = fleet.speed * (fleet.speed - leader) / (2 * np.sqrt(PULL * BRAKE))
-    wanted = rest + np.maximum(fleet.speed * headway + approach, 0)
-    share = wanted / np.maximum(gap, 0.1)
-    return PULL * share * share
+    driver = DriverParameters(PULL, BRAKE, rest, headway)
+    ratio = compute_gap_ratio(driver, fleet.speed, fleet.speed - leader, gap)
+    return PULL * ratio * ratio
 
 
 def _leaders(

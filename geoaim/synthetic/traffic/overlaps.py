@@ -12,8 +12,8 @@ import shapely
 from jaxtyping import Bool, Float, Float32, Int
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.curves import STEP
-from geoaim.synthetic.roads.paving import Crossing, crossing_area
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
+from geoaim.synthetic.roads.paving import Crossing, outline_crossing
 from geoaim.synthetic.traffic.ways import Way
 
 COARSE = 2  # every so many points of two ways are compared
@@ -104,7 +104,7 @@ def find_overlaps(
         ahead[b, a, : len(ax)] = _ahead(apart.T, same.T, points[b], points[a], directions[b])
         stretches += _stretches(a, b, apart, same)
     for a in range(count):
-        ahead[a, a, : len(points[a])] = COARSE * STEP * np.arange(len(points[a]))
+        ahead[a, a, : len(points[a])] = COARSE * POINT_SPACING_M * np.arange(len(points[a]))
     meeting, meetings = _meetings(ways, stretches, ring=ring)
     return Overlaps(ahead, meeting, meetings, *_crossings(ways, crossings))
 
@@ -121,7 +121,7 @@ def _ahead(
     columns = np.arange(apart.shape[1])
     offset = ((others - points[near]) * direction[near]).sum(axis=1)
     inside = (apart[near, columns] < LANE) & (same[near, columns] > ALONG)
-    return np.where(inside, COARSE * STEP * near + offset, np.inf)
+    return np.where(inside, COARSE * POINT_SPACING_M * near + offset, np.inf)
 
 
 def _stretches(a: int, b: int, apart: Array, same: Array) -> list[_Stretch]:
@@ -161,7 +161,7 @@ def _joined(stretches: list[_Stretch]) -> list[_Stretch]:
 
 
 def _metres(span: tuple[int, int]) -> tuple[float, float]:
-    return COARSE * STEP * span[0], COARSE * STEP * span[1]
+    return COARSE * POINT_SPACING_M * span[0], COARSE * POINT_SPACING_M * span[1]
 
 
 def _meetings(
@@ -203,8 +203,8 @@ def _goes_first(ways: tuple[Way, ...], stretch: _Stretch, *, ring: bool) -> int:
     if ring:
         since_a, since_b = stretch.on_a[0] - a.stop, stretch.on_b[0] - b.stop
         return stretch.a if since_a > since_b else stretch.b
-    rank_a = a.rank[round(stretch.on_a[0] / STEP)]
-    rank_b = b.rank[round(stretch.on_b[0] / STEP)]
+    rank_a = a.rank[round(stretch.on_a[0] / POINT_SPACING_M)]
+    rank_b = b.rank[round(stretch.on_b[0] / POINT_SPACING_M)]
     return stretch.a if rank_a <= rank_b else stretch.b
 
 
@@ -233,13 +233,13 @@ def _crossings(
     span = np.full((len(ways), len(crossings), 2), np.nan)
     beside, sense = np.full_like(span[..., 0], np.nan), np.ones_like(span[..., 0])
     for c, crossing in enumerate(crossings):
-        area = crossing_area(crossing)
+        area = outline_crossing(crossing)
         first, last = crossing.ends
         ahead = (last - first) / np.hypot(*(last - first))
         for r, way in enumerate(ways):
             inside = np.flatnonzero(shapely.contains_xy(area, *way.line.T))
             if len(inside):
-                span[r, c] = STEP * inside[0], STEP * inside[-1]
+                span[r, c] = POINT_SPACING_M * inside[0], POINT_SPACING_M * inside[-1]
                 beside[r, c] = ((way.line[inside].mean(axis=0) - first) * ahead).sum()
                 x, y = way.line[inside[-1]] - way.line[inside[0]]
                 sense[r, c] = 1.0 if ahead[0] * y - ahead[1] * x > 0 else -1.0

@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.geometry import wrap_angle
-from geoaim.synthetic.roads.curves import STEP, run
+from geoaim.synthetic.roads.curves import POINT_SPACING_M, compute_arc_lengths
 from geoaim.synthetic.traffic.fleet import NOSE, TAIL
 from geoaim.synthetic.traffic.simulate import INTERVAL, Flow, Recording
 from geoaim.synthetic.traffic.ways import Way
@@ -66,7 +66,7 @@ def replay(
 
 
 def _on_page(flow: Flow, states: Float[Array, "N T 4"], margin: float) -> Array:
-    left, low, right, high = flow.roads.page.buffer(margin).bounds
+    left, low, right, high = flow.roads.extent.buffer(margin).bounds
     x, y = states[..., 0], states[..., 1]
     return (x > left) & (x < right) & (y > low) & (y < high)
 
@@ -123,11 +123,11 @@ def _poses(
 ) -> Float[Array, "V 4"]:
     """Middle, heading and speed of bodies whose rear axles are at metres of their ways."""
     table = _table(ways)
-    index = np.minimum((at / STEP).astype(int), table.shape[1] - 2)
-    share = (at / STEP - index)[:, None]
+    index = np.minimum((at / POINT_SPACING_M).astype(int), table.shape[1] - 2)
+    share = (at / POINT_SPACING_M - index)[:, None]
     near, far = table[way, index], table[way, index + 1]
     x, y, heading, bend, stretch = ((1 - share) * near + share * far)[:, :5].T
-    forward = table[way, np.rint(at / STEP).astype(int), 5] > 0
+    forward = table[way, np.rint(at / POINT_SPACING_M).astype(int), 5] > 0
     course = np.where(forward, heading, heading - np.pi)
     drivers = recording.drivers
     length = np.array([driver.size[0] for driver in drivers])[agent]
@@ -152,7 +152,7 @@ def _table(ways: tuple[Way, ...]) -> Float[Array, "R K 6"]:
     longest = max(len(way.line) for way in ways) + 1
     table = np.empty((len(ways), longest, 6))
     for r, way in enumerate(ways):
-        steps = np.diff(run(way.line), append=np.nan) / STEP
+        steps = np.diff(compute_arc_lengths(way.line), append=np.nan) / POINT_SPACING_M
         steps[-1] = steps[-2]
         heading = np.unwrap(way.heading + np.where(way.forward, 0.0, np.pi))
         columns = [way.line, heading, way.bend, steps, way.forward]
@@ -191,6 +191,6 @@ def _people_states(recording: Recording, times: Float[Array, "T"]) -> Float[Arra
     step, t = _between(recording, times)
     ends = places[:, step], places[:, step + 1], slope[:, step], slope[:, step + 1]
     place, speed = _cubic(*ends, t[:, None])
-    heading = estimate_heading(speed, least=STANDING)
+    heading = estimate_heading(speed, min_speed=STANDING)
     fast = np.hypot(speed[..., 0], speed[..., 1])
     return np.concatenate([place, heading[..., None], fast[..., None]], axis=-1)

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
 from geoaim.lights import GREEN, RED, YELLOW
-from geoaim.synthetic.roads.layouts import STRETCHES
+from geoaim.synthetic.roads.layouts import STREET_KINDS
 from geoaim.synthetic.roads.plan import Roads
 
 AMBER, CLEAR = 3.0, 2.0  # s of yellow, and of red for all
@@ -38,10 +38,10 @@ def plan_signals(roads: Roads, generator: np.random.Generator) -> Signals:
     if not roads.layout.signalised:
         return Signals((), 0.0, (), ())
     long, short = generator.uniform(24, 32), generator.uniform(16, 20)
-    if roads.layout.kind in STRETCHES:
+    if roads.layout.kind in STREET_KINDS:
         walk = 10.0 + _length(roads, "east") / STRIDE
         return _cycle([(long + 8, ("east", "west"), ()), (walk - AMBER, (), ("east",))], roads)
-    main = [arm for arm in roads.layout.arms if arm.name in ("east", "west")]
+    main = [approach for approach in roads.layout.approaches if approach.name in ("east", "west")]
     phases: list[_Phase] = [(long, ("east", "west"), ("north", "south"))]
     phases.append((short, ("north", "south"), ("east", "west")))
     if "L" in main[0].turns:
@@ -85,6 +85,6 @@ def _cycle(phases: list[_Phase], roads: Roads) -> Signals:
 
 
 def _length(roads: Roads, name: str) -> float:
-    """Metres of the marked crossing of an arm; 0 where there is none."""
+    """Metres of the marked crossing of an approach; 0 where there is none."""
     found = [c for c in roads.crossings if c.name == name and c.marked]
     return float(np.hypot(*(found[0].ends[1] - found[0].ends[0]))) if found else 0.0

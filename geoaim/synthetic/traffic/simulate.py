@@ -9,7 +9,7 @@ import shapely
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.curves import STEP
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.traffic.comings import (
     enter,
@@ -98,7 +98,7 @@ def prepare_traffic(roads: Roads, generator: np.random.Generator) -> Flow:
     """Work out ways, overlaps, lights and pavements of a plan."""
     ways = make_ways(roads)
     signals = plan_signals(roads, generator)
-    overlaps = find_overlaps(ways, roads.crossings, ring=roads.layout.ring > 0)
+    overlaps = find_overlaps(ways, roads.crossings, ring=roads.layout.ring_radius > 0)
     rules = make_rules(ways, overlaps, signals)
     return Flow(roads, ways, rules, signals, _ground(roads), _crossings(roads, signals))
 
@@ -140,7 +140,7 @@ def record(
         while people and people[0].time <= time:
             crowd = step_in(crowd, people[0], len(walkers))
             walkers.append(people.pop(0))
-        arrived = crowd.done >= STEP * crowd.last - NEAR
+        arrived = crowd.done >= POINT_SPACING_M * crowd.last - NEAR
         crowd = pick(crowd, ~arrived) if arrived.any() else crowd
         if fleet.way is not before.way:
             pairs = pair_up(fleet, flow.rules)
@@ -179,7 +179,7 @@ def _first_people(
     crowd = nobody()[1]
     walkers = draw_walkers(flow.roads, (0.0, WALK), rate=rate, generator=generator)
     for number, walker in enumerate(walkers):
-        done = generator.uniform() * STEP * len(walker.path)
+        done = generator.uniform() * POINT_SPACING_M * len(walker.path)
         crowd = step_in(crowd, walker, number, done)
     return crowd, walkers
 
@@ -211,8 +211,8 @@ def _collected(
 def _ground(roads: Roads) -> Ground:
     """The pavements as a raster of distances."""
     paving = roads.paving
-    allowed = shapely.union_all([paving.pavement, paving.drive, roads.walks.paths])
-    left, low, right, high = roads.page.buffer(12.0).bounds
+    allowed = shapely.union_all([paving.pavement, paving.drive, roads.footpaths.surface])
+    left, low, right, high = roads.extent.buffer(12.0).bounds
     shape = round((high - low) / CELL), round((right - left) / CELL)
     mask = np.zeros(shape, np.uint8)
     for part in shapely.get_parts(allowed):

@@ -10,11 +10,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.synthetic.roads.arms import Arm, lane_in, on_arm
-from geoaim.synthetic.roads.car_park import SLOW, CarPark, Manoeuvre, manoeuvres
-from geoaim.synthetic.roads.curves import STEP, Line, bends, even, headings, run
-from geoaim.synthetic.roads.lanes import Lane, Passage
-from geoaim.synthetic.roads.plan import Roads, arm_named, signal_of
+from geoaim.synthetic.roads.approaches import Approach, locate_inbound_lane, plan_from_road
+from geoaim.synthetic.roads.car_park import CAR_PARK_SPEED, CarPark, Manoeuvre, make_manoeuvres
+from geoaim.synthetic.roads.curves import (
+    POINT_SPACING_M,
+    Polyline,
+    compute_arc_lengths,
+    compute_curvature,
+    compute_headings,
+    resample_polyline,
+)
+from geoaim.synthetic.roads.lanes import Lane, Route
+from geoaim.synthetic.roads.plan import Roads, find_approach, find_signal
 
 SIDEWAYS = 2.4  # m/s2, in curves
 CUSP = 0.15  # m/s where a vehicle changes between reverse and forward
@@ -32,7 +39,7 @@ class Way:
 
     Attributes:
         name: "east 0 to south 0", "into bay 3", ...
-        line: a point each `STEP`, plan metres.
+        line: a point each `POINT_SPACING_M`, plan metres.
         heading: direction of the motion at each point, radians, unwrapped.
         forward: whether a vehicle drives forward there.
         bend: curvature, 1/m.
@@ -46,7 +53,7 @@ class Way:
     """
 
     name: str
-    line: Line
+    line: Polyline
     heading: Float[Array, "L"]
     forward: Bool[Array, "L"]
     bend: Float[Array, "L"]
@@ -62,27 +69,27 @@ class Way:
 def make_ways(roads: Roads) -> tuple[Way, ...]:
     """All ways of a place: through it, and into and out of the car park."""
     lanes = {lane.name: lane for lane in roads.lanes}
-    ways = [_passing(roads, passage, lanes) for passage in roads.passages]
+    ways = [_passing(roads, route, lanes) for route in roads.routes]
     if roads.car_park is not None:
-        arm = arm_named(roads.layout, roads.car_park.arm)
-        lines = manoeuvres(roads.car_park, arm)
+        approach = find_approach(roads.layout, roads.car_park.approach)
+        lines = make_manoeuvres(roads.car_park, approach)
         ways += [_parking(roads, roads.car_park, manoeuvre) for manoeuvre in lines]
     return tuple(ways)
 
 
-def _passing(roads: Roads, passage: Passage, lanes: dict[str, Lane]) -> Way:
-    """The way of a passage."""
-    come = arm_named(roads.layout, passage.come)
-    rank = RANKS[passage.turn]
+def _passing(roads: Roads, route: Route, lanes: dict[str, Lane]) -> Way:
+    """The way of a route."""
+    come = find_approach(roads.layout, route.origin)
+    rank = RANKS[route.turn]
     if roads.layout.kind in ("t", "campus") and np.isfinite(come.stop):
         rank += FROM_SIDE
-    share = SHARES[passage.turn] * (1.0 if come.name in ("east", "west") else SIDE_SHARE)
+    share = SHARES[route.turn] * (1.0 if come.name in ("east", "west") else SIDE_SHARE)
     return _way(
-        " to ".join((passage.lanes[0], passage.go)),
-        [_Part(lanes[name].centre, lanes[name].speed, rank) for name in passage.lanes],
-        stop=_stop_line(roads, passage.lanes[0]),
-        signal=signal_of(roads, passage.lanes[0], passage.turn),
-        entry=passage.lanes[0],
+        " to ".join((route.lanes[0], route.destination)),
+        [_Part(lanes[name].centreline, lanes[name].speed_limit, rank) for name in route.lanes],
+        stop=_stop_line(roads, route.lanes[0]),
+        signal=find_signal(roads, route.lanes[0], route.turn),
+        entry=route.lanes[0],
         share=share,
     )
 
@@ -90,21 +97,21 @@ def _passing(roads: Roads, passage: Passage, lanes: dict[str, Lane]) -> Way:
 def _parking(roads: Roads, car_park: CarPark, manoeuvre: Manoeuvre) -> Way:
     """The way of a manoeuvre, with the lanes before or after it."""
     line, lanes = manoeuvre.line, {lane.name: lane for lane in roads.lanes}
-    arm = arm_named(roads.layout, car_park.arm)
-    road = f"{arm.name} out {arm.lanes_out - 1}"
-    chain = next(p.lanes for p in roads.passages if p.turn == "S" and p.lanes[-1] == road)
-    before = [_Part(lanes[name].centre, lanes[name].speed, 0) for name in chain]
+    approach = find_approach(roads.layout, car_park.approach)
+    road = f"{approach.name} out {approach.outbound_lanes - 1}"
+    chain = next(p.lanes for p in roads.routes if p.turn == "S" and p.lanes[-1] == road)
+    before = [_Part(lanes[name].centreline, lanes[name].speed_limit, 0) for name in chain]
     last, name = before[-1].line, manoeuvre.name
     if manoeuvre.forward.all():
         parts = [*before[:-1], replace(before[-1], line=last[: _nearest(last, line[0]) + 1])]
-        parts.append(_Part(line, SLOW, 0))
-        stop, signal = _stop_line(roads, chain[0]), signal_of(roads, chain[0], "S")
+        parts.append(_Part(line, CAR_PARK_SPEED, 0))
+        stop, signal = _stop_line(roads, chain[0]), find_signal(roads, chain[0], "S")
         way = _way(name, parts, stop=stop, signal=signal, entry=chain[0], share=PARKING)
         way.limit[-1] = CUSP
         return replace(way, bay=manoeuvre.bay)
     back = int(np.argmax(manoeuvre.forward))
-    parts = [_Part(line[:back], SLOW / 2, OUT_OF_PARK, forward=False)]
-    parts.append(_Part(line[back - 1 :], SLOW, OUT_OF_PARK))
+    parts = [_Part(line[:back], CAR_PARK_SPEED / 2, OUT_OF_PARK, forward=False)]
+    parts.append(_Part(line[back - 1 :], CAR_PARK_SPEED, OUT_OF_PARK))
     parts.append(replace(before[-1], line=last[_nearest(last, line[-1]) :]))
     way = _way(name, parts, stop=None, signal="", entry="", share=0.0)
     return replace(way, bay=manoeuvre.bay)
@@ -114,7 +121,7 @@ def _parking(roads: Roads, car_park: CarPark, manoeuvre: Manoeuvre) -> Way:
 class _Part:
     """A stretch of a way that is driven alike."""
 
-    line: Line
+    line: Polyline
     speed: float
     rank: int
     forward: bool = True
@@ -124,7 +131,7 @@ def _way(
     name: str,
     parts: list[_Part],
     *,
-    stop: tuple[Arm, float] | None,
+    stop: tuple[Approach, float] | None,
     signal: str,
     entry: str,
     share: float,
@@ -148,29 +155,33 @@ def _way(
     return Way(name, line, heading, forward, bend, limit, at, signal, rank, entry, share)
 
 
-def _section(parts: list[_Part]) -> tuple[Line, Array, Array, Array, Array]:
+def _section(parts: list[_Part]) -> tuple[Polyline, Array, Array, Array, Array]:
     """Points at equal steps, direction, curvature, speed limit and rank."""
     whole = np.concatenate([parts[0].line, *[part.line[1:] for part in parts[1:]]])
     counts = [len(part.line) - (k > 0) for k, part in enumerate(parts)]
-    line = even(whole)
-    near = np.rint(np.interp(run(line), run(whole), np.arange(len(whole)))).astype(int)
+    line = resample_polyline(whole)
+    near = np.rint(
+        np.interp(compute_arc_lengths(line), compute_arc_lengths(whole), np.arange(len(whole)))
+    ).astype(int)
     speed, rank = (
         np.repeat([getattr(part, name) for part in parts], counts) for name in ("speed", "rank")
     )
-    return line, headings(line), bends(line), speed[near], rank[near]
+    return line, compute_headings(line), compute_curvature(line), speed[near], rank[near]
 
 
-def _stop_line(roads: Roads, lane: str) -> tuple[Arm, float]:
-    """The arm that a lane comes in on, and where across it the lane lies."""
+def _stop_line(roads: Roads, lane: str) -> tuple[Approach, float]:
+    """The approach that a lane comes in on, and where across it the lane lies."""
     name, rank = lane.split(" in ")
-    arm = arm_named(roads.layout, name)
-    return arm, lane_in(arm, int(rank))
+    approach = find_approach(roads.layout, name)
+    return approach, locate_inbound_lane(approach, int(rank))
 
 
-def _stop(line: Line, arm: Arm, across: float) -> float:
-    """Metres along a way to an arm's stop line."""
-    return STEP * _nearest(line, on_arm(arm, np.array([[arm.stop, across]]))[0])
+def _stop(line: Polyline, approach: Approach, across: float) -> float:
+    """Metres along a way to an approach's stop line."""
+    return POINT_SPACING_M * _nearest(
+        line, plan_from_road(approach, np.array([[approach.stop, across]]))[0]
+    )
 
 
-def _nearest(line: Line, point: Array) -> int:
+def _nearest(line: Polyline, point: Array) -> int:
     return int(np.argmin(((line - point) ** 2).sum(axis=1)))

@@ -8,6 +8,8 @@ import pytest
 from PIL import Image
 
 import geoaim
+from geoaim.aim_summary import summarize_aim
+from geoaim.alignment_picture import draw_alignment
 from geoaim.errors import (
     AlignmentError,
     GeoaimWarning,
@@ -20,7 +22,6 @@ from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.imagery.alignment.result import Prior
-from geoaim.quicklook import draw_alignment, summary
 from geoaim.track_changes import to_world
 from geoaim.world import World, lonlat_from_world
 from tests.imagery.alignment.alignment_pairs import as_aim
@@ -45,7 +46,7 @@ def test_an_aim_lays_the_samples_orthophoto(aim):
     np.testing.assert_allclose(said["shift_m"], -OFFSET, atol=0.1)
     assert said["model"] == "translation"
     assert found.world == aim.world
-    assert "by aim" in summary(found)
+    assert "alignment by aim" in summarize_aim(found)
 
 
 def test_tracks_check_what_an_aim_has_laid(aim):
@@ -95,13 +96,13 @@ def test_control_points_lay_a_picture_and_an_aim_checks_them(picture, aim, tmp_p
     found = align_tiles(str(path), gcps=gcps, aim=aim)
     np.testing.assert_allclose(found.corners, laid.corners, atol=0.1)
     assert found.report["alignment"]["aim"]["agrees"]
-    assert summary(found)["by aim"].startswith("agrees: corners 0.0")
+    assert summarize_aim(found)["check by aim"].startswith("agrees: corners 0.0")
     assert found.report["georeference"]["points"]
     wrong = _picked(tmp_path, laid.world_from_image, laid.world, wrong=6.0)
     with pytest.warns(GeoaimWarning, match="its middle -6.0. m east"):
         found = align_tiles(str(path), gcps=wrong, aim=aim)
     assert not found.report["alignment"]["aim"]["agrees"]
-    assert summary(found)["by aim"].startswith("DISAGREES: corners 6.")
+    assert summarize_aim(found)["check by aim"].startswith("DISAGREES: corners 6.")
     np.testing.assert_allclose(found.corners, laid.corners + np.array([6.0, 0.0]), atol=0.1)
 
 
@@ -137,7 +138,7 @@ def test_evidence_that_cannot_check_is_said(picture, aim, tmp_path):
     with pytest.warns(GeoaimWarning, match="could not check the place"):
         found = align_tiles(str(path), gcps=gcps, aim=replace(aim, image=noise))
     assert not found.report["alignment"]["aim"]["checked"]
-    assert summary(found)["by aim"].startswith("could not check: ")
+    assert summarize_aim(found)["check by aim"].startswith("not possible: ")
 
 
 def test_without_evidence_imagery_stays_where_it_says():

@@ -99,7 +99,7 @@ def test_boxes_leave_the_car_out(ground):
     boxed = average_frames(
         frames_of(images),
         size=SIZE,
-        boxes=lambda f: (
+        detections=lambda f: (
             np.array([CAR, (0, 78, 200, 102)], float) if f.index < 25 else np.zeros((0, 4))
         ),
     )
@@ -111,7 +111,7 @@ def test_boxes_leave_the_car_out(ground):
 
 def test_always_masked_pixels_show_the_mean_and_are_contested_and_uncovered(ground):
     result = average_frames(
-        frames_of([ground] * 3), size=SIZE, boxes=lambda _: np.array([CAR], float)
+        frames_of([ground] * 3), size=SIZE, detections=lambda _: np.array([CAR], float)
     )
     inside = np.s_[CAR[1] : CAR[3], CAR[0] : CAR[2]]
     assert result.contested[inside].all()
@@ -123,7 +123,9 @@ def test_always_masked_pixels_show_the_mean_and_are_contested_and_uncovered(grou
 def test_frames_without_known_boxes_are_left_out(ground):
     known = {1: np.zeros((0, 4))}
     result = average_frames(
-        frames_of([ground // 2, ground, ground // 2]), size=SIZE, boxes=lambda f: known.get(f.index)
+        frames_of([ground // 2, ground, ground // 2]),
+        size=SIZE,
+        detections=lambda f: known.get(f.index),
     )
     assert result.frames_used == 1
 
@@ -172,7 +174,7 @@ def test_always_masked_pixels_of_a_video_keep_their_colour(ground, tmp_path):
 
     path = write_video([ground] * 4, tmp_path / "a.mp4", crf=5)
     frames = [(f, np.eye(3)) for f in open_video(path)]
-    boxed = average_frames(frames, size=SIZE, boxes=lambda _: np.array([CAR], float))
+    boxed = average_frames(frames, size=SIZE, detections=lambda _: np.array([CAR], float))
     plain = average_frames(frames, size=SIZE)
     assert np.abs(boxed.image.astype(int) - plain.image).max() <= 2
 

@@ -5,7 +5,7 @@ from geoaim.errors import RegistrationError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import detect, match
 from geoaim.mapping.registration.patches import align, corner_uncertainty, make_template
-from geoaim.mapping.registration.register import choose_reference, place_frames, register
+from geoaim.mapping.registration.register import choose_reference, register, register_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic.camera import reference_from_frames, render_frame
 from tests.conftest import textured
@@ -151,5 +151,5 @@ def test_a_view_that_swings_back_and_forth_makes_few_keyframes(frames):
     lefts = [0, 230, 20, 260] * 5
     views = [ground[:, left : left + 500] for left in lefts]
     reference = choose_reference(open_video(views), time=0)
-    placed = [placement for _, placement in place_frames(open_video(views), reference)]
+    placed = [placement for _, placement in register_frames(open_video(views), reference)]
     assert all(placement.valid for placement in placed)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoaimError
-from geoaim.mapping.video.detections import mask_of_boxes, read_boxes
+from geoaim.mapping.video.detections import mask_boxes, read_detections
 from geoaim.mapping.video.video import open_video
 
 
@@ -13,26 +13,26 @@ def frame():
 
 def test_yolo_rows_become_pixel_boxes(tmp_path, frame):
     (tmp_path / "000000.txt").write_text("2 0.5 0.5 0.1 0.2\n")
-    np.testing.assert_allclose(read_boxes(tmp_path)(frame), [[90, 40, 110, 60]])
+    np.testing.assert_allclose(read_detections(tmp_path)(frame), [[90, 40, 110, 60]])
 
 
 def test_a_frame_without_a_file_has_no_boxes(tmp_path, frame):
     (tmp_path / "7.txt").write_text("")
-    assert read_boxes(tmp_path)(frame) is None
+    assert read_detections(tmp_path)(frame) is None
 
 
 def test_pixels_in_place_of_shares_are_refused(tmp_path, frame):
     (tmp_path / "0.txt").write_text("0 90 40 20 20\n")
     with pytest.raises(GeoaimError, match="shares of the size"):
-        read_boxes(tmp_path)(frame)
+        read_detections(tmp_path)(frame)
 
 
 def test_a_folder_without_text_files_is_refused(tmp_path):
     with pytest.raises(GeoaimError, match=r"no \.txt files"):
-        read_boxes(tmp_path)
+        read_detections(tmp_path)
 
 
 def test_mask_covers_the_grown_box_and_no_more():
-    mask = mask_of_boxes(np.array([[40.0, 40, 60, 60]]), (100, 100))
+    mask = mask_boxes(np.array([[40.0, 40, 60, 60]]), (100, 100))
     assert mask[38:62, 38:62].all()
     assert mask.sum() == 24 * 24

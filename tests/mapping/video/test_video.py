@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoaimWarning, VideoError
-from geoaim.mapping.video.frames import Colour, Frame, image_from_planes
+from geoaim.mapping.video.frames import Frame, YuvEncoding, image_from_planes
 from geoaim.mapping.video.video import open_video
 
 HEIGHT, WIDTH = 48, 64
@@ -130,7 +130,7 @@ def test_negative_timestamps_and_edit_lists_start_at_time_zero(
     assert video.frame_count == len(whole)
     found = [number_of(frame) for frame in video.frames_at([0.0, 0.21, 0.41])]
     assert found == [first, first + 5, first + 10]
-    assert number_of(next(video.sampled(5))) == first
+    assert number_of(next(video.sample(5))) == first
 
 
 def test_raw_stream_without_timestamps_counts_by_its_rate(clips: dict[str, Path]) -> None:
@@ -138,7 +138,7 @@ def test_raw_stream_without_timestamps_counts_by_its_rate(clips: dict[str, Path]
     assert video.frame_count is None
     assert np.isnan(video.duration)
     np.testing.assert_allclose([f.time for f in video], np.arange(60) / video.rate)
-    assert [number_of(frame) for frame in video.sampled(4)] == [0, 19, 39, 59]
+    assert [number_of(frame) for frame in video.sample(4)] == [0, 19, 39, 59]
 
 
 @pytest.mark.parametrize("kind", ["mp4", "mkv", "ts", "avi"])
@@ -159,7 +159,7 @@ def test_frames_at_gives_each_frame_once(clips: dict[str, Path]) -> None:
 
 
 def test_frames_at_a_time_past_the_end_warns(clips: dict[str, Path]) -> None:
-    with pytest.warns(GeoaimWarning, match="1 of 1 wanted frames cannot be read"):
+    with pytest.warns(GeoaimWarning, match="1 of 1 requested frames cannot be read"):
         list(open_video(clips["mp4"]).frames_at([100.0]))
 
 
@@ -167,12 +167,12 @@ def test_times_that_are_not_numbers_are_refused(clips: dict[str, Path]) -> None:
     with pytest.raises(ValueError, match="finite"):
         open_video(clips["mp4"]).frames_at([float("nan")])
     with pytest.raises(ValueError, match="at least 1"):
-        open_video(clips["mp4"]).sampled(0)
+        open_video(clips["mp4"]).sample(0)
 
 
 @pytest.mark.parametrize("kind", ["mp4", "mkv"])
 def test_samples_snap_to_keyframes_where_these_are_dense(clips: dict[str, Path], kind: str) -> None:
-    found = list(open_video(clips[kind]).sampled(6))
+    found = list(open_video(clips[kind]).sample(6))
     assert [frame.decoded.key_frame for frame in found] == [True] * 5 + [False]
     assert [number_of(frame) for frame in found] == [0, 12, 24, 36, 48, 59]
     assert [frame.index for frame in found] == [0, 12, 24, 36, 48, 59]
@@ -183,7 +183,7 @@ def test_samples_snap_to_keyframes_where_these_are_dense(clips: dict[str, Path],
 def test_samples_are_even_distinct_and_start_at_the_first(
     clips: dict[str, Path], kind: str, count: int
 ) -> None:
-    found = [number_of(frame) for frame in open_video(clips[kind]).sampled(count)]
+    found = [number_of(frame) for frame in open_video(clips[kind]).sample(count)]
     assert len(found) == count
     step = 59 / max(count - 1, 1)
     np.testing.assert_allclose(found, np.arange(count) * step, atol=step / 2 + 1)
@@ -191,7 +191,7 @@ def test_samples_are_even_distinct_and_start_at_the_first(
 
 
 def test_more_samples_than_frames_are_all_frames(clips: dict[str, Path]) -> None:
-    assert [f.index for f in open_video(clips["mp4"]).sampled(99)] == list(range(60))
+    assert [f.index for f in open_video(clips["mp4"]).sample(99)] == list(range(60))
 
 
 def test_samples_decode_keyframes_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,17 +199,17 @@ def test_samples_decode_keyframes_only(tmp_path: Path, monkeypatch: pytest.Monke
     from geoaim.mapping.video import decoding
 
     decoded: list[int] = []
-    original = decoding._decoded
+    original = decoding._decode
 
     def counted(codec: object, packets: Iterator[object]) -> Iterator[object]:
         return original(codec, (decoded.append(1) or packet for packet in packets))
 
-    monkeypatch.setattr(decoding, "_decoded", counted)
+    monkeypatch.setattr(decoding, "_decode", counted)
     spent = []
     for count in (60, 600):
         video = open_video(write_clip(tmp_path / f"{count}.mp4", count, gop=6))
         decoded.clear()
-        assert len(list(video.sampled(8))) == 8
+        assert len(list(video.sample(8))) == 8
         spent.append(len(decoded))
     assert spent[1] <= spent[0]
 
@@ -244,16 +244,16 @@ def test_planes_give_the_same_image_as_swscale(matrix: int, full: bool) -> None:
     decoded.colorspace, decoded.color_range = matrix, 2 if full else 1
     frame = Frame(0, 0.0, None, decoded)
     assert frame.planes is not None
-    assert frame.colour is not None
-    assert frame.colour.full_range == full
-    difference = image_from_planes(*frame.planes, frame.colour) - frame.image.astype(int)
+    assert frame.encoding is not None
+    assert frame.encoding.full_range == full
+    difference = image_from_planes(*frame.planes, frame.encoding) - frame.image.astype(int)
     assert np.abs(difference).max() <= 3
     assert np.abs(difference).mean() < 1.5
 
 
 def test_planes_of_odd_size_give_an_image_of_that_size() -> None:
     planes = np.full((5, 7), 126.0), np.full((3, 4), 128.0), np.full((3, 4), 128.0)
-    image = image_from_planes(*planes, Colour(0.299, 0.114, True))
+    image = image_from_planes(*planes, YuvEncoding(0.299, 0.114, True))
     np.testing.assert_array_equal(image, np.full((5, 7, 3), 126, np.uint8))
 
 
@@ -271,7 +271,7 @@ def test_rotation_of_the_display_matrix_is_applied(tmp_path: Path, rotation: int
     video = open_video(write_clip(tmp_path / "r.mp4", 3, rotation=rotation))
     expected = np.rot90(picture(0), rotation // 90)  # FFmpeg counts counter-clockwise, as numpy
     assert (video.height, video.width) == expected.shape[:2]
-    for frame in (next(iter(video)), next(video.sampled(1))):
+    for frame in (next(iter(video)), next(video.sample(1))):
         assert np.abs(frame.image.astype(int) - expected).mean() < 4
         assert frame.grey.shape == expected.shape[:2]
         assert frame.planes is None
@@ -289,7 +289,7 @@ def test_truncated_file_gives_the_frames_before_the_break(
     assert found == list(range(len(found)))
     assert 15 < len(found) < 59
     with pytest.warns(GeoaimWarning):
-        assert 2 < len(list(video.sampled(10))) < 10
+        assert 2 < len(list(video.sample(10))) < 10
 
 
 def test_truncated_mp4_without_index_says_so(tmp_path: Path) -> None:
@@ -316,7 +316,7 @@ def test_whole_files_give_no_warning(clips: dict[str, Path]) -> None:
         warnings.simplefilter("error")
         for path in clips.values():
             assert len(list(open_video(path))) == 60
-            assert len(list(open_video(path).sampled(9))) == 9
+            assert len(list(open_video(path).sample(9))) == 9
 
 
 def test_what_is_no_video_is_refused_at_once(tmp_path: Path) -> None:
@@ -342,7 +342,7 @@ def test_folder_is_read_in_natural_order_with_the_index_as_time(images: Path) ->
     video = open_video(images)
     assert video.names == tuple(f"frame_{index}.png" for index in range(12))
     assert [(f.index, f.time, number_of(f)) for f in video] == [(i, i, i) for i in range(12)]
-    assert [frame.name for frame in video.sampled(2)] == ["frame_0.png", "frame_11.png"]
+    assert [frame.name for frame in video.sample(2)] == ["frame_0.png", "frame_11.png"]
     np.testing.assert_array_equal(next(iter(video)).image, picture(0))
     assert video.telemetry is None
 
@@ -377,7 +377,7 @@ def test_arrays_are_frames_and_a_generator_is_refused() -> None:
     for source in (arrays, np.stack(arrays), ReIterable(arrays)):
         video = open_video(source, rate=10)
         assert [number_of(frame) for frame in video] == [0, 1, 2, 3, 4]
-        assert [number_of(frame) for frame in video.sampled(3)] == [0, 2, 4]
+        assert [number_of(frame) for frame in video.sample(3)] == [0, 2, 4]
         assert [frame.time for frame in video.frames_at([0.3, 9.0])] == pytest.approx([0.3, 0.4])
     grey = open_video([array[..., 0] for array in arrays])
     assert next(iter(grey)).image.shape == (HEIGHT, WIDTH, 3)
@@ -439,5 +439,5 @@ def test_malformed_sidecar_warns_and_absent_one_is_none(tmp_path: Path) -> None:
     video = open_video(write_clip(tmp_path / "DJI_0001.mp4", 3))
     assert video.telemetry is None
     (tmp_path / "DJI_0001.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nHello\n")
-    with pytest.warns(GeoaimWarning, match="telemetry is left out"):
+    with pytest.warns(GeoaimWarning, match="telemetry is ignored"):
         assert open_video(tmp_path / "DJI_0001.mp4").telemetry is None

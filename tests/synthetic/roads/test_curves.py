@@ -1,39 +1,47 @@
 import numpy as np
 import pytest
 
-from geoaim.synthetic.roads.curves import arc, bends, even, headings, joint, parallel, run
+from geoaim.synthetic.roads.curves import (
+    compute_arc_lengths,
+    compute_curvature,
+    compute_headings,
+    connect_poses,
+    offset_polyline,
+    resample_polyline,
+    sample_arc,
+)
 
 
 def test_circle_bends_evenly():
-    line = arc(np.zeros(2), 10.0, 0.0, 3.0)
-    np.testing.assert_allclose(bends(line)[2:-2], 0.1, rtol=1e-2)
+    line = sample_arc(np.zeros(2), 10.0, 0.0, 3.0)
+    np.testing.assert_allclose(compute_curvature(line)[2:-2], 0.1, rtol=1e-2)
     np.testing.assert_allclose(np.hypot(*line.T), 10.0)
 
 
 def test_even_steps_keep_both_ends():
-    line = even(np.array([[0.0, 0], [3, 4], [3, 10]]), 0.5)
+    line = resample_polyline(np.array([[0.0, 0], [3, 4], [3, 10]]), 0.5)
     np.testing.assert_allclose(np.hypot(*np.diff(line, axis=0).T), 0.5, atol=0.15)
     np.testing.assert_allclose(line[[0, -1]], [[0, 0], [3, 10]])
 
 
 def test_parallel_of_a_circle_is_a_circle():
-    inner = parallel(arc(np.zeros(2), 10.0, 0.0, 3.0), 2.0)
+    inner = offset_polyline(sample_arc(np.zeros(2), 10.0, 0.0, 3.0), 2.0)
     np.testing.assert_allclose(np.hypot(*inner.T), 8.0, atol=0.01)
 
 
 @pytest.mark.parametrize("turn", [-np.pi / 2, 0.3, np.pi / 2])
 def test_joint_keeps_places_and_directions_and_starts_straight(turn):
     end = 14.0 * np.array([np.cos(turn / 2), np.sin(turn / 2)])
-    line = joint(np.zeros(2), 0.0, end, turn)
+    line = connect_poses(np.zeros(2), 0.0, end, turn)
     np.testing.assert_allclose(line[[0, -1]], [[0, 0], end], atol=1e-9)
-    np.testing.assert_allclose(headings(line)[[0, -1]], [0, turn], atol=0.02)
-    assert abs(bends(line)[0]) < 0.05
+    np.testing.assert_allclose(compute_headings(line)[[0, -1]], [0, turn], atol=0.02)
+    assert abs(compute_curvature(line)[0]) < 0.05
 
 
 def test_joint_takes_up_a_curvature():
-    line = joint(np.zeros(2), 0.0, np.array([10.0, 6.0]), 1.2, end_bend=0.1)
-    assert bends(line)[-1] == pytest.approx(0.1, abs=0.03)
+    line = connect_poses(np.zeros(2), 0.0, np.array([10.0, 6.0]), 1.2, end_curvature=0.1)
+    assert compute_curvature(line)[-1] == pytest.approx(0.1, abs=0.03)
 
 
 def test_run_is_zero_at_the_start_and_grows():
-    assert run(np.array([[0.0, 0], [3, 4], [3, 5]])).tolist() == [0, 5, 6]
+    assert compute_arc_lengths(np.array([[0.0, 0], [3, 4], [3, 5]])).tolist() == [0, 5, 6]

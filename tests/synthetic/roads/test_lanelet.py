@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import shapely
 
-from geoaim.synthetic.roads.lanelet import lanelet_map
-from geoaim.synthetic.roads.lanes import sides
+from geoaim.synthetic.roads.lanelet import make_lanelet_map
+from geoaim.synthetic.roads.lanes import compute_lane_bounds
 from geoaim.synthetic.roads.plan import make_roads
 from geoaim.world import World, lonlat_from_world, world_from_lonlat
 
@@ -18,7 +18,7 @@ def _tags(element):
 
 
 def _parsed(roads, **options):
-    root = ET.fromstring(lanelet_map(roads, np.eye(3), WORLD, **options))
+    root = ET.fromstring(make_lanelet_map(roads, np.eye(3), WORLD, **options))
     lanelets = {
         _tags(r)["name"]: {m.attrib["role"]: m.attrib["ref"] for m in r.findall("member")}
         for r in root.findall("relation")
@@ -28,7 +28,7 @@ def _parsed(roads, **options):
 
 
 def test_every_reference_exists(roads):
-    root, _ = _parsed(roads, whole=True)
+    root, _ = _parsed(roads, complete=True)
     known = {(element.tag, element.attrib["id"]) for element in root}
     assert len(known) == len(root)
     for way in root.findall("way"):
@@ -39,22 +39,25 @@ def test_every_reference_exists(roads):
 
 
 def test_each_lane_is_a_lanelet_and_neighbours_share_their_boundary(roads):
-    _, lanelets = _parsed(roads, whole=True)
+    _, lanelets = _parsed(roads, complete=True)
     assert set(lanelets) == {lane.name for lane in roads.lanes}
-    for arm in roads.layout.arms:
-        for rank in range(1, len(arm.turns)):
-            inner, outer = lanelets[f"{arm.name} in {rank - 1}"], lanelets[f"{arm.name} in {rank}"]
+    for approach in roads.layout.approaches:
+        for rank in range(1, len(approach.turns)):
+            inner, outer = (
+                lanelets[f"{approach.name} in {rank - 1}"],
+                lanelets[f"{approach.name} in {rank}"],
+            )
             assert inner["right"] == outer["left"]
 
 
 def test_lanelets_that_follow_each_other_share_their_end_nodes(roads):
-    root, lanelets = _parsed(roads, whole=True)
+    root, lanelets = _parsed(roads, complete=True)
     ends = {}
     for way in root.findall("way"):
         nodes = [nd.attrib["ref"] for nd in way.findall("nd")]
         ends[way.attrib["id"]] = {nodes[0], nodes[-1]}
-    for passage in roads.passages:
-        for before, after in pairwise(passage.lanes):
+    for route in roads.routes:
+        for before, after in pairwise(route.lanes):
             for side in ("left", "right"):
                 assert ends[lanelets[before][side]] & ends[lanelets[after][side]]
 
@@ -69,7 +72,7 @@ def test_places_are_longitude_and_latitude(roads):
 def test_people_and_the_car_park_are_left_out_unless_asked_for(roads):
     kinds = [
         {_tags(r).get("subtype") for r in _parsed(roads, **options)[0].findall("relation")}
-        for options in ({}, {"whole": True})
+        for options in ({}, {"complete": True})
     ]
     assert not kinds[0] & {"crosswalk", "walkway", "parking"}
     assert {"crosswalk", "walkway"} <= kinds[1]
@@ -81,13 +84,13 @@ def test_lights_and_give_way_lines_are_regulatory_elements(roads):
     rules = [_tags(r) for r in root.findall("relation") if "regulatory" in _tags(r)["type"]]
     wanted = "traffic_light" if roads.layout.signalised else "right_of_way"
     assert {rule["subtype"] for rule in rules} == {wanted}
-    stops = sum(np.isfinite(arm.stop) for arm in roads.layout.arms)
+    stops = sum(np.isfinite(approach.stop) for approach in roads.layout.approaches)
     assert len(rules) >= stops
 
 
-@pytest.mark.parametrize("options", [{}, {"whole": True}])
+@pytest.mark.parametrize("options", [{}, {"complete": True}])
 def test_same_plan_gives_the_same_bytes(roads, options):
-    one, again = (lanelet_map(roads, np.eye(3), WORLD, **options) for _ in range(2))
+    one, again = (make_lanelet_map(roads, np.eye(3), WORLD, **options) for _ in range(2))
     assert one == again
 
 
@@ -96,7 +99,7 @@ def test_who_enters_a_ring_yields_to_those_who_come_round_it():
     root, _ = _parsed(roads)
     names = {r.attrib["id"]: _tags(r).get("name") for r in root.findall("relation")}
     rules = [r for r in root.findall("relation") if _tags(r).get("subtype") == "right_of_way"]
-    assert len(rules) == len(roads.layout.arms)
+    assert len(rules) == len(roads.layout.approaches)
     for rule in rules:
         roles = {m.attrib["role"]: names.get(m.attrib["ref"]) for m in rule.findall("member")}
         assert roles["yield"].replace(" onto ring", "") == roles["right_of_way"].split()[-1]
@@ -104,7 +107,7 @@ def test_who_enters_a_ring_yields_to_those_who_come_round_it():
 
 def test_crossings_at_lights_name_the_light_of_those_on_foot():
     roads = make_roads("junction", np.random.default_rng(5))
-    root, _ = _parsed(roads, whole=True)
+    root, _ = _parsed(roads, complete=True)
     found = {_tags(r).get("name", "") for r in root.findall("relation")}
     wanted = {f"walk {c.name}" for c in roads.crossings if c.marked and c.signalised}
     assert wanted
@@ -118,14 +121,14 @@ def test_private_roads_are_on_the_whole_map_alone():
     assert {f"{private} in 0", f"{private} out 0", f"south 0 to {private} 0"} <= missing
     root, lanelets = _parsed(roads)
     assert set(lanelets) == {lane.name for lane in roads.lanes} - missing
-    assert set(_parsed(roads, whole=True)[1]) == set(lanelets) | missing
+    assert set(_parsed(roads, complete=True)[1]) == set(lanelets) | missing
     known = {element.attrib["id"] for element in root}
     assert all(member.attrib["ref"] in known for member in root.iter("member"))
 
 
 def test_no_island_lies_in_a_lane(roads):
     for lane in roads.lanes:
-        left, right = sides(lane)
+        left, right = compute_lane_bounds(lane)
         area = shapely.Polygon(np.concatenate([left, right[::-1]])).buffer(0)
         assert area.intersection(roads.paving.islands).area < 0.01
 
@@ -133,7 +136,7 @@ def test_no_island_lies_in_a_lane(roads):
 def test_car_park_is_one_area_without_slivers(roads):
     if roads.car_park is None:
         return
-    root, _ = _parsed(roads, whole=True)
+    root, _ = _parsed(roads, complete=True)
     nodes = {n.attrib["id"]: (n.attrib["lon"], n.attrib["lat"]) for n in root.iter("node")}
     [area] = [r for r in root.findall("relation") if _tags(r).get("subtype") == "parking"]
     [ring] = [m.attrib["ref"] for m in area.findall("member")]

@@ -5,30 +5,30 @@ import pytest
 import shapely
 from shapely import LineString
 
-from geoaim.synthetic.roads.curves import bends, headings
-from geoaim.synthetic.roads.layouts import KINDS
-from geoaim.synthetic.roads.paving import crossing_area, outer_kerbs
-from geoaim.synthetic.roads.plan import make_roads, signal_of
-from geoaim.synthetic.roads.walks import route
+from geoaim.synthetic.roads.curves import compute_curvature, compute_headings
+from geoaim.synthetic.roads.layouts import PLACE_KINDS
+from geoaim.synthetic.roads.paving import outline_crossing, outline_road
+from geoaim.synthetic.roads.pedestrian_network import find_route
+from geoaim.synthetic.roads.plan import find_signal, make_roads
 
 
 def test_lanes_that_follow_each_other_join_smoothly(roads):
-    lanes = {lane.name: lane.centre for lane in roads.lanes}
-    for passage in roads.passages:
-        for before, after in pairwise(passage.lanes):
+    lanes = {lane.name: lane.centreline for lane in roads.lanes}
+    for route in roads.routes:
+        for before, after in pairwise(route.lanes):
             np.testing.assert_allclose(lanes[before][-1], lanes[after][0], atol=1e-6)
-            turn = headings(lanes[before])[-1] - headings(lanes[after])[0]
+            turn = compute_headings(lanes[before])[-1] - compute_headings(lanes[after])[0]
             assert abs((turn + np.pi) % (2 * np.pi) - np.pi) < 0.05
 
 
 def test_lanes_can_be_driven(roads):
-    assert max(np.abs(bends(lane.centre)).max() for lane in roads.lanes) < 1 / 5.0
+    assert max(np.abs(compute_curvature(lane.centreline)).max() for lane in roads.lanes) < 1 / 5.0
 
 
 def test_vehicles_on_lanes_touch_no_kerb(roads):
     tar = roads.paving.carriageway.buffer(0.05)
     for lane in roads.lanes:
-        assert tar.contains(LineString(lane.centre).buffer(1.1, cap_style="flat")), lane.name
+        assert tar.contains(LineString(lane.centreline).buffer(1.1, cap_style="flat")), lane.name
 
 
 def test_surfaces_do_not_overlap(roads):
@@ -40,58 +40,58 @@ def test_surfaces_do_not_overlap(roads):
 
 
 def test_crossings_end_on_kerbs(roads):
-    kerbs = outer_kerbs(roads.paving).exterior
+    kerbs = outline_road(roads.paving).exterior
     for crossing in roads.crossings:
         if crossing.name != "drive":
             assert max(kerbs.distance(shapely.points(crossing.ends))) < 0.01
-            inside = crossing_area(crossing).intersection(outer_kerbs(roads.paving)).area
-            assert inside > 0.8 * crossing_area(crossing).area
+            inside = outline_crossing(crossing).intersection(outline_road(roads.paving)).area
+            assert inside > 0.8 * outline_crossing(crossing).area
 
 
 def test_every_gate_is_reached_from_every_other(roads):
-    walks = roads.walks
-    for start in walks.gates:
-        for end in walks.gates:
+    walks = roads.footpaths
+    for start in walks.spawn_nodes:
+        for end in walks.spawn_nodes:
             if end != start:
-                legs = route(walks, start, end, np.ones(len(walks.legs)))
+                legs = find_route(walks, start, end, np.ones(len(walks.edges)))
                 assert legs
                 for (before, _), (after, _) in pairwise(legs):
                     assert np.hypot(*(before[-1] - after[0])) < 1.0
 
 
 def test_route_avoids_what_counts_many_times(roads):
-    walks = roads.walks
-    start, end = walks.gates[0], walks.gates[2]
-    direct = route(walks, start, end, np.ones(len(walks.legs)))
-    dear = np.ones(len(walks.legs))
-    crossed = [k for k, leg in enumerate(walks.legs) if leg.crossing in {c for _, c in direct}]
-    dear[[k for k in crossed if walks.legs[k].crossing >= 0]] = 100.0
-    other = route(walks, start, end, dear)
+    walks = roads.footpaths
+    start, end = walks.spawn_nodes[0], walks.spawn_nodes[2]
+    direct = find_route(walks, start, end, np.ones(len(walks.edges)))
+    dear = np.ones(len(walks.edges))
+    crossed = [k for k, leg in enumerate(walks.edges) if leg.crossing in {c for _, c in direct}]
+    dear[[k for k in crossed if walks.edges[k].crossing >= 0]] = 100.0
+    other = find_route(walks, start, end, dear)
     if any(crossing >= 0 for _, crossing in direct):
         assert {c for _, c in other} != {c for _, c in direct}
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", PLACE_KINDS)
 def test_same_seed_gives_the_same_plan(kind):
     one, again = (make_roads(kind, np.random.default_rng(2)) for _ in range(2))
     for lane, twin in zip(one.lanes, again.lanes, strict=True):
-        np.testing.assert_array_equal(lane.centre, twin.centre)
+        np.testing.assert_array_equal(lane.centreline, twin.centreline)
     assert one.paving.pavement.equals_exact(again.paving.pavement)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", PLACE_KINDS)
 def test_plans_of_many_seeds_are_sound(kind):
     for seed in range(8):
         roads = make_roads(kind, np.random.default_rng(seed))
         assert roads.paving.carriageway.is_valid
         assert len(roads.paving.plots) >= 2
-        assert len(roads.passages) >= 2
+        assert len(roads.routes) >= 2
 
 
 def test_only_protected_left_turns_have_a_light_of_their_own():
     for seed in range(4):
         roads = make_roads("junction", np.random.default_rng(seed))
-        pocket = roads.layout.arms[0].turns[0] == "L"
-        assert signal_of(roads, "east in 0", "L") == ("east left" if pocket else "east")
-        assert signal_of(roads, "north in 0", "L") == "north"
-        assert signal_of(roads, "east out 0", "S") == ""
+        pocket = roads.layout.approaches[0].turns[0] == "L"
+        assert find_signal(roads, "east in 0", "L") == ("east left" if pocket else "east")
+        assert find_signal(roads, "north in 0", "L") == "north"
+        assert find_signal(roads, "east out 0", "S") == ""

@@ -15,7 +15,7 @@ DRIVER = Driver(0.0, 0, "car", (4.5, 1.8), 1.0, 1.0, (0.0, 0.0))
 def _junction():
     """The first one whose left turns share their lane."""
     plans = (make_roads("junction", np.random.default_rng(seed)) for seed in range(9))
-    return next(roads for roads in plans if roads.layout.arms[0].turns[0] == "LS")
+    return next(roads for roads in plans if roads.layout.approaches[0].turns[0] == "LS")
 
 
 @pytest.fixture(scope="module")

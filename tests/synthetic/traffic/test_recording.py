@@ -5,7 +5,7 @@ from shapely.affinity import affine_transform
 
 from geoaim.lights import RED
 from geoaim.synthetic import Hover, make_sample, tracks_of
-from geoaim.synthetic.roads.paving import crossing_area
+from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.traffic.signals import lights_at
 
 VEHICLES = ("car", "van", "truck", "bus")
@@ -70,8 +70,8 @@ def test_wheels_stay_on_the_tar(recorded):
 def test_people_stay_on_pavements_and_crossings(recorded):
     sample, tracks = recorded
     roads = sample.place.roads
-    allowed = [roads.paving.pavement, roads.walks.paths, roads.paving.drive]
-    allowed += [crossing_area(crossing).buffer(0.6) for crossing in roads.crossings]
+    allowed = [roads.paving.pavement, roads.footpaths.surface, roads.paving.drive]
+    allowed += [outline_crossing(crossing).buffer(0.6) for crossing in roads.crossings]
     ground = _in_world(sample, shapely.union_all(allowed).buffer(0.1))
     people = _is(tracks, "pedestrian", "cyclist")
     places = tracks.states[people][tracks.present[people]][:, :2]

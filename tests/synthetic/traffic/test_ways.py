@@ -2,14 +2,14 @@ import re
 
 import numpy as np
 
-from geoaim.synthetic.roads.curves import STEP
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.overlaps import find_overlaps
 from geoaim.synthetic.traffic.ways import make_ways
 
 
 def _overlaps(roads):
     ways = make_ways(roads)
-    return ways, find_overlaps(ways, roads.crossings, ring=roads.layout.ring > 0)
+    return ways, find_overlaps(ways, roads.crossings, ring=roads.layout.ring_radius > 0)
 
 
 def test_ways_can_be_driven_by_a_bicycle(roads):
@@ -21,7 +21,7 @@ def test_ways_can_be_driven_by_a_bicycle(roads):
 def test_points_of_a_way_lie_a_step_apart(roads):
     for way in make_ways(roads):
         steps = np.hypot(*np.diff(way.line, axis=0).T)
-        np.testing.assert_allclose(steps, STEP, atol=0.03)
+        np.testing.assert_allclose(steps, POINT_SPACING_M, atol=0.03)
 
 
 def test_who_leaves_a_bay_backs_out_of_where_the_other_came_to_rest(roads):

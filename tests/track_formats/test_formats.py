@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoaimWarning, TracksError
-from geoaim.track_formats import read_any, read_trajnet, with_motion
-from geoaim.track_formats.recognition import form_of
+from geoaim.track_formats import derive_motion, read_any, read_trajnet
+from geoaim.track_formats.formats import detect_format
 from geoaim.world import World
 from tests.track_formats import test_levelx, test_readers, test_sind
 
@@ -11,14 +11,14 @@ COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
 
 
 @pytest.mark.parametrize(
-    ("head", "form"),
+    ("head", "name"),
     [
         ("# crs: local\n", "plain"),
         (COLUMNS, "plain"),
         (test_readers.INTERACTION, "INTERACTION"),
         ("track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\n", "INTERACTION"),
         (test_sind.VEHICLES, "SinD"),
-        (test_sind.PEOPLE, "SinD"),
+        (test_sind.PEDESTRIANS, "SinD"),
         (test_levelx.IND, "inD"),
         (test_levelx.HIGHD, "highD"),
         (test_readers.GEOTRAX, "geo-trax"),
@@ -26,12 +26,12 @@ COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
         ('0 1360 1073 1394 1131 10 1 0 0 "Pedestrian"\n', "SDD"),
     ],
 )
-def test_form_is_told_from_the_first_line(tmp_path, head, form):
+def test_the_format_is_detected_from_the_first_line(tmp_path, head, name):
     (tmp_path / "a.csv").write_text("\ufeff" + head, encoding="utf-8")
-    assert form_of(tmp_path / "a.csv") == form
+    assert detect_format(tmp_path / "a.csv").name == name
 
 
-def test_any_form_is_read(tmp_path):
+def test_any_format_is_read(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("# crs: local\n" + COLUMNS + "1,car,0,1,2,0,1,4,2\n")
     assert read_any(path).ids == ("1",)
@@ -41,7 +41,7 @@ def test_any_form_is_read(tmp_path):
     assert len(read_any(tmp_path).ids) == 3
 
 
-def test_world_is_that_of_who_does_not_say_it(tmp_path):
+def test_the_given_world_is_used_where_the_file_states_none(tmp_path):
     path, world = tmp_path / "a.csv", World("EPSG:32632", (459000.0, 5428000.0))
     path.write_text(test_readers.SHORT + "1,0,pedestrian,0,0,0,1\n")
     assert read_any(path, world=world).world == world
@@ -49,27 +49,29 @@ def test_world_is_that_of_who_does_not_say_it(tmp_path):
     assert read_any(path, world=world).world.crs == "EPSG:32632"
 
 
-def test_what_a_form_needs_is_asked_for_and_what_it_does_not_is_refused(tmp_path):
+def test_missing_and_superfluous_options_are_refused(tmp_path):
     path = tmp_path / "annotations.txt"
     path.write_text('0 10 10 20 20 0 0 0 0 "Biker"\n')
-    with pytest.raises(ValueError, match=r"is in pixels; pass resolution, such as 0.04"):
+    with pytest.raises(
+        ValueError, match=r"needs a resolution: give metres per pixel, such as 0.04"
+    ):
         read_any(path)
     assert read_any(path, resolution=0.1).types == ("cyclist",)
-    with pytest.raises(ValueError, match="SDD's form, which has its own plane; give no world"):
+    with pytest.raises(ValueError, match="SDD format, which takes no world"):
         read_any(path, resolution=0.1, world=World(None))
-    with pytest.raises(ValueError, match="inD's form, in metres; give no resolution"):
+    with pytest.raises(ValueError, match="inD format, which takes no resolution"):
         read_any(test_levelx._write_ind(tmp_path), resolution=0.1)
 
 
 @pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"", bytes(range(128, 256))])
 @pytest.mark.parametrize("name", ["a.csv", "a.csv.gz"])
-def test_file_of_no_known_form_is_refused(tmp_path, name, content):
+def test_a_file_in_no_known_format_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(TracksError, match="is no table of tracks"):
+    with pytest.raises(TracksError, match="is not a table of tracks"):
         read_any(tmp_path / name)
 
 
-def test_missing_file_is_a_missing_file(tmp_path):
+def test_a_missing_file_is_reported_as_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_any(tmp_path / "nowhere.csv")
 
@@ -86,7 +88,7 @@ def _windows(folder):
     return path
 
 
-def test_trajnet_windows_stand_in_one_recording_in_metres(tmp_path):
+def test_trajnet_windows_become_one_recording_in_metres(tmp_path):
     tracks = read_trajnet(_windows(tmp_path), resolution=0.04)
     assert (tracks.ids, tracks.types) == (("5", "8"), ("pedestrian",) * 2)
     np.testing.assert_allclose(tracks.times, 0.4 * np.arange(24))
@@ -94,15 +96,15 @@ def test_trajnet_windows_stand_in_one_recording_in_metres(tmp_path):
     np.testing.assert_allclose(tracks.states[1, 4], [4, -8, 0, 1], atol=1e-9)
 
 
-def test_trajnet_scale_comes_from_the_table_beside(tmp_path):
+def test_trajnet_resolution_is_looked_up_in_scenes_csv(tmp_path):
     path = _windows(tmp_path)
-    with pytest.raises(ValueError, match=r"no scenes.csv beside it tells .* pass resolution"):
+    with pytest.raises(ValueError, match=r"no scenes.csv beside it has .* give resolution"):
         read_any(path)
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\ngates_0,0.05\n")
     assert read_any(path).states[0, 0, 0] == pytest.approx(5)
 
 
-def test_real_files_of_every_form_read(data_folder):
+def test_real_files_are_read(data_folder):
     tracks = data_folder / "tracks"
     windows = read_any(tracks / "sdd_trajnet/windows/gates_1.csv")
     assert (windows.present.sum(axis=1) == 20).all()
@@ -114,13 +116,13 @@ def test_real_files_of_every_form_read(data_folder):
     assert "pedestrian" in read_any(path, resolution=0.0441).types
 
 
-def test_real_file_with_headings_turned_round_is_told_and_the_way_corrects_it(data_folder):
+def test_a_real_file_with_reversed_headings_warns_and_derive_motion_corrects_it(data_folder):
     folder = data_folder / "tracks/karlsruhe/tracks"
     good = read_any(folder / "k729_2022-03-16/vehicle_tracks_003.csv")
-    with pytest.warns(GeoaimWarning) as told:
+    with pytest.warns(GeoaimWarning) as warned:
         bad = read_any(folder / "k733_2018-05-02/vehicle_tracks_000.csv")
-    assert any("go against their heading" in str(warning.message) for warning in told)
-    for tracks in (good, with_motion(bad, reach=0.25)):
+    assert any("move against their heading" in str(warning.message) for warning in warned)
+    for tracks in (good, derive_motion(bad, half_window=0.25)):
         step = np.diff(tracks.states[..., :2], axis=1)
         heading = tracks.states[:, :-1, 2]
         along = step[..., 0] * np.cos(heading) + step[..., 1] * np.sin(heading)

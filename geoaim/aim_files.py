@@ -1,0 +1,171 @@
+"""An AIM as one GeoTIFF file."""
+
+import json
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from jaxtyping import Float
+from numpy import ndarray as Array
+from pyproj import CRS
+from rasterio._err import CPLE_BaseError
+from rasterio.enums import ColorInterp
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from geoaim.aim import AIM
+from geoaim.errors import AimError
+from geoaim.files import atomic_write
+from geoaim.geometry import translation
+from geoaim.rectify import rectify
+from geoaim.world import World
+
+FORMAT = 1
+BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
+
+
+def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | None = None) -> None:
+    """Write an AIM as one GeoTIFF (cloud-optimised, lossless) that GIS programs open directly.
+
+    Bands: red, green, blue, alpha (255 where the coverage is not 0), contested (255 or 0), and
+    the low and high bytes of the coverage. The world, the exact matrix and the report are in the
+    tags GEOAIM and GEOAIM_REPORT. An existing file is replaced only when the new one is complete.
+
+    Args:
+        aim: the AIM to write. It is rectified first when a resolution is given, or when its
+            transform is not affine, since a GeoTIFF has no perspective.
+        path: the .tif file.
+        resolution: metres per pixel of the file; None for that of the image.
+
+    Raises:
+        AimError: the grid would be too large, or the file cannot be written.
+    """
+    if resolution is not None or not aim.is_affine:
+        aim = rectify(aim, resolution)
+    height, width = aim.coverage.shape
+    profile = {
+        "driver": "COG",
+        "height": height,
+        "width": width,
+        "count": len(BANDS),
+        "dtype": "uint8",
+        "crs": aim.world.crs,
+        "transform": rasterio.Affine(*_add_origin(aim.world, aim.world_from_image)[:2].flat),
+        "compress": "deflate",
+        "predictor": "yes",
+        "num_threads": "all_cpus",
+    }
+    try:
+        with (
+            atomic_write(path) as temporary,
+            _allow_identity_transform(),
+            rasterio.open(temporary, "w", **profile) as dataset,
+        ):
+            _write_bands(dataset, aim)
+            _write_tags(dataset, aim)
+    except (RasterioError, CPLE_BaseError) as error:
+        raise AimError(f"{path} could not be written: {error}") from error
+
+
+def read_aim(path: str | os.PathLike[str]) -> AIM:
+    """Read a file that `write_aim` wrote.
+
+    A file that a GIS program has cropped or resampled since is read with its new transform, as
+    long as its CRS and bands are the same.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        AimError: the file is not an AIM; the message says what it is.
+    """
+    if not Path(path).exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    try:
+        with _allow_identity_transform(), rasterio.open(path) as dataset:
+            frame = _read_frame(dataset, path)
+            world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
+            return AIM(
+                image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
+                world_from_image=_read_transform(dataset, world, frame, path),
+                world=world,
+                coverage=dataset.read(6) + dataset.read(7).astype(np.uint16) * 256,
+                contested=dataset.read(5) > 0,
+                report=json.loads(dataset.tags().get("GEOAIM_REPORT", "{}")),
+            )
+    except RasterioError as error:
+        raise AimError(f"{path} is not a readable GeoTIFF: {error}") from error
+
+
+def _add_origin(world: World, world_from_image: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Convert a matrix to world metres into one to coordinates of the world's CRS."""
+    return translation(*world.origin) @ world_from_image
+
+
+@contextmanager
+def _allow_identity_transform() -> Iterator[None]:
+    # rasterio warns of an identity transform, which an AIM with pixels of one metre has
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+def _write_bands(dataset: Any, aim: AIM) -> None:
+    dataset.write(np.moveaxis(aim.image, -1, 0), [1, 2, 3])
+    dataset.write(np.where(aim.coverage > 0, np.uint8(255), np.uint8(0)), 4)
+    dataset.write(np.where(aim.contested, np.uint8(255), np.uint8(0)), 5)
+    dataset.write((aim.coverage & 255).astype(np.uint8), 6)
+    dataset.write((aim.coverage >> 8).astype(np.uint8), 7)
+    dataset.write_mask(aim.coverage > 0)  # GDAL reads alpha only from files with four bands
+    colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha]
+    dataset.colorinterp = colours + [ColorInterp.undefined] * (len(BANDS) - 4)
+    dataset.descriptions = BANDS
+
+
+def _write_tags(dataset: Any, aim: AIM) -> None:
+    frame = {
+        "format": FORMAT,
+        "world": {"crs": aim.world.crs, "origin": list(aim.world.origin)},
+        "world_from_image": aim.world_from_image.tolist(),
+    }
+    dataset.update_tags(GEOAIM=json.dumps(frame), GEOAIM_REPORT=json.dumps(aim.report))
+
+
+def _read_frame(dataset: Any, path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read the tag with the world and the matrix; refuse files that are not AIMs."""
+    content = f"{dataset.count} band(s) of {dataset.dtypes[0]}, CRS {dataset.crs or 'absent'}"
+    tag = dataset.tags().get("GEOAIM")
+    if tag is None:
+        raise AimError(
+            f"{path} is a {dataset.driver} with {content}, and no GEOAIM tag: it is an image "
+            "without the world, coverage and report of an AIM. Give a file that `geoaim build`, "
+            "`geoaim align`, `geoaim draw` or write_aim wrote"
+        )
+    frame: dict[str, Any] = json.loads(tag)
+    if frame["format"] != FORMAT:
+        raise AimError(f"{path} has AIM format {frame['format']}; this version reads {FORMAT}")
+    if dataset.descriptions != BANDS or set(dataset.dtypes) != {"uint8"}:
+        raise AimError(
+            f"{path} was an AIM and has lost bands: found {content}, needed uint8 {BANDS}"
+        )
+    return frame
+
+
+def _read_transform(
+    dataset: Any, world: World, frame: Mapping[str, Any], path: str | os.PathLike[str]
+) -> Float[Array, "3 3"]:
+    """Read world_from_image: the exact matrix of the tag, unless the file was cropped since."""
+    written = np.array(frame["world_from_image"], np.float64)
+    crs_from_image = np.array(dataset.transform, np.float64).reshape(3, 3)
+    if np.allclose(crs_from_image, _add_origin(world, written), rtol=1e-12, atol=1e-9):
+        return written
+    crs = dataset.crs and CRS(dataset.crs.to_wkt())
+    if crs != (world.crs and CRS(world.crs)):
+        raise AimError(
+            f"{path} was reprojected: its world is in {world.crs} and the file in {dataset.crs}; "
+            "give the file that write_aim wrote, or one cropped without reprojection"
+        )
+    crs_from_image[:2, 2] -= world.origin
+    return crs_from_image

@@ -1,0 +1,82 @@
+"""The report of an AIM in a dozen short lines."""
+
+from collections.abc import Mapping
+from textwrap import shorten
+from typing import Any
+
+import numpy as np
+
+from geoaim.aim import AIM
+
+MAX_REASON_CHARS = 70
+Lines = dict[str, str]
+
+
+def summarize_aim(aim: AIM) -> Lines:
+    """Summarize an AIM: its size, position, how it was made and how accurate it is.
+
+    Returns:
+        Name -> value with its unit, in the order of the stages.
+    """
+    report: Any = aim.report
+    lines = _summarize_image(aim)
+    if registration := report.get("registration"):
+        lines["motion model"] = registration["model"]
+        lines["registered frames"] = f"{registration['valid']} of {registration['frames']}"
+        lines["registration"] = f"{registration['uncertainty_px']:.3f} px (1 sigma, corners)"
+    if background := report.get("background"):
+        lines["background"] = f"{background['method']} of {background['frames_used']} frames"
+        lines["contested"] = f"{background['contested_share']:.2%} of the pixels"
+    if georeference := report.get("georeference"):
+        lines |= _summarize_georeference(georeference)
+    for evidence, alignment in report.get("alignment", {}).items():
+        if "checked" in alignment:
+            lines[f"check by {evidence}"] = _summarize_check(alignment)
+        else:
+            lines |= _summarize_alignment(evidence, alignment)
+    return lines
+
+
+def _summarize_image(aim: AIM) -> Lines:
+    height, width = aim.image.shape[:2]
+    top, right, bottom, left = np.linalg.norm(np.roll(aim.corners, -1, 0) - aim.corners, axis=1)
+    east, north = aim.world.origin
+    return {
+        "image": f"{width} x {height} px, {(top + bottom) / 2:.0f} x {(right + left) / 2:.0f} m",
+        "world": f"{aim.world.crs or 'local plane'}, origin {east:.0f}, {north:.0f}",
+    }
+
+
+def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
+    approximate = "approximate, " if georeference["approximate"] else ""
+    lines = {
+        "georeference": approximate + georeference["model"],
+        "corner uncertainty": f"{max(georeference['corner_uncertainty_m']):.2f} m (95 %)",
+    }
+    if georeference["points"]:
+        errors = [point["leave_one_out_m"] for point in georeference["points"] if point["used"]]
+        rms = np.sqrt(np.mean(np.square(errors)))
+        lines["leave-one-out error"] = f"{rms:.4f} m (RMS of {len(errors)} points)"
+    return lines
+
+
+def _summarize_alignment(evidence: str, alignment: Mapping[str, Any]) -> Lines:
+    east, north = alignment["shift_m"]
+    line = (
+        f"{alignment['model']}, {east:+.2f} m east, {north:+.2f} m north, "
+        f"{alignment['turn_degrees']:+.2f} degrees; {alignment['uncertainty_m']:.2f} m (95 %)"
+    )
+    lines = {f"alignment by {evidence}": line}
+    direction = alignment["undetermined_degrees"]
+    if direction is not None:
+        lines["undetermined"] = f"along {direction % 180:.0f} degrees"
+    return lines
+
+
+def _summarize_check(check: Mapping[str, Any]) -> str:
+    """Summarize what one evidence says about an alignment by another."""
+    if not check["checked"]:
+        return f"not possible: {shorten(check['why'], MAX_REASON_CHARS, placeholder=' ...')}"
+    verdict = "agrees" if check["agrees"] else "DISAGREES"
+    off, uncertainty = check["corners_off_m"], check["corners_known_to_m"]
+    return f"{verdict}: corners {off:.2f} m off, uncertainty {uncertainty:.2f} m (95 %)"

@@ -1,0 +1,84 @@
+"""A picture of imagery before and after alignment."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from matplotlib.figure import Figure
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM
+from geoaim.geometry import transform_points
+from geoaim.grid import Grid, north_up_grid
+from geoaim.tracks import Tracks
+
+LONGER_SIDE_PX = 900
+SQUARES_PER_SIDE = 10  # of the checkerboard, along the longer side
+TRACK_COLOUR = "#ff6a00"
+Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
+
+
+def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | None = None) -> Figure:
+    """Draw imagery before and after alignment.
+
+    Args:
+        imagery: the result of `align_tiles`.
+        aim: reference shown in every other square of a checkerboard.
+        tracks: in the same world; drawn on top.
+
+    Returns:
+        The figure: as stated on the left, aligned on the right.
+    """
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    stated = _undo_alignment(imagery)
+    corners = (imagery if aim is None else aim).corners
+    for axes, shown, title in zip(
+        figure.subplots(1, 2), (stated, imagery), ("as stated", "aligned"), strict=True
+    ):
+        picture, extent = _draw_checkerboard(shown, aim, corners)
+        axes.imshow(picture, extent=extent)
+        if tracks is not None:
+            for states, present in zip(tracks.states, tracks.present, strict=True):
+                axes.plot(*states[present, :2].T, "-", color=TRACK_COLOUR, linewidth=0.7, alpha=0.8)
+        axes.set(title=title, xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
+    return figure
+
+
+def _undo_alignment(imagery: AIM) -> AIM:
+    """Move imagery back to its stated position."""
+    report: Any = imagery.report.get("alignment", {})
+    for alignment in report.values():
+        if "checked" not in alignment:
+            stated_from_true = np.linalg.inv(np.array(alignment["true_from_stated"]))
+            return replace(imagery, world_from_image=stated_from_true @ imagery.world_from_image)
+    return imagery
+
+
+def _draw_checkerboard(
+    imagery: AIM, aim: AIM | None, corners: Float[Array, "4 2"]
+) -> tuple[UInt8[Array, "H W 3"], Extent]:
+    """Draw imagery on a grid over the corners, with the AIM in every other square."""
+    resolution = float(np.ptp(corners, axis=0).max()) / LONGER_SIDE_PX
+    grid = north_up_grid(corners, resolution)
+    picture, _ = _sample_nearest(imagery, grid)
+    if aim is not None:
+        other, covered = _sample_nearest(aim, grid)
+        rows, columns = np.indices(grid.shape) * SQUARES_PER_SIDE // LONGER_SIDE_PX
+        square = covered & ((rows + columns) % 2 == 0)
+        picture = np.where(square[..., None], other, picture)
+    (left, top), (right, bottom) = grid.corners[[0, 2]]
+    return picture, (left, right, bottom, top)
+
+
+def _sample_nearest(aim: AIM, grid: Grid) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """Sample the nearest pixels on a grid, white where none is covered, and the mask of cover."""
+    rows, columns = np.indices(grid.shape) + 0.5
+    image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
+    pixels = transform_points(image_from_grid, np.stack([columns, rows], -1).reshape(-1, 2))
+    u, v = np.floor(pixels).astype(int).T
+    covered = (u >= 0) & (v >= 0) & (u < aim.image.shape[1]) & (v < aim.image.shape[0])
+    covered[covered] = aim.coverage[v[covered], u[covered]] > 0
+    picture = np.full((len(covered), 3), 255, np.uint8)
+    picture[covered] = aim.image[v[covered], u[covered]]
+    return picture.reshape(*grid.shape, 3), covered.reshape(grid.shape)

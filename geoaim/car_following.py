@@ -1,0 +1,53 @@
+"""Car following by the intelligent driver model (Treiber, Hennecke, Helbing 2000).
+
+    dv/dt = a [1 - (v / v0)^4 - (s* / s)^2],    s* = s0 + max(0, v T + v dv / (2 sqrt(a b)))
+
+v is the speed, v0 the desired one, s the gap to the leader and dv the speed at which it closes.
+Works on numpy arrays and torch tensors alike.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+MIN_GAP_M = 0.1  # smaller gaps count as this one, so that no driver divides by zero
+ArrayOrTensor = Any  # numpy.ndarray or torch.Tensor; torch must not be imported here
+
+
+@dataclass(frozen=True)
+class DriverParameters:
+    """How a driver follows others; a number, or an array with one entry for each driver.
+
+    Attributes:
+        acceleration: a, the maximum, m/s².
+        deceleration: b, the comfortable one, m/s².
+        standstill_gap: s0, metres.
+        headway: T, seconds.
+    """
+
+    acceleration: float
+    deceleration: float
+    standstill_gap: float
+    headway: ArrayOrTensor | float
+
+
+def compute_gap_ratio(
+    driver: DriverParameters,
+    speed: ArrayOrTensor,
+    closing_speed: ArrayOrTensor,
+    gap: ArrayOrTensor,
+) -> ArrayOrTensor:
+    """Divide the gap that a driver desires by the one it has: s* / s.
+
+    Args:
+        driver: its parameters.
+        speed: (...) of the driver, m/s.
+        closing_speed: (...) its speed minus that of the leader, m/s.
+        gap: (...) to the leader, metres; infinite without one.
+
+    Returns:
+        (...) the ratio; its square times the maximum acceleration is the braking term.
+    """
+    approach = speed * closing_speed / (2 * math.sqrt(driver.acceleration * driver.deceleration))
+    desired = driver.standstill_gap + (speed * driver.headway + approach).clip(0)
+    return desired / gap.clip(MIN_GAP_M)

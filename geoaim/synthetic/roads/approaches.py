@@ -1,0 +1,107 @@
+"""Approaches: the roads that meet in a place, each with road coordinates s and t.
+
+The plan has its origin in the centre of the place, x right and y up as drawn, in metres. As in
+OpenDRIVE, s runs along a road's reference line, here outwards from the centre, and t to its left.
+Traffic drives on the right: inbound lanes lie at larger t than outbound lanes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.geometry import wrap_angle
+from geoaim.synthetic.roads.curves import Polyline, make_unit_vector, rotate_90
+
+GUTTER_M = 0.45  # between the edge of the outer lane and the kerb
+
+
+@dataclass(frozen=True)
+class Approach:
+    """A road from the centre outwards.
+
+    Attributes:
+        name: "east", "north", ...
+        angle: its direction at the centre, radians.
+        curvature: of the reference line, 1/m, positive to the left.
+        turns: the turns that each inbound lane serves, from the inner lane outwards: letters of
+            "LSR" for left, straight on, right.
+        outbound_lanes: their number.
+        lane_width: metres.
+        median: width of the median between the two directions, metres.
+        mouth: s where lanes end and the lanes through the junction begin.
+        crossing: s of the crossing's nearer edge; NaN: there is none.
+        stop: s of the stop or give-way line; NaN: there is none.
+        speed_limit: m/s.
+    """
+
+    name: str
+    angle: float
+    curvature: float
+    turns: tuple[str, ...]
+    outbound_lanes: int
+    lane_width: float = 3.3
+    median: float = 0.0
+    mouth: float = 0.0
+    crossing: float = np.nan
+    stop: float = np.nan
+    speed_limit: float = 13.9
+
+    @property
+    def divider(self) -> float:
+        """The t of the line between the two directions (the middle of the median)."""
+        return 0.5 * self.lane_width * (self.outbound_lanes - len(self.turns))
+
+    @property
+    def half_width(self) -> float:
+        """Metres from the reference line to either kerb."""
+        lanes = self.outbound_lanes + len(self.turns)
+        return 0.5 * (self.lane_width * lanes + self.median) + GUTTER_M
+
+
+def plan_from_road(approach: Approach, points: Float[Array, "m 2"]) -> Polyline:
+    """Convert road coordinates (s, t) of an approach to plan coordinates."""
+    s, t = np.asarray(points, np.float64).T
+    forward = make_unit_vector(approach.angle)
+    left = rotate_90(forward)
+    axis = s[:, None] * forward + 0.5 * approach.curvature * s[:, None] ** 2 * left
+    tangent = forward + approach.curvature * s[:, None] * left
+    tangent = tangent / np.sqrt((tangent**2).sum(axis=1, keepdims=True))
+    return axis + t[:, None] * rotate_90(tangent)
+
+
+def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, float]) -> Polyline:
+    """The outline of a rectangle in road coordinates, which bends with the road.
+
+    Args:
+        approach: the road.
+        s: its ends along the road, metres.
+        t: its ends across the road, metres.
+
+    Returns:
+        Points in plan coordinates, about 2 m apart along the sides.
+    """
+    count = max(2, int(abs(s[1] - s[0]) / 2) + 2)
+    along = np.linspace(*s, count)
+    sides = [
+        np.stack([along, np.full(count, t[0])], 1),
+        np.stack([along[::-1], np.full(count, t[1])], 1),
+    ]
+    return plan_from_road(approach, np.concatenate(sides))
+
+
+def locate_inbound_lane(approach: Approach, index: int) -> float:
+    """The t of an inbound lane's centreline; lanes count from the divider."""
+    return approach.divider + approach.median / 2 + (index + 0.5) * approach.lane_width
+
+
+def locate_outbound_lane(approach: Approach, index: int) -> float:
+    """The t of an outbound lane's centreline; lanes count from the divider."""
+    return approach.divider - approach.median / 2 - (index + 0.5) * approach.lane_width
+
+
+def classify_turn(origin: Approach, destination: Approach) -> str:
+    """L, S or R: left, straight on or right from one approach into another."""
+    change = wrap_angle(np.asarray(destination.angle - origin.angle - np.pi))
+    return "S" if abs(change) < np.pi / 4 else "L" if change > 0 else "R"

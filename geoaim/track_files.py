@@ -1,0 +1,191 @@
+"""The plain file format of tracks: a CSV or Parquet table with a row for each agent and time.
+
+    # crs: EPSG:32635
+    # origin: 583000 6062000
+    id,type,time,x,y,heading,speed,length,width
+    17,car,0.1,182.103,233.870,1.5011,8.21,4.53,1.84
+
+Time in seconds; x and y in metres from the origin in the CRS, x east and y north; heading in
+radians counter-clockwise from +x; speed in m/s, negative in reverse; length and width in metres.
+`# crs: local` is a plane without a place on the Earth. Parquet files have CRS and origin in the
+metadata `geoaim_world`.
+"""
+
+import json
+import os
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from geoaim.errors import TracksError
+from geoaim.files import atomic_write
+from geoaim.track_tables import make_tracks
+from geoaim.tracks import COLUMNS, TICKS_PER_S, Tracks
+from geoaim.world import World
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
+MIN_CSV_DT_S = 1e-3
+LOCAL_CRS = "local"
+METADATA_KEY = b"geoaim_world"
+MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
+
+
+def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+    """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
+
+    CSV keeps times to the millisecond, Parquet to the microsecond.
+
+    Raises:
+        ValueError: the name ends otherwise, no agent is present, or times are too close for the
+            format.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise ValueError(f"{path}: the name must end in .csv or .parquet")
+    if not tracks.present.any():
+        raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
+    dt = np.diff(tracks.times).min(initial=np.inf)
+    min_dt = MIN_CSV_DT_S if suffix == ".csv" else 1 / TICKS_PER_S
+    if dt < min_dt:
+        raise ValueError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s or more")
+    write = _write_csv if suffix == ".csv" else _write_parquet
+    with atomic_write(path) as temporary:
+        write(tracks.to_frame(), tracks.world, temporary)
+
+
+def read_tracks(path: str | os.PathLike[str]) -> Tracks:
+    """Read tracks in the plain format.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: the file is not in the plain format; the message says what was found.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    try:
+        frame, world = (_read_parquet if path.suffix.lower() == ".parquet" else _read_csv)(path)
+    except (ValueError, KeyError, TypeError, OSError) as error:
+        raise TracksError(f"{path} is not a table of tracks: {error}") from error
+    missing = [name for name in COLUMNS if name not in frame.columns]
+    if missing:
+        columns = ", ".join(map(str, frame.columns))
+        raise TracksError(f"{path} lacks the columns {', '.join(missing)}; it has {columns}")
+    return make_tracks(frame, world)
+
+
+def format_world(world: World) -> str:
+    """Format the first lines of a table of positions: its CRS and origin."""
+    east, north = map(float, world.origin)
+    crs = " ".join((world.crs or LOCAL_CRS).split())  # WKT may have line breaks
+    return f"# crs: {crs}\n# origin: {east!r} {north!r}\n"
+
+
+def read_table(
+    path: str | os.PathLike[str],
+    *,
+    text: tuple[str | int, ...],
+    delimiter: str = ",",
+    header: bool = True,
+    skip_rows: int = 0,
+) -> "DataFrame":
+    """Read a text table strictly: each row must have as many fields as there are columns.
+
+    Args:
+        path: the file; it may be gzipped.
+        text: columns that stay text, so that an agent may be called 007 or NA.
+        delimiter: between fields.
+        header: whether the first row names the columns; without it they are numbered.
+        skip_rows: number of lines above the table.
+
+    Returns:
+        The table; missing values of the columns that are not text are NaN.
+
+    Raises:
+        TracksError: the file is empty, or a row has more fields than there are columns.
+    """
+    import pandas as pd
+
+    names = 0 if header else None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        try:
+            top = pd.read_csv(
+                path, index_col=False, nrows=1, sep=delimiter, header=names, skiprows=skip_rows
+            )
+            return pd.read_csv(
+                path,
+                index_col=False,
+                dtype=dict.fromkeys(set(top.columns) & set(text), str),
+                keep_default_na=False,
+                na_values={name: MISSING_VALUES for name in top.columns if name not in text},
+                low_memory=False,
+                sep=delimiter,
+                header=names,
+                skiprows=skip_rows,
+            )
+        except pd.errors.ParserWarning as error:
+            reason = "a row has more fields than there are columns"
+            raise TracksError(f"{Path(path)} is not a table of tracks: {reason}") from error
+        except ValueError as error:
+            reason = str(error).strip()
+            raise TracksError(f"{Path(path)} is not a table of tracks: {reason}") from error
+
+
+def _read_csv(path: Path) -> tuple["DataFrame", World]:
+    with open(path, encoding="utf-8-sig") as file:
+        lines = []
+        for line in file:
+            if not line.startswith("#"):
+                break
+            lines.append(line[1:])
+    fields = {}
+    for line in lines:
+        name, _, value = line.partition(":")
+        fields[name.strip()] = value.strip()
+    if "crs" not in fields:
+        raise ValueError("its first line is not '# crs: EPSG:n' or '# crs: local'")
+    origin = [float(word) for word in fields.get("origin", "0 0").split()]
+    if len(origin) != 2:
+        raise ValueError(f"its origin {fields['origin']!r} is not two numbers")
+    frame = read_table(path, text=("id", "type"), skip_rows=len(lines))
+    return frame, _make_world(fields["crs"], origin)
+
+
+def _write_csv(frame: "DataFrame", world: World, path: Path) -> None:
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        file.write(format_world(world))
+        for name, decimals in CSV_DECIMALS.items():
+            frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
+        frame.to_csv(file, index=False, lineterminator="\n")
+
+
+def _read_parquet(path: Path) -> tuple["DataFrame", World]:
+    import pyarrow.parquet as parquet
+
+    table = parquet.read_table(path)
+    metadata = (table.schema.metadata or {}).get(METADATA_KEY)
+    if metadata is None:
+        raise ValueError(f"it has no metadata {METADATA_KEY.decode()}")
+    world = json.loads(metadata)
+    return table.to_pandas(), _make_world(world["crs"], world["origin"])
+
+
+def _write_parquet(frame: "DataFrame", world: World, path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet as parquet
+
+    table = pyarrow.Table.from_pandas(frame, preserve_index=False)
+    metadata = json.dumps({"crs": world.crs or LOCAL_CRS, "origin": world.origin}).encode()
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), METADATA_KEY: metadata})
+    parquet.write_table(table, path)
+
+
+def _make_world(crs: str, origin: list[float]) -> World:
+    return World(None if crs == LOCAL_CRS else crs, (origin[0], origin[1]))

@@ -1,0 +1,104 @@
+"""The known file formats of tracks, and `read_any`, which detects a file's format."""
+
+import gzip
+import os
+from pathlib import Path
+
+from geoaim.errors import TracksError
+from geoaim.track_files import read_tracks
+from geoaim.track_formats.geotrax import GEOTRAX
+from geoaim.track_formats.interaction import INTERACTION
+from geoaim.track_formats.levelx import HIGHD, IND
+from geoaim.track_formats.sind import SIND
+from geoaim.track_formats.stanford import SDD, TRAJNET
+from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.tracks import Tracks
+from geoaim.world import World
+
+MAX_LINE_CHARS = 100_000
+_has_plain_columns = has_columns("id", "type", "time", "heading")
+
+
+def _is_plain(path: Path, line: str) -> bool:
+    is_parquet = path.suffix.lower() == ".parquet"
+    return is_parquet or line.startswith("#") or _has_plain_columns(path, line)
+
+
+PLAIN = TrackFormat("plain", _is_plain, read_tracks)
+# the first format that matches a file is used
+FORMATS = (PLAIN, SDD, SIND, INTERACTION, IND, HIGHD, GEOTRAX, TRAJNET)
+OPTION_HELP = {
+    "world": "the world in which x and y lie",
+    "resolution": "metres per pixel, such as 0.04",
+}
+
+
+def read_any(
+    path: str | os.PathLike[str],
+    *,
+    world: World | None = None,
+    resolution: float | None = None,
+) -> Tracks:
+    """Read tracks in any of `FORMATS`; the format is detected from the file.
+
+    Args:
+        path: a file, or the folder of a SinD recording.
+        world: the plane of x and y, for formats that do not say it: INTERACTION, SinD and
+            geo-trax (of which only the CRS is used, as the file has full coordinates).
+        resolution: metres per pixel, for formats in image pixels: SDD and TrajNet.
+
+    Returns:
+        The tracks.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: the file has none of the formats, or is broken.
+        ValueError: an option that the format requires is missing, or one that it does not take
+            is given.
+    """
+    track_format = detect_format(path)
+    options = {"world": world, "resolution": resolution}
+    given = {name: value for name, value in options.items() if value is not None}
+    for name in given:
+        if name not in track_format.options:
+            raise ValueError(
+                f"{path} is in the {track_format.name} format, which takes no {name}; leave it out"
+            )
+    for name in track_format.required:
+        if name not in given:
+            raise ValueError(
+                f"{path} is in the {track_format.name} format, which needs a {name}: give "
+                f"{OPTION_HELP[name]}"
+            )
+    return track_format.read(path, **given)
+
+
+def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
+    """Detect the format of a file of tracks from its name and first line.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: the file has none of `FORMATS`.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    binary = path.is_dir() or path.suffix.lower() == ".parquet"
+    line = "" if binary else _read_first_line(path)
+    for track_format in FORMATS:
+        if track_format.matches(path, line):
+            return track_format
+    raise TracksError(
+        f"{path} is not a table of tracks in a known format: its first line is {line[:120]!r}. "
+        f"Known formats: {', '.join(known.name for known in FORMATS)}; rename the columns to "
+        "those of one of them"
+    )
+
+
+def _read_first_line(path: Path) -> str:
+    try:
+        opened = gzip.open if path.suffix.lower() == ".gz" else open
+        with opened(path, "rt", encoding="utf-8-sig") as file:
+            return str(file.readline(MAX_LINE_CHARS)).strip()
+    except (UnicodeDecodeError, OSError) as error:
+        raise TracksError(f"{path} is not a table of tracks: {error}") from error

@@ -1,0 +1,98 @@
+"""Each benchmark runs on tiny input and measures what its table says."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geoaim.bench import (
+    figures,
+    generation,
+    hover_videos,
+    pipeline,
+    realism,
+    realism_images,
+    realism_motion,
+    registration,
+    registration_methods,
+    registration_real,
+    report,
+)
+from geoaim.encode import write_video
+from geoaim.mapping.registration.register import register
+from geoaim.synthetic import make_sample, reference_from_frames, tracks_of
+from geoaim.synthetic.scenery.texture import make_natural_noise
+
+
+@pytest.fixture
+def video(monkeypatch):
+    """A hover video of five frames over a synthetic still."""
+    field = make_natural_noise((540, 960), 1.2, np.random.default_rng(0))
+    grey = (110 + 30 * field).clip(0, 255).astype(np.uint8).repeat(4, axis=0).repeat(4, axis=1)
+    sprite = np.full((48, 104, 4), 255, np.uint8)
+    monkeypatch.setattr(hover_videos, "read_clean_still", lambda still: np.dstack([grey] * 3))
+    monkeypatch.setattr(hover_videos, "cut_sprites", lambda still: [sprite])
+    return hover_videos.make_hover_video("00003", size="720p", count=5)
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"), [("geoaim", 0.1), ("KLT half + MAGSAC", 1.0), ("ECC quarter", 5.0)]
+)
+def test_registration_methods_have_small_errors_on_a_plain_video(video, name, limit):
+    method = registration_methods.list_methods()[name]
+    row = registration.measure(name, method, video, list(video))
+    assert row["frames_per_s"] > 0
+    assert row["error_mean_px"] < limit
+
+
+def test_identity_matrices_are_as_wrong_as_the_drift(video):
+    truth = reference_from_frames(video.clip)
+    errors = registration.measure_corner_errors(np.tile(np.eye(3), (5, 1, 1)), truth, video)
+    assert errors[0] == pytest.approx(0, abs=1e-6)
+    assert errors[1:].max() > 1
+
+
+def test_consistency_of_exact_registrations_is_zero(video):
+    one = register(list(video), reference_time=0.0)
+    assert registration_real._measure_loop(one, one).max() < 1e-6
+    assert registration_real._measure_forward_backward(one, one).max() < 1e-6
+
+
+def test_pipeline_repeats_packets_and_counts_frames(video, tmp_path):
+    clip = write_video(list(video), tmp_path / "clip.mp4")
+    long = pipeline.repeat_packets(clip, tmp_path / "long.mp4", 0.4)
+    assert pipeline.decode(long) == 15
+    rows = pipeline.measure_throughput(clip, 1)
+    assert [row["method"] for row in rows][:2] == ["decode", "register_all"]
+    assert all(row["frames_per_s"] > 0 for row in rows)
+
+
+def test_generation_is_timed_beside_a_lower_bound():
+    row = generation.time_traffic(0.05, "usual", 1)
+    assert row["seconds"] > 0
+    assert row["times the bound"] > 1
+
+
+def test_statistics_are_no_distance_from_themselves():
+    field = make_natural_noise((800, 1600), 1.2, np.random.default_rng(0))
+    grey = (110 + 30 * field).clip(0, 255).astype(np.uint8)
+    image = realism_images.measure_image(np.dstack([grey] * 3))
+    sample = make_sample(1, minutes=0.2, video=None)
+    motion = realism_motion.measure_motion(tracks_of(sample), realism_motion.VEHICLES)
+    rows = [*realism.compare("image", [image], {"a": image, "b": image})]
+    rows += realism.compare("vehicles", [motion], {"a": motion})
+    assert {"gradient", "spectrum", "acceleration, m/s2"} <= {row["statistic"] for row in rows}
+    assert all(row["synthetic to real"] == 0 for row in rows)
+
+
+def test_reports_hold_the_command_the_machine_and_the_rows(tmp_path):
+    report.write_rows([{"a": np.float64(1.5)}], tmp_path / "x.json", command="python -m x", runs=2)
+    content = json.loads((tmp_path / "x.json").read_text())
+    assert content["rows"] == [{"a": 1.5}]
+    assert (content["command"], content["runs"]) == ("python -m x", 2)
+    assert content["machine"]["cores"] >= 1
+    assert report.format_table([{"a": 1.23456}]) == "| a |\n| --- |\n| 1.23 |"
+
+
+def test_figures_draw_the_kinds_of_place_in_four_seasons():
+    assert len({day.season for day in figures.DAYS.values()}) == 4

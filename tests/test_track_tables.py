@@ -1,0 +1,45 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoaim import World
+from geoaim.errors import TracksError
+from geoaim.track_tables import make_tracks
+from geoaim.tracks import COLUMNS
+
+WORLD = World("EPSG:32635", (583000.0, 6062000.0))
+
+
+def make_row(**changed):
+    row = {"id": "1", "type": "car", "time": 0, "x": 1, "y": 2, "heading": 0, "speed": 1}
+    return row | {"length": 4, "width": 2} | changed
+
+
+def test_ids_keep_the_order_of_their_first_rows():
+    rows = pd.DataFrame(
+        {name: [0.1, 0.1, 0.1] for name in COLUMNS} | {"id": ["9", "10", "9"], "type": "car"}
+    ).assign(time=[0.0, 0.0, 0.1])
+    tracks = make_tracks(rows, World(None))
+    assert tracks.ids == ("9", "10")
+    assert tracks.present.tolist() == [[True, True], [True, False]]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"id": ""}, "no id"),
+        ({"id": None}, "no id"),
+        ({"type": np.nan}, "no type"),
+        ({"heading": 90}, "radians are needed"),
+        ({"length": 0}, "not positive"),
+        ({"time": 1.7e18}, "seconds are needed"),
+    ],
+)
+def test_rows_with_missing_or_impossible_values_are_refused(changed, message):
+    with pytest.raises(TracksError, match=message):
+        make_tracks(pd.DataFrame([make_row(**changed)]), WORLD)
+
+
+def test_heading_is_wrapped():
+    tracks = make_tracks(pd.DataFrame([make_row(heading=1.5 * np.pi)]), WORLD)
+    assert tracks.states[0, 0, 2] == pytest.approx(-np.pi / 2)
