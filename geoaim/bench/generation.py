@@ -25,9 +25,9 @@ from geoaim.synthetic import (
     render_frame,
     write_video,
 )
-from geoaim.synthetic.traffic.simulate import EARLY, INTERVAL, prepare_traffic, record
+from geoaim.synthetic.traffic.simulate import DT, WARM_UP_S, prepare_traffic, simulate_traffic
 
-RATES = {"usual": {}, "busy": {"lane_rate": 0.13, "walk_rate": 0.26}}
+RATES = {"usual": {}, "busy": {"lane_rate": 0.13, "pedestrian_rate": 0.26}}
 
 
 def time_traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
@@ -41,7 +41,7 @@ def time_traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
     Returns:
         A row of the table.
     """
-    flow = prepare_traffic(make_place(1).roads, np.random.default_rng(0))
+    model = prepare_traffic(make_place(1).roads, np.random.default_rng(0))
     some = np.ones(40)
     floor = time_medians([lambda: [np.add(some, some) for _ in range(10_000)]], 5)[0] / 10_000
     rates: dict[str, float] = dict(RATES[name])
@@ -49,11 +49,13 @@ def time_traffic(minutes: float, name: str, repeats: int) -> dict[str, Any]:
     for seed in range(repeats + 1):
         generator = np.random.default_rng(seed)
         start = time.perf_counter()
-        recording = record(flow, seconds=60 * minutes, generator=generator, **rates)
+        recording = simulate_traffic(model, duration=60 * minutes, generator=generator, **rates)
         durations.append(time.perf_counter() - start)
-        agents.append((len(recording.vehicles) + len(recording.people)) / len(recording.times))
+        agents.append(
+            (len(recording.vehicle_rows) + len(recording.pedestrian_rows)) / len(recording.times)
+        )
     middle = float(np.median(durations[1:]))
-    steps = (60 * minutes + EARLY) / INTERVAL
+    steps = (60 * minutes + WARM_UP_S) / DT
     return {
         "what": f"traffic, {minutes:g} min, {name}",
         "seconds": middle,

@@ -38,7 +38,7 @@ from geoaim.synthetic.roads.lanelet import make_lanelet_map
 from geoaim.synthetic.roads.markings import list_landmarks
 from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.sample import Sample, tracks_of
-from geoaim.synthetic.traffic.signals import lights_at
+from geoaim.synthetic.traffic.signals import light_states_at
 from geoaim.track_files import write_tracks
 from geoaim.world import lonlat_from_world
 
@@ -131,7 +131,7 @@ def _write_traffic(sample: Sample, folder: Path, number: int) -> None:
     tracks = tracks_of(sample, number)
     write_tracks(tracks, folder / _name("tracks", number, ".csv"))
     signals = sample.recordings[number].signals
-    states = lights_at(signals, tracks.times)
+    states = light_states_at(signals, tracks.times)
     before = np.vstack([np.full((1, len(signals.names)), -1), states[:-1]])
     lines = ["time,signal,state"]
     for step, light in np.argwhere(states != before):

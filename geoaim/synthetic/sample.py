@@ -10,8 +10,13 @@ from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import RESOLUTION, Place, make_place
 from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.scenery.day import Day
-from geoaim.synthetic.traffic.replay import replay
-from geoaim.synthetic.traffic.simulate import Flow, Recording, prepare_traffic, record
+from geoaim.synthetic.traffic.interpolation import interpolate_tracks
+from geoaim.synthetic.traffic.simulate import (
+    TrafficModel,
+    TrafficRecording,
+    prepare_traffic,
+    simulate_traffic,
+)
 from geoaim.tracks import Tracks
 
 VIDEOS = {"720p": (720, 1280), "1080p": (1080, 1920), "4k": (2160, 3840)}
@@ -40,15 +45,15 @@ class Sample:
 
     Attributes:
         place: the place.
-        flow: its traffic's rules.
+        traffic_model: what its traffic is simulated from.
         recordings: one after the other, each of at most five minutes.
         clip: of the first recording, from its start; None: nobody filmed it.
         resolution: at which the place is drawn.
     """
 
     place: Place
-    flow: Flow
-    recordings: tuple[Recording, ...]
+    traffic_model: TrafficModel
+    recordings: tuple[TrafficRecording, ...]
     clip: HoverClip | None
     resolution: float
 
@@ -90,32 +95,34 @@ def make_sample(
             f"{minutes:g} minutes of traffic; at least {max(filmed, 1) / 60:.2f} needed"
         )
     place = make_place(seed, kind=kind)
-    flow = prepare_traffic(place.roads, np.random.default_rng([seed, FLOW]))
+    model = prepare_traffic(place.roads, np.random.default_rng([seed, FLOW]))
     recordings = tuple(
-        _recorded(flow, number, min(LONGEST, 60 * minutes - number * LONGEST), seed)
+        _recorded(model, number, min(LONGEST, 60 * minutes - number * LONGEST), seed)
         for number in range(int(np.ceil(60 * minutes / LONGEST)))
     )
     clip = None
     if video is not None:
         given = place.world_from_plan, place.world
         times = np.arange(hover.count) / hover.frame_rate
-        tracks = replay(flow, recordings[0], *given, times=times, margin=MARGIN)
+        tracks = interpolate_tracks(model, recordings[0], *given, times=times, margin=MARGIN)
         clip = film_place(place, Day(), tracks, hover, size=video, resolution=resolution)
-    return Sample(place, flow, recordings, clip, resolution)
+    return Sample(place, model, recordings, clip, resolution)
 
 
 def tracks_of(sample: Sample, number: int = 0) -> Tracks:
     """The tracks of a recording, 10 a second."""
     place, recording = sample.place, sample.recordings[number]
     times = np.arange(int(recording.times[-1] * RATE + 1e-9) + 1) / RATE
-    return replay(sample.flow, recording, place.world_from_plan, place.world, times=times)
+    return interpolate_tracks(
+        sample.traffic_model, recording, place.world_from_plan, place.world, times=times
+    )
 
 
-def _recorded(flow: Flow, number: int, seconds: float, seed: int) -> Recording:
+def _recorded(model: TrafficModel, number: int, seconds: float, seed: int) -> TrafficRecording:
     """A recording; the lights of the first one change early, so that a short video shows it."""
     generator = np.random.default_rng([seed, TRAFFIC, number])
-    cycle = flow.signals.cycle
-    early = flow.signals.green[0][1] - EARLY_YELLOW if cycle else 0.0
+    cycle = model.signals.cycle
+    early = model.signals.green[0][1] - EARLY_YELLOW if cycle else 0.0
     phase = early if number == 0 else generator.uniform(0, 1) * cycle
-    signals = replace(flow.signals, phase=float(phase))
-    return record(replace(flow, signals=signals), seconds=seconds, generator=generator)
+    signals = replace(model.signals, phase=float(phase))
+    return simulate_traffic(replace(model, signals=signals), duration=seconds, generator=generator)

@@ -95,7 +95,7 @@ def test_lights_tell_each_change_once(sample, folder):
     table = pd.read_csv(folder / "lights.csv")
     assert list(table.columns) == ["time", "signal", "state"]
     assert set(table["state"]) <= {"green", "yellow", "red"}
-    assert set(table[table["time"] == 0]["signal"]) == set(sample.flow.signals.names)
+    assert set(table[table["time"] == 0]["signal"]) == set(sample.traffic_model.signals.names)
     for _, changes in table.groupby("signal"):
         assert (changes["state"] != changes["state"].shift()).all()
 
@@ -156,7 +156,7 @@ def test_folder_whose_files_only_look_like_a_sample_is_refused(sample, tmp_path)
 
 
 def test_maps_name_the_lights(sample, folder):
-    signals = {name for name in sample.flow.signals.names if not name.startswith("walk")}
+    signals = {name for name in sample.traffic_model.signals.names if not name.startswith("walk")}
     root = ET.parse(folder / "map.osm").getroot()
     named = {
         tag.attrib["v"]

@@ -1,1 +1,1 @@
-"""Traffic in a made place: ways, lights, vehicles, people on foot and on cycles."""
+"""Simulated traffic of a made place: signals, vehicles on fixed paths, pedestrians, recordings."""

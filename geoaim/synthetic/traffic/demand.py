@@ -1,4 +1,4 @@
-"""Who comes when, and by which way: vehicles at the ends of lanes, people at gates."""
+"""Traffic demand: the trips of vehicles from the ends of lanes, and of pedestrians."""
 
 from dataclasses import dataclass
 
@@ -8,134 +8,185 @@ from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.pedestrian_network import find_route
 from geoaim.synthetic.roads.plan import Roads
-from geoaim.synthetic.traffic.fleet import STRAIGHT
-from geoaim.synthetic.traffic.ways import Way
+from geoaim.synthetic.traffic.paths import VehiclePath
 
-# share, length, width (m): cars, vans, lorries, buses
-VEHICLES = (
-    ("car", 0.80, (3.9, 5.0), (1.70, 1.92)),
-    ("van", 0.13, (5.0, 6.0), (1.9, 2.1)),
-    ("truck", 0.05, (7.0, 9.5), (2.35, 2.5)),
-    ("bus", 0.02, (11.8, 12.2), (2.5, 2.55)),
-)
-CYCLES = 0.12  # share of those who walk or cycle
-HASTY = 0.25  # share of those who cross where nothing is marked, if that is shorter
-DETOUR = 6.0  # times its length that such a crossing counts for the others
+MAX_TURNING_LENGTH_M = 6.5  # longer vehicles only drive straight on
+MAX_STRAIGHT_CURVATURE = 0.02  # 1/m
+CYCLIST_SHARE = 0.12  # of pedestrians and cyclists
+JAYWALKER_SHARE = 0.25  # of those who cross where nothing is marked, if that is shorter
+UNMARKED_COST = 6.0  # factor on the length of such a crossing for the others
 
 
 @dataclass(frozen=True)
-class Driver:
-    """A vehicle that comes.
+class VehicleType:
+    """A type of vehicle: its share of the traffic, and ranges of length and width (metres)."""
+
+    name: str
+    share: float
+    length: tuple[float, float]
+    width: tuple[float, float]
+
+
+VEHICLE_TYPES = (
+    VehicleType("car", 0.80, (3.9, 5.0), (1.70, 1.92)),
+    VehicleType("van", 0.13, (5.0, 6.0), (1.9, 2.1)),
+    VehicleType("truck", 0.05, (7.0, 9.5), (2.35, 2.5)),
+    VehicleType("bus", 0.02, (11.8, 12.2), (2.5, 2.55)),
+)
+
+
+@dataclass(frozen=True)
+class VehicleTrip:
+    """A vehicle and its driver's parameters.
 
     Attributes:
-        time: seconds.
-        way: number of its way.
-        kind: "car", "van", "truck" or "bus".
+        time: of its departure, seconds.
+        path: index of its path.
+        kind: name of the vehicle type.
         size: length and width, metres.
-        pace: its speed as a share of what is allowed.
-        headway: seconds that it keeps.
-        phases: where in the waves of its drift within the lane it starts, radians.
+        speed_factor: its desired speed as a share of the speed limit.
+        headway: desired time gap behind others, seconds.
+        drift_phases: of the waves in which it drifts within its lane, radians.
     """
 
     time: float
-    way: int
+    path: int
     kind: str
     size: tuple[float, float]
-    pace: float
+    speed_factor: float
     headway: float
-    phases: tuple[float, float]
+    drift_phases: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Walker:
-    """Somebody on foot or on a cycle who comes.
+class PedestrianTrip:
+    """A pedestrian or cyclist and their route.
 
     Attributes:
-        time: seconds.
+        time: of departure, seconds.
         kind: "pedestrian" or "cyclist".
-        path: (K, 2) points each half metre.
-        over: (K,) crossing at each point; -1: none.
-        aside: metres to the left of the path.
-        pace: m/s.
+        path: (K, 2) equally spaced points, plan metres.
+        crossing: (K,) index of the crossing at each point; -1: none.
+        lateral_offset: metres to the left of the path where they prefer to walk.
+        desired_speed: m/s.
     """
 
     time: float
     kind: str
     path: Float[Array, "K 2"]
-    over: Int[Array, "K"]
-    aside: float
-    pace: float
+    crossing: Int[Array, "K"]
+    lateral_offset: float
+    desired_speed: float
 
 
-def draw_drivers(
-    ways: tuple[Way, ...],
-    span: tuple[float, float],
+def draw_vehicle_trips(
+    paths: tuple[VehiclePath, ...],
+    interval: tuple[float, float],
     *,
     rate: float,
     generator: np.random.Generator,
-) -> list[list[Driver]]:
-    """For each entry, vehicles within a span of time (seconds), in order.
+) -> list[list[VehicleTrip]]:
+    """Draw the trips of vehicles as Poisson processes.
 
-    `rate` is vehicles a second on a lane of the main road that leads straight on; others carry
-    their share of it.
+    Args:
+        paths: of vehicles.
+        interval: of departures, seconds.
+        rate: vehicles a second on a lane of the main road; other lanes carry a share of it.
+        generator: of the trips.
+
+    Returns:
+        The trips from each entry, in the order of time.
     """
-    drivers, (start, until) = [], span
-    for entry in sorted({way.entry for way in ways if way.entry}):
-        mine = [r for r, way in enumerate(ways) if way.entry == entry]
-        shares = np.array([ways[r].share for r in mine])
+    queues, (start, end) = [], interval
+    for entry in sorted({path.entry for path in paths if path.entry}):
+        indices = [r for r, path in enumerate(paths) if path.entry == entry]
+        shares = np.array([paths[r].share for r in indices])
         mean = 1 / (rate * min(shares.sum(), 1.0))
         queue, time = [], start + generator.exponential(mean)
-        while time < until:
-            way = mine[int(generator.choice(len(mine), p=shares / shares.sum()))]
-            queue.append(draw_driver(time, way, ways[way], generator))
+        while time < end:
+            index = indices[int(generator.choice(len(indices), p=shares / shares.sum()))]
+            queue.append(draw_vehicle_trip(time, index, paths[index], generator))
             time += generator.exponential(mean)
-        drivers.append(queue)
-    return drivers
+        queues.append(queue)
+    return queues
 
 
-def draw_driver(time: float, number: int, way: Way, generator: np.random.Generator) -> Driver:
-    """A vehicle for a way; long ones only where the way is straight."""
-    shares = np.array([share for _, share, _, _ in VEHICLES])
-    if np.abs(way.bend).max() > 0.02:
-        shares = np.array([s * (long[1] < STRAIGHT) for _, s, long, _ in VEHICLES])
-    kind, _, length, width = VEHICLES[int(generator.choice(len(VEHICLES), p=shares / shares.sum()))]
-    size = round(generator.uniform(*length), 2), round(generator.uniform(*width), 2)
-    pace = float(np.clip(generator.normal(0.98, 0.11), 0.7, 1.3))
+def draw_vehicle_trip(
+    time: float, index: int, path: VehiclePath, generator: np.random.Generator
+) -> VehicleTrip:
+    """Draw a vehicle; long ones only on straight paths.
+
+    Args:
+        time: of its departure, seconds.
+        index: of the path.
+        path: of the vehicle.
+        generator: of the trip.
+
+    Returns:
+        The trip.
+    """
+    is_curved = np.abs(path.curvature).max() > MAX_STRAIGHT_CURVATURE
+    max_length = MAX_TURNING_LENGTH_M if is_curved else np.inf
+    shares = np.array([t.share * (t.length[1] < max_length) for t in VEHICLE_TYPES])
+    chosen = VEHICLE_TYPES[int(generator.choice(len(VEHICLE_TYPES), p=shares / shares.sum()))]
+    length, width = generator.uniform(*chosen.length), generator.uniform(*chosen.width)
+    speed_factor = float(np.clip(generator.normal(0.98, 0.11), 0.7, 1.3))
     phases = generator.uniform(0, 2 * np.pi, 2)
-    headway = generator.uniform(0.2, 1.0)
-    return Driver(time, number, kind, size, pace, headway, (float(phases[0]), float(phases[1])))
+    return VehicleTrip(
+        time=time,
+        path=index,
+        kind=chosen.name,
+        size=(round(length, 2), round(width, 2)),
+        speed_factor=speed_factor,
+        headway=generator.uniform(0.2, 1.0),
+        drift_phases=(float(phases[0]), float(phases[1])),
+    )
 
 
-def draw_walkers(
-    roads: Roads, span: tuple[float, float], *, rate: float, generator: np.random.Generator
-) -> list[Walker]:
-    """People within a span of time, in order; `rate` is people a second over the whole place."""
-    walkers, (start, until) = [], span
+def draw_pedestrian_trips(
+    roads: Roads, interval: tuple[float, float], *, rate: float, generator: np.random.Generator
+) -> list[PedestrianTrip]:
+    """Draw the trips of pedestrians and cyclists as a Poisson process.
+
+    Args:
+        roads: the plan.
+        interval: of departures, seconds.
+        rate: pedestrians a second in the whole place.
+        generator: of the trips.
+
+    Returns:
+        The trips in the order of time.
+    """
+    trips, (start, end) = [], interval
     time = start + generator.exponential(1 / rate)
-    while time < until:
-        walker = _draw_walker(roads, time, generator)
-        if walker is not None:
-            walkers.append(walker)
+    while time < end:
+        trip = _draw_pedestrian_trip(roads, time, generator)
+        if trip is not None:
+            trips.append(trip)
         time += generator.exponential(1 / rate)
-    return walkers
+    return trips
 
 
-def _draw_walker(roads: Roads, time: float, generator: np.random.Generator) -> Walker | None:
-    walks = roads.footpaths
-    start, end = generator.choice(walks.spawn_nodes, 2, replace=False)
-    hasty = generator.uniform() < HASTY
-    favour = generator.uniform(0.9, 1.1, len(walks.edges))
-    for number, leg in enumerate(walks.edges):
-        plain = leg.crossing >= 0 and roads.crossings[leg.crossing].name.endswith("on foot")
-        favour[number] *= DETOUR if plain and not hasty else 1.0
-    legs = find_route(walks, int(start), int(end), favour)
-    if not legs:
+def _draw_pedestrian_trip(
+    roads: Roads, time: float, generator: np.random.Generator
+) -> PedestrianTrip | None:
+    """A trip between two spawn nodes; None if there is no route."""
+    network = roads.footpaths
+    start, end = generator.choice(network.spawn_nodes, 2, replace=False)
+    jaywalks = generator.uniform() < JAYWALKER_SHARE
+    factors = generator.uniform(0.9, 1.1, len(network.edges))
+    for number, edge in enumerate(network.edges):
+        informal = edge.crossing >= 0 and roads.crossings[edge.crossing].name.endswith("on foot")
+        factors[number] *= UNMARKED_COST if informal and not jaywalks else 1.0
+    route = find_route(network, int(start), int(end), factors)
+    if not route:
         return None
-    path = np.concatenate([legs[0][0], *[line[1:] for line, _ in legs[1:]]])
-    counts = [len(line) - (k > 0) for k, (line, _) in enumerate(legs)]
-    over = np.repeat([crossing for _, crossing in legs], counts)
-    cycles = generator.uniform() < CYCLES
-    pace = generator.normal(4.3, 0.8) if cycles else generator.normal(1.36, 0.22)
-    pace = float(np.clip(pace, 2.6 if cycles else 0.7, 6.0 if cycles else 2.2))
-    aside = float(np.clip(generator.normal(-0.25, 0.45), -1.0, 0.9))
-    return Walker(time, "cyclist" if cycles else "pedestrian", path, over, aside, pace)
+    path = np.concatenate([route[0][0], *[line[1:] for line, _ in route[1:]]])
+    counts = [len(line) - (k > 0) for k, (line, _) in enumerate(route)]
+    crossing = np.repeat([crossing for _, crossing in route], counts)
+    cycles = generator.uniform() < CYCLIST_SHARE
+    mean, spread, slowest, fastest = (4.3, 0.8, 2.6, 6.0) if cycles else (1.36, 0.22, 0.7, 2.2)
+    speed = float(np.clip(generator.normal(mean, spread), slowest, fastest))  # m/s
+    offset = float(np.clip(generator.normal(-0.25, 0.45), -1.0, 0.9))
+    kind = "cyclist" if cycles else "pedestrian"
+    return PedestrianTrip(time, kind, path, crossing, offset, speed)

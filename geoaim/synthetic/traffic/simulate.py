@@ -1,246 +1,288 @@
-"""A recording of the traffic of a place: the loop over time."""
+"""The simulation of a place's traffic over time, and what it records."""
 
 from dataclasses import dataclass
 from math import ceil
 
-import cv2
 import numpy as np
-import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int8
 from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.roads.plan import Roads
-from geoaim.synthetic.traffic.comings import (
-    enter,
-    join,
-    leave_bay,
-    leave_plan,
-    nobody,
-    park,
-    pick,
-    step_in,
-    vehicle,
+from geoaim.synthetic.traffic.conflicts import find_conflicts
+from geoaim.synthetic.traffic.demand import (
+    PedestrianTrip,
+    VehicleTrip,
+    draw_pedestrian_trips,
+    draw_vehicle_trip,
+    draw_vehicle_trips,
 )
-from geoaim.synthetic.traffic.crowd import (
-    Crossings,
-    Crowd,
-    Ground,
+from geoaim.synthetic.traffic.driving import step_vehicles
+from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
+from geoaim.synthetic.traffic.paths import VehiclePath, make_paths
+from geoaim.synthetic.traffic.pavement import PavementMap, make_pavement_map
+from geoaim.synthetic.traffic.pedestrians import (
+    CrossingTable,
+    Pedestrians,
+    list_crossing_pedestrians,
     look_ahead,
-    mind_traffic,
-    stepping,
-    walk,
+    step_pedestrians,
 )
-from geoaim.synthetic.traffic.demand import Driver, Walker, draw_driver, draw_drivers, draw_walkers
-from geoaim.synthetic.traffic.fleet import Fleet, Rules, make_rules, pair_up, reach_of, step
-from geoaim.synthetic.traffic.overlaps import find_overlaps
-from geoaim.synthetic.traffic.signals import Signals, lights_at, plan_signals
-from geoaim.synthetic.traffic.ways import Way, make_ways
+from geoaim.synthetic.traffic.signals import Signals, light_states_at, make_signals
+from geoaim.synthetic.traffic.spawning import (
+    concat,
+    enter_pedestrian,
+    enter_vehicle,
+    leave_bay,
+    make_empty,
+    make_vehicle,
+    park_vehicles,
+    remove_finished_pedestrians,
+    remove_finished_vehicles,
+)
+from geoaim.synthetic.traffic.vehicles import (
+    PathTables,
+    VehiclePairs,
+    Vehicles,
+    make_path_tables,
+    pair_vehicles,
+    place_vehicles,
+)
 
-INTERVAL = 0.25  # s
-EARLY = 30.0  # s before the recording, in which the place fills
-CELL = 0.25  # m of the raster of the pavements
-FULL = 0.6  # share of the open bays in which somebody stands at first
-STANDS = 60.0  # s, mean time that he goes on standing there
-WALK = 90.0  # s, about how long somebody is on his way
-NEAR = 0.6  # m from its end where a walk is over
+DT = 0.25  # s
+WARM_UP_S = 30.0  # before the recording, in which the place fills
+PARKED_SHARE, PARKED_S = 0.6, 60.0  # of the open bays at the start, and for how long on average
+WALK_S = 90.0  # about the duration of a pedestrian's trip
 
 
 @dataclass(frozen=True, eq=False)
-class Flow:
-    """What the traffic of a place needs, worked out once.
+class TrafficModel:
+    """What the simulation of a place's traffic needs, computed once.
 
     Attributes:
         roads: the plan.
-        ways: of vehicles.
-        rules: tables over the ways.
-        signals: lights.
-        ground: where people may stand.
-        crossings: as people see them.
+        paths: of vehicles.
+        tables: over these paths.
+        signals: the traffic lights.
+        pavement: where pedestrians may walk.
+        crossings: of pedestrians.
     """
 
     roads: Roads
-    ways: tuple[Way, ...]
-    rules: Rules
+    paths: tuple[VehiclePath, ...]
+    tables: PathTables
     signals: Signals
-    ground: Ground
-    crossings: Crossings
+    pavement: PavementMap
+    crossings: CrossingTable
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """What happened: one row for each agent and step.
+class TrafficRecording:
+    """The simulated traffic: one row for each agent and step.
 
     Attributes:
         times: (T,) seconds.
-        signals: the lights during it.
-        drivers: all vehicles, in the order of their numbers.
-        walkers: all people.
-        vehicles: (V, 2) step and number of the vehicle.
-        way: (V,) number of its way.
-        along: (V, 2) metres along the way and m/s.
-        people: (P, 2) step and number of the person.
-        places: (P, 2) plan metres.
+        signals: the traffic lights during it.
+        vehicle_trips: of all vehicles.
+        pedestrian_trips: of all pedestrians and cyclists.
+        vehicle_rows: (V, 2) step and index of the trip.
+        vehicle_paths: (V,) index of the path.
+        vehicle_motion: (V, 2) s along the path in metres, and speed in m/s.
+        pedestrian_rows: (P, 2) step and index of the trip.
+        pedestrian_positions: (P, 2) plan metres.
     """
 
     times: Float[Array, "T"]
     signals: Signals
-    drivers: tuple[Driver, ...]
-    walkers: tuple[Walker, ...]
-    vehicles: Int[Array, "V 2"]
-    way: Int[Array, "V"]
-    along: Float[Array, "V 2"]
-    people: Int[Array, "P 2"]
-    places: Float[Array, "P 2"]
+    vehicle_trips: tuple[VehicleTrip, ...]
+    pedestrian_trips: tuple[PedestrianTrip, ...]
+    vehicle_rows: Int[Array, "V 2"]
+    vehicle_paths: Int[Array, "V"]
+    vehicle_motion: Float[Array, "V 2"]
+    pedestrian_rows: Int[Array, "P 2"]
+    pedestrian_positions: Float[Array, "P 2"]
 
 
-def prepare_traffic(roads: Roads, generator: np.random.Generator) -> Flow:
-    """Work out ways, overlaps, lights and pavements of a plan."""
-    ways = make_ways(roads)
-    signals = plan_signals(roads, generator)
-    overlaps = find_overlaps(ways, roads.crossings, ring=roads.layout.ring_radius > 0)
-    rules = make_rules(ways, overlaps, signals)
-    return Flow(roads, ways, rules, signals, _ground(roads), _crossings(roads, signals))
+@dataclass(frozen=True)
+class _Trips:
+    """Trips that wait to begin, each list in the order of time, and those that have begun."""
+
+    vehicle_queues: list[list[VehicleTrip]]
+    pedestrian_queue: list[PedestrianTrip]
+    vehicles: list[VehicleTrip]
+    pedestrians: list[PedestrianTrip]
 
 
-def record(
-    flow: Flow,
+def prepare_traffic(roads: Roads, generator: np.random.Generator) -> TrafficModel:
+    """Compute the paths, conflicts, signals and pavements of a place."""
+    paths = make_paths(roads)
+    signals = make_signals(roads, generator)
+    is_roundabout = roads.layout.ring_radius > 0
+    conflicts = find_conflicts(paths, roads.crossings, roundabout=is_roundabout)
+    tables = make_path_tables(paths, conflicts, signals)
+    pavement, crossings = make_pavement_map(roads), _make_crossing_table(roads, signals)
+    return TrafficModel(roads, paths, tables, signals, pavement, crossings)
+
+
+def simulate_traffic(
+    model: TrafficModel,
     *,
-    seconds: float,
+    duration: float,
     generator: np.random.Generator,
     lane_rate: float = 0.1,
-    walk_rate: float = 0.16,
-) -> Recording:
-    """Let the traffic run.
+    pedestrian_rate: float = 0.16,
+) -> TrafficRecording:
+    """Simulate the traffic of a place.
 
     Args:
-        flow: from `prepare_traffic`.
-        seconds: length of the recording; the place fills before it.
-        generator: of who comes when.
-        lane_rate: vehicles a second on each lane towards the middle.
-        walk_rate: people a second over the whole place.
+        model: from `prepare_traffic`; `signals.phase` is that at the start of the recording.
+        duration: seconds.
+        generator: of everything random.
+        lane_rate: vehicles a second on each inbound lane.
+        pedestrian_rate: pedestrians a second in the whole place.
+
+    Returns:
+        The recording, after a warm-up that is left out.
     """
-    times = np.arange(-round(EARLY / INTERVAL), ceil(seconds / INTERVAL - 1e-9) + 1) * INTERVAL
-    lights = lights_at(flow.signals, times)
-    span = -EARLY, seconds
-    demand = draw_drivers(flow.ways, span, rate=lane_rate, generator=generator)
-    fleet, drivers = _first_vehicles(flow, generator)
-    crowd, walkers = _first_people(flow, walk_rate, generator)
-    people = draw_walkers(flow.roads, span, rate=walk_rate, generator=generator)
-    pairs, moments = pair_up(fleet, flow.rules), []
-    for time, light in zip(times.tolist(), lights, strict=True):
-        before = fleet
-        fleet = leave_bay(park(fleet, flow.rules, time, generator), flow.rules, time, generator)
-        fleet = leave_plan(fleet, flow.rules)
-        for queue in demand:
-            if queue and queue[0].time <= time:
-                more = enter(fleet, flow.rules, queue[0], len(drivers))
-                if more is not fleet:
-                    fleet, drivers = more, [*drivers, queue.pop(0)]
-        while people and people[0].time <= time:
-            crowd = step_in(crowd, people[0], len(walkers))
-            walkers.append(people.pop(0))
-        arrived = crowd.done >= POINT_SPACING_M * crowd.last - NEAR
-        crowd = pick(crowd, ~arrived) if arrived.any() else crowd
-        if fleet.way is not before.way:
-            pairs = pair_up(fleet, flow.rules)
-        if time > -INTERVAL / 2:
-            moments.append((fleet, crowd))
-        vehicles = fleet, *reach_of(fleet, flow.rules)
-        outlook = look_ahead(crowd, flow.crossings)
-        on_foot = stepping(crowd, outlook, flow.crossings)
-        minded = mind_traffic(crowd, outlook, flow.crossings, vehicles, flow.rules, light)
-        fleet = step(vehicles, pairs, flow.rules, light, on_foot, INTERVAL)
-        sway = generator.standard_normal(crowd.place.shape)
-        crowd = walk(crowd, outlook, flow.ground, minded, sway, INTERVAL)
-    during = times[times > -INTERVAL / 2]
-    return _collected(during, flow.signals, moments, drivers, walkers)
+    times = np.arange(-round(WARM_UP_S / DT), ceil(duration / DT - 1e-9) + 1) * DT
+    light_states = light_states_at(model.signals, times)
+    interval = -WARM_UP_S, duration
+    queues = draw_vehicle_trips(model.paths, interval, rate=lane_rate, generator=generator)
+    vehicles, vehicle_trips = _park_first_vehicles(model, generator)
+    pedestrians, pedestrian_trips = _place_first_pedestrians(model, pedestrian_rate, generator)
+    queue = draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
+    trips = _Trips(queues, queue, vehicle_trips, pedestrian_trips)
+    pairs, states = pair_vehicles(vehicles, model.tables), []
+    for time, lights in zip(times.tolist(), light_states, strict=True):
+        paths = vehicles.path
+        vehicles = _spawn_vehicles(vehicles, model.tables, trips, time, generator)
+        pedestrians = _spawn_pedestrians(pedestrians, trips, time)
+        if vehicles.path is not paths:
+            pairs = pair_vehicles(vehicles, model.tables)
+        if time > -DT / 2:
+            states.append((vehicles, pedestrians))
+        vehicles, pedestrians = _step(model, (vehicles, pedestrians), pairs, lights, generator)
+    return _make_recording(times[times > -DT / 2], model.signals, states, trips)
 
 
-def _first_vehicles(flow: Flow, generator: np.random.Generator) -> tuple[Fleet, list[Driver]]:
-    """Those who stand in some bays from the start."""
-    fleet, rules = nobody()[0], flow.rules
-    drivers: list[Driver] = []
-    for bay in np.unique(rules.bay[rules.bay >= 0]):
-        way = int(np.argmax((rules.bay == bay) & rules.inwards))
-        driver = draw_driver(-EARLY, way, flow.ways[way], generator)
-        leaves = generator.exponential(STANDS)
-        if generator.uniform() < FULL:
-            at = float(rules.finish[way])
-            fleet = join(fleet, vehicle(driver, len(drivers), way=way, at=at, leaves=leaves))
-            drivers.append(driver)
-    return fleet, drivers
+def _park_first_vehicles(
+    model: TrafficModel, generator: np.random.Generator
+) -> tuple[Vehicles, list[VehicleTrip]]:
+    """Park vehicles in some bays."""
+    vehicles, tables = make_empty()[0], model.tables
+    trips: list[VehicleTrip] = []
+    for bay in np.unique(tables.bay[tables.bay >= 0]):
+        path = int(np.argmax((tables.bay == bay) & tables.into_bay))
+        trip = draw_vehicle_trip(-WARM_UP_S, path, model.paths[path], generator)
+        parked_until = generator.exponential(PARKED_S)
+        if generator.uniform() < PARKED_SHARE:
+            s = float(tables.length[path])
+            vehicle = make_vehicle(trip, len(trips), s=s, parked_until=parked_until)
+            vehicles = concat(vehicles, vehicle)
+            trips.append(trip)
+    return vehicles, trips
 
 
-def _first_people(
-    flow: Flow, rate: float, generator: np.random.Generator
-) -> tuple[Crowd, list[Walker]]:
-    """Those who are somewhere on their walks at the start."""
-    crowd = nobody()[1]
-    walkers = draw_walkers(flow.roads, (0.0, WALK), rate=rate, generator=generator)
-    for number, walker in enumerate(walkers):
-        done = generator.uniform() * POINT_SPACING_M * len(walker.path)
-        crowd = step_in(crowd, walker, number, done)
-    return crowd, walkers
+def _place_first_pedestrians(
+    model: TrafficModel, rate: float, generator: np.random.Generator
+) -> tuple[Pedestrians, list[PedestrianTrip]]:
+    """Place pedestrians somewhere on their paths."""
+    pedestrians = make_empty()[1]
+    trips = draw_pedestrian_trips(model.roads, (0.0, WALK_S), rate=rate, generator=generator)
+    for number, trip in enumerate(trips):
+        s = generator.uniform() * POINT_SPACING_M * len(trip.path)
+        pedestrians = enter_pedestrian(pedestrians, trip, number, s)
+    return pedestrians, trips
 
 
-def _collected(
-    times: Array,
+def _spawn_vehicles(
+    vehicles: Vehicles,
+    tables: PathTables,
+    trips: _Trips,
+    time: float,
+    generator: np.random.Generator,
+) -> Vehicles:
+    """Let vehicles park, leave bays, leave the plan and enter it; the trips are updated."""
+    vehicles = park_vehicles(vehicles, tables, time, generator)
+    vehicles = leave_bay(vehicles, tables, time, generator)
+    vehicles = remove_finished_vehicles(vehicles, tables)
+    for queue in trips.vehicle_queues:
+        if queue and queue[0].time <= time:
+            more = enter_vehicle(vehicles, tables, queue[0], len(trips.vehicles))
+            if more is not vehicles:
+                vehicles = more
+                trips.vehicles.append(queue.pop(0))
+    return vehicles
+
+
+def _spawn_pedestrians(pedestrians: Pedestrians, trips: _Trips, time: float) -> Pedestrians:
+    """Let pedestrians enter the plan and leave it; the trips are updated."""
+    while trips.pedestrian_queue and trips.pedestrian_queue[0].time <= time:
+        trip = trips.pedestrian_queue.pop(0)
+        pedestrians = enter_pedestrian(pedestrians, trip, len(trips.pedestrians))
+        trips.pedestrians.append(trip)
+    return remove_finished_pedestrians(pedestrians)
+
+
+def _step(
+    model: TrafficModel,
+    agents: tuple[Vehicles, Pedestrians],
+    pairs: VehiclePairs,
+    lights: Int8[Array, "G"],
+    generator: np.random.Generator,
+) -> tuple[Vehicles, Pedestrians]:
+    """Move all vehicles and pedestrians by one time step."""
+    vehicles, pedestrians = agents
+    placed = place_vehicles(vehicles, model.tables)
+    outlook = look_ahead(pedestrians, model.crossings)
+    crossing = list_crossing_pedestrians(pedestrians, outlook, model.crossings)
+    reaction = react_to_vehicles(
+        pedestrians, outlook, model.crossings, placed, model.tables, lights
+    )
+    vehicles = step_vehicles(placed, pairs, model.tables, lights, crossing, DT)
+    noise = generator.standard_normal(pedestrians.position.shape)
+    return vehicles, step_pedestrians(pedestrians, outlook, reaction, model.pavement, noise, DT)
+
+
+def _make_recording(
+    times: Float[Array, "T"],
     signals: Signals,
-    moments: list[tuple[Fleet, Crowd]],
-    drivers: list[Driver],
-    walkers: list[Walker],
-) -> Recording:
-    fleets, crowds = [fleet for fleet, _ in moments], [crowd for _, crowd in moments]
-    steps = np.arange(len(moments))
-    vehicles = np.repeat(steps, [len(fleet.at) for fleet in fleets])
-    people = np.repeat(steps, [len(crowd.done) for crowd in crowds])
-    return Recording(
+    states: list[tuple[Vehicles, Pedestrians]],
+    trips: _Trips,
+) -> TrafficRecording:
+    """Concatenate the states of all steps."""
+    vehicles, pedestrians = zip(*states, strict=True)
+    motion = [np.stack([state.s, state.speed], axis=1) for state in vehicles]
+    return TrafficRecording(
         times=times,
         signals=signals,
-        drivers=tuple(drivers),
-        walkers=tuple(walkers),
-        vehicles=np.stack([vehicles, np.concatenate([f.number for f in fleets])], axis=1),
-        way=np.concatenate([fleet.way for fleet in fleets]),
-        along=np.concatenate([np.stack([f.at, f.speed], axis=1) for f in fleets]),
-        people=np.stack([people, np.concatenate([c.number for c in crowds])], axis=1),
-        places=np.concatenate([crowd.place for crowd in crowds]),
+        vehicle_trips=tuple(trips.vehicles),
+        pedestrian_trips=tuple(trips.pedestrians),
+        vehicle_rows=_number_rows([state.trip for state in vehicles]),
+        vehicle_paths=np.concatenate([state.path for state in vehicles]),
+        vehicle_motion=np.concatenate(motion),
+        pedestrian_rows=_number_rows([state.trip for state in pedestrians]),
+        pedestrian_positions=np.concatenate([state.position for state in pedestrians]),
     )
 
 
-def _ground(roads: Roads) -> Ground:
-    """The pavements as a raster of distances."""
-    paving = roads.paving
-    allowed = shapely.union_all([paving.pavement, paving.drive, roads.footpaths.surface])
-    left, low, right, high = roads.extent.buffer(12.0).bounds
-    shape = round((high - low) / CELL), round((right - left) / CELL)
-    mask = np.zeros(shape, np.uint8)
-    for part in shapely.get_parts(allowed):
-        rings = [part.exterior, *part.interiors]
-        corners = [_cells(np.array(ring.coords), (left, low)) for ring in rings]
-        cv2.fillPoly(mask, corners, 1)
-    inside = CELL * cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    inside = np.round(inside.astype(np.float64), 6)
-    smooth = np.round(cv2.GaussianBlur(inside, (0, 0), 1.0), 4)
-    rise, right_rise = np.gradient(smooth)
-    steep = np.sqrt(rise**2 + right_rise**2).clip(1e-6)
-    table = np.stack([inside, right_rise / steep, rise / steep], axis=-1)
-    return Ground(np.round(table, 4), np.array([left, low]), CELL)
+def _number_rows(trips: list[Int[Array, "_"]]) -> Int[Array, "V 2"]:
+    """The step and the trip of each row."""
+    steps = np.repeat(np.arange(len(trips)), [len(trip) for trip in trips])
+    return np.stack([steps, np.concatenate(trips)], axis=1)
 
 
-def _cells(ring: Array, corner: tuple[float, float]) -> Array:
-    return np.rint((ring - corner) / CELL - 0.5).astype(np.int32)
-
-
-def _crossings(roads: Roads, signals: Signals) -> Crossings:
+def _make_crossing_table(roads: Roads, signals: Signals) -> CrossingTable:
+    """Arrange the crossings of a place in a table."""
     ends = np.array([crossing.ends for crossing in roads.crossings]).reshape(-1, 2, 2)
     across = ends[:, 1] - ends[:, 0]
     length = np.sqrt((across**2).sum(axis=1))
-    names = [f"walk {c.name}" if c.signalised and c.marked else "" for c in roads.crossings]
-    return Crossings(
+    lights = [f"walk {c.name}" if c.signalised and c.marked else "" for c in roads.crossings]
+    indices = {name: k for k, name in enumerate(signals.names)}
+    return CrossingTable(
         first=ends[:, 0],
-        ahead=across / length[:, None],
-        light=np.array([signals.names.index(n) if n in signals.names else -1 for n in names], int),
+        direction=across / length[:, None],
+        signal=np.array([indices.get(name, -1) for name in lights], int),
         marked=np.array([crossing.marked for crossing in roads.crossings]),
-        free=np.array([crossing.name == "drive" for crossing in roads.crossings]),
+        priority=np.array([crossing.name == "drive" for crossing in roads.crossings]),
     )

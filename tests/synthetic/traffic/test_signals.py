@@ -5,17 +5,17 @@ import pytest
 
 from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.plan import make_roads
-from geoaim.synthetic.traffic.signals import lights_at, plan_signals
+from geoaim.synthetic.traffic.signals import light_states_at, make_signals
 
 
 @pytest.fixture(scope="module")
 def signals():
     generator = np.random.default_rng(1)
-    return plan_signals(make_roads("junction", generator), generator)
+    return make_signals(make_roads("junction", generator), generator)
 
 
 def test_roads_that_cross_are_never_green_together(signals):
-    states = lights_at(signals, np.arange(0, 200, 0.1))
+    states = light_states_at(signals, np.arange(0, 200, 0.1))
     open_ = {name: states[:, k] != RED for k, name in enumerate(signals.names)}
     assert not (open_["east"] & open_["north"]).any()
     assert not (open_["east"] & open_["walk east"]).any()
@@ -25,7 +25,7 @@ def test_roads_that_cross_are_never_green_together(signals):
 
 
 def test_yellow_lies_between_green_and_red(signals):
-    states = lights_at(signals, np.arange(0, 200, 0.1))[:, signals.names.index("east")]
+    states = light_states_at(signals, np.arange(0, 200, 0.1))[:, signals.names.index("east")]
     changes = {(a, b) for a, b in pairwise(states) if a != b}
     assert changes == {(GREEN, YELLOW), (YELLOW, RED), (RED, GREEN)}
     yellow = np.diff(np.flatnonzero(np.diff((states == YELLOW).astype(int))))[0]
@@ -35,11 +35,11 @@ def test_yellow_lies_between_green_and_red(signals):
 def test_lights_repeat(signals):
     times = np.arange(0, 30, 0.5)
     np.testing.assert_array_equal(
-        lights_at(signals, times), lights_at(signals, times + signals.cycle)
+        light_states_at(signals, times), light_states_at(signals, times + signals.cycle)
     )
 
 
 def test_place_without_lights_has_none():
     generator = np.random.default_rng(1)
-    signals = plan_signals(make_roads("roundabout", generator), generator)
-    assert lights_at(signals, np.arange(3.0)).shape == (3, 0)
+    signals = make_signals(make_roads("roundabout", generator), generator)
+    assert light_states_at(signals, np.arange(3.0)).shape == (3, 0)

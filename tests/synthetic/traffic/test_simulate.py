@@ -6,7 +6,7 @@ from shapely.affinity import affine_transform
 from geoaim.lights import RED
 from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.paving import outline_crossing
-from geoaim.synthetic.traffic.signals import lights_at
+from geoaim.synthetic.traffic.signals import light_states_at
 
 VEHICLES = ("car", "van", "truck", "bus")
 WHEELBASE = 0.6  # share of the length
@@ -46,40 +46,40 @@ def test_vehicles_never_overlap(recorded):
             assert shapely.area(shapely.intersection(shapes[a], shapes[b])) < 1e-3
 
 
-def test_nobody_is_run_over(recorded):
+def test_no_vehicle_hits_a_pedestrian(recorded):
     _, tracks = recorded
     vehicle = _is(tracks, *VEHICLES)
     bodies = _bodies(tracks, vehicle)
     for step in range(0, len(tracks.times), 5):
         shapes = shapely.polygons(bodies[tracks.present[vehicle, step], step])
-        people = tracks.states[~vehicle & tracks.present[:, step], step, :2]
-        hit = shapely.STRtree(shapes).query(shapely.points(people), predicate="within")
+        pedestrians = tracks.states[~vehicle & tracks.present[:, step], step, :2]
+        hit = shapely.STRtree(shapes).query(shapely.points(pedestrians), predicate="within")
         assert hit.shape[1] == 0
 
 
-def test_wheels_stay_on_the_tar(recorded):
+def test_vehicles_stay_on_the_asphalt(recorded):
     sample, tracks = recorded
     paving = sample.place.roads.paving
-    tar = shapely.union_all([paving.carriageway, paving.drive, paving.lot]).buffer(0.3)
-    tar = _in_world(sample, tar)
-    shapely.prepare(tar)
+    asphalt = shapely.union_all([paving.carriageway, paving.drive, paving.lot]).buffer(0.3)
+    asphalt = _in_world(sample, asphalt)
+    shapely.prepare(asphalt)
     corners = _bodies(tracks, _is(tracks, *VEHICLES))[tracks.present[_is(tracks, *VEHICLES)]]
-    assert shapely.contains_xy(tar, *corners.reshape(-1, 2).T).mean() > 0.998
+    assert shapely.contains_xy(asphalt, *corners.reshape(-1, 2).T).mean() > 0.998
 
 
-def test_people_stay_on_pavements_and_crossings(recorded):
+def test_pedestrians_stay_on_pavements_and_crossings(recorded):
     sample, tracks = recorded
     roads = sample.place.roads
     allowed = [roads.paving.pavement, roads.footpaths.surface, roads.paving.drive]
     allowed += [outline_crossing(crossing).buffer(0.6) for crossing in roads.crossings]
     ground = _in_world(sample, shapely.union_all(allowed).buffer(0.1))
-    people = _is(tracks, "pedestrian", "cyclist")
-    places = tracks.states[people][tracks.present[people]][:, :2]
+    pedestrians = _is(tracks, "pedestrian", "cyclist")
+    places = tracks.states[pedestrians][tracks.present[pedestrians]][:, :2]
     assert shapely.contains_xy(ground, *places.T).mean() > 0.99
 
 
-def test_a_bicycle_could_have_driven_it(recorded):
-    """Acceleration and steering recovered from the states are feasible and lead back to them."""
+def test_motion_of_vehicles_is_that_of_a_kinematic_bicycle(recorded):
+    """The acceleration and steering of the states are feasible, and the rear axle does not slip."""
     _, tracks = recorded
     for agent in np.flatnonzero(_is(tracks, "car", "van")):
         steps = np.flatnonzero(tracks.present[agent])
@@ -92,14 +92,14 @@ def test_a_bicycle_could_have_driven_it(recorded):
         middle = heading[:-1] + turn / 2
         run = (np.diff(rear, axis=0) * np.stack([np.cos(middle), np.sin(middle)], 1)).sum(axis=1)
         slip = (np.diff(rear, axis=0) * np.stack([-np.sin(middle), np.cos(middle)], 1)).sum(axis=1)
-        assert np.abs(slip).max() < 0.02  # m: a rear axle does not slide
+        assert np.abs(slip).max() < 0.02  # m
         moves = np.abs(run) > 0.02
         steering = np.arctan(WHEELBASE * length * turn[moves] / run[moves])
         assert np.abs(steering).max(initial=0) < 0.75
         assert np.abs(np.diff(speed) / 0.1).max() < 10.0
 
 
-def test_speed_is_that_of_the_place(recorded):
+def test_speed_is_that_of_the_box_centre(recorded):
     _, tracks = recorded
     moved = np.diff(tracks.states[..., :2], axis=1)
     along = np.hypot(moved[..., 0], moved[..., 1]) / 0.1
@@ -108,29 +108,27 @@ def test_speed_is_that_of_the_place(recorded):
     assert np.percentile(np.abs(along - mean)[known], 99) < 0.15
 
 
-def test_nobody_drives_through_red(recorded):
+def test_no_vehicle_passes_a_red_light(recorded):
     sample, _ = recorded
-    recording, flow = sample.recordings[0], sample.flow
+    recording, tables = sample.recordings[0], sample.traffic_model.tables
     if not recording.signals.names:
         return
-    lights = lights_at(recording.signals, recording.times)
-    rows, ways = recording.vehicles, recording.way
-    front = (
-        recording.along[:, 0] + 0.8 * np.array([d.size[0] for d in recording.drivers])[rows[:, 1]]
-    )
-    room = flow.rules.stop[ways] - front
+    lights = light_states_at(recording.signals, recording.times)
+    rows, paths = recording.vehicle_rows, recording.vehicle_paths
+    lengths = np.array([trip.size[0] for trip in recording.vehicle_trips])
+    front = recording.vehicle_motion[:, 0] + 0.8 * lengths[rows[:, 1]]
+    to_line = tables.stop[paths] - front
     order = np.lexsort((rows[:, 0], rows[:, 1]))
-    rows, ways, room = rows[order], ways[order], room[order]
-    passed = (
-        (rows[1:, 1] == rows[:-1, 1]) & (ways[1:] == ways[:-1]) & (room[:-1] > 0) & (room[1:] <= 0)
-    )
-    where = np.flatnonzero(passed & (flow.rules.light[ways[:-1]] >= 0))
-    assert len(where) > 5
-    state = lights[rows[where, 0], flow.rules.light[ways[where]]]
+    rows, paths, to_line = rows[order], paths[order], to_line[order]
+    same = (rows[1:, 1] == rows[:-1, 1]) & (paths[1:] == paths[:-1])
+    passed = same & (to_line[:-1] > 0) & (to_line[1:] <= 0)
+    index = np.flatnonzero(passed & (tables.signal[paths[:-1]] >= 0))
+    assert len(index) > 5
+    state = lights[rows[index, 0], tables.signal[paths[index]]]
     assert (state != RED).all()
 
 
-def test_traffic_turns_waits_and_walks(recorded):
+def test_agents_of_several_types_move_and_wait(recorded):
     _, tracks = recorded
     speed = np.abs(tracks.states[..., 3])
     assert (speed[tracks.present] < 0.1).mean() > 0.005
@@ -140,15 +138,14 @@ def test_traffic_turns_waits_and_walks(recorded):
 
 def test_cars_enter_and_leave_the_car_park():
     sample = make_sample(2, kind="street", minutes=5.0, video=None)
-    recording, rules = sample.recordings[0], sample.flow.rules
-    bays = rules.bay[recording.way] >= 0
-    moves = recording.along[:, 1] > 1.0
-    inwards = rules.inwards[recording.way]
-    far = recording.along[:, 0] > rules.finish[recording.way] - 20
-    assert (bays & inwards & moves & far).any()
-    assert (bays & ~inwards & moves).any()
+    recording, tables = sample.recordings[0], sample.traffic_model.tables
+    path, (at, speed) = recording.vehicle_paths, recording.vehicle_motion.T
+    of_bay, moves, into_bay = tables.bay[path] >= 0, speed > 1.0, tables.into_bay[path]
+    near_end = at > tables.length[path] - 20
+    assert (of_bay & into_bay & moves & near_end).any()
+    assert (of_bay & ~into_bay & moves).any()
     tracks = tracks_of(sample)
-    assert np.nanmin(tracks.states[..., 3]) < -0.5  # somebody backs out
+    assert np.nanmin(tracks.states[..., 3]) < -0.5  # a vehicle reverses
 
 
 @pytest.mark.parametrize("kind", ["junction", "roundabout"])
@@ -158,11 +155,11 @@ def test_same_seed_gives_the_same_tracks(kind):
     assert one.ids == again.ids
 
 
-def test_long_traffic_is_cut_into_recordings_that_differ():
+def test_long_traffic_is_split_into_different_recordings():
     sample = make_sample(1, kind="street", minutes=6.0, video=None)
     assert [round(float(r.times[-1])) for r in sample.recordings] == [300, 60]
     assert tracks_of(sample, 1).times[-1] == pytest.approx(60.0)
-    assert sample.recordings[0].drivers[5] != sample.recordings[1].drivers[5]
+    assert sample.recordings[0].vehicle_trips[5] != sample.recordings[1].vehicle_trips[5]
 
 
 def test_traffic_shorter_than_its_video_is_refused():

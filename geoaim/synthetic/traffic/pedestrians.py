@@ -1,0 +1,254 @@
+"""The state of all pedestrians and cyclists, what is ahead of them, and one time step.
+
+They move by the social force model (Helbing and Molnár 1995, Phys. Rev. E 51): towards a point
+ahead on their path, away from each other and from the edges of the pavement.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from numpy import ndarray as Array
+
+from geoaim.synthetic.exact import round_reproducibly
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
+from geoaim.synthetic.traffic.pavement import PavementMap, sample_pavement
+
+RELAXATION_S = 0.5  # to reach the desired velocity
+PEDESTRIAN_FORCE, PEDESTRIAN_RANGE_M = 2.2, 0.28  # m/s2, between two pedestrians
+REAR_WEIGHT = 0.3  # of forces from behind, relative to those from the front
+EDGE_FORCE, EDGE_RANGE_M = 1.6, 0.22  # m/s2, from the edge of the pavement
+MAX_EDGE_FORCE = 4.0  # m/s2
+EDGE_MARGIN_M = 0.15  # from the edge of the pavement, beyond which no force moves a pedestrian
+NOISE, MAX_NOISE_SPEED = 0.45, 1.6  # m/s2 of random force for each m/s of desired speed; m/s
+MAX_SPEED_FACTOR = 1.3  # of the desired speed
+TARGET_M, TARGET_S = 1.6, 0.5  # distance and time on the path to the point that they head for
+KERB_DISTANCE_M = 0.7  # at which pedestrians stop
+MIN_STEPPING_SPEED = 0.3  # m/s, above which vehicles expect that a pedestrian steps on a crossing
+MIN_CROSSING_SPEED = 0.8  # m/s that vehicles expect on a crossing
+
+
+@dataclass(frozen=True)
+class Pedestrians:
+    """The pedestrians and cyclists at one time (n of them).
+
+    Attributes:
+        trip: index of the pedestrian's trip.
+        position: plan metres.
+        velocity: m/s in x and y.
+        path: equally spaced points; the last one is repeated.
+        crossing: index of the crossing at each point of the path; -1: none.
+        last: index of the path's last point.
+        s: metres of the path walked so far.
+        lateral_offset: metres to the left of the path where they prefer to walk.
+        desired_speed: m/s.
+        radius: of the body, metres.
+    """
+
+    trip: Int[Array, "n"]
+    position: Float[Array, "n 2"]
+    velocity: Float[Array, "n 2"]
+    path: Float[Array, "n K 2"]
+    crossing: Int[Array, "n K"]
+    last: Int[Array, "n"]
+    s: Float[Array, "n"]
+    lateral_offset: Float[Array, "n"]
+    desired_speed: Float[Array, "n"]
+    radius: Float[Array, "n"]
+
+
+@dataclass(frozen=True)
+class CrossingTable:
+    """The crossings of a place (C of them).
+
+    Attributes:
+        first: (C, 2) their first ends, plan metres.
+        direction: (C, 2) unit vectors to the other end.
+        signal: index of the pedestrians' traffic light; -1: none.
+        marked: whether vehicles stop for pedestrians who want to cross.
+        priority: whether pedestrians never wait: a pavement that a driveway crosses.
+    """
+
+    first: Float[Array, "C 2"]
+    direction: Float[Array, "C 2"]
+    signal: Int[Array, "C"]
+    marked: Bool[Array, "C"]
+    priority: Bool[Array, "C"]
+
+
+@dataclass(frozen=True)
+class CrossingPedestrians:
+    """Pedestrians on a crossing or stepping on it, as vehicles see them (m of them).
+
+    Attributes:
+        crossing: its index.
+        offset: metres from its first end.
+        speed: m/s along it, positive away from the first end; not 0.
+        radius: of the body along the crossing, metres.
+    """
+
+    crossing: Int[Array, "m"]
+    offset: Float[Array, "m"]
+    speed: Float[Array, "m"]
+    radius: Float[Array, "m"]
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What is ahead of n pedestrians, of whom m are on a crossing or near one.
+
+    Attributes:
+        on_crossing: (n,) whether they are on a crossing.
+        target: (n, 2) the point of the path that they head for.
+        direction: (n, 2) of the path there.
+        near: (m,) indices of those on a crossing or near one.
+        crossing: (m,) its index.
+        offset: (m,) metres from its first end.
+        sign: (m,) 1 for those who walk away from the first end, else -1.
+    """
+
+    on_crossing: Bool[Array, "n"]
+    target: Float[Array, "n 2"]
+    direction: Float[Array, "n 2"]
+    near: Int[Array, "m"]
+    crossing: Int[Array, "m"]
+    offset: Float[Array, "m"]
+    sign: Float[Array, "m"]
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """How pedestrians react to vehicles and lights (n pedestrians).
+
+    Attributes:
+        waits: whether they stand still.
+        detour: metres to the left of the path by which they walk around a vehicle; 0: none.
+    """
+
+    waits: Bool[Array, "n"]
+    detour: Float[Array, "n"]
+
+
+def look_ahead(pedestrians: Pedestrians, crossings: CrossingTable) -> Outlook:
+    """Look up where each path leads next, and over which crossing."""
+    rows, last = np.arange(len(pedestrians.last)), pedestrians.last
+    here = np.minimum((pedestrians.s / POINT_SPACING_M).astype(np.int64), last)
+
+    def index_ahead(distance: Float[Array, "n"]) -> Int[Array, "n"]:
+        return np.minimum(here + (distance / POINT_SPACING_M).astype(np.int64), last)
+
+    ahead = index_ahead(np.maximum(TARGET_M, TARGET_S * pedestrians.desired_speed))
+    target = pedestrians.path[rows, ahead]
+    direction = target - pedestrians.path[rows, np.maximum(ahead - 2, 0)]
+    direction = direction / np.maximum(np.sqrt(dot(direction, direction)), 1e-6)[:, None]
+    kerb = index_ahead(KERB_DISTANCE_M + RELAXATION_S * pedestrians.desired_speed)
+    current = pedestrians.crossing[rows, here]
+    crossing = np.where(current >= 0, current, pedestrians.crossing[rows, kerb])
+    near = np.flatnonzero(crossing >= 0)
+    crossing = crossing[near]
+    offset = dot(
+        pedestrians.position[near] - crossings.first[crossing], crossings.direction[crossing]
+    )
+    backwards = dot(direction[near], crossings.direction[crossing]) < 0
+    sign = np.where(backwards, -1.0, 1.0)
+    return Outlook(current >= 0, target, direction, near, crossing, offset, sign)
+
+
+def list_crossing_pedestrians(
+    pedestrians: Pedestrians, outlook: Outlook, crossings: CrossingTable
+) -> CrossingPedestrians:
+    """List those on a crossing or walking towards one.
+
+    Args:
+        pedestrians: all.
+        outlook: of these pedestrians.
+        crossings: of the place.
+
+    Returns:
+        What vehicles see of them.
+    """
+    velocity = pedestrians.velocity[outlook.near]
+    stepping = outlook.on_crossing[outlook.near]
+    stepping |= dot(velocity, velocity) > MIN_STEPPING_SPEED**2
+    crossing, sign = outlook.crossing[stepping], outlook.sign[stepping]
+    speed = np.abs(dot(velocity[stepping], crossings.direction[crossing]))
+    radius = np.where(pedestrians.radius[outlook.near[stepping]] > 0.3, 0.9, 0.3)  # cyclist or not
+    speed = sign * np.maximum(speed, MIN_CROSSING_SPEED)
+    return CrossingPedestrians(crossing, outlook.offset[stepping], speed, radius)
+
+
+def step_pedestrians(
+    pedestrians: Pedestrians,
+    outlook: Outlook,
+    reaction: Reaction,
+    pavement: PavementMap,
+    noise: Float[Array, "n 2"],
+    dt: float,
+) -> Pedestrians:
+    """Move all pedestrians by one time step.
+
+    Args:
+        pedestrians: all.
+        outlook: of these pedestrians.
+        reaction: to vehicles and lights.
+        pavement: where they may walk.
+        noise: standard normal numbers, for a random force.
+        dt: seconds.
+
+    Returns:
+        The pedestrians after the step.
+    """
+    if len(pedestrians.trip) == 0:
+        return pedestrians
+    force = _drive_to_target(pedestrians, outlook, reaction) + _repel(pedestrians)
+    noise_speed = np.minimum(pedestrians.desired_speed, MAX_NOISE_SPEED)
+    force += (NOISE * ~reaction.waits * noise_speed)[:, None] * noise
+    distance, inwards = sample_pavement(pavement, pedestrians.position)
+    edge = EDGE_FORCE * np.exp((pedestrians.radius - distance) / EDGE_RANGE_M)
+    edge = np.where(outlook.on_crossing, 0.0, np.minimum(edge, MAX_EDGE_FORCE))
+    force += edge[:, None] * inwards
+    velocity = pedestrians.velocity + force * dt
+    speed = np.maximum(np.sqrt(dot(velocity, velocity)), 1e-6)
+    slowdown = np.minimum(1.0, MAX_SPEED_FACTOR * pedestrians.desired_speed / speed)
+    velocity = round_reproducibly(velocity * slowdown[:, None])
+    position = pedestrians.position + velocity * dt
+    distance, inwards = sample_pavement(pavement, position)
+    outside = np.where(outlook.on_crossing, 0.0, np.maximum(EDGE_MARGIN_M - distance, 0))
+    position = round_reproducibly(position + outside[:, None] * inwards)
+    progress = np.maximum(dot(position - pedestrians.position, outlook.direction), 0)
+    s = round_reproducibly(pedestrians.s + progress)
+    return replace(pedestrians, position=position, velocity=velocity, s=s)
+
+
+def dot(a: Float[Array, "n 2"], b: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    """The dot product of each pair of rows."""
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])
+
+
+def _drive_to_target(
+    pedestrians: Pedestrians, outlook: Outlook, reaction: Reaction
+) -> Float[Array, "n 2"]:
+    """The driving force towards the target; those who wait before a vehicle sidestep."""
+    direction, has_detour = outlook.direction, reaction.detour != 0
+    left = np.column_stack([-direction[:, 1], direction[:, 0]])
+    offset = np.where(has_detour, reaction.detour, pedestrians.lateral_offset)
+    ahead = dot(outlook.target - pedestrians.position, direction)
+    target = outlook.target - np.where(reaction.waits & has_detour, ahead, 0.0)[:, None] * direction
+    to_target = target + offset[:, None] * left - pedestrians.position
+    speed = np.where(reaction.waits & ~has_detour, 0.0, pedestrians.desired_speed)
+    speed = speed / np.maximum(np.sqrt(dot(to_target, to_target)), 1e-6)
+    return (speed[:, None] * to_target - pedestrians.velocity) / RELAXATION_S
+
+
+def _repel(pedestrians: Pedestrians) -> Float[Array, "n 2"]:
+    """The repulsive forces between pedestrians, strongest from those in front."""
+    x, y = pedestrians.position.T
+    dx, dy = x[:, None] - x, y[:, None] - y
+    distance = np.maximum(np.sqrt(dx * dx + dy * dy), 0.05) + np.diag(np.full(len(x), 1e3))
+    overlap = np.minimum(pedestrians.radius[:, None] + pedestrians.radius - distance, 0.3)
+    strength = PEDESTRIAN_FORCE * np.exp(overlap / PEDESTRIAN_RANGE_M) / distance
+    u, v = pedestrians.velocity.T
+    speed = np.maximum(np.sqrt(u * u + v * v), 0.1)
+    cosine = -(dx * u[:, None] + dy * v[:, None]) / (distance * speed[:, None])
+    strength *= REAR_WEIGHT + (1 - REAR_WEIGHT) * 0.5 * (1 + cosine)
+    return np.column_stack([(strength * dx).sum(axis=1), (strength * dy).sum(axis=1)])

@@ -1,0 +1,193 @@
+"""The state of all vehicles, and the tables over their paths that a time step looks up."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+from numpy import ndarray as Array
+
+from geoaim.synthetic.roads.curves import POINT_SPACING_M
+from geoaim.synthetic.traffic.conflicts import ConflictZones, PathConflicts
+from geoaim.synthetic.traffic.paths import VehiclePath
+from geoaim.synthetic.traffic.signals import Signals
+
+FRONT_SHARE, REAR_SHARE = 0.8, 0.2  # of the length, before and behind the rear axle
+COMFORTABLE_BRAKING = 2.2  # m/s2
+ANTICIPATED_BRAKING = 0.8 * COMFORTABLE_BRAKING  # m/s2, before lower speed limits
+
+
+@dataclass(frozen=True)
+class Vehicles:
+    """The vehicles at one time (n of them).
+
+    Attributes:
+        trip: index of the vehicle's trip.
+        path: index of its path.
+        s: metres of its rear axle along the path.
+        speed: m/s along the path.
+        acceleration: m/s2.
+        length: metres.
+        speed_factor: its desired speed as a share of the speed limit.
+        headway: desired time gap behind others, seconds.
+        parked_until: when it leaves its bay, seconds; infinite while it drives.
+    """
+
+    trip: Int[Array, "n"]
+    path: Int[Array, "n"]
+    s: Float[Array, "n"]
+    speed: Float[Array, "n"]
+    acceleration: Float[Array, "n"]
+    length: Float[Array, "n"]
+    speed_factor: Float[Array, "n"]
+    headway: Float[Array, "n"]
+    parked_until: Float[Array, "n"]
+
+
+@dataclass(frozen=True)
+class PlacedVehicles:
+    """Vehicles, and the ground that they occupy.
+
+    Attributes:
+        state: the n vehicles.
+        front: (n,) s of their foremost points along their paths, metres.
+        rear: (n,) s of their rearmost points.
+    """
+
+    state: Vehicles
+    front: Float[Array, "n"]
+    rear: Float[Array, "n"]
+
+
+@dataclass(frozen=True)
+class PathTables:
+    """All paths side by side (R paths of up to K points).
+
+    Attributes:
+        conflicts: what paths share.
+        speed_limit: (R, K) from which later limits are reached with comfortable braking, m/s.
+        forward: (R, K) whether vehicles drive forward there.
+        length: (R,) of each path, metres.
+        stop: (R,) s of the stop line; infinite where there is none.
+        signal: (R,) index of the traffic light that controls the path; -1: none.
+        entry: (R,) index of the lane where its vehicles enter; -1: a bay.
+        bay: (R,) number of the bay where the path begins or ends; -1: none.
+        into_bay: (R,) whether it ends in a bay.
+        projection: `conflicts.projection` as one row, followed by a row of infinities.
+    """
+
+    conflicts: PathConflicts
+    speed_limit: Float[Array, "R K"]
+    forward: Bool[Array, "R K"]
+    length: Float[Array, "R"]
+    stop: Float[Array, "R"]
+    signal: Int[Array, "R"]
+    entry: Int[Array, "R"]
+    bay: Int[Array, "R"]
+    into_bay: Bool[Array, "R"]
+    projection: Float32[Array, "_"]
+
+
+@dataclass(frozen=True)
+class VehiclePairs:
+    """Pairs of vehicles whose paths conflict (P pairs of n vehicles); constant while paths are.
+
+    Attributes:
+        projection_row: (n, n) where the projections of each other vehicle begin in
+            `PathTables.projection`.
+        vehicle: (P,) indices of vehicles.
+        other: (P,) indices of vehicles on a path that conflicts with theirs.
+        zones: (P,) their conflict zones.
+        other_wait: (P,) s where the other one would wait for the vehicle.
+        signal: (n,) index of the traffic light that controls each vehicle's path; -1: none.
+        stop: (n,) s of the stop line.
+        crossing_span: (n, C, 2) s where crossings begin and end.
+    """
+
+    projection_row: Int[Array, "n n"]
+    vehicle: Int[Array, "P"]
+    other: Int[Array, "P"]
+    zones: ConflictZones
+    other_wait: Float[Array, "P"]
+    signal: Int[Array, "n"]
+    stop: Float[Array, "n"]
+    crossing_span: Float[Array, "n C 2"]
+
+
+def make_path_tables(
+    paths: tuple[VehiclePath, ...], conflicts: PathConflicts, signals: Signals
+) -> PathTables:
+    """Arrange the properties of paths in tables.
+
+    Args:
+        paths: of vehicles.
+        conflicts: between them.
+        signals: whose lights control them.
+
+    Returns:
+        The tables.
+    """
+    longest = max(len(path.line) for path in paths)
+    entries = sorted({path.entry for path in paths} - {""})
+    speed_limit = np.full((len(paths), longest), 0.1)
+    forward = np.ones((len(paths), longest), bool)
+    for r, path in enumerate(paths):
+        speed_limit[r, : len(path.line)] = _anticipate_limits(path.speed_limit)
+        forward[r, : len(path.line)] = path.forward
+    indices = {name: k for k, name in enumerate(signals.names)}
+    end = np.full(longest, np.inf, np.float32)
+    return PathTables(
+        conflicts=conflicts,
+        speed_limit=speed_limit,
+        forward=forward,
+        length=np.array([POINT_SPACING_M * (len(path.line) - 1) for path in paths]),
+        stop=np.array([path.stop for path in paths]),
+        signal=np.array([indices[path.signal] if path.signal else -1 for path in paths]),
+        entry=np.array([entries.index(path.entry) if path.entry else -1 for path in paths]),
+        bay=np.array([path.bay for path in paths]),
+        into_bay=np.array([path.bay >= 0 and path.entry != "" for path in paths]),
+        projection=np.append(conflicts.projection.ravel(), end),
+    )
+
+
+def place_vehicles(state: Vehicles, tables: PathTables) -> PlacedVehicles:
+    """Compute the ground that vehicles occupy."""
+    forward = tables.forward[state.path, index_points(state.s, tables)]
+    front = state.s + np.where(forward, FRONT_SHARE, REAR_SHARE) * state.length
+    return PlacedVehicles(state, front, front - state.length)
+
+
+def pair_vehicles(vehicles: Vehicles, tables: PathTables) -> VehiclePairs:
+    """Find the vehicles whose paths conflict."""
+    count, _, length = tables.conflicts.projection.shape
+    own, others = vehicles.path[:, None], vehicles.path[None, :]
+    rows = (own * count + others) * length
+    np.fill_diagonal(rows, count * count * length)  # no vehicle follows itself
+    index = tables.conflicts.zone_index[own, others]  # (n, n, 2)
+    vehicle, other, slot = np.nonzero(index >= 0)
+    zone = index[vehicle, other, slot]
+    reverse = tables.conflicts.zone_index[vehicles.path[other], vehicles.path[vehicle], slot]
+    zones = tables.conflicts.zones
+    return VehiclePairs(
+        projection_row=rows,
+        vehicle=vehicle,
+        other=other,
+        zones=ConflictZones(*(getattr(zones, field.name)[zone] for field in fields(zones))),
+        other_wait=zones.wait[reverse],
+        signal=tables.signal[vehicles.path],
+        stop=tables.stop[vehicles.path],
+        crossing_span=tables.conflicts.crossing_span[vehicles.path],
+    )
+
+
+def index_points(s: Float[Array, "n"], tables: PathTables) -> Int[Array, "n"]:
+    """The index of the path's point at s, at most the last one."""
+    return np.minimum((s / POINT_SPACING_M).astype(np.int64), tables.speed_limit.shape[1] - 1)
+
+
+def _anticipate_limits(speed_limit: Float[Array, "L"]) -> Float[Array, "L"]:
+    """Lower speed limits where a vehicle must brake for later ones."""
+    square = speed_limit**2
+    for k in range(len(square) - 2, -1, -1):
+        before = square[k + 1] + 2 * ANTICIPATED_BRAKING * POINT_SPACING_M
+        square[k] = min(square[k], before)
+    return np.sqrt(square)
