@@ -1,16 +1,26 @@
-# make demo   an AIM from the bundled sample video, and what may happen on it
-# make test   lint, format, types, layers, tests, notebooks
+# make demo       an AIM from the bundled sample video, and what may happen on it
+# make test       lint, format, types, layers, tests, documentation, notebooks
+# make lint       ruff, mypy and import-linter alone
+# make docs       the documentation, in build/site
+# make coverage   the tests again, with the share of lines that they run
 # Needs python 3.11 or newer with venv; another one: make test PYTHON=python3.12
+# On Windows: in a bash shell, with PYTHON=python
 
 PYTHON ?= python3
+ifeq ($(OS),Windows_NT)
+SHELL := bash
+BIN := .venv/Scripts
+else
 BIN := .venv/bin
+endif
 SAMPLE ?= samples/hover.mp4
 POINTS ?= samples/gcps.csv
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
+export NO_MKDOCS_2_WARNING = 1
 
-.PHONY: demo test lint install clean
+.PHONY: demo test lint ruff mypy layers docs coverage install clean
 
 demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
@@ -19,26 +29,40 @@ demo: install
 	$(BIN)/geoaim predict demo/aim.tif --tracks samples/tracks.csv --at 9 \
 		--lights samples/lights.csv --hdmap samples/map.osm -o demo/futures.png
 	@echo
-	@echo "Open demo/aim.tif   the map, in QGIS or any other GIS program"
-	@echo "     demo/aim.png   a quick look: background, control points, drift, coverage"
-	@echo "     demo/view.gif  what a car of the sample has around it, on the map"
-	@echo "     demo/futures.png  what its vehicles may do in the next four seconds"
+	@echo "Open demo/aim.tif      the map, in QGIS or any other GIS program"
+	@echo "     demo/aim.png      a quick look: background, control points, drift, coverage"
+	@echo "     demo/view.gif     the view of one car of the sample, on the map"
+	@echo "     demo/futures.png  what the vehicles may do in the next four seconds"
 
 # there is a worker for each core already
-test: export OMP_NUM_THREADS = 1
+test coverage: export OMP_NUM_THREADS = 1
 test: lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
 	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -n auto -o addopts= --nbmake $(NOTEBOOKS))
 
-lint: install
+coverage: install
+	$(BIN)/python -m pytest -n auto --dist loadfile --cov=geoaim \
+		--cov-report=term:skip-covered --cov-report=xml:build/coverage.xml
+
+lint: ruff mypy layers
+
+ruff: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+mypy: install
 	$(BIN)/mypy
+
+layers: install
 	$(BIN)/lint-imports
+
+docs: install
+	$(BIN)/python -m mkdocs build --strict --quiet
+	@echo "Open build/site/index.html"
 
 install: .venv/installed
 
-# made anew when the dependencies change
+# made again when the dependencies change
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'geoaim needs Python 3.11 or newer, found ' + sys.version.split()[0] + '; name another one: make PYTHON=python3.12')"
 	$(PYTHON) -m venv --clear .venv
@@ -46,4 +70,4 @@ install: .venv/installed
 	touch $@
 
 clean:
-	rm -rf .venv demo build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv demo build dist *.egg-info .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

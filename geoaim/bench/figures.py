@@ -28,7 +28,7 @@ from geoaim.mapping.registration.register import choose_reference, register_fram
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_model, shipped
 from geoaim.prediction.pictures import draw_futures
-from geoaim.quicklook import write_quicklook
+from geoaim.quicklook import draw_quicklook
 from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import film_agent
 from geoaim.simulation.scene import Scene, agent_number, step_at, step_at_time
@@ -57,8 +57,8 @@ def main(
     output.mkdir(parents=True, exist_ok=True)
     video = open_video(samples / "hover.mp4")
     aim = build_aim(video, samples / "gcps.csv")
-    write_quicklook(aim, output / "quicklook.png")
-    _draw_registered_frame(video, aim, samples, output / "video_to_aim.png")
+    draw_quicklook(aim).savefig(output / "quicklook.jpg", dpi=100)
+    _draw_registered_frame(video, aim, samples, output / "video_to_aim.jpg")
     _draw_places(output / "synthetic_places.jpg")
     _draw_views(aim, samples, output / "views.jpg")
     _draw_futures(aim, samples, output / "futures.jpg")

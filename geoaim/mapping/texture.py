@@ -11,6 +11,7 @@ from geoaim.aim import AIM
 from geoaim.files import atomic_write
 from geoaim.rectify import rectify
 
+VERSION = 1  # of the corner frame: docs/schemas/corner_frame-1.json
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 
 
@@ -19,9 +20,10 @@ def export_texture(
 ) -> None:
     """Write texture.png (RGBA) and texture.json, its corner frame in world metres.
 
-    Alpha is 255 where a frame saw the ground and 0 elsewhere. The JSON holds the picture's name,
-    height and width (pixels), pixel_height and pixel_width (metres), the four corners in the
-    order top-left, top-right, bottom-right, bottom-left, and the world (CRS and origin).
+    Alpha is 255 where a frame saw the ground and 0 elsewhere. The JSON holds the version of the
+    format, the picture's name, height and width (pixels), pixel_height and pixel_width (metres),
+    the four corners in the order top-left, top-right, bottom-right, bottom-left, and the world
+    (CRS and origin).
 
     Args:
         aim: what to export. It is rectified first when its transform is not affine, so that the
@@ -40,6 +42,7 @@ def export_texture(
     height, width = alpha.shape
     pixel_width, pixel_height = np.linalg.norm(aim.world_from_image[:2, :2], axis=0)
     frame = {
+        "version": VERSION,
         "image": "texture.png",
         "height": height,
         "width": width,

@@ -1,0 +1,197 @@
+"""What the documentation builds from the code and its results: mkdocs calls these functions.
+
+- A page of the API reference for each package, and a page in the menu for each decision.
+- `<!-- options: build -->` becomes the table of that command's options.
+- `<!-- table: NAME -->` becomes a table made of the results in docs/bench (see tables.py).
+- A formula between `$$` becomes a picture, so that pages need no script from another server.
+"""
+
+import inspect
+import io
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from pathlib import Path
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from matplotlib import mathtext, rc_context
+from matplotlib.font_manager import FontProperties
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+from tables import write_results
+from typer.models import ArgumentInfo
+
+from geoaim.cli import app
+
+DOCS = Path(__file__).parent
+PACKAGE = DOCS.parent / "geoaim"
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """Add the decisions and the packages to the menu."""
+    for section in config.nav or []:
+        if "Decisions" in section:
+            section["Decisions"] += [f"decisions/{path.name}" for path in list_decisions()]
+        if "API reference" in section:
+            section["API reference"] += [
+                {package: f"reference/{package}.md"} for package in list_modules()
+            ]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add a page of the API reference for each package."""
+    for package, modules in list_modules().items():
+        text = f"# {package}\n\n" + "\n\n".join(f"::: {module}" for module in modules)
+        files.append(File.generated(config, f"reference/{package}.md", content=text + "\n"))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Fill in tables, lists and formulas."""
+    markdown = re.sub(r"<!-- options: (\w+) -->", lambda m: write_options(m[1]), markdown)
+    markdown = re.sub(r"<!-- table: (\w+) -->", lambda m: write_results(m[1]), markdown)
+    markdown = markdown.replace("<!-- decisions -->", write_decisions())
+    markdown = markdown.replace("<!-- packages -->", write_packages())
+    return re.sub(r"^\$\$\n(.+?)\n\$\$$", lambda m: draw_formula(m[1]), markdown, flags=re.M | re.S)
+
+
+def list_modules() -> dict[str, list[str]]:
+    """Public modules by the package that holds them; nothing is imported."""
+    modules: dict[str, list[str]] = {}
+    for path in sorted(PACKAGE.rglob("*.py"), key=lambda path: (path.parent, path)):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        if not any(part.startswith("_") and part != "__init__" for part in parts):
+            name = ".".join(part for part in parts if part != "__init__")
+            modules.setdefault(".".join(parts[:-1]), []).append(name)
+    return modules
+
+
+def list_decisions() -> list[Path]:
+    """Files of the decisions, by their numbers."""
+    return sorted(DOCS.glob("decisions/[0-9]*.md"))
+
+
+def write_decisions() -> str:
+    """A list of all decisions."""
+    titles = [(path.name, path.read_text("utf-8").split("\n")[0][2:]) for path in list_decisions()]
+    return "\n".join(f"- [{title}]({name})" for name, title in titles)
+
+
+def write_packages() -> str:
+    """A list of all packages with the modules that each holds."""
+    lines = []
+    for package, modules in list_modules().items():
+        names = ", ".join(f"`{name.rpartition('.')[2]}`" for name in modules if name != package)
+        lines.append(f"| [{package}]({package}.md) | {names} |")
+    return "| package | modules |\n|---|---|\n" + "\n".join(lines)
+
+
+def write_options(command: str) -> str:
+    """The arguments and options of a command as a table."""
+    lines = ["| option | value | default | meaning |", "|---|---|---|---|"]
+    for parameter in list_parameters(command):
+        names = ", ".join(f"`{name}`" for name in parameter.names)
+        cells = names, _value(parameter), _default(parameter), _one_line(parameter.info.help or "")
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An argument or option of a command.
+
+    Attributes:
+        names: as they are typed; capitals for an argument.
+        kind: the type in the function's signature.
+        default: of the function; `inspect.Parameter.empty` when the parameter is required.
+        info: what typer was told about it.
+    """
+
+    names: list[str]
+    kind: Any
+    default: Any
+    info: Any
+
+
+def list_commands() -> dict[str, Callable[..., Any]]:
+    """The function of each command by the command's name."""
+    commands = {}
+    for info in app.registered_commands:
+        assert info.callback is not None
+        commands[info.name or info.callback.__name__.replace("_", "-")] = info.callback
+    return commands
+
+
+def list_parameters(command: str) -> list[Parameter]:
+    """Arguments and options of a command, as typer reads them from its function."""
+    function = list_commands()[command]
+    hints = get_type_hints(function, include_extras=True)
+    parameters = []
+    for name, parameter in inspect.signature(function).parameters.items():
+        kind, info = get_args(hints[name])[:2]
+        if isinstance(info, ArgumentInfo):
+            names = [name.upper()]
+        else:
+            long = [f"--{name.replace('_', '-')}"]
+            stated = (info.default, *(info.param_decls or ()))  # the first is Option's default
+            names = [d for d in stated if isinstance(d, str) and d.startswith("-")]
+            names = names if any(d.startswith("--") for d in names) else long + names
+        parameters.append(Parameter(names, kind, parameter.default, info))
+    return parameters
+
+
+def _value(parameter: Parameter) -> str:
+    kind = parameter.kind
+    if isinstance(kind, UnionType) or get_origin(kind) is Union:
+        kind = next(k for k in get_args(kind) if k is not type(None))
+    if get_origin(kind) is Literal:
+        return ", ".join(f"`{choice}`" for choice in get_args(kind))
+    if inspect.isclass(kind) and issubclass(kind, Enum):
+        return ", ".join(f"`{choice.value}`" for choice in kind)
+    name = _KINDS.get(kind, "text")
+    low, high = parameter.info.min, parameter.info.max
+    if low is not None and high is not None:
+        return f"{name}, {low:g} to {high:g}"
+    return name if low is None else f"{name}, at least {low:g}"
+
+
+_KINDS = {bool: "flag", float: "number", int: "whole number", Path: "path"}
+
+
+def _default(parameter: Parameter) -> str:
+    if parameter.default is inspect.Parameter.empty:
+        return "required"
+    if parameter.default in (None, False, ()):
+        return ""
+    return f"`{getattr(parameter.default, 'value', parameter.default)}`"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("{", "&#123;")
+
+
+@cache
+def draw_formula(text: str) -> str:
+    """One picture for each line of a formula in matplotlib's part of TeX."""
+    return "\n\n".join(_draw_line(line) for line in text.split("\n"))
+
+
+def _draw_line(line: str) -> str:
+    buffer = io.BytesIO()
+    with rc_context({"mathtext.fontset": "cm", "svg.hashsalt": "geoaim", "svg.fonttype": "path"}):
+        font = FontProperties(size=15)
+        mathtext.math_to_image(f"${line}$", buffer, prop=font, format="svg", color="#010203")
+    picture = buffer.getvalue().decode()
+    picture = re.sub(
+        r"<(\?xml|!DOCTYPE).*?>\s*|<metadata>.*?</metadata>\s*", "", picture, flags=re.S
+    )
+    picture = re.sub(r'<g id="patch_1">.*?</g>', "", picture, count=1, flags=re.S)
+    picture = picture.replace("#010203", "currentColor").replace("<svg", '<svg role="img"', 1)
+    label = line.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    flat = re.sub(r"\s*\n\s*", " ", picture).strip()
+    return f'<p class="formula" aria-label="{label}">{flat}</p>'

@@ -1,0 +1,158 @@
+"""The documentation builds without warnings and agrees with the code."""
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import jsonschema
+import numpy as np
+import pytest
+
+import geoaim
+from geoaim.aim import AIM
+from geoaim.world import World
+
+ROOT = Path(__file__).parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "samples" / "README.md"])
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.M | re.S)
+
+
+@pytest.fixture(scope="module")
+def hooks() -> ModuleType:
+    """The functions that fill in the pages."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        return import_module("hooks")
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The documentation, built with every warning as an error."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict", "-d", str(folder)]
+    environment = {**os.environ, "NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": str(ROOT)}
+    result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+def test_site_has_every_public_module(site: Path, hooks: ModuleType) -> None:
+    for package, modules in hooks.list_modules().items():
+        page = (site / "reference" / f"{package}.html").read_text("utf-8")
+        assert [name for name in modules if f'id="{name}"' not in page] == []
+
+
+def test_site_has_no_placeholder_left(site: Path) -> None:
+    left = [page.name for page in site.rglob("*.html") if "&lt;!-- " in page.read_text("utf-8")]
+    assert left == []
+
+
+def test_each_command_has_a_guide_with_its_options(site: Path, hooks: ModuleType) -> None:
+    for command in hooks.list_commands():
+        page = (site / "guides" / f"{command}.html").read_text("utf-8")
+        for parameter in hooks.list_parameters(command):
+            assert all(f"<code>{name}</code>" in page for name in parameter.names), command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_relative_links_lead_to_files(page: Path) -> None:
+    text = re.sub(FENCE, "", page.read_text("utf-8"))
+    links = re.findall(r"\]\(([^)#\s]+)", text)
+    local = [link for link in links if not re.match(r"[a-z]+:", link)]
+    assert [link for link in local if not _exists(page.parent / link)] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_command_lines_use_options_that_exist(page: Path, hooks: ModuleType) -> None:
+    commands = hooks.list_commands()
+    for line in _command_lines(page.read_text("utf-8")):
+        name = line.split()[1]
+        assert name in commands or name == "COMMAND" or name.startswith("--"), line
+        if name in commands:
+            known = {option for p in hooks.list_parameters(name) for option in p.names}
+            used = re.findall(r"(?<=\s)(--?[a-z][\w-]*)", line)
+            assert set(used) <= known | {"--help"}, line
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_python_examples_use_names_that_exist(page: Path) -> None:
+    for language, code in FENCE.findall(page.read_text("utf-8")):
+        if language == "python":
+            for node in ast.walk(ast.parse(code)):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("geoaim"):
+                    module = import_module(str(node.module))
+                    assert [a.name for a in node.names if not hasattr(module, a.name)] == []
+                elif isinstance(node, ast.Attribute) and ast.unparse(node).startswith("geoaim."):
+                    _find_attribute(ast.unparse(node))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_names_in_text_exist(page: Path) -> None:
+    text = page.read_text("utf-8")
+    for dotted in set(re.findall(r"\b(geoaim(?:\.[a-z]\w*)+)", re.sub(FENCE, "", text))):
+        if not (ROOT / f"{dotted.replace('.', '/')}.py").exists():
+            _find_attribute(dotted)
+
+
+def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "\n".join(c for kind, c in FENCE.findall(_read("README.md")) if kind == "python")
+    assert len([line for line in code.splitlines() if line.strip()]) <= 10
+    (tmp_path / "samples").symlink_to(ROOT / "samples")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+
+
+@pytest.mark.parametrize(("name", "words"), [("README.md", 700), ("CONTRIBUTING.md", 600)])
+def test_first_pages_are_short(name: str, words: int) -> None:
+    assert len(_read(name).split()) <= words
+
+
+def test_written_corner_frame_follows_its_schema(tmp_path: Path) -> None:
+    size = (4, 6)
+    aim = AIM(
+        image=np.zeros((*size, 3), np.uint8),
+        world_from_image=np.array([[0.1, 0, 5.0], [0, -0.1, 7.0], [0, 0, 1.0]]),
+        world=World("EPSG:32635", (500_000.0, 5_900_000.0)),
+        coverage=np.ones(size, np.uint16),
+        contested=np.zeros(size, bool),
+    )
+    geoaim.export_texture(aim, tmp_path)
+    schema = json.loads(_read("docs/schemas/corner_frame-1.json"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(json.loads((tmp_path / "texture.json").read_text("utf-8")), schema)
+
+
+def _read(name: str) -> str:
+    return (ROOT / name).read_text("utf-8")
+
+
+def _exists(path: Path) -> bool:
+    """Whether a link leads to a file, or to a page that the build makes from a package."""
+    made = path.parent.name == "reference" and path.stem.startswith("geoaim")
+    return made or path.exists()
+
+
+def _command_lines(text: str) -> list[str]:
+    """Calls of geoaim in code blocks, their continuation lines joined."""
+    blocks = [code for kind, code in FENCE.findall(text) if kind in ("", "sh")]
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    return [line.split(" #")[0] for line in lines if line.startswith("geoaim ")]
+
+
+def _find_attribute(dotted: str) -> None:
+    """Look up a dotted name of geoaim as far as modules and their members go."""
+    value: object = geoaim
+    for name in dotted.split("(")[0].split(".")[1:]:
+        if isinstance(value, ModuleType) and find_spec(f"{value.__name__}.{name}"):
+            import_module(f"{value.__name__}.{name}")
+        if isinstance(value, ModuleType):
+            value = getattr(value, name)
