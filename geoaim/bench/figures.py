@@ -76,7 +76,9 @@ def _draw_registered_frame(video: Video, aim: AIM, samples: Path, path: Path) ->
     figure, axes = plt.subplots(1, 2, figsize=(16, 5.1), layout="constrained")
     _show(axes[0], frame.image, f"a frame of the drone's video, {frame.time:.0f} s")
     _show(axes[1], aim.image, "the map: ground without traffic, the frame's vehicles placed on it")
-    for box in transform_boxes(placement.matrix, np.empty((0, 4)) if boxes is None else boxes):
+    for box in transform_boxes(
+        placement.reference_from_frame, np.empty((0, 4)) if boxes is None else boxes
+    ):
         axes[1].fill(*box.T, facecolor="#ff6a0060", edgecolor="#ff6a00", linewidth=1.2)
     figure.savefig(path, dpi=85)
 

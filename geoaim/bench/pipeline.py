@@ -56,7 +56,11 @@ def _mean(path: Path, *, bands: int) -> int:
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
     placements = register_frames(video, reference)
-    frames = ((frame, placement.matrix) for frame, placement in placements if placement.valid)
+    frames = (
+        (frame, placement.reference_from_frame)
+        for frame, placement in placements
+        if placement.valid
+    )
     size = reference.height, reference.width
     return average_frames(frames, size=size, bands=bands).frames_used
 

@@ -20,7 +20,7 @@ from geoaim.bench.registration_methods import Matrices, Method, list_methods, to
 from geoaim.bench.report import format_table, write_rows
 from geoaim.bench.stills import STILLS
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.registration.patches import align, make_template
+from geoaim.mapping.registration.patches import align_patches, make_template
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import list_boxes, reference_from_frames, write_video
 
@@ -93,7 +93,7 @@ def measure_codec_shift(
     """
     shifts = []
     for before, after in zip(raw[1::4], coded[1::4], strict=True):
-        alignment = align(
+        alignment = align_patches(
             make_template(to_grey(before, 1)), to_grey(after, 1), np.eye(3), "homography"
         )
         if alignment is not None:

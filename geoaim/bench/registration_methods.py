@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import from_opencv
 from geoaim.mapping.registration.keyframes import FrameRegistration
-from geoaim.mapping.registration.patches import reduce
+from geoaim.mapping.registration.patches import shrink_image
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
 
@@ -36,7 +36,7 @@ def register_with_geoaim(frames: Any, boxes: list[Array]) -> tuple[Matrices, lis
         if step is None:
             return np.array(matrices), seconds
         seconds.append(time.perf_counter() - start)
-        matrices.append(step[1].matrix)
+        matrices.append(step[1].reference_from_frame)
 
 
 def make_stabilo_method(*, with_boxes: bool) -> Method:
@@ -160,8 +160,8 @@ def register_with_klt(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[f
 
 
 def to_grey(frame: UInt8[Array, "H W 3"], shrink: int) -> UInt8[Array, "h w"]:
-    """Convert a frame to grey and reduce it by an integer factor."""
-    return reduce(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), shrink)
+    """Convert a frame to grey and shrink_image it by an integer factor."""
+    return shrink_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), shrink)
 
 
 def list_methods() -> dict[str, Method]:

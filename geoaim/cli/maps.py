@@ -160,8 +160,8 @@ def register(
     m00 to m22 map a frame's pixels to the reference's. With --reference 0 these are the pixels of
     a map built with control points on the first frame.
     """
+    from geoaim.mapping.registration.register import count_reasons, write_registration
     from geoaim.mapping.registration.register import register as register_frames
-    from geoaim.mapping.registration.register import tally, write_registration
 
     with stages() as progress, plain_errors():
         refuse_output(output, (".csv", ".parquet"))
@@ -173,7 +173,7 @@ def register(
     table.add_row("motion model", result.reference.model)
     table.add_row("reference", f"frame {result.reference.index}, {result.reference.time:.2f} s")
     table.add_row("frames laid", f"{result.valid.sum()} of {len(result.valid)}")
-    for reason, count in tally(result.reason).items():
+    for reason, count in count_reasons(result.reason).items():
         table.add_row("refused", f"{count}: {reason}")
     console.print(table)
 

@@ -40,9 +40,9 @@ from geoaim.mapping.registration.register import (
     Reference,
     Registration,
     choose_reference,
-    collect,
+    collect_registration,
+    count_reasons,
     register_frames,
-    tally,
 )
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
@@ -155,16 +155,16 @@ def _register_until_converged(
         rows.append((frame.index, frame.time, placement))
         progress("register", len(rows), sampling.frame_count)
         if placement.valid:
-            add(background, frame, placement.matrix)
+            add(background, frame, placement.reference_from_frame)
             if background.converged:
                 break
-    return collect(rows, reference)
+    return collect_registration(rows, reference)
 
 
 def _refuse_few_frames(registration: Registration) -> None:
     valid = registration.valid
     if valid.sum() < FEWEST:
-        counts = tally(registration.reason)
+        counts = count_reasons(registration.reason)
         reasons = ", ".join(f"{kind}: {count}" for kind, count in counts.items())
         raise RegistrationError(
             f"{valid.sum()} of {len(valid)} frames could be laid on the reference at "
@@ -180,7 +180,7 @@ def _warn_of_less(registration: Registration, background: Background) -> None:
     if valid.mean() < 0.5:
         _warn(
             f"only {valid.sum()} of {len(valid)} frames could be laid on the reference at "
-            f"{reference.time:.1f} s ({', '.join(tally(registration.reason))})"
+            f"{reference.time:.1f} s ({', '.join(count_reasons(registration.reason))})"
         )
     if background.frames_used < 0.5 * valid.sum():
         _warn(

@@ -12,7 +12,7 @@ from geoaim.mapping.georeference.georeference import (
     predict_uncertainty,
     world_from_pixels,
 )
-from geoaim.mapping.registration.register import Registration, tally
+from geoaim.mapping.registration.register import Registration, count_reasons
 
 MOST_OF_PATH = 1000  # points of the drift that are kept
 
@@ -31,7 +31,7 @@ def report_registration(registration: Registration) -> dict[str, Any]:
         "reference_time_s": float(reference.time),
         "frames": len(valid),
         "valid": int(valid.sum()),
-        "refused": tally(registration.reason),
+        "refused": count_reasons(registration.reason),
         "uncertainty_px": float(np.median(registration.uncertainty[valid])),
         "inlier_share": float(np.median(registration.inlier_share[valid])),
         "path": thinned.round(3).tolist(),

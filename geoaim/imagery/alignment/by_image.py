@@ -31,12 +31,12 @@ from geoaim.imagery.alignment.template_matching import (
     window_shifts,
 )
 from geoaim.mapping.registration.motion_models import (
-    Match,
     Model,
     Motion,
-    basis,
+    PointMatches,
     choose_model,
-    fit_match,
+    compute_basis,
+    fit_matches,
 )
 
 ALIGNED: tuple[Model, ...] = ("translation", "rigid", "similarity", "affine", "homography")
@@ -73,7 +73,7 @@ class Candidate(NamedTuple):
     """
 
     place: Float[Array, "3 3"]
-    match: Match
+    match: PointMatches
     windows: int
 
     @property
@@ -185,7 +185,7 @@ def _followed(level: Level, places: list[Float[Array, "3 3"]]) -> list[Float[Arr
     for place in places:
         match = _match(_compare(level, place, NARROW), place, grid, np.inf)
         if len(match.source) >= FEWEST:
-            motion = fit_match(match, "similarity", size=grid.shape)
+            motion = fit_matches(match, "similarity", size=grid.shape)
             matrix = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
             agreeing = (np.linalg.norm(motion.residuals, axis=1) < AGREE).sum()
             mended.append((int(agreeing), matrix))
@@ -211,13 +211,13 @@ def _stride(level: Level) -> int:
     return max(int(np.sqrt(known / MOST)), _side(level) // 4)
 
 
-def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float) -> Match:
+def _match(shifts: Shifts, matrix: Float[Array, "3 3"], grid: Grid, reach: float) -> PointMatches:
     """Pixels where the ground is, and where the imagery says to show it; of the near ones."""
     near = np.linalg.norm(shifts.shifts, axis=1) < reach
     total = np.linalg.inv(grid.world_from_grid) @ matrix @ grid.world_from_grid
     source = shifts.middles[near]
     target = transform_points(total, source + shifts.shifts[near])
-    return Match(source, target, shifts.information[near])
+    return PointMatches(source, target, shifts.information[near])
 
 
 def _rivals(level: Level, best: Float[Array, "3 3"], prior: Prior) -> list[Float[Array, "3 3"]]:
@@ -250,10 +250,10 @@ def _least(best: Candidate, level: Level, middle: Float[Array, "2"], chance: flo
         [best.match],
         size=size,
         models=ALIGNED[:3] if in_a_row else ALIGNED,
-        repeats=_overlap(level),
-        material=MATERIAL,
+        redundancy=_overlap(level),
+        min_gain=MATERIAL,
     ).model
-    motion = fit_match(best.match, model, size=size)
+    motion = fit_matches(best.match, model, size=size)
     stated_from_true = grid.world_from_grid @ motion.matrix @ np.linalg.inv(grid.world_from_grid)
     variance = _covariance(motion, size) * COHERENT * _overlap(level) + FLOOR**2 * np.eye(2)
     return Alignment(
@@ -274,7 +274,7 @@ def _covariance(motion: Motion, size: tuple[int, int]) -> Float[Array, "2 2"]:
     """Of a place, square pixels, averaged over the picture; v down becomes y up."""
     height, width = size
     grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
-    columns = basis(grid.reshape(-1, 2), motion.model, size=size) * [[1.0], [-1.0]]
+    columns = compute_basis(grid.reshape(-1, 2), motion.model, size=size) * [[1.0], [-1.0]]
     return np.einsum("mik,kl,mjl->ij", columns, motion.covariance, columns) / len(columns)
 
 

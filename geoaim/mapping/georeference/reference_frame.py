@@ -82,7 +82,7 @@ def transform_points_to_reference(
                 f"{names}: picked on frame {index}, which cannot be registered to the reference at "
                 f"{reference.time:.2f} s ({placement.reason}); pick them on another frame"
             )
-        pixels[on_frame] = transform_points(placement.matrix, points.pixels[on_frame])
+        pixels[on_frame] = transform_points(placement.reference_from_frame, points.pixels[on_frame])
     merged = merge_observations(replace(points, pixels=pixels))
     return replace(merged, frames=(None,) * len(merged.pixels))
 

@@ -1,9 +1,11 @@
-"""Keyframes: frames that others are laid on, and how one frame is laid on them.
+"""Register one frame to keyframes: the reference, or frames that are registered to it.
 
-A frame is looked for where the last one was, by the patches of a keyframe at full size. Only
-when a check fails, coarse patches widen the search, and only when they fail, ORB features.
+The search starts from the previous frame's transform, with the patches of one keyframe at full
+size. Only when that fails do coarse patches widen the search, and only when these fail are ORB
+features matched.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,41 +13,42 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.mapping.registration.features import Features, detect, match
+from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.motion_models import Model
 from geoaim.mapping.registration.patches import (
-    SIDE,
-    Alignment,
-    Template,
-    align,
-    corner_uncertainty,
+    PATCH_SIDE_PX,
+    PatchAlignment,
+    PatchTemplate,
+    align_patches,
     make_template,
-    reduce,
+    predict_corner_uncertainty,
+    shrink_image,
 )
 from geoaim.mapping.video.detections import Detections, mask_boxes
 from geoaim.mapping.video.frames import Frame
 
-COARSE_WIDTH = 480  # px of the level that widens the search
-LEAST_PATCHES = 16  # in agreement, of about 300
-LEAST_SHARE = 0.2  # of the patches in view, below which a frame is refused
-SURE_SHARE = 0.5  # above which no wider search is tried
-LARGEST_UNCERTAINTY = 1.0  # px at the corners
-OVERLAP = 0.55  # share of a keyframe's patches in view below which another is made
+COARSE_WIDTH_PX = 480  # of the pyramid level that widens the search
+COARSE_ITERATIONS = 10
+MIN_PATCHES = 16  # inliers without which a frame is rejected, of about 300 patches
+MIN_INLIER_SHARE = 0.2  # of the patches in view
+SUFFICIENT_INLIER_SHARE = 0.5  # at which the search is not widened
+MAX_CORNER_UNCERTAINTY_PX = 1.0
+MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
 
 
 @dataclass(frozen=True, eq=False)
 class FrameRegistration:
-    """One frame on the reference.
+    """The registration of one frame to the reference.
 
     Attributes:
-        matrix: (3, 3) reference_from_frame in pixels; NaN when invalid.
+        reference_from_frame: (3, 3) in pixels; NaN when invalid.
         reason: why it is invalid; empty when it is valid.
         quality: median correlation of the patches with the frame, 0 to 1.
-        inlier_share: patches in agreement, of those in view.
-        uncertainty: standard deviation of the image corners' places, pixels.
+        inlier_share: share of inliers among the patches in view.
+        uncertainty: standard deviation of the transformed image corners, pixels.
     """
 
-    matrix: Float[Array, "3 3"]
+    reference_from_frame: Float[Array, "3 3"]
     reason: str
     quality: float
     inlier_share: float
@@ -53,82 +56,63 @@ class FrameRegistration:
 
     @property
     def valid(self) -> bool:
-        """Whether the frame can be trusted."""
+        """Whether the registration can be trusted."""
         return not self.reason
 
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A frame that others are laid on: itself, or the reference."""
+    """A frame to which others are registered.
 
-    coarse: Template
-    fine: Template
+    Attributes:
+        coarse: its patches on a coarse pyramid level.
+        fine: its patches at full size.
+        features: its ORB features.
+        reference_from_keyframe: (3, 3) in pixels; the identity for the reference itself.
+        uncertainty: standard deviation of the transformed image corners, pixels.
+    """
+
+    coarse: PatchTemplate
+    fine: PatchTemplate
     features: Features
     reference_from_keyframe: Float[Array, "3 3"]
     uncertainty: float
 
 
-def place(
+def register_frame(
     grey: UInt8[Array, "H W"],
     keyframes: list[Keyframe],
     keyframe: Keyframe,
     prior: Float[Array, "3 3"],
     model: Model,
-) -> tuple[FrameRegistration, Alignment | None]:
-    """Search near the prior, then wider, then everywhere; the first that can be trusted."""
-    best: tuple[FrameRegistration, Alignment | None] = (_refusal("no patch in view"), None)
+) -> tuple[FrameRegistration, PatchAlignment | None]:
+    """Register a frame by searches near the prior, then more widely, then over the whole image.
 
-    def attempt(home: Keyframe, start: Float[Array, "3 3"], *, coarse: bool) -> bool:
-        """Keep the better of this and the best so far; whether to look no further."""
-        nonlocal best
+    Args:
+        grey: the frame.
+        keyframes: all keyframes.
+        keyframe: the one to search first.
+        prior: reference_from_frame to start from.
+        model: motion model to fit.
+
+    Returns:
+        The first registration with enough inliers, or else the best, and the alignment behind it.
+    """
+    best: tuple[FrameRegistration, PatchAlignment | None] = (_reject("no patch in view"), None)
+    for target, start, coarse in _propose_starts(grey, keyframes, keyframe, prior, model):
         if coarse:
-            small = reduce(grey, round(1 / home.coarse.scale))
-            rough = align(home.coarse, small, start, model, iterations=10)
+            small = shrink_image(grey, round(1 / target.coarse.scale))
+            rough = align_patches(target.coarse, small, start, model, iterations=COARSE_ITERATIONS)
             if rough is None:
-                return False
+                continue
             start = rough.matrix
-        alignment = align(home.fine, grey, start, model)
-        placement = _judge(home, alignment, model)
-        if (placement.valid, placement.inlier_share) >= (best[0].valid, best[0].inlier_share):
-            best = placement, alignment
-        return placement.valid and placement.inlier_share > SURE_SHARE
-
-    near = np.linalg.inv(keyframe.reference_from_keyframe) @ prior
-    if attempt(keyframe, near, coarse=False) or attempt(keyframe, near, coarse=True):
-        return best
-    found = detect(grey)
-    for home in dict.fromkeys([keyframe, *keyframes]):
-        start = match(home.features, found, model, size=grey.shape)
-        if start is not None and attempt(home, start, coarse=True):
-            return best
+        alignment = align_patches(target.fine, grey, start, model)
+        result = _check_alignment(target, alignment)
+        if (result.valid, result.inlier_share) >= (best[0].valid, best[0].inlier_share):
+            best = result, alignment
+        if result.valid and result.inlier_share > SUFFICIENT_INLIER_SHARE:
+            break
     return best
-
-
-def _judge(keyframe: Keyframe, alignment: Alignment | None, model: Model) -> FrameRegistration:
-    """Whether an alignment can be trusted, and where it lays the frame."""
-    if alignment is None:
-        return _refusal("no overlap with the reference, or nothing in common")
-    seen, agreeing = int(alignment.seen.sum()), int(alignment.agree.sum())
-    share = agreeing / max(seen, 1)
-    quality = float(np.median(alignment.correlation[alignment.seen]))
-    uncertainty = corner_uncertainty(keyframe.fine, alignment.motion)
-    total = float(np.hypot(uncertainty, keyframe.uncertainty))
-    reason = ""
-    if seen < LEAST_PATCHES:
-        reason = f"too little overlap: {seen} patches in view, {LEAST_PATCHES} needed"
-    elif agreeing < LEAST_PATCHES or share < LEAST_SHARE:
-        reason = f"too few inliers: {agreeing} of {seen} patches agree"
-    elif not alignment.converged:
-        reason = "the alignment did not settle"
-    elif not uncertainty <= LARGEST_UNCERTAINTY:
-        reason = f"badly spread inliers: corners uncertain by {uncertainty:.1f} px"
-    matrix = keyframe.reference_from_keyframe @ alignment.matrix
-    matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
-    return FrameRegistration(matrix, reason, quality, share, total)
-
-
-def _refusal(reason: str) -> FrameRegistration:
-    return FrameRegistration(np.full((3, 3), np.nan), reason, 0.0, 0.0, np.inf)
 
 
 def make_keyframe(
@@ -138,10 +122,21 @@ def make_keyframe(
     reference_from_keyframe: Float[Array, "3 3"],
     uncertainty: float,
 ) -> Keyframe:
-    """Prepare a frame for others to be laid on it."""
-    exclude = excluded(frame, detections)
+    """Prepare a frame as a keyframe.
+
+    Args:
+        frame: the frame.
+        features: its ORB features.
+        detections: vehicles to leave out.
+        reference_from_keyframe: its transform to the reference, pixels.
+        uncertainty: of that transform at the image corners, pixels.
+
+    Returns:
+        The keyframe.
+    """
+    exclude = mask_detections(frame, detections)
     height, width = frame.grey.shape
-    factor = max(min(round(width / COARSE_WIDTH), height // (4 * SIDE)), 1)
+    factor = max(min(round(width / COARSE_WIDTH_PX), height // (4 * PATCH_SIDE_PX)), 1)
     return Keyframe(
         make_template(frame.grey, factor=factor, exclude=exclude),
         make_template(frame.grey, exclude=exclude),
@@ -151,27 +146,79 @@ def make_keyframe(
     )
 
 
-def keyframe_in_view(
-    keyframes: list[Keyframe], prior: Float[Array, "3 3"], shape: tuple[int, int]
+def select_keyframe(
+    keyframes: list[Keyframe], prior: Float[Array, "3 3"], size: tuple[int, int]
 ) -> Keyframe:
-    """The earliest keyframe of which enough is in view from the prior, else the best of all."""
-    shares = [share_in_view(keyframe, prior, shape) for keyframe in keyframes]
-    enough = [
-        keyframe for keyframe, share in zip(keyframes, shares, strict=True) if share > OVERLAP
-    ]
-    return enough[0] if enough else keyframes[int(np.argmax(shares))]
+    """Select the earliest keyframe that overlaps enough with a frame, or else the one most in view.
+
+    Args:
+        keyframes: in order of time.
+        prior: reference_from_frame of the frame, pixels.
+        size: (height, width) of the frame, pixels.
+
+    Returns:
+        The keyframe.
+    """
+    shares = [compute_overlap(keyframe, prior, size) for keyframe in keyframes]
+    first = next((number for number, share in enumerate(shares) if share > MIN_OVERLAP), None)
+    return keyframes[int(np.argmax(shares)) if first is None else first]
 
 
-def share_in_view(
-    keyframe: Keyframe, reference_from_frame: Float[Array, "3 3"], shape: tuple[int, int]
+def compute_overlap(
+    keyframe: Keyframe, reference_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> float:
-    """Share of a keyframe's patches that lie inside a frame."""
+    """Share of a keyframe's patches that lie inside a frame of (height, width) pixels."""
     frame_from_keyframe = np.linalg.inv(reference_from_frame) @ keyframe.reference_from_keyframe
     points = transform_points(frame_from_keyframe, keyframe.fine.points)
-    return float(((points > 0) & (points < np.array(shape[::-1]))).all(1).mean())
+    return float(((points > 0) & (points < np.array(size[::-1]))).all(1).mean())
 
 
-def excluded(frame: Frame, detections: Detections | None) -> Bool[Array, "H W"] | None:
-    """Pixels of a frame that its detections say are vehicles."""
-    found = detections(frame) if detections else None
-    return None if found is None else mask_boxes(found, frame.grey.shape)
+def mask_detections(frame: Frame, detections: Detections | None) -> Bool[Array, "H W"] | None:
+    """Mask of the detected vehicles in a frame; None where there are no detections."""
+    boxes = detections(frame) if detections else None
+    return None if boxes is None else mask_boxes(boxes, frame.grey.shape)
+
+
+def _propose_starts(
+    grey: UInt8[Array, "H W"],
+    keyframes: list[Keyframe],
+    keyframe: Keyframe,
+    prior: Float[Array, "3 3"],
+    model: Model,
+) -> Iterator[tuple[Keyframe, Float[Array, "3 3"], bool]]:
+    """Keyframes, transforms to start from, and whether to align coarse patches first."""
+    near = np.linalg.inv(keyframe.reference_from_keyframe) @ prior
+    yield keyframe, near, False
+    yield keyframe, near, True
+    features = detect_features(grey)
+    for target in dict.fromkeys([keyframe, *keyframes]):
+        start = match_features(target.features, features, model, size=grey.shape)
+        if start is not None:
+            yield target, start, True
+
+
+def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> FrameRegistration:
+    """Reject an alignment that cannot be trusted; chain a good one to the reference."""
+    if alignment is None:
+        return _reject("no overlap with the reference, or nothing in common")
+    in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
+    share = inliers / max(in_view, 1)
+    quality = float(np.median(alignment.correlation[alignment.in_view]))
+    uncertainty = predict_corner_uncertainty(keyframe.fine, alignment.motion)
+    total = float(np.hypot(uncertainty, keyframe.uncertainty))
+    reason = ""
+    if in_view < MIN_PATCHES:
+        reason = f"too little overlap: {in_view} patches in view, {MIN_PATCHES} needed"
+    elif inliers < MIN_PATCHES or share < MIN_INLIER_SHARE:
+        reason = f"too few inliers: {inliers} of {in_view} patches agree"
+    elif not alignment.converged:
+        reason = "the alignment did not converge"
+    elif not uncertainty <= MAX_CORNER_UNCERTAINTY_PX:
+        reason = f"badly spread inliers: corners uncertain by {uncertainty:.1f} px"
+    matrix = keyframe.reference_from_keyframe @ alignment.matrix
+    matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
+    return FrameRegistration(matrix, reason, quality, share, total)
+
+
+def _reject(reason: str) -> FrameRegistration:
+    return FrameRegistration(np.full((3, 3), np.nan), reason, 0.0, 0.0, np.inf)

@@ -1,8 +1,8 @@
-"""Motion between two pictures of the ground: from a translation to a homography.
+"""Motion models between two images of the ground, from a translation to a homography.
 
-A small motion moves the point p by d(p) = B(p) theta, linear in its k parameters, in
-coordinates normalised to the picture. One weighted least-squares fit serves all models,
-and larger motions are composed of small ones (all are groups).
+A small motion displaces the point p by d(p) = B(p) theta, linear in its k parameters, in
+coordinates normalised to the image. One weighted least-squares fit serves all models. Larger
+motions are compositions of small ones, since each model is a group.
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ from numpy import ndarray as Array
 from geoaim.geometry import transform_points
 
 Model = Literal["translation", "rigid", "similarity", "affine", "homography"]
-MATERIAL = 0.01  # px: a smaller gain in accuracy is not worth more parameters
+MIN_GAIN_PX = 0.01  # in accuracy, for which a model with more parameters is chosen
 MODELS: tuple[Model, ...] = ("translation", "similarity", "affine", "homography")
-CURVED = ("rigid", "homography")  # not linear in their parameters: fitted step by step
+NONLINEAR_MODELS = ("rigid", "homography")  # fitted iteratively
 
 # Columns: how the matrix I + Theta depends on theta. Rows of Theta in order.
 _GENERATORS: dict[Model, list[list[float]]] = {
@@ -39,8 +39,14 @@ _GENERATORS: dict[Model, list[list[float]]] = {
 }
 
 
-class Match(NamedTuple):
-    """Points of a picture, their places in the reference, and the information of those."""
+class PointMatches(NamedTuple):
+    """Points of an image and where they lie in the reference.
+
+    Attributes:
+        source: (M, 2) in pixels of the image.
+        target: (M, 2) the same points in pixels of the reference.
+        information: (M, 2, 2) inverse covariance of each target, 1/px^2.
+    """
 
     source: Float[Array, "M 2"]
     target: Float[Array, "M 2"]
@@ -52,11 +58,12 @@ class Motion:
     """A fitted motion.
 
     Attributes:
+        model: of the motion.
         matrix: (3, 3) the transform of pixels.
-        covariance: (k, k) of its parameters in normalised coordinates.
-        residuals: (M, 2) displacements left over, pixels.
+        covariance: (k, k) of the parameters, in normalised coordinates.
+        residuals: (M, 2) measured minus fitted displacements, pixels.
         weights: (M,) robust weight of each point, 0 to 1.
-        noise: robust standard deviation of a displacement, pixels.
+        noise: standard deviation of the residuals of the inliers, pixels.
     """
 
     model: Model
@@ -67,8 +74,8 @@ class Motion:
     noise: float
 
 
-def normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
-    """Pixels to coordinates in about [-1, 1], the same scale on both axes."""
+def _compute_normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
+    """Transform of pixels to about [-1, 1], with the same scale on both axes."""
     height, width = size
     half = max(height, width) / 2
     return np.array(
@@ -76,11 +83,20 @@ def normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
     )
 
 
-def basis(
+def compute_basis(
     points: Float[Array, "M 2"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "M 2 k"]:
-    """B(p): pixels moved by a unit of each parameter."""
-    scale = normalisation(size)
+    """Displacement of points by a unit of each parameter: B(p).
+
+    Args:
+        points: in pixels.
+        model: the motion model, with k parameters.
+        size: (height, width) of the image, which normalises the coordinates.
+
+    Returns:
+        The displacements, pixels.
+    """
+    scale = _compute_normalisation(size)
     x, y = (points * scale[0, 0] + scale[:2, 2]).T
     zero, one = np.zeros_like(x), np.ones_like(x)
     full = np.array(
@@ -93,14 +109,23 @@ def basis(
     return columns / scale[0, 0]
 
 
-def small_motion(
+def build_matrix(
     parameters: Float[Array, " k"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
-    """The pixel transform I + Theta of the given parameters."""
+    """Build the pixel transform I + Theta of a small motion.
+
+    Args:
+        parameters: theta, in normalised coordinates.
+        model: the motion model.
+        size: (height, width) of the image, which normalises the coordinates.
+
+    Returns:
+        The transform.
+    """
     small = np.eye(3) + np.append(parameters @ np.array(_GENERATORS[model]), 0.0).reshape(3, 3)
     if model == "rigid":
         small[:2, :2] /= np.hypot(*small[:2, 0])
-    scale = normalisation(size)
+    scale = _compute_normalisation(size)
     matrix = np.linalg.inv(scale) @ small @ scale
     return matrix / matrix[2, 2]
 
@@ -114,38 +139,49 @@ def fit_motion(
     size: tuple[int, int],
     rounds: int = 6,
 ) -> Motion:
-    """Robust weighted least squares: iteratively reweighted with Tukey's biweight.
+    """Fit a small motion by least squares, iteratively reweighted with Tukey's biweight.
 
-    The start is the median displacement, so that points which move on their own are outvoted
-    from the first step.
+    The first weights are relative to the median displacement, so that points which move
+    independently have little weight from the start.
+
+    Args:
+        points: in pixels.
+        displacements: measured at the points, pixels.
+        information: inverse covariance of each displacement.
+        model: to fit.
+        size: (height, width) of the image, which normalises the coordinates.
+        rounds: of reweighting.
+
+    Returns:
+        The motion.
     """
-    columns = basis(points, model, size=size)
+    columns = compute_basis(points, model, size=size)
     projected = np.einsum("mik,mij->mkj", columns, information)
     normal_parts = projected @ columns
     right_parts = np.einsum("mkj,mj->mk", projected, displacements)
     residuals = displacements - np.median(displacements, axis=0)
     for _ in range(rounds):
-        weights = _tukey(residuals, information)
+        weights = _compute_tukey_weights(residuals, information)
         normal = np.tensordot(weights, normal_parts, 1)
         parameters = np.linalg.solve(normal, weights @ right_parts)
         residuals = displacements - columns @ parameters
     freedom = max(2 * weights.sum() - columns.shape[2], 1.0)
     variance = np.einsum("m,mi,mij,mj->", weights, residuals, information, residuals) / freedom
-    inner = residuals[weights > 0]
+    inliers = residuals[weights > 0]
     return Motion(
         model,
-        small_motion(parameters, model, size=size),
+        build_matrix(parameters, model, size=size),
         np.linalg.inv(normal) * variance,
         residuals,
         weights,
-        float(np.sqrt((inner**2).mean())),
+        float(np.sqrt((inliers**2).mean())),
     )
 
 
-def _tukey(
+def _compute_tukey_weights(
     residuals: Float[Array, "M 2"], information: Float[Array, "M 2 2"]
 ) -> Float[Array, " M"]:
-    """Biweight of each whitened residual; the median of a Rayleigh variable is 1.1774 sigma."""
+    """Biweight of each whitened residual; a Rayleigh variable has its median at 1.1774 sigma."""
     squared = np.einsum("mi,mij,mj->m", residuals, information, residuals)
     scale = max(float(np.sqrt(np.median(squared)) / 1.1774), 1e-6)
     return np.clip(1 - squared / (4.685 * scale) ** 2, 0, None) ** 2
@@ -153,11 +189,11 @@ def _tukey(
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Which model a set of pictures needs, and what each would cost.
+    """The motion model chosen for a set of images.
 
     Attributes:
-        model: the simplest whose predicted error is within `MATERIAL` of the least.
-        predicted_error: by model, the root mean square error over the image, pixels.
+        model: the simplest one whose predicted error is near the smallest.
+        predicted_error: root mean square error over the image of each model, pixels.
     """
 
     model: Model
@@ -165,64 +201,78 @@ class ModelChoice:
 
 
 def choose_model(
-    matches: Sequence[Match],
+    matches: Sequence[PointMatches],
     *,
     size: tuple[int, int],
     models: Sequence[Model] = MODELS,
-    repeats: float = 1.0,
-    material: float = MATERIAL,
+    redundancy: float = 1.0,
+    min_gain: float = MIN_GAIN_PX,
 ) -> ModelChoice:
-    """Choose by the smallest predicted error over the image: squared bias plus variance.
+    """Choose the motion model with the smallest predicted error over the image.
 
-    The homography is taken as unbiased. A simpler model's bias is how far it lies from a richer
-    one over a grid of image points, less what noise alone would make of that distance (the
-    difference of the two variances, since the models are nested), by the richer one that shows
-    most: the focused information criterion of Claeskens and Hjort (2003) with the position of a
-    pixel as its focus. Unlike GRIC or BIC the answer is in pixels, so that what is immaterial can
-    be left out.
+    The squared error is squared bias plus variance; the homography is taken as unbiased. The bias
+    of a simpler model is its distance from a richer one over a grid of image points, minus the part
+    that noise explains (the difference of the variances, since the models are nested); of the
+    richer models the one that shows most bias counts. This is the focused information criterion of
+    Claeskens and Hjort (2003) with the position of a pixel as its focus. Unlike GRIC and BIC it is
+    in pixels, so that immaterial gains can be ignored.
 
     Args:
-        matches: one for each picture.
-        size: height and width of the reference, pixels.
+        matches: of each image.
+        size: (height, width) of the reference, pixels.
         models: from the simplest to the homography.
-        repeats: how many points say the same, as those of windows that overlap do.
-        material: pixels; a smaller gain in accuracy is not worth more parameters.
+        redundancy: number of points with the same information, as in overlapping windows.
+        min_gain: pixels of accuracy for which a richer model is chosen.
+
+    Returns:
+        The chosen model and the predicted error of each.
     """
-    risks = np.array([_risks(match, models, repeats, size=size) for match in matches])
-    errors = np.sqrt(risks.mean(0))
-    simplest = int(np.argmax(errors < errors.min() + material))
+    squared = [_predict_squared_errors(match, models, redundancy, size=size) for match in matches]
+    errors = np.sqrt(np.array(squared).mean(0))
+    simplest = int(np.argmax(errors < errors.min() + min_gain))
     return ModelChoice(models[simplest], dict(zip(models, errors.tolist(), strict=True)))
 
 
-def fit_match(match: Match, model: Model, *, size: tuple[int, int]) -> Motion:
-    """The motion from a match's points to their places, small or not."""
-    matrix = np.eye(3) if model != "homography" else fit_match(match, "affine", size=size).matrix
-    for _ in range(4 if model in CURVED else 1):
-        moved = transform_points(matrix, match.source)
-        motion = fit_motion(moved, match.target - moved, match.information, model, size=size)
+def fit_matches(matches: PointMatches, model: Model, *, size: tuple[int, int]) -> Motion:
+    """Fit the motion, small or large, from an image's points to their targets.
+
+    Args:
+        matches: the points.
+        model: to fit.
+        size: (height, width) of the reference, pixels.
+
+    Returns:
+        The motion; its matrix is reference_from_image.
+    """
+    matrix = (
+        np.eye(3) if model != "homography" else fit_matches(matches, "affine", size=size).matrix
+    )
+    for _ in range(4 if model in NONLINEAR_MODELS else 1):
+        moved = transform_points(matrix, matches.source)
+        motion = fit_motion(moved, matches.target - moved, matches.information, model, size=size)
         matrix = motion.matrix @ matrix
     return replace(motion, matrix=matrix)
 
 
-def _risks(
-    match: Match, models: Sequence[Model], repeats: float, *, size: tuple[int, int]
+def _predict_squared_errors(
+    matches: PointMatches, models: Sequence[Model], redundancy: float, *, size: tuple[int, int]
 ) -> list[float]:
-    """Mean squared error over the image, predicted for each model."""
+    """Mean squared error over the image that is predicted for each model."""
     height, width = size
     grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
     grid = grid.reshape(-1, 2)
-    places, variances = [], []
+    fitted, variances = [], []
     for model in models:
-        motion = fit_match(match, model, size=size)
-        columns = basis(grid, model, size=size)
+        motion = fit_matches(matches, model, size=size)
+        columns = compute_basis(grid, model, size=size)
         spread = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns)
-        variances.append(repeats * spread.mean())
-        places.append(transform_points(motion.matrix, grid))
-    risks = []
-    for number, (place, variance) in enumerate(zip(places, variances, strict=True)):
+        variances.append(redundancy * spread.mean())
+        fitted.append(transform_points(motion.matrix, grid))
+    errors = []
+    for number, (points, variance) in enumerate(zip(fitted, variances, strict=True)):
         bias = 0.0
-        for richer, spread in zip(places[number + 1 :], variances[number + 1 :], strict=True):
-            apart = ((place - richer) ** 2).sum(-1).mean()
-            bias = max(bias, float(apart - max(spread - variance, 0)))
-        risks.append(bias + float(variance))
-    return risks
+        for richer, spread in zip(fitted[number + 1 :], variances[number + 1 :], strict=True):
+            distance = ((points - richer) ** 2).sum(-1).mean()
+            bias = max(bias, float(distance - max(spread - variance, 0)))
+        errors.append(bias + float(variance))
+    return errors

@@ -1,42 +1,50 @@
-"""Direct sub-pixel alignment of a frame by small patches of the reference.
+"""Align a frame to a reference by small patches, to a fraction of a pixel.
 
-Inverse compositional (Baker and Matthews 2004): everything that depends on the reference alone
-is computed once, so that an iteration is one small remap and one product. Each patch measures
-how far it lies from where it should, with local gain and bias left out, and the motion is
-fitted to those displacements: a patch that disagrees is a car, a shadow's edge, or noise.
+The alignment is inverse compositional (Baker and Matthews 2004): all that depends only on the
+reference is computed once, so that an iteration is one small remap and one matrix product. Each
+patch measures its displacement, independent of local gain and bias, and the motion is fitted
+robustly to the displacements: patches on vehicles and shadows become outliers.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, to_opencv, transform_points
-from geoaim.mapping.registration.motion_models import Model, Motion, basis, fit_motion
+from geoaim.mapping.registration.motion_models import Model, Motion, compute_basis, fit_motion
 
-SIDE = 13  # px of a patch; 9 halves the basin, 17 sees more cars
-CELLS = 340  # patches wanted: one for each cell of a grid over the reference
-LOCAL = 0.03  # px by which a patch may truly move by itself: parallax, lens, rolling shutter
-AGREEMENT = 0.5  # least correlation of a patch that agrees
-SETTLED = 0.1  # px: a step that ends the iteration, which leaves about a tenth of it
-SATURATED = 0.3  # share of a patch's pixels at 255 above which it is not used
-TRACKABLE = 0.25  # px: a patch that noise moves by more is not used
+PATCH_SIDE_PX = 13  # 9 halves the range of convergence, 17 covers more vehicles
+PATCH_COUNT = 340  # aimed at: one for each cell of a grid over the reference
+LOCAL_MOTION_PX = 0.03  # by which a patch may move by itself: parallax, lens, rolling shutter
+MIN_FIT_CORRELATION = 0.25  # of a patch that takes part in the fit
+MIN_INLIER_CORRELATION = 0.5  # of a patch that counts as an inlier
+MIN_FITTED_PATCHES = 10
+MAX_STEP_PX = 4 * PATCH_SIDE_PX  # a larger step is a divergence
+CONVERGED_STEP_PX = 0.1  # a smaller step ends the iteration, and leaves about a tenth of it
+MAX_SATURATED_SHARE = 0.3  # of the pixels of a usable patch that may be 255
+MAX_PATCH_NOISE_PX = 0.25  # by which image noise may displace a usable patch
+MIN_INLIER_LIMIT_PX, MAX_INLIER_LIMIT_PX = 0.3, 1.5  # residual of an inlier, three sigma between
 
 
 @dataclass(frozen=True, eq=False)
-class Template:
-    """The reference as patches, ready to be found in a frame.
+class PatchTemplate:
+    """The reference as patches, prepared for the search in a frame.
 
     Attributes:
+        height: of this pyramid level, pixels.
+        width: of this pyramid level, pixels.
+        scale: pixels of this level per pixel of the full image.
         points: (M, 2) patch centres in pixels of this level.
-        scale: this level's pixels for one of the full image.
         pixels: (3, M * P) homogeneous pixel positions (OpenCV's origin) of all patches.
-        contrast: (M, P) the patches less their means.
-        energy: (M,) their sums of squares.
-        extractor: (M, 3, P) what turns a sampled patch into its displacement and gain.
-        inverse: (M, 2, 2) inverse of each patch's gradient matrix, gain and bias left out.
+        contrast: (M, P) the patches minus their means.
+        energy: (M,) sums of squares of `contrast`.
+        extractor: (M, 3, P) maps a sampled patch to its displacement and gain.
+        inverse: (M, 2, 2) inverse gradient matrix of each patch, orthogonal to gain and bias.
     """
 
     height: int
@@ -51,30 +59,40 @@ class Template:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
-    """A frame laid on the reference, and how well the patches agree.
+class PatchAlignment:
+    """A frame aligned to a template.
 
     Attributes:
         matrix: (3, 3) reference_from_frame in pixels of the full image.
         motion: the last fit; its residuals and covariance are in pixels of the level.
-        seen: (M,) patches of the template that lie inside the frame and are not saturated there.
+        in_view: (M,) patches that lie inside the frame and are not saturated there.
         fitted: (M,) patches that took part in the fit.
-        agree: (M,) those that look like the reference and follow the motion.
+        inliers: (M,) patches that correlate with the frame and follow the motion.
         correlation: (M,) of each patch with the frame.
         converged: whether the last step was smaller than the uncertainty.
     """
 
     matrix: Float[Array, "3 3"]
     motion: Motion
-    seen: Bool[Array, " M"]
+    in_view: Bool[Array, " M"]
     fitted: Bool[Array, " M"]
-    agree: Bool[Array, " M"]
+    inliers: Bool[Array, " M"]
     correlation: Float[Array, " M"]
     converged: bool
 
 
-def reduce(grey: UInt8[Array, "H W"], factor: int) -> UInt8[Array, "h w"]:
-    """The image at 1/factor of its size, by area."""
+class _Measurement(NamedTuple):
+    """What the patches measure in a frame; displacements (N, 2) and variance (N,) of the fitted."""
+
+    in_view: Bool[Array, " M"]
+    fitted: Bool[Array, " M"]
+    correlation: Float[Array, " M"]
+    displacements: Float[Array, "N 2"]
+    variance: Float[Array, " N"]
+
+
+def shrink_image(grey: UInt8[Array, "H W"], factor: int) -> UInt8[Array, "h w"]:
+    """Reduce an image to 1/factor of its size by the means of blocks."""
     if factor == 1:
         return grey
     height, width = grey.shape[0] // factor, grey.shape[1] // factor
@@ -83,172 +101,188 @@ def reduce(grey: UInt8[Array, "H W"], factor: int) -> UInt8[Array, "h w"]:
 
 
 def make_template(
-    grey: UInt8[Array, "H W"],
-    *,
-    factor: int = 1,
-    exclude: Bool[Array, "H W"] | None = None,
-) -> Template:
+    grey: UInt8[Array, "H W"], *, factor: int = 1, exclude: Bool[Array, "H W"] | None = None
+) -> PatchTemplate:
     """Choose and prepare the patches of a reference image.
 
     Args:
         grey: the reference at full size.
-        factor: the level: 1, or by how much the reference is reduced.
+        factor: by which the reference is reduced; 1 is full size.
         exclude: pixels of the full image that must not be used, such as vehicles.
+
+    Returns:
+        The template of this pyramid level.
     """
-    level = reduce(grey, factor)
+    level = shrink_image(grey, factor)
     if exclude is not None:
         exclude = cv2.resize(
             exclude.view(np.uint8), level.shape[::-1], interpolation=cv2.INTER_NEAREST
         ).view(bool)
-    centres = _corners_on_a_grid(level, exclude)
-    offset = np.arange(SIDE) - SIDE // 2
+    centres = _find_corners(level, exclude)
+    offset = np.arange(PATCH_SIDE_PX) - PATCH_SIDE_PX // 2
     rows = (centres[:, 1, None, None] + offset[:, None]) + 0 * offset
     columns = (centres[:, 0, None, None] + offset) + 0 * offset[:, None]
-
-    def patches(image: Array) -> Float[Array, "M P"]:
-        return image[rows, columns].reshape(len(centres), SIDE * SIDE).astype(np.float64)
-
-    contrast = _centred(patches(level))
+    contrast = _cut_patches(level, rows, columns)
     energy = np.maximum((contrast**2).sum(1), 1e-6)
     unit = contrast / np.sqrt(energy)[:, None]
-    intensity = level.astype(np.float32)
-    gradient = np.stack(
-        [
-            _centred(patches(cv2.Sobel(intensity, cv2.CV_32F, *d, ksize=1) / 2))
-            for d in ((1, 0), (0, 1))
-        ],
-        axis=1,
-    )
+    gradient = _compute_gradients(level, rows, columns)
     gradient -= np.einsum("mkp,mp->mk", gradient, unit)[..., None] * unit[:, None]
     structure = gradient @ gradient.transpose(0, 2, 1)
-    noise = _noise(level)
-    trackable = np.linalg.eigvalsh(structure)[:, 0] > (noise / TRACKABLE) ** 2
-    inverse = np.linalg.inv(structure[trackable])
-    extractor = np.concatenate(
-        [inverse @ gradient[trackable], (unit / np.sqrt(energy)[:, None])[trackable, None]], axis=1
+    usable = (
+        np.linalg.eigvalsh(structure)[:, 0] > (_estimate_noise(level) / MAX_PATCH_NOISE_PX) ** 2
     )
-    position = np.stack([columns, rows, np.ones_like(rows)])[:, trackable].reshape(3, -1)
-    return Template(
+    inverse = np.linalg.inv(structure[usable])
+    gain = (unit / np.sqrt(energy)[:, None])[usable, None]
+    position = np.stack([columns, rows, np.ones_like(rows)])[:, usable].reshape(3, -1)
+    return PatchTemplate(
         height=level.shape[0],
         width=level.shape[1],
         scale=1 / factor,
-        points=centres[trackable] + 0.5,
+        points=centres[usable] + 0.5,
         pixels=position.astype(np.float32),
-        contrast=contrast[trackable].astype(np.float32),
-        energy=energy[trackable],
-        extractor=extractor.astype(np.float32),
+        contrast=contrast[usable].astype(np.float32),
+        energy=energy[usable],
+        extractor=np.concatenate([inverse @ gradient[usable], gain], axis=1).astype(np.float32),
         inverse=inverse,
     )
 
 
-def align(
-    template: Template,
+def align_patches(
+    template: PatchTemplate,
     grey: UInt8[Array, "h w"],
     prior: Float[Array, "3 3"],
     model: Model,
     *,
     iterations: int = 8,
-) -> Alignment | None:
-    """Refine `prior`, a reference_from_frame of full-image pixels, on one level of a frame.
+) -> PatchAlignment | None:
+    """Refine the transform of a frame to the reference, on one pyramid level.
 
     Args:
         template: of the same level as `grey`.
         grey: the frame, reduced like the template.
+        prior: reference_from_frame to start from, in pixels of the full image.
+        model: motion model to fit.
+        iterations: at most.
 
     Returns:
-        The alignment, or None when too few patches lie in the frame to fit the model.
+        The alignment, or None when too few patches lie in the frame, or it diverges.
     """
     scale = np.diag([template.scale, template.scale, 1.0])
     matrix = scale @ prior @ np.linalg.inv(scale)
+    corners = image_corners(template.height, template.width)
     for iteration in range(iterations):
-        sampled = _sample(template, grey, np.linalg.inv(matrix))
-        if sampled is None:
+        step = _measure_motion(template, grey, matrix, model, rounds=3 if iteration else 6)
+        if step is None:
             return None
-        fitted, displacements, variance, correlation, seen = sampled
-        if fitted.sum() < 10:
-            return None
-        covariance = template.inverse[fitted] * variance[fitted, None, None]
-        covariance[:, (0, 1), (0, 1)] += LOCAL**2
-        motion = fit_motion(
-            template.points[fitted],
-            displacements[fitted],
-            np.linalg.inv(covariance),
-            model,
-            size=(template.height, template.width),
-            rounds=3 if iteration else 6,
-        )
+        measured, motion = step
         matrix = motion.matrix @ matrix
-        corners = image_corners(template.height, template.width)
-        step = np.abs(transform_points(motion.matrix, corners) - corners).max()
-        if not step < SIDE * 4:
+        length = np.abs(transform_points(motion.matrix, corners) - corners).max()
+        if not length < MAX_STEP_PX:
             return None
-        settled = bool(step < max(SETTLED, corner_uncertainty(template, motion) * template.scale))
-        if step < SETTLED:
+        if length < CONVERGED_STEP_PX:
             break
-    agree = np.zeros(len(template.points), bool)
-    residual = np.hypot(*motion.residuals.T)
-    limit = max(3 * motion.noise, 0.3)
-    agree[fitted] = (residual < min(limit, 1.5)) & (correlation[fitted] > AGREEMENT)
+    uncertainty = predict_corner_uncertainty(template, motion) * template.scale
+    converged = bool(length < max(CONVERGED_STEP_PX, uncertainty))
     matrix = np.linalg.inv(scale) @ matrix @ scale
-    matrix /= matrix[2, 2]
-    return Alignment(matrix, motion, seen, fitted, agree, correlation, settled)
+    return PatchAlignment(
+        matrix / matrix[2, 2],
+        motion,
+        measured.in_view,
+        measured.fitted,
+        _find_inliers(measured, motion),
+        measured.correlation,
+        converged,
+    )
 
 
-def corner_uncertainty(template: Template, motion: Motion) -> float:
-    """Standard deviation of the mapped image corners in full-image pixels: S = J C J'.
+def predict_corner_uncertainty(template: PatchTemplate, motion: Motion) -> float:
+    """Standard deviation of the mapped image corners in pixels of the full image: S = J C J'.
 
     Criminisi (1997), "Accurate visual metrology from single and multiple uncalibrated images".
     """
     corners = image_corners(template.height, template.width)
-    columns = basis(corners, motion.model, size=(template.height, template.width))
+    columns = compute_basis(corners, motion.model, size=(template.height, template.width))
     variance = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns)
     return float(np.sqrt(variance.mean()) / template.scale)
 
 
-def _sample(
-    template: Template, grey: UInt8[Array, "h w"], frame_from_reference: Float[Array, "3 3"]
-) -> tuple[Array, Array, Array, Array, Array] | None:
-    """Look each patch up in the frame: who can be fitted, displacement, its variance, ..."""
+def _measure_motion(
+    template: PatchTemplate,
+    grey: UInt8[Array, "h w"],
+    reference_from_frame: Float[Array, "3 3"],
+    model: Model,
+    *,
+    rounds: int,
+) -> tuple[_Measurement, Motion] | None:
+    """Fit the motion to the displacements by their precision; None when there are too few."""
+    measured = _measure_displacements(template, grey, np.linalg.inv(reference_from_frame))
+    if measured is None or measured.fitted.sum() < MIN_FITTED_PATCHES:
+        return None
+    covariance = template.inverse[measured.fitted] * measured.variance[:, None, None]
+    covariance[:, (0, 1), (0, 1)] += LOCAL_MOTION_PX**2
+    motion = fit_motion(
+        template.points[measured.fitted],
+        measured.displacements,
+        np.linalg.inv(covariance),
+        model,
+        size=(template.height, template.width),
+        rounds=rounds,
+    )
+    return measured, motion
+
+
+def _measure_displacements(
+    template: PatchTemplate, grey: UInt8[Array, "h w"], frame_from_reference: Float[Array, "3 3"]
+) -> _Measurement | None:
+    """Sample each patch in the frame; None when no patch lies inside."""
     count, area = template.contrast.shape
     height, width = grey.shape
-    # Positions are pixel centres (OpenCV's origin) on both sides of the transform.
-    there = to_opencv(frame_from_reference).astype(np.float32)
-    position = there @ template.pixels
+    # positions are relative to OpenCV's origin on both sides of the transform
+    position = to_opencv(frame_from_reference).astype(np.float32) @ template.pixels
     position[:2] /= position[2]
     x, y = position[0].reshape(count, area), position[1].reshape(count, area)
     middle = np.stack([x[:, area // 2], y[:, area // 2]])
     margin = np.minimum(middle, np.array([[width], [height]]) - middle)
-    seen = (margin > SIDE / 2).all(0)
-    if not np.isfinite(position).all() or not seen.any():
+    in_view = (margin > PATCH_SIDE_PX / 2).all(0)
+    if not np.isfinite(position).all() or not in_view.any():
         return None
-    # Linear: the cubic kernel of OpenCV (a = -0.75) shifts smooth texture by up to 0.047 px.
+    # linear: OpenCV's cubic kernel (a = -0.75) shifts smooth texture by up to 0.047 px
     patch = cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    seen &= (patch >= 255).mean(1) < SATURATED
-    patch = _centred(patch.astype(np.float32))
-    found = np.matmul(template.extractor, patch[..., None])[..., 0].astype(np.float64)
-    gain = found[:, 2]
+    in_view &= (patch >= 255).mean(1) < MAX_SATURATED_SHARE
+    patch = _subtract_mean(patch.astype(np.float32))
+    extracted = np.matmul(template.extractor, patch[..., None])[..., 0].astype(np.float64)
+    gain = extracted[:, 2]
     energy = np.einsum("mp,mp->m", patch, patch).astype(np.float64)
     correlation = gain * np.sqrt(template.energy / np.maximum(energy, 1e-6))
-    fitted = seen & (correlation > 0.25)
-    gain = np.where(fitted, gain, 1.0)
-    displacements = found[:, :2] / gain[:, None]
-    rest = np.maximum(energy / gain**2 - template.energy, 0.25 * area)
-    return fitted, displacements, rest / (area - 4), correlation, seen
+    fitted = in_view & (correlation > MIN_FIT_CORRELATION)
+    gain = gain[fitted]
+    residual = np.maximum(energy[fitted] / gain**2 - template.energy[fitted], 0.25 * area)
+    displacements = extracted[fitted, :2] / gain[:, None]
+    return _Measurement(in_view, fitted, correlation, displacements, residual / (area - 4))
 
 
-def _corners_on_a_grid(
+def _find_inliers(measured: _Measurement, motion: Motion) -> Bool[Array, " M"]:
+    inliers = measured.fitted.copy()
+    limit = min(max(3 * motion.noise, MIN_INLIER_LIMIT_PX), MAX_INLIER_LIMIT_PX)
+    correlated = measured.correlation[measured.fitted] > MIN_INLIER_CORRELATION
+    inliers[measured.fitted] = (np.hypot(*motion.residuals.T) < limit) & correlated
+    return inliers
+
+
+def _find_corners(
     grey: UInt8[Array, "H W"], exclude: Bool[Array, "H W"] | None
 ) -> Int[Array, "M 2"]:
-    """The strongest corner (Shi and Tomasi 1994) of each cell, as whole pixel indices (u, v)."""
+    """The strongest corner (Shi and Tomasi 1994) of each grid cell, as pixel indices (u, v)."""
     height, width = grey.shape
-    border = SIDE
-    strength = cv2.cornerMinEigenVal(cv2.GaussianBlur(grey, (0, 0), 1.0), SIDE)
+    border = PATCH_SIDE_PX
+    strength = cv2.cornerMinEigenVal(cv2.GaussianBlur(grey, (0, 0), 1.0), PATCH_SIDE_PX)
     if exclude is not None:
-        near = cv2.dilate(exclude.view(np.uint8), np.ones((SIDE, SIDE), np.uint8))
+        near = cv2.dilate(exclude.view(np.uint8), np.ones((PATCH_SIDE_PX,) * 2, np.uint8))
         strength[near > 0] = -1
     if min(height, width) <= 2 * border:
         return np.empty((0, 2), int)
-    step = max(np.sqrt((height - 2 * border) * (width - 2 * border) / CELLS), SIDE)
+    cell_area = (height - 2 * border) * (width - 2 * border) / PATCH_COUNT
+    step = max(np.sqrt(cell_area), PATCH_SIDE_PX)
     rows = np.linspace(border, height - border, max(int((height - 2 * border) / step), 1) + 1)
     columns = np.linspace(border, width - border, max(int((width - 2 * border) / step), 1) + 1)
     centres = []
@@ -261,14 +295,33 @@ def _corners_on_a_grid(
     return np.array(centres, int).reshape(-1, 2)
 
 
-def _centred(patches: Array) -> Array:
+def _cut_patches(
+    image: Shaped[Array, "H W"], rows: Int[Array, "M s s"], columns: Int[Array, "M s s"]
+) -> Float[Array, "M P"]:
+    """The pixels of each patch as a row, minus their mean."""
+    return _subtract_mean(
+        image[rows, columns].reshape(len(rows), PATCH_SIDE_PX**2).astype(np.float64)
+    )
+
+
+def _compute_gradients(
+    level: UInt8[Array, "H W"], rows: Int[Array, "M s s"], columns: Int[Array, "M s s"]
+) -> Float[Array, "M 2 P"]:
+    """Central differences along x and y in each patch, minus their means."""
+    intensity = level.astype(np.float32)
+    orders: Sequence[tuple[int, int]] = ((1, 0), (0, 1))
+    images = [cv2.Sobel(intensity, cv2.CV_32F, *order, ksize=1) / 2 for order in orders]
+    return np.stack([_cut_patches(image, rows, columns) for image in images], axis=1)
+
+
+def _subtract_mean(patches: Float[Array, "M P"]) -> Float[Array, "M P"]:
     return patches - patches.mean(-1, keepdims=True)
 
 
-def _noise(grey: UInt8[Array, "H W"]) -> float:
+def _estimate_noise(grey: UInt8[Array, "H W"]) -> float:
     """Standard deviation of the image noise, at least half a grey level (Immerkaer 1996).
 
-    The median instead of the mean, so that texture counts for less.
+    The median replaces his mean, to reduce the influence of texture.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = cv2.filter2D(grey.astype(np.float32), -1, mask)

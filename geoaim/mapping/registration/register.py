@@ -1,8 +1,8 @@
-"""Registration: where each frame lies on the reference, or why that cannot be said.
+"""Registration: the transform of each frame to one reference frame, or why there is none.
 
-Frames are laid on one reference, each starting from the last, so there is no drift. Another
-keyframe is made where the view leaves it, and its uncertainty is passed on to the frames that
-are laid on it.
+All frames are registered to the same reference, each search starting from the frame before, so that
+errors do not accumulate. Where the view leaves the reference another keyframe is made; its
+uncertainty is added to that of the frames that are registered to it.
 """
 
 import os
@@ -19,30 +19,51 @@ from numpy import ndarray as Array
 from geoaim.errors import RegistrationError
 from geoaim.files import atomic_write
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.registration.features import Features, detect, match
+from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.keyframes import (
-    LEAST_PATCHES,
-    OVERLAP,
+    MIN_OVERLAP,
+    MIN_PATCHES,
     FrameRegistration,
     Keyframe,
-    excluded,
-    keyframe_in_view,
+    compute_overlap,
     make_keyframe,
-    place,
-    share_in_view,
+    mask_detections,
+    register_frame,
+    select_keyframe,
 )
-from geoaim.mapping.registration.motion_models import Match, Model, ModelChoice, choose_model
+from geoaim.mapping.registration.motion_models import (
+    Model,
+    ModelChoice,
+    PointMatches,
+    choose_model,
+)
 from geoaim.mapping.video.detections import Detections, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
 
-PROBES = 5  # frames that choose the reference and the model
+PROBE_FRAMES = 5  # from which the reference and the model are chosen
+PROBE_FEATURES = 800  # of each, that are matched between them
+MIN_LINKED_SHARE = 0.5  # of the probes that must match the reference, unless it is the first frame
+MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error
+MIN_FRAMES_FOR_JUMPS = 5
+
+Row = tuple[int, float, FrameRegistration]  # index, time (s) and registration of a frame
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The frame that all others are laid on, and the motion model that they need."""
+    """The frame to which all others are registered.
+
+    Attributes:
+        keyframe: its patches and features.
+        index: its number in the video.
+        time: seconds.
+        model: motion model of the registration.
+        choice: how the model was chosen; None when it was given.
+        height: of the frames, pixels.
+        width: of the frames, pixels.
+    """
 
     keyframe: Keyframe
     index: int
@@ -55,17 +76,17 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """Where each frame lies on the reference.
+    """The transform of each frame to the reference.
 
     Attributes:
-        reference_from_frame: (T, 3, 3) pixels to pixels; NaN where `valid` is False.
+        reference_from_frame: (T, 3, 3) in pixels; NaN where `valid` is False.
         index: (T,) number of each frame in the video.
         time: (T,) seconds.
         reason: why a frame is invalid, else empty.
-        quality: (T,) median correlation of the patches, 0 to 1.
-        inlier_share: (T,) share of the patches in agreement.
-        uncertainty: (T,) pixels, one standard deviation at the corners.
-        reference: the frame that the others are laid on.
+        quality: (T,) median correlation of the patches with the frame, 0 to 1.
+        inlier_share: (T,) share of inliers among the patches in view.
+        uncertainty: (T,) standard deviation of the transformed image corners, pixels.
+        reference: the frame to which the others are registered.
     """
 
     reference_from_frame: Float[Array, "T 3 3"]
@@ -79,11 +100,11 @@ class Registration:
 
     @property
     def valid(self) -> Bool[Array, " T"]:
-        """(T,) frames that can be trusted."""
+        """(T,) whether each registration can be trusted."""
         return np.array([not reason for reason in self.reason], bool)
 
     def to_frame(self) -> pd.DataFrame:
-        """A row a frame; the matrix in nine columns, m00 to m22."""
+        """Table with a row per frame, and the matrix in nine columns, m00 to m22."""
         table = pd.DataFrame(
             {
                 "index": self.index,
@@ -108,34 +129,37 @@ def register(
     reference_time: float | None = None,
     progress: Progress = no_progress,
 ) -> Registration:
-    """Lay every frame of a video on one reference frame.
+    """Register every frame of a video to one reference frame.
 
     Args:
-        video: what `open_video` takes.
+        video: what `open_video` opens.
         detections: vehicles to leave out: a folder of YOLO text files, or a function of a frame,
             as `read_detections` makes it.
-        model: the motion model; chosen by the data when None.
-        reference_time: seconds; the reference is chosen by the data when None.
+        model: the motion model; None chooses it by the data.
+        reference_time: seconds; None chooses the reference by the data.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
+    Returns:
+        The registration; invalid frames have a reason.
+
     Raises:
-        RegistrationError: no frame can serve as the reference, or none can be laid on it.
+        RegistrationError: no frame can serve as the reference, or none can be registered to it.
     """
     video = open_video(video)
     detections = read_detections(detections) if isinstance(detections, str | Path) else detections
     reference = choose_reference(video, detections=detections, model=model, time=reference_time)
     rows = []
-    for frame, placement in register_frames(video, reference, detections=detections):
-        rows.append((frame.index, frame.time, placement))
+    for frame, registration in register_frames(video, reference, detections=detections):
+        rows.append((frame.index, frame.time, registration))
         progress("register", len(rows), video.frame_count)
-    return _refuse_jumps(collect(rows, reference))
+    return _reject_jumps(collect_registration(rows, reference))
 
 
 def write_registration(registration: Registration, path: str | os.PathLike[str]) -> None:
-    """Write `registration.to_frame()` as .csv or .parquet, by the name's ending.
+    """Write `registration.to_frame()` as .csv or .parquet.
 
     Raises:
-        ValueError: the name ends otherwise.
+        ValueError: the name has another suffix.
     """
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
@@ -148,38 +172,37 @@ def write_registration(registration: Registration, path: str | os.PathLike[str])
             table.to_parquet(part, index=False)
 
 
-def tally(reasons: Iterable[str]) -> dict[str, int]:
-    """How many frames each kind of reason refuses, the commonest first; figures are left out.
+def count_reasons(reasons: Iterable[str]) -> dict[str, int]:
+    """Count the frames of each kind of reason, the commonest first, without the figures in it.
 
-    >>> tally(["", "too few inliers: 3 of 90", "too few inliers: 5 of 80"])
+    >>> count_reasons(["", "too few inliers: 3 of 90", "too few inliers: 5 of 80"])
     {'too few inliers': 2}
     """
     kinds = Counter(reason.split(":")[0] for reason in reasons if reason)
     return dict(kinds.most_common())
 
 
-def collect(
-    rows: Iterable[tuple[int, float, FrameRegistration]], reference: Reference
-) -> Registration:
-    """Gather (index, time, placement) of frames into a table.
+def collect_registration(rows: Iterable[Row], reference: Reference) -> Registration:
+    """Collect the registrations of single frames in one table.
 
     Raises:
         RegistrationError: no frame is valid.
     """
-    index, time, placements = zip(*rows, strict=True)
-    reasons = tuple(placement.reason for placement in placements)
+    index, time, frames = zip(*rows, strict=True)
+    reasons = tuple(frame.reason for frame in frames)
     if all(reasons):
-        common = next(iter(tally(reasons)))
+        common = next(iter(count_reasons(reasons)))
         raise RegistrationError(
-            f"none of {len(reasons)} frames could be laid on the frame at {reference.time:.2f} s "
-            f"(most often: {common}); pass another reference_time, or check that the camera hovers"
+            f"none of {len(reasons)} frames could be registered to the frame at "
+            f"{reference.time:.2f} s (most often: {common}); pass another reference_time, or check "
+            "that the camera hovers"
         )
 
     def column(name: str) -> Array:
-        return np.array([getattr(placement, name) for placement in placements])
+        return np.array([getattr(frame, name) for frame in frames])
 
     return Registration(
-        column("matrix"),
+        column("reference_from_frame"),
         np.array(index),
         np.array(time, float),
         reasons,
@@ -197,22 +220,38 @@ def choose_reference(
     model: Model | None = None,
     time: float | None = None,
 ) -> Reference:
-    """Take the frame on which most of a few sampled frames can be laid, and the least model.
+    """Choose the reference and the motion model by a few frames sampled over the video.
 
-    Where the view moves on, so that no frame sees what all others see, it is the first frame.
+    The reference is the sample to which most others can be registered, or the first one when the
+    view moves on so that no sample overlaps with the others.
+
+    Args:
+        video: the video.
+        detections: vehicles to leave out.
+        model: the motion model; None chooses the simplest that the samples need.
+        time: of the reference, seconds; None chooses it.
+
+    Returns:
+        The reference.
+
+    Raises:
+        RegistrationError: the reference has too little texture.
     """
-    probes = list(video.sample(PROBES))
+    probes = list(video.sample(PROBE_FRAMES))
     if time is not None:
         probes = [*video.frames_at([time]), *probes]
-    rivals = probes if time is None else probes[:1]
-    found = [detect(probe.grey, exclude=excluded(probe, detections)) for probe in rivals]
-    best = _best_connected(found, (video.height, video.width))
+    candidates = probes if time is None else probes[:1]
+    features = [
+        detect_features(probe.grey, exclude=mask_detections(probe, detections))
+        for probe in candidates
+    ]
+    best = _choose_best_connected(features, (video.height, video.width))
     probe = probes[best]
-    keyframe = make_keyframe(probe, found[best], detections, np.eye(3), 0.0)
-    if len(keyframe.fine.points) < LEAST_PATCHES:
+    keyframe = make_keyframe(probe, features[best], detections, np.eye(3), 0.0)
+    if len(keyframe.fine.points) < MIN_PATCHES:
         raise RegistrationError(
             f"the frame at {probe.time:.2f} s has {len(keyframe.fine.points)} patches with enough "
-            f"texture, {LEAST_PATCHES} are needed; pass the reference_time of a sharper frame"
+            f"texture, {MIN_PATCHES} are needed; pass the reference_time of a sharper frame"
         )
     reference = Reference(
         keyframe, probe.index, probe.time, model or "homography", None, video.height, video.width
@@ -223,76 +262,89 @@ def choose_reference(
 def register_frames(
     frames: Iterable[Frame], reference: Reference, *, detections: Detections | None = None
 ) -> Iterator[tuple[Frame, FrameRegistration]]:
-    """Lay frames on the reference, one after another, each starting from the last."""
+    """Register frames to the reference one after another, each starting from the one before.
+
+    Args:
+        frames: in order of time.
+        reference: the reference, near which the first frame is searched.
+        detections: vehicles to leave out.
+
+    Yields:
+        Each frame with its registration.
+    """
     keyframes = [reference.keyframe]
     prior = np.eye(3)
     for frame in frames:
-        keyframe = keyframe_in_view(keyframes, prior, frame.grey.shape)
-        placement, _ = place(frame.grey, keyframes, keyframe, prior, reference.model)
-        yield frame, placement
-        if placement.valid:
-            prior = placement.matrix
-            nearest = keyframe_in_view(keyframes, prior, frame.grey.shape)
-            if share_in_view(nearest, prior, frame.grey.shape) < OVERLAP:
-                features = detect(frame.grey, exclude=excluded(frame, detections))
-                new = make_keyframe(frame, features, detections, prior, placement.uncertainty)
-                if len(new.fine.points) >= LEAST_PATCHES:
-                    keyframes.append(new)
+        size = frame.grey.shape
+        keyframe = select_keyframe(keyframes, prior, size)
+        registration, _ = register_frame(frame.grey, keyframes, keyframe, prior, reference.model)
+        yield frame, registration
+        if not registration.valid:
+            continue
+        prior = registration.reference_from_frame
+        if compute_overlap(select_keyframe(keyframes, prior, size), prior, size) < MIN_OVERLAP:
+            features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
+            new = make_keyframe(frame, features, detections, prior, registration.uncertainty)
+            if len(new.fine.points) >= MIN_PATCHES:
+                keyframes.append(new)
 
 
-def _best_connected(found: list[Features], size: tuple[int, int]) -> int:
-    """The probe on which most others can be laid; the first when it cannot hold them all."""
-    count = len(found)
+def _choose_best_connected(features: list[Features], size: tuple[int, int]) -> int:
+    """Index of the probe that matches most others, or 0 when none matches half of them."""
+    count = len(features)
     links = np.zeros((count, count))
-    strongest = [Features(f.points[:800], f.descriptors[:800]) for f in found]
+    strongest = [
+        Features(one.points[:PROBE_FEATURES], one.descriptors[:PROBE_FEATURES]) for one in features
+    ]
     for one in range(count):
         for other in range(one):
-            pair = strongest[one], strongest[other]
-            matrix = match(*pair, "homography", size=size)
+            matrix = match_features(strongest[one], strongest[other], "homography", size=size)
             links[one, other] = links[other, one] = matrix is not None
     degree = links.sum(0)
-    middle = np.argsort(np.abs(np.arange(count) - (count - 1) / 2), kind="stable")
-    best = int(middle[np.argmax(degree[middle])])
-    return best if degree[best] >= 0.5 * (count - 1) else 0
+    from_middle = np.argsort(np.abs(np.arange(count) - (count - 1) / 2), kind="stable")
+    best = int(from_middle[np.argmax(degree[from_middle])])
+    return best if degree[best] >= MIN_LINKED_SHARE * (count - 1) else 0
 
 
 def _choose_model(reference: Reference, probes: list[Frame]) -> Reference:
-    """The least model that the probes need; the homography when no probe can be laid."""
-    home, matches = reference.keyframe, []
+    """Choose the simplest model that the probes need; the homography when none is registered."""
+    keyframe, matches = reference.keyframe, []
     for probe in probes:
         if probe.index == reference.index:
             continue
-        placement, alignment = place(probe.grey, [home], home, np.eye(3), "homography")
-        if placement.valid and alignment is not None:
-            points = home.fine.points[alignment.fitted]
-            # What was measured: reference point + residual lies where the frame's point lies.
+        registration, alignment = register_frame(
+            probe.grey, [keyframe], keyframe, np.eye(3), "homography"
+        )
+        if registration.valid and alignment is not None:
+            points = keyframe.fine.points[alignment.fitted]
+            # measured: the reference point plus its residual corresponds to the frame's point
             measured = points + alignment.motion.residuals
-            source = transform_points(np.linalg.inv(placement.matrix), points)
+            source = transform_points(np.linalg.inv(registration.reference_from_frame), points)
             weight = alignment.motion.weights[:, None, None]
-            matches.append(Match(source, measured, weight * np.eye(2)))
+            matches.append(PointMatches(source, measured, weight * np.eye(2)))
     if not matches:
         return reference
     choice = choose_model(matches, size=(reference.height, reference.width))
     return replace(reference, model=choice.model, choice=choice)
 
 
-def _refuse_jumps(registration: Registration) -> Registration:
-    """Mark frames invalid that lie apart from both neighbours while these agree.
+def _reject_jumps(registration: Registration) -> Registration:
+    """Mark frames invalid that lie far from both neighbours while these agree.
 
-    The limit follows the sequence's own jitter.
+    The limit is relative to the median jitter of the sequence.
     """
     height, width = registration.reference.height, registration.reference.width
-    where = np.flatnonzero(registration.valid)
-    if len(where) < 5:
+    valid = np.flatnonzero(registration.valid)
+    if len(valid) < MIN_FRAMES_FOR_JUMPS:
         return registration
     corners = transform_points(
-        registration.reference_from_frame[where], image_corners(height, width)
+        registration.reference_from_frame[valid], image_corners(height, width)
     )
     between = (corners[:-2] + corners[2:]) / 2
-    apart = np.abs(corners[1:-1] - between).max((1, 2))
+    distance = np.abs(corners[1:-1] - between).max((1, 2))
     span = np.abs(corners[2:] - corners[:-2]).max((1, 2))
-    limit = max(10 * float(np.median(apart)), 0.01 * width)
-    jumps = where[1:-1][(apart > limit) & (apart > 3 * span)]
+    limit = max(10 * float(np.median(distance)), MIN_JUMP_SHARE * width)
+    jumps = valid[1:-1][(distance > limit) & (distance > 3 * span)]
     reason, matrix = list(registration.reason), registration.reference_from_frame.copy()
     for jump in jumps:
         reason[jump] = "inconsistent with its neighbours in time"

@@ -6,11 +6,11 @@ from hypothesis import strategies as st
 from geoaim.geometry import transform_points
 from geoaim.mapping.registration.motion_models import (
     MODELS,
-    Match,
-    basis,
+    PointMatches,
+    build_matrix,
     choose_model,
+    compute_basis,
     fit_motion,
-    small_motion,
 )
 
 SIZE = {"size": (1080, 1920)}
@@ -27,19 +27,19 @@ def identities(count: int) -> np.ndarray:
 @pytest.mark.parametrize("model", MODELS)
 def test_basis_is_the_derivative_of_the_small_motion(model):
     points = scattered(5)
-    columns = basis(points, model, **SIZE)
+    columns = compute_basis(points, model, **SIZE)
     for number in range(columns.shape[2]):
         step = np.zeros(columns.shape[2])
         step[number] = 1e-6
-        forward = transform_points(small_motion(step, model, **SIZE), points)
-        backward = transform_points(small_motion(-step, model, **SIZE), points)
+        forward = transform_points(build_matrix(step, model, **SIZE), points)
+        backward = transform_points(build_matrix(-step, model, **SIZE), points)
         np.testing.assert_allclose(columns[..., number], (forward - backward) / 2e-6, atol=1e-3)
 
 
 @given(st.lists(st.floats(-1e-3, 1e-3), min_size=4, max_size=4))
 def test_fit_recovers_a_similarity_exactly(parameters):
     points = scattered(30)
-    truth = small_motion(np.array(parameters), "similarity", **SIZE)
+    truth = build_matrix(np.array(parameters), "similarity", **SIZE)
     moved = transform_points(truth, points) - points
     motion = fit_motion(points, moved, identities(30), "similarity", **SIZE)
     np.testing.assert_allclose(motion.matrix, truth, atol=1e-9)
@@ -56,7 +56,7 @@ def test_fit_outvotes_a_third_of_points_that_move_together():
 
 def test_predicted_covariance_holds_the_spread_of_fits():
     points, generator = scattered(60), np.random.default_rng(2)
-    columns = basis(np.array([[0.0, 0.0]]), "homography", **SIZE)[0]
+    columns = compute_basis(np.array([[0.0, 0.0]]), "homography", **SIZE)[0]
     corner, predicted = [], []
     for _ in range(200):
         noise = generator.normal(0, 0.1, (60, 2))
@@ -79,7 +79,7 @@ def test_the_least_model_that_explains_the_motion_is_chosen(model, parameters):
     generator, matches = np.random.default_rng(3), []
     for seed in range(3):
         source = scattered(200, seed)
-        truth = small_motion(np.array(parameters), model, **SIZE)
+        truth = build_matrix(np.array(parameters), model, **SIZE)
         target = transform_points(truth, source) + generator.normal(0, 0.1, (200, 2))
-        matches.append(Match(source, target, identities(200)))
+        matches.append(PointMatches(source, target, identities(200)))
     assert choose_model(matches, **SIZE).model == model

@@ -3,8 +3,12 @@ import pytest
 
 from geoaim.errors import RegistrationError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.registration.features import detect, match
-from geoaim.mapping.registration.patches import align, corner_uncertainty, make_template
+from geoaim.mapping.registration.features import detect_features, match_features
+from geoaim.mapping.registration.patches import (
+    align_patches,
+    make_template,
+    predict_corner_uncertainty,
+)
 from geoaim.mapping.registration.register import choose_reference, register, register_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic.camera import reference_from_frames, render_frame
@@ -115,16 +119,16 @@ def test_patches_on_excluded_pixels_are_not_used(frames):
 def test_aligning_the_reference_with_itself_gives_the_identity(frames):
     grey = np.ascontiguousarray(frames[0][..., 1])
     template = make_template(grey)
-    alignment = align(template, grey, np.eye(3), "homography")
+    alignment = align_patches(template, grey, np.eye(3), "homography")
     np.testing.assert_allclose(alignment.matrix, np.eye(3), atol=1e-4)
-    assert alignment.agree[alignment.seen].all()
-    assert corner_uncertainty(template, alignment.motion) < 0.1
+    assert alignment.inliers[alignment.in_view].all()
+    assert predict_corner_uncertainty(template, alignment.motion) < 0.1
 
 
 def test_features_of_unlike_pictures_do_not_match(frames):
     other = textured(np.random.default_rng(11), *frames[0].shape[:2])
-    one, two = detect(frames[0][..., 1].copy()), detect(other[..., 1].copy())
-    assert match(one, two, "homography", size=(360, 640)) is None
+    one, two = detect_features(frames[0][..., 1].copy()), detect_features(other[..., 1].copy())
+    assert match_features(one, two, "homography", size=(360, 640)) is None
 
 
 def test_an_image_too_small_for_patches_is_refused():
