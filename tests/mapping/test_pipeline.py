@@ -121,14 +121,14 @@ def test_a_wrong_number_of_frames_is_refused_before_the_work(frames, wanted, unc
 
 
 def test_a_world_without_control_points_is_refused(frames):
-    with pytest.raises(ValueError, match="no control points to bring into it"):
+    with pytest.raises(ValueError, match="no control points to transform to it"):
         build_aim(frames, crs="EPSG:32635")
 
 
 def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
     other = textured(np.random.default_rng(3), 360, 640)
     noise = [np.roll(other, 97 * i, axis=(i % 2)) for i in range(5)]
-    with pytest.raises(RegistrationError, match="1 of 6 frames could be laid on the reference"):
+    with pytest.raises(RegistrationError, match="1 of 6 frames could be registered to the reference"):
         build_aim([frames[0], *noise], points_on(0))
 
 

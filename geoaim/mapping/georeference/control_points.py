@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from rasterio.control import GroundControlPoint
+from rasterio.crs import CRS
 
 from geoaim.errors import GeoreferenceError
 from geoaim.mapping.georeference.point_files import (
@@ -52,7 +54,17 @@ class ControlPoints:
     frames: tuple[str | int | None, ...]
 
 
-def read_control_points(source: Any, *, crs: str | None = None) -> ControlPoints:
+# What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.
+ControlPointSource = (
+    str
+    | Path
+    | ControlPoints
+    | Iterable[GroundControlPoint | Mapping[str, Any] | Sequence[Sequence[float]]]
+    | tuple[Sequence[GroundControlPoint], CRS | None]
+)
+
+
+def read_control_points(source: ControlPointSource, *, crs: str | None = None) -> ControlPoints:
     """Read control points from a file or from Python objects; the format follows from the content.
 
     Args:

@@ -37,7 +37,7 @@ from geoaim.mapping.registration.motion_models import (
     PointMatches,
     choose_model,
 )
-from geoaim.mapping.video.detections import Detections, read_detections
+from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
@@ -124,7 +124,7 @@ class Registration:
 def register(
     video: VideoSource,
     *,
-    detections: Detections | str | Path | None = None,
+    detections: DetectionSource | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
     progress: Progress = no_progress,
@@ -133,8 +133,7 @@ def register(
 
     Args:
         video: what `open_video` opens.
-        detections: vehicles to leave out: a folder of YOLO text files, or a function of a frame,
-            as `read_detections` makes it.
+        detections: vehicles to leave out, as `read_detections` reads them.
         model: the motion model; None chooses it by the data.
         reference_time: seconds; None chooses the reference by the data.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
@@ -146,7 +145,7 @@ def register(
         RegistrationError: no frame can serve as the reference, or none can be registered to it.
     """
     video = open_video(video)
-    detections = read_detections(detections) if isinstance(detections, str | Path) else detections
+    detections = None if detections is None else read_detections(detections)
     reference = choose_reference(video, detections=detections, model=model, time=reference_time)
     rows = []
     for frame, registration in register_frames(video, reference, detections=detections):

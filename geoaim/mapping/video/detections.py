@@ -15,8 +15,13 @@ BOX_SCALE = 1.12  # detectors' boxes leave out shadows and mirrors
 Detections = Callable[[Frame], Float[Array, "N 4"] | None]
 
 
-def read_detections(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Detections:
+DetectionSource = str | Path | Sequence[Float[Array, "N 4"]] | Detections
+
+
+def read_detections(source: DetectionSource) -> Detections:
     """Read detections from a folder of YOLO text files, or from arrays in the order of the frames.
+
+    Detections are returned as they are.
 
     A text file is named like the frame's image, or by the frame's index (`000123.txt` or
     `123.txt`), and has one row per box: class, centre x, centre y, width, height; all but the class
@@ -25,6 +30,8 @@ def read_detections(source: str | Path | Sequence[Float[Array, "N 4"]]) -> Detec
     Raises:
         GeoaimError: the folder holds no text files, or a row has another form.
     """
+    if callable(source):
+        return source
     if not isinstance(source, str | Path):
         return lambda frame: source[frame.index] if frame.index < len(source) else None
     if not Path(source).is_dir():

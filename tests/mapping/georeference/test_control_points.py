@@ -124,7 +124,7 @@ def test_mappings_and_pairs():
     assert mappings.names == ("a",)
 
 
-def test_nothing_and_nonsense_are_refused(tmp_path):
+def test_nothing_and_nonsense_are_refused(tmp_path, unchecked):
     with pytest.raises(GeoreferenceError, match="no control points"):
         read_control_points(written(tmp_path, "\n# only a remark\n"))
     with pytest.raises(GeoreferenceError, match="cannot be read"):
