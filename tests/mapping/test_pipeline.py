@@ -128,7 +128,7 @@ def test_a_world_without_control_points_is_refused(frames):
 def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
     other = textured(np.random.default_rng(3), 360, 640)
     noise = [np.roll(other, 97 * i, axis=(i % 2)) for i in range(5)]
-    with pytest.raises(RegistrationError, match="1 of 6 frames could be registered to the reference"):
+    with pytest.raises(RegistrationError, match="1 of 6 frames could be registered"):
         build_aim([frames[0], *noise], points_on(0))
 
 
