@@ -267,4 +267,4 @@ def test_sample_is_not_written_among_other_files(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
     result = run(app, ["sample", str(tmp_path)])
     assert result.exit_code == 1
-    assert "is no sample; name a new folder" in " ".join(result.output.split())
+    assert "is not a sample; name a new folder" in " ".join(result.output.split())

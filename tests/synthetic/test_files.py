@@ -103,7 +103,7 @@ def test_lights_tell_each_change_once(sample, folder):
 @pytest.fixture
 def without_imagery(monkeypatch):
     """Drawing another day takes most of the time."""
-    monkeypatch.setattr("geoaim.synthetic.files._write_imagery", lambda *_: (0.0, 0.0))
+    monkeypatch.setattr("geoaim.synthetic.files.write_imagery", lambda *_: (0.0, 0.0))
 
 
 @pytest.mark.usefixtures("without_imagery")
@@ -127,7 +127,7 @@ def test_sample_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
     sample = make_sample(2, kind="t", minutes=0.1, video=None, resolution=0.2)
     write_sample(sample, tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    monkeypatch.setattr("geoaim.synthetic.files._write_imagery", _fail)
+    monkeypatch.setattr("geoaim.synthetic.files.write_imagery", _fail)
     with pytest.raises(OSError, match="no space left"):
         write_sample(sample, tmp_path)
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -139,7 +139,7 @@ def _fail(*_):
 
 def test_folder_with_other_files_is_refused(sample, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="holds thesis\\.tex and is no sample"):
+    with pytest.raises(ValueError, match="holds thesis\\.tex and is not a sample"):
         write_sample(sample, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
@@ -148,7 +148,7 @@ def test_folder_whose_files_only_look_like_a_sample_is_refused(sample, tmp_path)
     (tmp_path / "gcps.csv").write_text("my own points")
     (tmp_path / "boxes").mkdir()
     (tmp_path / "boxes" / "mine.txt").write_text("my own labels")
-    with pytest.raises(ValueError, match="is no sample"):
+    with pytest.raises(ValueError, match="is not a sample"):
         write_sample(sample, tmp_path)
     assert (tmp_path / "boxes" / "mine.txt").read_text() == "my own labels"
     with pytest.raises(ValueError, match="is a file"):
