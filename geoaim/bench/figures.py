@@ -26,7 +26,7 @@ from geoaim.mapping import (
 )
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import Video
-from geoaim.prediction import predict, read_model, shipped
+from geoaim.prediction import predict, read_pretrained
 from geoaim.prediction.pictures import draw_futures
 from geoaim.quicklook import draw_quicklook
 from geoaim.simulation import View, make_scene
@@ -118,13 +118,13 @@ def _draw_futures(aim: AIM, samples: Path, path: Path) -> None:
         ("vehicle", 40, 9.0, axes[0]),
         ("pedestrian", 20, 20.0, axes[1]),
     ):
-        model = read_model(shipped(kind))
-        scene = _make_sample_scene(aim, samples, 1 / model.config.seconds)
+        model = read_pretrained(kind)
+        scene = _make_sample_scene(aim, samples, 1 / model.config.dt)
         start = step_at_time(scene, time)
         futures = predict(
-            model, scene, steps=steps, start=start, generator=torch.Generator().manual_seed(0)
+            model, scene, horizon=steps, start=start, generator=torch.Generator().manual_seed(0)
         )
-        title = f"{kind}s, {steps * model.config.seconds:g} s"
+        title = f"{kind}s, {steps * model.config.dt:g} s"
         _show(shown, draw_futures(scene, futures, start), title)
     figure.savefig(path, dpi=80)
 

@@ -1,9 +1,9 @@
-"""How fast ITRA learns and samples, and how much of it is drawing views.
+"""Speed of ITRA: training, sampling, and rendering as a part of training.
 
     python -m geoaim.bench.prediction --json docs/bench/prediction.json
 
-Segments are of a made junction. Sampling is of 6 futures of 20 vehicles over 40 steps, 4 s, after
-10 known ones; drawing is the part of a training step that `egos_see` takes, forward and back.
+Segments are of a synthetic junction. Sampling is of 6 futures of 20 vehicles over 40 steps (4 s)
+after 10 observed ones. Rendering is `render_observation` in a training step, forward and backward.
 """
 
 import time
@@ -16,33 +16,33 @@ import typer
 
 from geoaim.aim import AIM
 from geoaim.bench.report import format_table, time_medians, write_rows
-from geoaim.prediction.checkpoints import read_model, shipped
-from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.lessons import STEPS
-from geoaim.prediction.predict import OBSERVED
-from geoaim.prediction.segments import Segments, cut_segments, pick
-from geoaim.prediction.views import egos_of, egos_see
+from geoaim.prediction.checkpoints import read_pretrained
+from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, Config
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.observation import index_controlled, render_observation
+from geoaim.prediction.segments import Segments, pick
 from geoaim.simulation.ground import Ground, fit_ground
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_sample, tracks_of, world_from_image
 from geoaim.track_changes import resample_tracks
 
-AGENTS, SAMPLES, BATCH = 20, 6, 48
+AGENTS, SAMPLES, BATCH_SIZE = 20, 6, 48
 REPEATS = 25
-RESOLUTION = 0.2
+RESOLUTION = 0.2  # metres a pixel
 
 
-def made_scene(config: Config) -> Scene:
-    """The traffic of a made junction."""
+def make_junction_scene(config: Config) -> Scene:
+    """Make the scene of a synthetic junction's traffic."""
     sample = make_sample(1, minutes=3.0, video=None, resolution=RESOLUTION)
     image = draw_place(sample.place, resolution=RESOLUTION)
-    place = world_from_image(sample.place, RESOLUTION)
-    aim = AIM.from_image(image, place, sample.place.world, "drawn")
-    return make_scene(aim, resample_tracks(tracks_of(sample), 1 / config.seconds))
+    matrix = world_from_image(sample.place, RESOLUTION)
+    aim = AIM.from_image(image, matrix, sample.place.world, "drawn")
+    return make_scene(aim, resample_tracks(tracks_of(sample), 1 / config.dt))
 
 
-def together(segments: Segments) -> Segments:
-    """One segment with so many who are moved: egos of others, all at one place and time."""
+def join_agents(segments: Segments) -> Segments:
+    """Join the controlled agents of several segments into one segment."""
     some = pick(segments, slice(0, AGENTS))
     states = some.states[:, :, 0].transpose(0, 1)[None]
     return replace(
@@ -50,55 +50,62 @@ def together(segments: Segments) -> Segments:
         states=states,
         present=torch.ones(states.shape[:3], dtype=torch.bool),
         sizes=some.sizes[:, 0][None],
-        planes=some.planes[:, 0][None],
+        layers=some.layers[:, 0][None],
         controlled=torch.ones(1, AGENTS, dtype=torch.bool),
     )
 
 
-def row(kind: str, threads: int) -> dict[str, Any]:
-    """Figures of one of the shipped models."""
+def measure_model(kind: str, threads: int) -> dict[str, Any]:
+    """Measure one of the pretrained models."""
     torch.set_num_threads(threads)
-    model = read_model(shipped(kind)).train()
-    config = model.config
-    scene = made_scene(config)
-    ground = fit_ground(scene.ground, config.resolution)
-    segments = cut_segments(scene, kind, steps=STEPS[kind], stride=10)
-    batch = pick(segments, slice(0, None, max(1, len(segments) // BATCH)))
-    batch = pick(batch, slice(0, BATCH))
+    model = read_pretrained(kind).train()
+    scene = make_junction_scene(model.config)
+    ground = fit_ground(scene.ground, model.config.resolution)
+    segments = cut_segments(scene, kind, steps=SEGMENT_STEPS[kind], stride=10)
+    batch = pick(segments, slice(0, None, max(1, len(segments) // BATCH_SIZE)))
+    batch = pick(batch, slice(0, BATCH_SIZE))
     generator = torch.Generator().manual_seed(0)
+    encoded_steps = [
+        step
+        for step in range(SEGMENT_STEPS[kind] - 1)
+        if (step - MAX_HISTORY_STEPS + 1) % model.config.view_stride == 0
+    ]
 
-    def learn() -> None:
-        losses = model(batch, ground, OBSERVED, generator)
-        (losses.fit + losses.divergence).backward()
+    def train() -> None:
+        losses = model(batch, ground, MAX_HISTORY_STEPS, generator)
+        (losses.nll + losses.kl).backward()
 
-    looks = [k for k in range(STEPS[kind] - 1) if (k - OBSERVED + 1) % config.every == 0]
-
-    def draw() -> None:
-        for number in looks:
-            states = batch.states[:, number].clone().requires_grad_(number >= OBSERVED)
-            views = egos_see(config.view, ground, batch, egos_of(batch), states, number)
+    def render() -> None:
+        controlled = index_controlled(batch)
+        for step in encoded_steps:
+            states = batch.states[:, step].clone().requires_grad_(step >= MAX_HISTORY_STEPS)
+            view = model.config.view
+            views = render_observation(view, ground, batch, controlled, states, step)
             if views.requires_grad:
                 views.sum().backward()  # type: ignore[no-untyped-call]
 
-    step, drawing = time_medians([learn, draw], REPEATS)
-    found = {
+    step_time, render_time = time_medians([train, render], REPEATS)
+    row = {
         "model": kind,
         "threads": threads,
-        "segments a second": BATCH / step,
-        "share of drawing": drawing / step,
-        "ms of a view": 1000 * drawing / len(looks) / BATCH,
+        "segments a second": BATCH_SIZE / step_time,
+        "share of rendering": render_time / step_time,
+        "ms of a view": 1000 * render_time / len(encoded_steps) / BATCH_SIZE,
     }
     if kind == "vehicle":
-        longer = cut_segments(scene, kind, steps=OBSERVED + STEPS[kind], stride=10)
-        found["s to sample 4 s"] = _sampling(model.eval(), together(longer), ground)
-    return found
+        steps = MAX_HISTORY_STEPS + SEGMENT_STEPS[kind]
+        longer = cut_segments(scene, kind, steps=steps, stride=10)
+        row["s to sample 4 s"] = _time_sampling(model.eval(), join_agents(longer), ground)
+    return row
 
 
-def _sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
+def _time_sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
     generator = torch.Generator().manual_seed(0)
 
     def sample() -> None:
-        model.sample(segments, ground, observed=OBSERVED, samples=SAMPLES, generator=generator)
+        model.sample(
+            segments, ground, history=MAX_HISTORY_STEPS, samples=SAMPLES, generator=generator
+        )
 
     return time_medians([sample], REPEATS)[0]
 
@@ -106,7 +113,8 @@ def _sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
 def main(json: Annotated[Path | None, typer.Option(help="file to write")] = None) -> None:
     """Print the table."""
     start = time.perf_counter()
-    rows = [row(kind, threads) for threads in (1, 2) for kind in ("vehicle", "pedestrian")]
+    kinds = ("vehicle", "pedestrian")
+    rows = [measure_model(kind, threads) for threads in (1, 2) for kind in kinds]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.prediction", torch=torch.__version__)
     print(f"{time.perf_counter() - start:.0f} s")

@@ -66,9 +66,9 @@ def predict(
     """
     import torch
 
+    from geoaim.prediction.cutting import select_kind
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as foresee
-    from geoaim.prediction.segments import of_kind
     from geoaim.simulation.pictures import write_pictures
     from geoaim.simulation.scene import step_at_time
 
@@ -77,26 +77,26 @@ def predict(
         model = _model(weights, kind)
         agents = (tracks, tracks_world, tracks_resolution)
         scene, _, world = read_scene(
-            aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.seconds
+            aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.dt
         )
         start = step_at_time(scene, at)
         progress("predict", 0, 1)
-        steps = max(1, round((seconds or USUAL[kind]) / model.config.seconds))
+        steps = max(1, round((seconds or USUAL[kind]) / model.config.dt))
         generator = torch.Generator().manual_seed(seed)
         futures = foresee(
-            model, scene, samples=samples, steps=steps, start=start, generator=generator
+            model, scene, samples=samples, horizon=steps, start=start, generator=generator
         )
         progress("predict", 1, 1)
         if output.suffix.lower() == ".csv":
-            write_futures(scene, futures, start, output, world=world, seconds=model.config.seconds)
+            write_futures(scene, futures, start, output, world=world, dt=model.config.dt)
         elif output.suffix.lower() == ".png":
             write_pictures([draw_futures(scene, futures, start)], output, rate=1.0)
         else:
             frames = film_futures(scene, futures, start)
-            write_pictures(frames, output, rate=1 / model.config.seconds)
-    moved = int((of_kind(scene, kind) & scene.present[:, start]).sum())
+            write_pictures(frames, output, rate=1 / model.config.dt)
+    moved = int((select_kind(scene, kind) & scene.present[:, start]).sum())
     console.print(
-        f"{output}: {samples} futures of {steps * model.config.seconds:g} s after "
+        f"{output}: {samples} futures of {steps * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {moved} agents"
     )
 
@@ -128,34 +128,36 @@ def train(
 
     An interrupted run goes on where it was when it is called again in the same way. Predict and
     evaluate with --weights FOLDER/model.pt then, the latter with --last for what was held out. More
-    recordings at once take the Python functions make_lessons and train.
+    recordings at once take the Python functions make_dataset and train.
     """
-    from geoaim.prediction.curves import write_curves
-    from geoaim.prediction.lessons import make_lessons
-    from geoaim.prediction.training import fine_tuning, from_scratch
+    from geoaim.prediction.config import (
+        DEFAULT_CONFIGS,
+        configure_fine_tuning,
+        configure_training,
+    )
+    from geoaim.prediction.dataset import make_dataset
+    from geoaim.prediction.report import plot_training
+    from geoaim.prediction.training import init_model
     from geoaim.prediction.training import train as learn
 
     with stages() as progress, plain_errors():
         refuse_output(output / "model.pt", inputs=[weights])
-        model = _model(weights, kind)
+        if scratch:
+            config = DEFAULT_CONFIGS[kind] if weights is None else _model(weights, kind).config
+            model = init_model(config, seed=seed)
+        else:
+            model = _model(weights, kind)
         agents = (tracks, tracks_world, tracks_resolution)
-        scene, _, _ = read_scene(
-            aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.seconds
-        )
-        lessons = make_lessons([scene], model.config, held_out=held_out, progress=progress)
-        usual = from_scratch if scratch else fine_tuning
-        learn(
-            model.config,
-            replace(usual(kind, steps=steps, batch=batch, seed=seed), save=50),
-            lessons,
-            output,
-            start=None if scratch else model,
-            progress=progress,
-        )
-        write_curves(output / "log.csv", output / "curves.png")
+        scene, _, _ = read_scene(aim, agents, lights, hdmap, stop_lines, rate=1 / model.config.dt)
+        dataset = make_dataset([scene], model.config, val_fraction=held_out, progress=progress)
+        configure = configure_training if scratch else configure_fine_tuning
+        training = configure(kind, steps=steps, batch_size=batch, seed=seed)
+        training = replace(training, checkpoint_interval=50)
+        learn(model, training, dataset, output, progress=progress)
+        plot_training(output / "log.csv", output / "curves.png")
     console.print(
-        f"{output / 'model.pt'}: learnt from {len(lessons.train)} segments, checked with "
-        f"{len(lessons.valid)} of the last {100 * held_out:g} %: {_progress(output / 'log.csv')}; "
+        f"{output / 'model.pt'}: learnt from {len(dataset.train)} segments, checked with "
+        f"{len(dataset.val)} of the last {100 * held_out:g} %: {_progress(output / 'log.csv')}; "
         f"{output / 'curves.png'} shows how"
     )
 
@@ -199,10 +201,11 @@ def evaluate(
     Drone Dataset's form, by minADE and minFDE in pixels and metres. Intervals of 95 % are by
     bootstrap.
     """
-    from geoaim.prediction.evaluation import compare, evaluate_windows
-    from geoaim.prediction.metrics import summary
-    from geoaim.prediction.report import markdown
-    from geoaim.prediction.windows import read_windows
+    from geoaim.prediction.baselines import BASELINES
+    from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
+    from geoaim.prediction.metrics import summarise
+    from geoaim.prediction.report import format_markdown
+    from geoaim.prediction.windows import WindowFiles, read_windows
 
     with stages() as progress, plain_errors():
         if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
@@ -215,29 +218,30 @@ def evaluate(
                     "--windows needs --weights, of a model that was trained on windows"
                 )
             model = _model(weights, None)
-            if images is None and model.config.encoder != "none":
+            if images is None and model.config.use_observations:
                 warnings.warn(
                     "the model learnt to see maps, and sees grey without --images",
                     GeoaimWarning,
                     stacklevel=1,
                 )
-            there = read_windows(windows, images, scenes, model.config.view)
-            judged = compare(
-                model,
-                lambda who: evaluate_windows(who, there, samples, seed=seed, report=progress),
-            )
+            there = read_windows(WindowFiles(windows, images, scenes), model.config.view)
+            predictors = {"model": make_window_predictor(model, samples), **BASELINES}
+            judged = {
+                name: evaluate_windows(predictor, there, samples, seed=seed, progress=progress)
+                for name, predictor in predictors.items()
+            }
             count = len(there.segments)
         else:
             model = _model(weights, kind)
             given = (aim, (tracks, tracks_world, tracks_resolution), lights, hdmap, stop_lines)
             judged, count = _judged(model, given, last, (samples, seed), progress)
-    found = {name: summary(measures) for name, measures in judged.items()}
+    found = {name: summarise(measures) for name, measures in judged.items()}
     if as_json:
         flat = {name: value["mean"] for name, value in found["model"].items()}
         name = "windows" if windows is not None else "segments"
         print(json.dumps({**flat, name: count, "samples": samples, "methods": found}, indent=1))
     else:
-        print(markdown(found))
+        print(format_markdown(found))
         ahead = "12 steps" if windows is not None else f"{USUAL[kind]:g} s"
         console.print(
             f"{count} pieces, {samples} samples of {ahead} ahead, m (px where a name says so); "
@@ -250,14 +254,18 @@ def experiment(
     folder: Annotated[
         Path, typer.Option("--folder", help="where places and models are kept")
     ] = Path("build/experiments"),
+    results: Annotated[Path, typer.Option(help="folder for tables and figures")] = Path(
+        "docs/experiments"
+    ),
 ) -> None:
     """Repeat an experiment: made places or real data, models, tables and figures.
 
     What is in the folder already is used, so that an interrupted run goes on where it was.
-    Results go to docs/experiments of the folder in which this is called; 'shipped' writes the
-    package's models anew. Real data are looked for in GEOAIM_DATA.
+    'pretrained' writes the package's models anew, to FOLDER/pretrained. Real data are looked for
+    in GEOAIM_DATA.
     """
     from geoaim.experiments import EXPERIMENTS
+    from geoaim.experiments.results import Folders
 
     with stages() as progress, plain_errors():
         if name == "list":
@@ -266,7 +274,7 @@ def experiment(
             return
         if name not in EXPERIMENTS:
             raise ValueError(f"there is no experiment {name!r}; 'list' says what there is")
-        written = EXPERIMENTS[name](folder, progress)
+        written = EXPERIMENTS[name](Folders(folder, results), progress)
     console.print(", ".join(str(path) for path in written))
 
 
@@ -283,34 +291,35 @@ def _judged(
     model: "ITRA", given: tuple[Any, ...], last: float, draws: tuple[int, int], progress: Progress
 ) -> tuple[Any, int]:
     """Measures of everybody on joint segments of a scene, and how many segments there are."""
-    from geoaim.prediction.evaluation import Asked, compare, evaluate
-    from geoaim.prediction.lessons import split
-    from geoaim.prediction.predict import OBSERVED
-    from geoaim.prediction.segments import cut_segments
+    from geoaim.prediction.baselines import BASELINES
+    from geoaim.prediction.config import MAX_HISTORY_STEPS
+    from geoaim.prediction.cutting import cut_segments
+    from geoaim.prediction.dataset import split_scene
+    from geoaim.prediction.evaluation import EvalConfig, evaluate
     from geoaim.simulation.episodes import check_place, rules_of
     from geoaim.simulation.ground import fit_ground
 
-    scene, known, _ = read_scene(*given, rate=1 / model.config.seconds)
+    scene, known, _ = read_scene(*given, rate=1 / model.config.dt)
     rules = rules_of(known)
     check_place(scene, rules)
     samples, seed = draws
-    _, scene = split(scene, last)
-    steps = OBSERVED + round(USUAL[model.config.kind] / model.config.seconds)
+    _, scene = split_scene(scene, last)
+    steps = MAX_HISTORY_STEPS + round(USUAL[model.config.kind] / model.config.dt)
     segments = cut_segments(scene, model.config.kind, steps=steps, stride=steps, joint=True)
     ground = fit_ground(scene.ground, model.config.resolution)
-    asked = Asked(OBSERVED, samples, seed=seed)
-    judged = compare(
-        model,
-        lambda who: evaluate(who, segments, ground, asked, rules=rules, report=progress),
-    )
+    options = EvalConfig(MAX_HISTORY_STEPS, samples, seed=seed)
+    judged = {
+        name: evaluate(predictor, segments, ground, options, rules=rules, progress=progress)
+        for name, predictor in {"model": model.sample, **BASELINES}.items()
+    }
     return judged, len(segments)
 
 
 def _model(weights: Path | None, kind: str | None) -> "ITRA":
     """The model of a file, or the one that is shipped for a kind."""
-    from geoaim.prediction.checkpoints import read_model, shipped
+    from geoaim.prediction.checkpoints import read_model, read_pretrained
 
-    model = read_model(shipped(str(kind)) if weights is None else weights)
+    model = read_pretrained(str(kind)) if weights is None else read_model(weights)
     if kind is not None and model.config.kind != kind:
         raise ValueError(
             f"{weights} is a model of {model.config.kind}s; say --kind {model.config.kind}"

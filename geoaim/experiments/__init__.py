@@ -1,10 +1,18 @@
-"""The paper's tables and more, each by one name of `geoaim experiment`."""
+"""The paper's tables and public benchmarks, each by its name in `geoaim experiment`."""
 
-from geoaim.experiments import ablations, people, shipping, sind, songdo, stanford, vehicles
+from geoaim.experiments import (
+    ablations,
+    pedestrians,
+    pretrained,
+    sind,
+    songdo,
+    stanford,
+    vehicles,
+)
 
 EXPERIMENTS = {
-    "shipped": shipping.run,
-    "people": people.run,
+    "pretrained": pretrained.run,
+    "pedestrians": pedestrians.run,
     "vehicles": vehicles.run,
     "stanford": stanford.run,
     "songdo": songdo.run,

@@ -1,92 +1,109 @@
-"""What choices that the paper leaves open are worth: short trainings that differ in one of them."""
+"""Ablations of choices that the paper leaves open: short trainings that differ in one of them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
 from torch import nn
 
-from geoaim.experiments.learning import SAMPLES, VEHICLES, lessons_of
-from geoaim.experiments.models import kept_or_trained
+from geoaim.experiments.models import train_once
 from geoaim.experiments.places import TRAIN, make_places
-from geoaim.experiments.results import differences, write_results
-from geoaim.prediction.evaluation import Asked, evaluate
-from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import Measure
-from geoaim.prediction.predict import OBSERVED
+from geoaim.experiments.protocol import SAMPLES, VEHICLES, make_places_dataset
+from geoaim.experiments.resnet import build_resnet18
+from geoaim.experiments.results import Folders, compute_differences, write_results
+from geoaim.prediction.config import (
+    MAX_HISTORY_STEPS,
+    Config,
+    TrainConfig,
+    configure_training,
+)
+from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.evaluation import EvalConfig, evaluate
+from geoaim.prediction.itra import ITRA, BuildEncoder
+from geoaim.prediction.metrics import Metric
+from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.segments import pick
-from geoaim.prediction.training import Training, from_scratch
 from geoaim.progress import Progress
 
-STEPS, BATCH = 250, 32
-EVERY = 6  # of the pieces that are held out is judged
-MEASURES = ("minADE", "minFDE", "MFD")
+STEPS, BATCH_SIZE = 250, 32
+VAL_STRIDE = 6  # every sixth validation segment is evaluated
+METRICS = ("minADE", "minFDE", "MFD")
 
 
 @dataclass(frozen=True)
-class Choice:
-    """One thing that is otherwise than in vehicles' models that see colours alone.
+class Ablation:
+    """What differs from the default.
 
     Attributes:
-        config: what the model is made of.
-        divergence: weight of the latents' divergence.
-        start: weights to begin with.
+        config: of the model.
+        kl_weight: of the training.
+        build_encoder: of the model.
+        default_weights: whether convolutions start with torch's default weights.
     """
 
-    config: Config
-    divergence: float = Training.divergence
-    start: Callable[[Config], ITRA] | None = None
+    config: Config = VEHICLES
+    kl_weight: float = TrainConfig.kl_weight
+    build_encoder: BuildEncoder = build_cnn
+    default_weights: bool = False
 
 
-def plain_start(config: Config) -> ITRA:
-    """torch's own starting weights of convolutions, as they were before He's."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        model = ITRA(config)
-        for part in model.encoder.modules():
-            if isinstance(part, nn.Conv2d):
-                part.reset_parameters()
-    return model
-
-
-CHOICES = {
-    "vehicles": Choice(VEHICLES),
-    "vehicles, divergence 1": Choice(VEHICLES, divergence=1.0),
-    "vehicles, divergence 0.3": Choice(VEHICLES, divergence=0.3),
-    "vehicles, torch's start": Choice(VEHICLES, start=plain_start),
-    "vehicles, no view": Choice(replace(VEHICLES, encoder="none")),
-    "vehicles, ResNet-18": Choice(replace(VEHICLES, encoder="resnet18")),
+ABLATIONS = {
+    "vehicles": Ablation(),
+    "vehicles, KL weight 1": Ablation(kl_weight=1.0),
+    "vehicles, KL weight 0.3": Ablation(kl_weight=0.3),
+    "vehicles, torch's initial weights": Ablation(default_weights=True),
+    "vehicles, no view": Ablation(replace(VEHICLES, use_observations=False)),
+    "vehicles, ResNet-18": Ablation(build_encoder=build_resnet18),
 }
 
 
-def run(folder: Path, report: Progress) -> list[Path]:
-    """choices that the paper leaves open, by short trainings on the same made places."""
-    places = make_places(folder / "places", TRAIN["vehicle"], report=report)
-    found: dict[str, dict[str, Measure]] = {}
-    lessons = lessons_of(places, VEHICLES, "aim", report=report)
-    valid = pick(lessons.valid, slice(None, None, EVERY))
-    for name, choice in CHOICES.items():
-        model = _trained(name, choice, lessons, folder, report)
-        asked = Asked(OBSERVED, SAMPLES)
-        measures = evaluate(model, valid, lessons.ground, asked, report=report)
-        found[name] = {key: measures[key] for key in MEASURES}
-    about = {
+def run(folders: Folders, progress: Progress) -> list[Path]:
+    """Choices that the paper leaves open, by short trainings on synthetic places."""
+    places = make_places(folders.work / "places", TRAIN["vehicle"], progress=progress)
+    dataset = make_places_dataset(places, VEHICLES, "aim", progress=progress)
+    val = pick(dataset.val, slice(None, None, VAL_STRIDE))
+    options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
+    table: dict[str, dict[str, Metric]] = {}
+    for name, ablation in ABLATIONS.items():
+        model = _train(name, ablation, dataset, folders.work, progress)
+        metrics = evaluate(model.sample, val, dataset.ground, options, progress=progress)
+        table[name] = {key: metrics[key] for key in METRICS}
+    settings = {
         "steps": STEPS,
-        "batch": BATCH,
-        "pieces": len(valid),
-        "judged on": "ends of recordings of places that were learnt from",
-        "less the first row": {
-            name: differences(found[name], found["vehicles"]) for name in found if "," in name
+        "batch size": BATCH_SIZE,
+        "segments": len(val),
+        "evaluated on": "ends of the recordings of training places",
+        "difference from the first row": {
+            name: compute_differences(table[name], table["vehicles"])
+            for name in ABLATIONS
+            if name != "vehicles"
         },
     }
-    return write_results("ablations", found, about)
+    return write_results("ablations", table, settings, folders.results)
 
 
-def _trained(name: str, choice: Choice, lessons: Lessons, folder: Path, report: Progress) -> ITRA:
-    training = from_scratch(choice.config.kind, steps=STEPS, batch=BATCH)
-    training = replace(training, divergence=choice.divergence)
-    where = folder / "models" / "ablations" / name.replace(",", "").replace(" ", "_")
-    start = None if choice.start is None else choice.start(choice.config)
-    return kept_or_trained(where, choice.config, training, lambda: lessons, report, start=start)
+def _train(name: str, ablation: Ablation, dataset: Dataset, work: Path, progress: Progress) -> ITRA:
+    config, build_encoder = ablation.config, ablation.build_encoder
+    training = configure_training(config.kind, steps=STEPS, batch_size=BATCH_SIZE)
+    training = replace(training, kl_weight=ablation.kl_weight)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(training.seed)
+        model = ITRA(config, build_encoder)
+        if ablation.default_weights:
+            _reset_convolutions(model)
+    label = name.replace(",", "").replace(" ", "_")
+    return train_once(
+        model,
+        training,
+        lambda: dataset,
+        work / "models" / "ablations" / label,
+        build_encoder=build_encoder,
+        progress=progress,
+    )
+
+
+def _reset_convolutions(model: ITRA) -> None:
+    """Give convolutions torch's default initial weights."""
+    for module in model.encoder.modules():
+        if isinstance(module, nn.Conv2d):
+            module.reset_parameters()

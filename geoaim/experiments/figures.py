@@ -1,4 +1,4 @@
-"""Sampled futures side by side: what a model of each kind thinks on each map of new places."""
+"""Figures: sampled futures of several models side by side, each on the map it is trained on."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,46 +6,50 @@ from pathlib import Path
 import torch
 from matplotlib.figure import Figure
 
-from geoaim.experiments.learning import SAMPLES
-from geoaim.experiments.models import RECIPES
-from geoaim.experiments.places import read_map, read_recordings, scene_of
+from geoaim.experiments.models import MODELS
+from geoaim.experiments.places import make_place_scene, read_map, read_recordings
+from geoaim.experiments.protocol import SAMPLES
 from geoaim.files import write_figure
+from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.lessons import STEPS
-from geoaim.prediction.pictures import all_futures, draw_futures
-from geoaim.prediction.predict import OBSERVED, predict
+from geoaim.prediction.pictures import draw_futures, fit_camera
+from geoaim.prediction.predict import predict
 from geoaim.simulation.scene import step_at_time
 
-HIGH = 5.2  # inches of a picture
+HEIGHT_INCHES = 5.2
 
 
 def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, path: Path) -> None:
-    """Draw a panel for each of `RECIPES` by name, all of the same ground: its model on its map.
+    """Draw the same ground in a panel for each model.
 
     Args:
-        models: by name.
-        place: a made place.
-        time: s of its first recording after which futures are drawn.
-        path: of the picture.
+        models: by their names in `MODELS`.
+        place: folder of a synthetic place.
+        time: s of its first recording after which futures begin.
+        path: of the figure.
     """
-    recorded, seen = read_recordings(place)[0], None
+    recording, camera = read_recordings(place)[0], None
     panels = []
     for name, model in models.items():
-        recipe = RECIPES[name]
-        rate = 1 / model.config.seconds
-        scene = scene_of(recorded, read_map(place, recipe.map), rate=rate, lights=recipe.lights)
-        steps, start = STEPS[model.config.kind] - OBSERVED, step_at_time(scene, time)
-        generator = torch.Generator().manual_seed(0)
+        spec, kind = MODELS[name], model.config.kind
+        aim = read_map(place, spec.map_name)
+        scene = make_place_scene(recording, aim, dt=model.config.dt, lights=spec.lights)
+        start = step_at_time(scene, time)
         futures = predict(
-            model, scene, samples=SAMPLES, steps=steps, start=start, generator=generator
+            model,
+            scene,
+            samples=SAMPLES,
+            horizon=SEGMENT_STEPS[kind] - MAX_HISTORY_STEPS,
+            start=start,
+            generator=torch.Generator().manual_seed(0),
         )
-        seen = seen or all_futures(scene, futures, start)
-        title = f"{model.config.kind}s, {recipe.map.upper()}, {place.name}"
-        panels.append((title, draw_futures(scene, futures, start, seen)))
-    wide = sum(picture.shape[1] / picture.shape[0] for _, picture in panels)
-    figure = Figure(figsize=(HIGH * wide, HIGH), layout="constrained")
-    rows = figure.subplots(1, len(panels), squeeze=False)
-    for axes, (title, picture) in zip(rows.flat, panels, strict=True):
+        camera = camera or fit_camera(scene, futures, start)
+        title = f"{kind}s, {spec.map_name.upper()}, {place.name}"
+        panels.append((title, draw_futures(scene, futures, start, camera)))
+    aspect = sum(picture.shape[1] / picture.shape[0] for _, picture in panels)
+    figure = Figure(figsize=(HEIGHT_INCHES * aspect, HEIGHT_INCHES), layout="constrained")
+    axes_row = figure.subplots(1, len(panels), squeeze=False)
+    for axes, (title, picture) in zip(axes_row.flat, panels, strict=True):
         axes.imshow(picture)
         axes.axis("off")
         axes.set_title(title)

@@ -1,103 +1,148 @@
-"""The models that experiments compare; each training is kept in its folder."""
+"""The models that experiments compare; each training has a folder, and is run once."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from geoaim.errors import ModelError
-from geoaim.experiments.learning import LIKENESS, PEOPLE, TRAININGS, VEHICLES, lessons_of
 from geoaim.experiments.places import TRAIN, make_places
-from geoaim.prediction.checkpoints import kept_model, read_state
-from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.training import Training, digest, train
+from geoaim.experiments.protocol import (
+    PEDESTRIANS,
+    TRAININGS,
+    VEHICLES,
+    VEHICLES_ON_AIM,
+    make_places_dataset,
+)
+from geoaim.prediction.checkpoints import read_model, read_state
+from geoaim.prediction.config import Config, TrainConfig
+from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.itra import ITRA, BuildEncoder
+from geoaim.prediction.networks import build_cnn
+from geoaim.prediction.training import hash_weights, init_model, train
 from geoaim.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What a model is made of, what it sees, and how often it is trained.
+class ModelSpec:
+    """How a model is trained on synthetic places.
 
     Attributes:
         config: of the model.
-        map: one of `MAPS`.
-        lights: whether they are shown.
-        trainings: more than one where chance may be as large as what is asked.
+        map_name: one of `MAPS`.
+        lights: whether it is trained with traffic lights.
+        seeds: number of trainings; several where seeds differ as much as what is compared.
     """
 
     config: Config
-    map: str
+    map_name: str
     lights: bool = True
-    trainings: int = 1
+    seeds: int = 1
 
 
-RECIPES = {
-    "vehicle_aim": Recipe(LIKENESS, "aim", trainings=2),
-    "vehicle_hdm": Recipe(VEHICLES, "hdm", trainings=2),
-    "vehicle_no_map": Recipe(VEHICLES, "none"),
-    "vehicle_aim_no_lights": Recipe(LIKENESS, "aim", lights=False, trainings=2),
-    "pedestrian_aim": Recipe(PEOPLE, "aim", trainings=3),
-    "pedestrian_hdm": Recipe(PEOPLE, "hdm", trainings=3),
-    "pedestrian_roads": Recipe(PEOPLE, "roads"),
-    "pedestrian_full": Recipe(PEOPLE, "full"),
-    "pedestrian_no_map": Recipe(PEOPLE, "none"),
+MODELS = {
+    "vehicle_aim": ModelSpec(VEHICLES_ON_AIM, "aim", seeds=2),
+    "vehicle_hdm": ModelSpec(VEHICLES, "hdm", seeds=2),
+    "vehicle_no_map": ModelSpec(VEHICLES, "none"),
+    "vehicle_aim_no_lights": ModelSpec(VEHICLES_ON_AIM, "aim", lights=False, seeds=2),
+    "pedestrian_aim": ModelSpec(PEDESTRIANS, "aim", seeds=3),
+    "pedestrian_hdm": ModelSpec(PEDESTRIANS, "hdm", seeds=3),
+    "pedestrian_roads": ModelSpec(PEDESTRIANS, "roads"),
+    "pedestrian_full": ModelSpec(PEDESTRIANS, "full"),
+    "pedestrian_no_map": ModelSpec(PEDESTRIANS, "none"),
 }
 
 
-def all_trained(name: str, folder: Path, *, report: Progress = no_progress) -> list[ITRA]:
-    """Every training of one of `RECIPES`."""
-    seeds = range(RECIPES[name].trainings)
-    return [trained(name, folder, seed=seed, report=report) for seed in seeds]
-
-
-def trained(name: str, folder: Path, *, seed: int = 0, report: Progress = no_progress) -> ITRA:
-    """One of `RECIPES`, from its folder; trained, or trained on, where it is not whole yet.
+def train_all_seeds(name: str, work: Path, *, progress: Progress = no_progress) -> list[ITRA]:
+    """Train one of `MODELS` with all its seeds, or read it from its folders.
 
     Args:
-        name: of the recipe.
-        folder: where places and models are kept.
-        seed: of its training; each has a folder of its own.
-        report: takes stage, done and total.
+        name: of the model.
+        work: folder of places and models.
+        progress: takes stage, done and total.
+
+    Returns:
+        A model for each seed.
     """
-    recipe = RECIPES[name]
-
-    def lessons() -> Lessons:
-        places = make_places(folder / "places", TRAIN[recipe.config.kind], report=report)
-        return lessons_of(places, recipe.config, recipe.map, lights=recipe.lights, report=report)
-
-    training = replace(TRAININGS[recipe.config.kind], seed=seed)
-    where = training_folder(folder, name, seed)
-    return kept_or_trained(where, recipe.config, training, lessons, report)
+    seeds = range(MODELS[name].seeds)
+    return [train_model(name, work, seed=seed, progress=progress) for seed in seeds]
 
 
-def training_folder(folder: Path, label: str, seed: int) -> Path:
-    """Where a training of a model is kept; the first one's folder has the model's label alone."""
-    return folder / "models" / (f"{label}_{seed}" if seed else label)
+def train_model(name: str, work: Path, *, seed: int = 0, progress: Progress = no_progress) -> ITRA:
+    """Train one of `MODELS` on synthetic places, or read it from its folder.
+
+    Args:
+        name: of the model.
+        work: folder of places and models.
+        seed: of the training; each has a folder of its own.
+        progress: takes stage, done and total.
+
+    Returns:
+        The model.
+    """
+    spec = MODELS[name]
+
+    def load_dataset() -> Dataset:
+        places = make_places(work / "places", TRAIN[spec.config.kind], progress=progress)
+        return make_places_dataset(
+            places, spec.config, spec.map_name, lights=spec.lights, progress=progress
+        )
+
+    training = replace(TRAININGS[spec.config.kind], seed=seed)
+    model = init_model(spec.config, seed=seed)
+    folder = get_training_folder(work, name, seed)
+    return train_once(model, training, load_dataset, folder, progress=progress)
 
 
-def kept_or_trained(
-    where: Path,
-    config: Config,
-    training: Training,
-    lessons: Callable[[], Lessons],
-    report: Progress,
-    start: ITRA | None = None,
+def get_training_folder(work: Path, label: str, seed: int) -> Path:
+    """Get the folder of a training; that of the first seed has the model's label alone.
+
+    Args:
+        work: folder of places and models.
+        label: of the model.
+        seed: of the training.
+
+    Returns:
+        The folder.
+    """
+    return work / "models" / (f"{label}_{seed}" if seed else label)
+
+
+def train_once(
+    model: ITRA,
+    training: TrainConfig,
+    load_dataset: Callable[[], Dataset],
+    folder: Path,
+    *,
+    build_encoder: BuildEncoder = build_cnn,
+    progress: Progress = no_progress,
 ) -> ITRA:
-    """The model in a folder; trained, or trained on, where it is not whole yet.
+    """Train a model, or read it from its folder when it is complete.
 
-    Always as its file has it, so that what starts from it is the same in a later run.
+    Args:
+        model: to begin with.
+        training: its hyperparameters.
+        load_dataset: is called when the model has to be trained.
+        folder: of the training.
+        build_encoder: of the model.
+        progress: takes stage, done and total.
+
+    Returns:
+        The model as its file has it, with weights rounded to 16 bits.
 
     Raises:
-        ModelError: the folder's was trained otherwise, or from other weights.
+        ModelError: the folder's model is of another training.
     """
-    kept = where / "model.pt"
-    if kept.exists():
-        state = read_state(where / "checkpoint.pt")
-        how = state["training"]
-        if how != asdict(training):
-            raise ModelError(f"{kept} was trained otherwise, {how}; delete its folder")
-        if state["start"]["weights"] != digest(start):
-            raise ModelError(f"{kept} began with other weights; delete its folder")
+    path = folder / "model.pt"
+    if path.exists():
+        state = read_state(folder / "checkpoint.pt")
+        if state["training"] != asdict(training):
+            raise ModelError(
+                f"{path} is of another training, {state['training']}; delete its folder"
+            )
+        if state["config"] != asdict(model.config):
+            raise ModelError(f"{path} has another config; delete its folder, or name another")
+        if state["start"]["weights"] != hash_weights(model):
+            raise ModelError(f"{path} began with other weights; delete its folder")
     else:
-        train(config, training, lessons(), where, start=start, progress=report)
-    return kept_model(kept, config)
+        train(model, training, load_dataset(), folder, progress=progress)
+    return read_model(path, build_encoder=build_encoder)

@@ -1,6 +1,6 @@
-"""Made places to learn from and to be judged on: written once, then read as any recording is."""
+"""Synthetic places for training and testing: written once, then read as any recording is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -49,24 +49,28 @@ PARKS: Places = ((241, "park"), (242, "park"), (243, "park"), (244, "park"))
 NEW_PARKS: Places = ((341, "park"), (342, "park"))
 CAMPUS: Places = ((251, "campus"), (252, "campus"), (253, "campus"), (254, "campus"))
 NEW_CAMPUS: Places = ((351, "campus"), (352, "campus"))
-# where people, and vehicles, go where HD maps do not
+# in parks and on campuses agents leave what HD maps show
 TRAIN: Mapping[str, Places] = {"vehicle": (*ROADS, *CAMPUS), "pedestrian": (*ROADS, *PARKS)}
 TEST: Mapping[str, Places] = {
     "vehicle": (*NEW_ROADS, *NEW_CAMPUS),
     "pedestrian": (*NEW_ROADS, *NEW_PARKS),
 }
-MINUTES = 10.0
-RESOLUTION = 0.1  # m a pixel of drawn places
-MAPS = ("aim", "roads", "hdm", "full", "degraded", "another day", "none")
-# what is annotated: where vehicles may drive; lanes; walkways, car park, private roads as well
-ANNOTATED = {"roads": "map.osm", "hdm": "map.osm", "full": "map_full.osm"}
-COARSE = 1.0  # m a pixel of degraded maps, as vehicles see them: finer noise would average out
-NOISE = 0.2  # of full brightness, as in the paper
+RECORDING_MINUTES = 10.0
+RESOLUTION = 0.1  # metres a pixel of drawn places
+LANES, FULL = "map.osm", "map_full.osm"  # lanes; walkways, car parks and private roads as well
+DEGRADED_RESOLUTION = 1.0  # metres a pixel of blur and noise: that of vehicles' views
+NOISE = 0.2  # standard deviation, of full brightness, as in the paper
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
-    """A recording at a place: who was there, the lights, and a map of all that may be driven on."""
+class PlaceRecording:
+    """A recording at a synthetic place.
+
+    Attributes:
+        tracks: the agents.
+        lights: states of the traffic lights, if any.
+        hdmap: everything that vehicles may drive on.
+    """
 
     tracks: Tracks
     lights: Lights | None
@@ -74,114 +78,160 @@ class Recorded:
 
     @cached_property
     def rules(self) -> Rules:
-        """What is off the road."""
+        """Where vehicles may drive."""
         return rules_of(self.hdmap)
 
 
-def make_places(folder: Path, places: Places, *, report: Progress = no_progress) -> list[Path]:
-    """The folders of places; those that are not there yet are made."""
-    found = []
+def make_places(folder: Path, places: Places, *, progress: Progress = no_progress) -> list[Path]:
+    """Make places that are missing in a folder.
+
+    Args:
+        folder: of all places.
+        places: seeds and kinds.
+        progress: takes stage, done and total.
+
+    Returns:
+        The folder of each place.
+    """
+    paths = []
     for number, (seed, kind) in enumerate(places):
-        report("places", number, len(places))
-        where = folder / f"{kind}_{seed}"
-        if not (where / "README.md").exists():
+        progress("places", number, len(places))
+        path = folder / f"{kind}_{seed}"
+        if not (path / "README.md").exists():
             sample = make_sample(
-                seed, kind=kind, minutes=MINUTES, video=None, resolution=RESOLUTION
+                seed, kind=kind, minutes=RECORDING_MINUTES, video=None, resolution=RESOLUTION
             )
-            write_sample(sample, where)
-        found.append(where)
-    report("places", len(places), len(places))
-    return found
+            write_sample(sample, path)
+        paths.append(path)
+    progress("places", len(places), len(places))
+    return paths
 
 
 @lru_cache(maxsize=len(TRAIN["pedestrian"]) + len(TEST["pedestrian"]))
-def read_recordings(folder: Path) -> tuple[Recorded, ...]:
-    """All recordings of a made place; they stay in memory, since every case is judged on them."""
-    found = []
-    for path in sorted(folder.glob("tracks*.csv")):
+def read_recordings(place: Path) -> tuple[PlaceRecording, ...]:
+    """Read all recordings of a place; they stay in memory for the next case."""
+    recordings = []
+    for path in sorted(place.glob("tracks*.csv")):
         tracks = read_tracks(path)
-        hdmap = read_hdmap(folder / ANNOTATED["full"], tracks.world)
-        changes = path.with_name(path.name.replace("tracks", "lights"))
+        hdmap = read_hdmap(place / FULL, tracks.world)
+        lights_path = path.with_name(path.name.replace("tracks", "lights"))
         lights = None
-        if changes.exists():
-            lights = read_lights(changes, hdmap.stop_lines, tracks.world)
-        found.append(Recorded(tracks, lights, hdmap))
-    return tuple(found)
+        if lights_path.exists():
+            lights = read_lights(lights_path, hdmap.stop_lines, tracks.world)
+        recordings.append(PlaceRecording(tracks, lights, hdmap))
+    return tuple(recordings)
 
 
-def read_map(folder: Path, name: str) -> AIM:
-    """A place's map by one of `MAPS`; what takes long is kept in the folder.
+def read_map(place: Path, name: str) -> AIM:
+    """Read a map of a place; maps that take long to make are kept in its folder.
+
+    Args:
+        place: folder of the place.
+        name: one of `MAPS`.
+
+    Returns:
+        The map.
 
     Raises:
         ValueError: there is no such map.
     """
     if name not in MAPS:
         raise ValueError(f"there is no map {name!r}; there are {', '.join(MAPS)}")
-    path = folder / "aim.tif"
-    if not path.exists():
-        write_aim(_drawn(folder), path)
-    aim = read_aim(path)
-    if name in ANNOTATED:
-        hdmap = read_hdmap(folder / ANNOTATED[name], aim.world)
-        return draw_hdmap(roads_only(hdmap) if name == "roads" else hdmap)
-    if name == "degraded":
-        return degraded(aim)
-    if name == "none":
-        return replace(aim, image=np.full_like(aim.image, 128))
-    if name == "another day":
-        path = folder / "another_day.tif"
-        if not path.exists():
-            write_aim(align_tiles(folder / "ortho.tif", aim=aim), path)
-        return read_aim(path)
-    return aim
+    return MAPS[name](place)
 
 
-def roads_only(hdmap: HDMap) -> HDMap:
-    """To be drawn: where vehicles may drive and no more, as the plainest HD maps have it.
+def keep_roads(hdmap: HDMap) -> HDMap:
+    """Keep only where vehicles may drive, as the plainest HD maps do.
 
     Raises:
         MapError: the map has no lane for vehicles.
     """
-    # lines stay without their kinds, by which they would be drawn: the picture's extent is theirs
+    # lines without kinds are not drawn, but set the extent of the picture
     lines = tuple(replace(line, kind="", subtype="") for line in hdmap.lines)
     return replace(hdmap, lines=lines, lanelets=(), areas=(Area("", drivable_area(hdmap)),))
 
 
-def degraded(aim: AIM) -> AIM:
-    """A blurred and noisy map."""
-    image = blurred_and_noisy(aim.image.astype(np.float32) / 255, COARSE / aim.resolution)
+def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:
+    """Degrade an image (values 0 to 1) as the paper does, which does not tell the scale.
+
+    Args:
+        image: to degrade.
+        size: standard deviation of the Gaussian blur, and side of the squares that share one draw
+            of Gaussian noise, pixels.
+
+    Returns:
+        The degraded image.
+    """
+    blurred = cv2.GaussianBlur(image, (0, 0), size)
+    height, width = image.shape[:2]
+    squares = round(height / size), round(width / size)
+    noise = np.random.default_rng(0).normal(0, NOISE, (*squares, 3))
+    resized = cv2.resize(noise, (width, height), interpolation=cv2.INTER_NEAREST)
+    return np.clip(blurred + resized, 0, 1).astype(np.float32)
+
+
+def make_place_scene(
+    recording: PlaceRecording, aim: AIM, *, dt: float, lights: bool = True
+) -> Scene:
+    """Make the scene of a recording on a map of its place.
+
+    Args:
+        recording: agents and lights.
+        aim: from `read_map`.
+        dt: time between steps, s.
+        lights: whether the scene has traffic lights.
+
+    Returns:
+        The scene.
+    """
+    return make_scene(
+        aim, resample_tracks(recording.tracks, 1 / dt), recording.lights if lights else None
+    )
+
+
+def _read_background(place: Path) -> AIM:
+    """The place from above without traffic, as the background of a drone video would show it."""
+    path = place / "aim.tif"
+    if not path.exists():
+        kind, seed = place.name.rsplit("_", 1)
+        made = make_place(int(seed), kind=kind)  # type: ignore[arg-type]
+        image = draw_place(made, resolution=RESOLUTION)
+        write_aim(
+            AIM.from_image(image, world_from_image(made, RESOLUTION), made.world, "drawn"), path
+        )
+    return read_aim(path)
+
+
+def _read_degraded(place: Path) -> AIM:
+    aim = _read_background(place)
+    size = DEGRADED_RESOLUTION / aim.resolution
+    image = add_blur_and_noise(aim.image.astype(np.float32) / 255, size)
     return replace(aim, image=np.rint(image * 255).astype(np.uint8))
 
 
-def blurred_and_noisy(image: Float32[Array, "H W 3"], coarse: float) -> Float32[Array, "H W 3"]:
-    """Gaussian blur of so many pixels, then noise in squares as wide; 0 to 1.
-
-    The paper degrades images so, without saying at which size of pixels.
-    """
-    soft = cv2.GaussianBlur(image, (0, 0), coarse)
-    height, width = image.shape[:2]
-    sides = round(height / coarse), round(width / coarse)
-    noise = np.random.default_rng(0).normal(0, NOISE, (*sides, 3))
-    spread = cv2.resize(noise, (width, height), interpolation=cv2.INTER_NEAREST)
-    return np.clip(soft + spread, 0, 1).astype(np.float32)
+def _read_another_day(place: Path) -> AIM:
+    """An orthophoto of another day, aligned to the background."""
+    path = place / "another_day.tif"
+    if not path.exists():
+        write_aim(align_tiles(place / "ortho.tif", aim=_read_background(place)), path)
+    return read_aim(path)
 
 
-def scene_of(recorded: Recorded, aim: AIM, *, rate: float, lights: bool = True) -> Scene:
-    """A recording on a map of its place, at so many steps a second.
-
-    Args:
-        recorded: what happened.
-        aim: from `read_map`.
-        rate: in Hz.
-        lights: whether they are shown.
-    """
-    shown = recorded.lights if lights else None
-    return make_scene(aim, resample_tracks(recorded.tracks, rate), shown)
+def _read_grey(place: Path) -> AIM:
+    aim = _read_background(place)
+    return replace(aim, image=np.full_like(aim.image, 128))
 
 
-def _drawn(folder: Path) -> AIM:
-    """The place from above without its traffic, as a drone's background would show it."""
-    kind, seed = folder.name.rsplit("_", 1)
-    place = make_place(int(seed), kind=kind)  # type: ignore[arg-type]
-    image = draw_place(place, resolution=RESOLUTION)
-    return AIM.from_image(image, world_from_image(place, RESOLUTION), place.world, "drawn")
+def _read_annotations(place: Path, name: str) -> HDMap:
+    return read_hdmap(place / name, _read_background(place).world)
+
+
+MAPS: Mapping[str, Callable[[Path], AIM]] = {
+    "aim": _read_background,
+    "roads": lambda place: draw_hdmap(keep_roads(_read_annotations(place, LANES))),
+    "hdm": lambda place: draw_hdmap(_read_annotations(place, LANES)),
+    "full": lambda place: draw_hdmap(_read_annotations(place, FULL)),
+    "degraded": _read_degraded,
+    "another day": _read_another_day,
+    "none": _read_grey,
+}

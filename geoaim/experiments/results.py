@@ -1,40 +1,60 @@
-"""What experiments leave behind: a small JSON file and a Markdown table of each."""
+"""Results of experiments: a small JSON file and a Markdown table of each."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from geoaim.bench.report import describe_machine, write_json
 from geoaim.files import atomic_write
-from geoaim.prediction.metrics import Measure, interval, summary
-from geoaim.prediction.report import markdown
+from geoaim.prediction.metrics import Metric, bootstrap_interval, summarise
+from geoaim.prediction.report import format_markdown
 
-FOLDER = Path("docs/experiments")
-Measures = Mapping[str, Measure]
+Metrics = Mapping[str, Metric]
 
 
-def write_results(name: str, found: Mapping[str, Measures], about: Mapping[str, Any]) -> list[Path]:
-    """Write means with their intervals of all methods, and what they are of; the files."""
-    tables = {method: summary(measures) for method, measures in found.items()}
-    content = {
-        "command": f"geoaim experiment {name}",
-        "machine": describe_machine(),
-        **about,
-        "methods": tables,
-    }
-    paths = [FOLDER / f"{name}.json", FOLDER / f"{name}.md"]
+@dataclass(frozen=True)
+class Folders:
+    """Where an experiment reads and writes.
+
+    Attributes:
+        work: keeps synthetic places and trained models between runs.
+        results: gets tables and figures.
+    """
+
+    work: Path
+    results: Path = Path("docs/experiments")
+
+
+def write_results(
+    name: str, metrics: Mapping[str, Metrics], settings: Mapping[str, Any], folder: Path
+) -> list[Path]:
+    """Write means with their intervals, as JSON and as Markdown.
+
+    Args:
+        name: of the experiment.
+        metrics: by method.
+        settings: what else the JSON holds.
+        folder: of the files.
+
+    Returns:
+        The paths of both files, JSON first.
+    """
+    tables = {method: summarise(values) for method, values in metrics.items()}
+    command = f"geoaim experiment {name}"
+    content = {"command": command, "machine": describe_machine(), **settings, "methods": tables}
+    paths = [folder / f"{name}.json", folder / f"{name}.md"]
     write_json(content, paths[0])
     with atomic_write(paths[1]) as temporary:
-        text = f"`geoaim experiment {name}`\n\n{markdown(tables)}\n"
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(f"`{command}`\n\n{format_markdown(tables)}\n", encoding="utf-8")
     return paths
 
 
-def means(trainings: Sequence[Measures]) -> list[dict[str, float]]:
-    """What each training of a model comes to: how far chance goes."""
-    return [{name: measure.mean for name, measure in one.items()} for one in trainings]
+def compute_seed_means(trainings: Sequence[Metrics]) -> list[dict[str, float]]:
+    """Compute the means of each training of a model, which show how much trainings differ."""
+    return [{name: metric.mean for name, metric in one.items()} for one in trainings]
 
 
-def differences(one: Measures, other: Measures) -> dict[str, tuple[float, float]]:
-    """One method's measures less another's on the same segments, as intervals of 95 %."""
-    return {name: interval(one[name], other[name]) for name in one if name in other}
+def compute_differences(one: Metrics, other: Metrics) -> dict[str, tuple[float, float]]:
+    """Compute 95 % intervals of one method minus another on the same segments."""
+    return {name: bootstrap_interval(one[name], other[name]) for name in one if name in other}

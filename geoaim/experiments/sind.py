@@ -1,7 +1,7 @@
-"""Real pedestrians on an HD map and on a drone's image: SinD's junctions, each map fitted by hand.
+"""Real pedestrians of the SinD dataset, on HD maps and on drone images of its junctions.
 
-The dataset does not say where its images lie. Their pixels below are of what the HD map has as
-well: ends of stop lines, corners of crossings.
+The dataset does not tell where its images lie. The control points below were picked by hand: ends
+of stop lines and corners of crosswalks, which the HD map has too.
 """
 
 import math
@@ -17,21 +17,25 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.bench.data import require_data
 from geoaim.errors import TracksError
-from geoaim.experiments.learning import PEOPLE, SAMPLES, judged
-from geoaim.experiments.models import all_trained, kept_or_trained, training_folder
-from geoaim.experiments.results import Measures, differences, means, write_results
+from geoaim.experiments.models import get_training_folder, train_all_seeds, train_once
+from geoaim.experiments.protocol import PEDESTRIANS, SAMPLES, evaluate_scene
+from geoaim.experiments.results import (
+    Folders,
+    Metrics,
+    compute_differences,
+    compute_seed_means,
+    write_results,
+)
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.prediction.baselines import BASELINES
-from geoaim.prediction.evaluation import Asked
-from geoaim.prediction.itra import ITRA
-from geoaim.prediction.lessons import STEPS, make_lessons, split
-from geoaim.prediction.metrics import Measure, merged, pooled
-from geoaim.prediction.predict import OBSERVED
-from geoaim.prediction.training import fine_tuning
+from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, configure_fine_tuning
+from geoaim.prediction.dataset import make_dataset, split_scene
+from geoaim.prediction.evaluation import EvalConfig
+from geoaim.prediction.metrics import Metric, average_seeds, concat
 from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
@@ -40,11 +44,17 @@ from geoaim.track_formats import read_any
 
 @dataclass(frozen=True)
 class Junction:
-    """Files of a junction, and places on its image: u, v, pixels, and x, y, metres of its map."""
+    """A junction of the dataset.
+
+    Attributes:
+        hdmap: file of its HD map.
+        tracks: file of its pedestrians.
+        points: control points: u, v in pixels of its image, x, y in metres of its HD map.
+    """
 
     hdmap: str
     tracks: str
-    places: tuple[tuple[float, float, float, float], ...]
+    points: tuple[tuple[float, float, float, float], ...]
 
 
 JUNCTIONS = {
@@ -52,11 +62,11 @@ JUNCTIONS = {
         "NR_ll2.osm",
         "6_22_NR_1/Ped_smoothed_tracks.csv",
         (
-            (1601, 720, -8.6, 27.2),  # inner corners of crossings
+            (1601, 720, -8.6, 27.2),  # inner corners of crosswalks
             (1601, 1422, -8.2, 8.0),
             (2272, 734, 9.9, 27.2),
             (2270, 1432, 10.2, 8.2),
-            (1383, 503, -14.6, 33.1),  # outer ones
+            (1383, 503, -14.6, 33.1),  # outer corners
             (1383, 1630, -14.2, 2.1),
             (2486, 522, 15.8, 33.2),
             (2484, 1649, 16.4, 2.2),
@@ -85,89 +95,98 @@ JUNCTIONS = {
 }
 DATA = "tracks/sind"
 MAPS = ("aim", "hdm")
-TUNING = fine_tuning("pedestrian", steps=150, batch=48)
+VAL_FRACTION = 0.5
+FINE_TUNING = configure_fine_tuning("pedestrian", steps=150, batch_size=48)
 
 
-def run(folder: Path, report: Progress) -> list[Path]:
-    """real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
-    found: dict[str, Measures] = {}
-    single: dict[str, list[dict[str, float]]] = {}
-    fits = {name: fit(name) for name in JUNCTIONS}
-    for kind in MAPS:
+def run(folders: Folders, progress: Progress) -> list[Path]:
+    """Real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
+    junctions = {name: georeference_junction(name) for name in JUNCTIONS}
+    metrics: dict[str, Metrics] = {}
+    by_seed: dict[str, list[dict[str, float]]] = {}
+    for map_name in MAPS:
         scenes = [
-            _scene(name, image if kind == "aim" else draw_hdmap(hdmap))
-            for name, (image, _, hdmap) in fits.items()
+            _make_scene(name, aim if map_name == "aim" else draw_hdmap(hdmap))
+            for name, (aim, _, hdmap) in junctions.items()
         ]
-        lessons = partial(make_lessons, scenes, PEOPLE, held_out=0.5)
-        models: dict[str, list[ITRA | str]] = {f"{kind}, zero-shot": [], f"{kind}, fine-tuned": []}
-        for seed, model in enumerate(all_trained(f"pedestrian_{kind}", folder, report=report)):
-            where = training_folder(folder, f"pedestrian_sind_{kind}", seed)
-            tuning = replace(TUNING, seed=seed)
-            tuned = kept_or_trained(where, PEOPLE, tuning, lessons, report, start=model)
-            models[f"{kind}, zero-shot"].append(model)
-            models[f"{kind}, fine-tuned"].append(tuned)
-        if kind == MAPS[-1]:
-            models |= {name: [name] for name in BASELINES}
-        for number, (name, trainings) in enumerate(models.items()):
-            report(f"judge {kind}", number, len(models))
-            parts = [_judge(who, scenes) for who in trainings]
-            found[name] = pooled(parts)
+        predictors = _train(map_name, scenes, folders.work, progress)
+        if map_name == MAPS[-1]:
+            predictors |= {name: [predictor] for name, predictor in BASELINES.items()}
+        for number, (name, seeds) in enumerate(predictors.items()):
+            progress(f"evaluate {map_name}", number, len(predictors))
+            parts = [_evaluate(predictor, scenes) for predictor in seeds]
+            metrics[name] = average_seeds(parts)
             if len(parts) > 1:
-                single[name] = means(parts)
-    gains = {
-        f"aim less hdm, {how}": differences(found[f"aim, {how}"], found[f"hdm, {how}"])
-        for how in ("zero-shot", "fine-tuned")
+                by_seed[name] = compute_seed_means(parts)
+    settings = {
+        "trained on": "first halves of both recordings",
+        "evaluated on": "second halves, all pedestrians of each 12 s jointly; no vehicle tracks",
+        "segments": len(metrics["constant velocity"]["minADE"].sums),
+        "pedestrians": int(metrics["constant velocity"]["minADE"].counts.sum()),
+        "georeference": {name: _summarise_fit(fit) for name, (_, fit, _) in junctions.items()},
+        "by seed": by_seed,
     }
-    about = {
-        "learnt from": "first halves of both recordings",
-        "judged on": "second halves, all people of every 12 s jointly; vehicles have no tracks",
-        "pieces": len(found["constant velocity"]["minADE"].sums),
-        "people in them": int(found["constant velocity"]["minADE"].counts.sum()),
-        "georeference": {name: _said(place) for name, (_, place, _) in fits.items()},
-        "each training": single,
-        **gains,
-    }
-    return write_results("sind", found, about)
+    for stage in ("zero-shot", "fine-tuned"):
+        difference = compute_differences(metrics[f"aim, {stage}"], metrics[f"hdm, {stage}"])
+        settings[f"aim minus hdm, {stage}"] = difference
+    return write_results("sind", metrics, settings, folders.results)
 
 
-def fit(name: str) -> tuple[AIM, Georeference, HDMap]:
-    """A junction's image where its HD map says that it lies.
+def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
+    """Georeference a junction's image by its control points.
 
     Raises:
-        TracksError: the data are not here.
+        TracksError: the data are missing.
     """
-    given, junction = require_data(DATA) / name, JUNCTIONS[name]
-    hdmap = read_hdmap(given / junction.hdmap)
-    image = _read_image(given / "frame_4k.jpg")
-    rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.places]
+    folder, junction = require_data(DATA) / name, JUNCTIONS[name]
+    hdmap = read_hdmap(folder / junction.hdmap)
+    image = _read_image(folder / "frame_4k.jpg")
+    rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.points]
     points = read_control_points(rows, crs="local")
     height, width = image.shape[:2]
-    found = estimate_georeference(points, height=height, width=width, world=hdmap.world)
-    return AIM.from_image(image, found.world_from_image, hdmap.world, "SinD"), found, hdmap
+    fit = estimate_georeference(points, height=height, width=width, world=hdmap.world)
+    return AIM.from_image(image, fit.world_from_image, hdmap.world, "SinD"), fit, hdmap
 
 
-def _scene(name: str, aim: AIM) -> Scene:
-    """A junction's recording on one of its maps."""
+def _make_scene(name: str, aim: AIM) -> Scene:
     tracks = read_any(require_data(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
-    return make_scene(aim, resample_tracks(tracks, 1 / PEOPLE.seconds))
+    return make_scene(aim, resample_tracks(tracks, 1 / PEDESTRIANS.dt))
 
 
-def _judge(model: ITRA | str, scenes: list[Scene]) -> dict[str, Measure]:
+def _train(
+    map_name: str, scenes: list[Scene], work: Path, progress: Progress
+) -> dict[str, list[Predictor]]:
+    """Predictors on a map, of each seed: trained on synthetic places, and fine-tuned."""
+    load_dataset = partial(make_dataset, scenes, PEDESTRIANS, val_fraction=VAL_FRACTION)
+    zero_shot: list[Predictor] = []
+    fine_tuned: list[Predictor] = []
+    models = train_all_seeds(f"pedestrian_{map_name}", work, progress=progress)
+    for seed, model in enumerate(models):
+        folder = get_training_folder(work, f"pedestrian_sind_{map_name}", seed)
+        training = replace(FINE_TUNING, seed=seed)
+        tuned = train_once(model, training, load_dataset, folder, progress=progress)
+        zero_shot.append(model.sample)
+        fine_tuned.append(tuned.sample)
+    return {f"{map_name}, zero-shot": zero_shot, f"{map_name}, fine-tuned": fine_tuned}
+
+
+def _evaluate(predictor: Predictor, scenes: list[Scene]) -> dict[str, Metric]:
+    options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
     parts = []
     for scene in scenes:
-        _, half = split(scene, 0.5)
-        asked = Asked(OBSERVED, SAMPLES)
-        parts += judged(model, half, PEOPLE, asked, stride=STEPS[PEOPLE.kind])
-    return merged(parts)
+        _, val = split_scene(scene, VAL_FRACTION)
+        stride = SEGMENT_STEPS[PEDESTRIANS.kind]
+        parts += evaluate_scene(predictor, val, PEDESTRIANS, options, stride=stride)
+    return concat(parts)
 
 
-def _said(found: Georeference) -> Mapping[str, Any]:
-    rms = math.sqrt(float((found.residuals**2).sum(axis=1).mean()))
-    return {"model": found.model, "points": len(found.names), "rms of residuals, m": rms}
+def _summarise_fit(fit: Georeference) -> Mapping[str, Any]:
+    rms = math.sqrt(float((fit.residuals**2).sum(axis=1).mean()))
+    return {"model": fit.model, "points": len(fit.names), "rms of residuals, m": rms}
 
 
 def _read_image(path: Path) -> Array:
     image = cv2.imread(str(path))
     if image is None:
-        raise TracksError(f"{path} is no image")
+        raise TracksError(f"{path} is not an image")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

@@ -1,4 +1,4 @@
-"""Real pedestrians: the Stanford Drone Dataset's windows, with published numbers beside ours."""
+"""Real pedestrians: windows of the Stanford Drone Dataset, beside published numbers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,67 +10,68 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.experiments.models import kept_or_trained, training_folder
-from geoaim.experiments.places import blurred_and_noisy
-from geoaim.experiments.results import Measures, differences, write_results
-from geoaim.prediction.baselines import BASELINES
-from geoaim.prediction.evaluation import evaluate_windows
-from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import Measure, pooled
-from geoaim.prediction.segments import joined
-from geoaim.prediction.training import Training
+from geoaim.experiments.models import get_training_folder, train_once
+from geoaim.experiments.places import add_blur_and_noise
+from geoaim.experiments.results import Folders, Metrics, compute_differences, write_results
+from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.config import Config, TrainConfig
+from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import Metric, average_seeds
+from geoaim.prediction.segments import concat
+from geoaim.prediction.training import init_model
 from geoaim.prediction.windows import (
-    OBSERVED,
-    SECONDS,
-    STEPS,
-    Change,
+    DT_S,
+    HISTORY_STEPS,
+    WINDOW_STEPS,
+    ImageTransform,
+    WindowFiles,
     Windows,
-    backwards,
     read_windows,
-    unchanged,
+    reverse_paths,
 )
 from geoaim.progress import Progress
 
 DATA = "tracks/sdd_trajnet"
-VALIDATION = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
+VAL_SCENES = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
 SAMPLES = 20
-SEES = Config(
-    "pedestrian",
-    "slide",
-    SECONDS,
-    size=32,
+WITH_MAP = Config(
+    kind="pedestrian",
+    motion="slide",
+    dt=DT_S,
+    view_size=32,
     resolution=1.5,
-    every=12,
-    modes=20,
-    known=OBSERVED,
-    ahead=STEPS - OBSERVED,
-    unlike=True,
+    surface_contrast=True,
+    view_stride=WINDOW_STEPS - HISTORY_STEPS,
+    num_anchors=20,
+    history=HISTORY_STEPS,
+    horizon=WINDOW_STEPS - HISTORY_STEPS,
 )
+WITHOUT_MAP = replace(WITH_MAP, surface_contrast=False, use_observations=False)
 MODELS = {
-    "map": SEES,
-    "no map": replace(SEES, unlike=False, encoder="none"),
-    "no map, no plans": replace(SEES, unlike=False, encoder="none", modes=0, known=0, ahead=0),
+    "map": WITH_MAP,
+    "no map": WITHOUT_MAP,
+    "no map, no proposals": replace(WITHOUT_MAP, num_anchors=0, history=0, horizon=0),
 }
-TRAINING = Training(
+TRAINING = TrainConfig(
     steps=4000,
-    batch=128,
-    divergence=1.2,
-    warm_up=0.0,
-    observed=(OBSERVED, OBSERVED),
+    batch_size=128,
+    kl_weight=1.2,
+    kl_warmup=0.0,
+    history=(HISTORY_STEPS, HISTORY_STEPS),
     mirror=True,
-    resize=0.2,
-    colour=0.2,
+    scale_jitter=0.2,
+    colour_jitter=0.2,
 )
-# trainings: chance is as large as what maps give; the others have one
-REPEATED = {"map": 3, "no map": 3}
-BEST = "map"  # learns from all scenes as well
+SEEDS = {"map": 3, "no map": 3}  # seeds differ as much as maps help; other models have one
 PAIRS = (
     ("map", "no map"),
     ("map, blurred and noisy", "map"),
-    ("no map", "no map, no plans"),
+    ("no map", "no map, no proposals"),
 )
-# minADE and minFDE of 20 on the standard test part, pixels, as their authors or later papers say
+# minADE and minFDE of 20 samples on the standard test scenes, pixels, by their authors or by later
+# papers
 PUBLISHED = {
     "S-GAN": (27.23, 41.44),
     "Trajectron++": (19.30, 32.70),
@@ -82,84 +83,97 @@ PUBLISHED = {
 }
 
 
-def run(folder: Path, report: Progress) -> list[Path]:
-    """real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20."""
-    given = require_data(DATA)
-    names = [path.stem for path in sorted((given / "windows").glob("*.csv"))]
-    rest = [name for name in names if name not in VALIDATION]
-    found: dict[str, Measures] = {}
+def run(folders: Folders, progress: Progress) -> list[Path]:
+    """Real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20 samples."""
+    names = [path.stem for path in sorted((require_data(DATA) / "windows").glob("*.csv"))]
+    train_scenes = [name for name in names if name not in VAL_SCENES]
+    metrics: dict[str, Metrics] = {}
     for name, config in MODELS.items():
-        models = [
-            _trained(name, config, rest, folder, report, seed=seed)
-            for seed in range(REPEATED.get(name, 1))
+        predictors = [
+            make_window_predictor(
+                _train(name, train_scenes, folders.work, progress, seed=seed), SAMPLES
+            )
+            for seed in range(SEEDS.get(name, 1))
         ]
-        valid = _windows(given, config, VALIDATION)
-        found[name] = _judged(models, valid, report)
+        val = _read_windows(config, VAL_SCENES)
+        metrics[name] = _evaluate(predictors, val, progress)
         if name == "map":
-            worse = _windows(given, config, VALIDATION, change=_degraded)
-            found["map, blurred and noisy"] = _judged(models, worse, report)
-    for who in BASELINES[:2]:  # headings that are not known do not turn
-        found[who] = _judged([who], valid, report)
-    _trained("all scenes", MODELS[BEST], names, folder, report)
-    return write_results("stanford", found, _about(found, valid))
+            degraded = _read_windows(config, VAL_SCENES, transform=_degrade)
+            metrics["map, blurred and noisy"] = _evaluate(predictors, degraded, progress)
+    for name in ("constant velocity", "constant velocity with noise"):  # headings are not measured
+        metrics[name] = _evaluate([BASELINES[name]], val, progress)
+    _train("map", names, folders.work, progress, label="all scenes")
+    return write_results("stanford", metrics, _describe(metrics, val), folders.results)
 
 
-def _judged(models: Sequence[ITRA | str], windows: Windows, report: Progress) -> dict[str, Measure]:
-    return pooled([evaluate_windows(model, windows, SAMPLES, report=report) for model in models])
+def _evaluate(
+    predictors: Sequence[Predictor], windows: Windows, progress: Progress
+) -> dict[str, Metric]:
+    return average_seeds(
+        [
+            evaluate_windows(predictor, windows, SAMPLES, progress=progress)
+            for predictor in predictors
+        ]
+    )
 
 
-def _about(found: Mapping[str, Measures], windows: Windows) -> dict[str, Any]:
+def _describe(metrics: Mapping[str, Metrics], windows: Windows) -> dict[str, Any]:
     return {
         "windows": len(windows.segments),
-        "scenes": VALIDATION,
+        "scenes": VAL_SCENES,
         "samples": SAMPLES,
-        "trainings, where more than one": REPEATED,
-        "published on the standard test part, not on these scenes": PUBLISHED,
+        "seeds": SEEDS,
+        "published, on the standard test scenes": PUBLISHED,
         "differences": {
-            f"{one}, less {other}": differences(found[one], found[other]) for one, other in PAIRS
+            f"{one} minus {other}": compute_differences(metrics[one], metrics[other])
+            for one, other in PAIRS
         },
         "by scene": {
-            name: {scene: _means_in(scene, found[name], windows) for scene in VALIDATION}
-            for name in REPEATED
+            name: {scene: _average_scene(scene, metrics[name], windows) for scene in VAL_SCENES}
+            for name in SEEDS
         },
     }
 
 
-def _trained(
+def _train(
     name: str,
-    config: Config,
     scenes: list[str],
-    folder: Path,
-    report: Progress,
+    work: Path,
+    progress: Progress,
     *,
     seed: int = 0,
+    label: str | None = None,
 ) -> ITRA:
-    def lessons() -> Lessons:
-        windows = _windows(require_data(DATA), config, scenes)
-        both = joined([windows.segments, backwards(windows.segments)])
-        # the log follows windows that are learnt; those of other scenes are judged afterwards
-        return Lessons(both, windows.segments, windows.ground)
+    """Train one of `MODELS` on windows of some scenes, forwards and reversed."""
+    config = MODELS[name]
 
-    label = "_".join(["stanford", *name.replace(",", "").split()])
+    def load_dataset() -> Dataset:
+        windows = _read_windows(config, scenes)
+        both = concat([windows.segments, reverse_paths(windows.segments)])
+        # the log follows training windows; validation scenes are evaluated afterwards
+        return Dataset(both, windows.segments, windows.ground)
+
+    words = (label or name).replace(",", "").split()
+    folder = get_training_folder(work, "_".join(["stanford", *words]), seed)
+    model = init_model(config, seed=seed)
     training = replace(TRAINING, seed=seed)
-    where = training_folder(folder, label, seed)
-    return kept_or_trained(where, config, training, lessons, report)
+    return train_once(model, training, load_dataset, folder, progress=progress)
 
 
-def _means_in(scene: str, found: Measures, windows: Windows) -> dict[str, float]:
+def _average_scene(scene: str, metrics: Metrics, windows: Windows) -> dict[str, float]:
     here = np.array(windows.scenes) == scene
-    return {name: Measure(m.sums[here], m.counts[here]).mean for name, m in found.items()}
+    return {name: Metric(m.sums[here], m.counts[here]).mean for name, m in metrics.items()}
 
 
-def _windows(
-    given: Path, config: Config, scenes: Sequence[str], change: Change = unchanged
+def _read_windows(
+    config: Config, scenes: Sequence[str], transform: ImageTransform | None = None
 ) -> Windows:
-    images = None if config.encoder == "none" else given / "images"
-    return read_windows(
-        given / "windows", images, given / "scenes.csv", config.view, only=scenes, change=change
-    )
+    folder = require_data(DATA)
+    images = folder / "images" if config.use_observations else None
+    files = WindowFiles(folder / "windows", images, folder / "scenes.csv")
+    return read_windows(files, config.view, scenes=scenes, transform=transform)
 
 
-def _degraded(image: Float32[Array, "H W 3"], resolution: float) -> Float32[Array, "H W 3"]:
-    """Blurred and noisy by pixels of the view."""
-    return blurred_and_noisy(image, SEES.resolution / resolution)
+def _degrade(image: Float32[Array, "H W 3"], resolution: float) -> Float32[Array, "H W 3"]:
+    """Add blur and noise at the resolution of the view."""
+    return add_blur_and_noise(image, WITH_MAP.resolution / resolution)

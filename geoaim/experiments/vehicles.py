@@ -1,9 +1,10 @@
-"""Vehicles of made places: HD maps against AIM, lights, degraded maps, imagery of another day."""
+"""Vehicles at synthetic places: HD maps and AIM, lights, degraded maps, imagery of another day."""
 
 from pathlib import Path
 
-from geoaim.experiments.cases import Case, Table, run_table
-from geoaim.experiments.learning import VEHICLES
+from geoaim.experiments.protocol import VEHICLES
+from geoaim.experiments.results import Folders
+from geoaim.experiments.tables import Case, Table, run_table
 from geoaim.prediction.baselines import BASELINES
 from geoaim.progress import Progress
 
@@ -24,8 +25,8 @@ TABLE = Table(
         "at lights, AIM": Case("vehicle_aim", "aim", "lights"),
         "at lights, AIM, lights not shown": Case("vehicle_aim_no_lights", "aim", "lights"),
         **{name: Case(name, "none") for name in BASELINES},
-        "HD map, last 5 %": Case("vehicle_hdm", "hdm", "learnt"),
-        "AIM, last 5 %": Case("vehicle_aim", "aim", "learnt"),
+        "HD map, last 5 %": Case("vehicle_hdm", "hdm", "validation"),
+        "AIM, last 5 %": Case("vehicle_aim", "aim", "validation"),
     },
     pairs=(
         ("AIM", "HD map"),
@@ -39,7 +40,7 @@ TABLE = Table(
     ),
     shown=("with private roads, AIM", "with private roads, HD map"),
     time=90.0,
-    # minADE_6 and minFDE_6 (m), rates
+    # metres of six samples, and rates
     paper={
         "HD map": {
             "joint minADE": 0.50,
@@ -63,6 +64,6 @@ TABLE = Table(
 )
 
 
-def run(folder: Path, report: Progress) -> list[Path]:
-    """the paper's tables of vehicles, on made places that no model has seen and on last 5 %."""
-    return run_table("vehicles", TABLE, folder, report)
+def run(folders: Folders, progress: Progress) -> list[Path]:
+    """The paper's tables of vehicles, at synthetic test places and on ends of recordings."""
+    return run_table("vehicles", TABLE, folders, progress)

@@ -1,42 +1,55 @@
-"""ITRA: what agents do next, learnt from image maps; trained, sampled, judged.
+"""ITRA: trajectory prediction from image maps; datasets, training, sampling, evaluation.
 
-model = read_model(shipped("vehicle"))
-futures = predict(model, scene, samples=6, steps=40, generator=generator)
+model = read_pretrained("vehicle")
+futures = predict(model, scene, samples=6, horizon=40, generator=generator)
 """
 
-from geoaim.prediction.baselines import BASELINES, predict_plainly
-from geoaim.prediction.checkpoints import read_model, shipped, write_model
-from geoaim.prediction.evaluation import Asked, evaluate, evaluate_windows
-from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.lessons import HELD_OUT, Lessons, make_lessons
-from geoaim.prediction.metrics import interval, measure, summary
+from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.checkpoints import read_model, read_pretrained, write_model
+from geoaim.prediction.config import (
+    DEFAULT_CONFIGS,
+    Config,
+    TrainConfig,
+    configure_fine_tuning,
+    configure_training,
+)
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.dataset import Dataset, make_dataset
+from geoaim.prediction.evaluation import EvalConfig, evaluate, evaluate_windows
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, summarise
 from geoaim.prediction.predict import predict
-from geoaim.prediction.segments import Segments, cut_segments
-from geoaim.prediction.training import Training, train
-from geoaim.prediction.windows import Windows, read_windows
+from geoaim.prediction.segments import Segments
+from geoaim.prediction.training import init_model, train
+from geoaim.prediction.windows import WindowFiles, Windows, read_windows
 
 __all__ = [
     "BASELINES",
-    "HELD_OUT",
+    "DEFAULT_CONFIGS",
     "ITRA",
-    "Asked",
     "Config",
-    "Lessons",
+    "Dataset",
+    "EvalConfig",
+    "Metric",
+    "Predictor",
     "Segments",
-    "Training",
+    "TrainConfig",
+    "WindowFiles",
     "Windows",
+    "bootstrap_interval",
+    "compute_metrics",
+    "configure_fine_tuning",
+    "configure_training",
     "cut_segments",
     "evaluate",
     "evaluate_windows",
-    "interval",
-    "make_lessons",
-    "measure",
+    "init_model",
+    "make_dataset",
     "predict",
-    "predict_plainly",
     "read_model",
+    "read_pretrained",
     "read_windows",
-    "shipped",
-    "summary",
+    "summarise",
     "train",
     "write_model",
 ]

@@ -1,48 +1,103 @@
-"""Predictions that need no training: what every model must beat."""
+"""Baselines: predictors that need no training. Their signature is that of `ITRA.sample`."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.prediction.segments import PERSON, Segments, repeated
+from geoaim.prediction.segments import PEDESTRIAN, Segments, repeat
+from geoaim.simulation.ground import Ground
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.simulator import Policy, Recording, rollout
 
-ANGLE, SPEED = 0.3, 0.3  # rad, and share: usual spread of where people go and how fast
-BASELINES = ("constant velocity", "constant velocity with noise", "constant turn rate")
+HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a share of it
 
 
-def predict_plainly(
-    name: str,
+@runtime_checkable
+class Predictor(Protocol):
+    """Predicts futures of all controlled agents; a trained model's predictor is `model.sample`."""
+
+    def __call__(
+        self,
+        segments: Segments,
+        ground: Ground,
+        *,
+        history: int,
+        samples: int,
+        generator: torch.Generator,
+    ) -> Float[Tensor, "B K T N 4"]:
+        """Predict K joint futures of each segment.
+
+        Args:
+            segments: whose first steps are observed.
+            ground: the map.
+            history: observed steps.
+            samples: futures to draw.
+            generator: source of the noise.
+
+        Returns:
+            States of all agents at all steps, the observed ones included.
+        """
+        ...
+
+
+def predict_with_policy(
+    policy: Policy,
     segments: Segments,
+    ground: Ground,
     *,
-    observed: int,
+    history: int,
     samples: int,
     generator: torch.Generator,
-) -> Float[Tensor, "S K T A 4"]:
-    """Futures by one of `BASELINES`; only the noisy one has samples that differ.
+) -> Float[Tensor, "B K T N 4"]:
+    """Roll agents out by a policy of the simulator; all samples are the same. See `Predictor`."""
+    states = _roll_out(policy, segments, history)
+    return states[:, None].expand(-1, samples, -1, -1, -1)
 
-    Noise turns and quickens each agent once, at the last observed step (Schöller et al. 2020).
 
-    Raises:
-        ValueError: there is no such baseline.
+def predict_with_noise(
+    segments: Segments,
+    ground: Ground,
+    *,
+    history: int,
+    samples: int,
+    generator: torch.Generator,
+) -> Float[Tensor, "B K T N 4"]:
+    """Continue at constant velocity after noise on heading and speed at the last observed step.
+
+    Schöller et al. 2020. See `Predictor`.
     """
-    if name not in BASELINES:
-        raise ValueError(f"there is no baseline {name!r}; there are {', '.join(BASELINES)}")
-    noisy = name == BASELINES[1]
-    many = repeated(segments, samples if noisy else 1)
-    states = many.states
-    if noisy:
-        shape = len(many), states.shape[2], 2
-        noise = torch.randn(shape, generator=generator, device=states.device)
-        noise = torch.where(many.controlled[..., None], noise, 0.0)
-        now = states[:, observed - 1]
-        turned = now[..., 2] + ANGLE * noise[..., 0]
-        faster = now[..., 3] * (1 + SPEED * noise[..., 1])
-        now = torch.stack([now[..., 0], now[..., 1], turned, faster], dim=-1)
-        states = torch.cat([states[:, : observed - 1], now[:, None], states[:, observed:]], dim=1)
-    recording = Recording(states, many.present, many.sizes, many.planes == PERSON, many.seconds)
-    policy: Policy = constant_turn_rate if name == BASELINES[2] else constant_velocity
-    found = rollout(recording, policy, many.controlled, observed=observed).states
-    found = found.view(len(segments), -1, *found.shape[1:])
-    return found if noisy else found.expand(-1, samples, -1, -1, -1)
+    repeated = repeat(segments, samples)
+    states = repeated.states
+    shape = len(repeated), states.shape[2], 2
+    noise = torch.randn(shape, generator=generator, device=states.device)
+    noise = torch.where(repeated.controlled[..., None], noise, 0.0)
+    x, y, heading, speed = states[:, history - 1].unbind(-1)
+    heading = heading + HEADING_NOISE_RAD * noise[..., 0]
+    speed = speed * (1 + SPEED_NOISE * noise[..., 1])
+    last = torch.stack([x, y, heading, speed], dim=-1)
+    states = torch.cat([states[:, : history - 1], last[:, None], states[:, history:]], dim=1)
+    futures = _roll_out(constant_velocity, replace(repeated, states=states), history)
+    return futures.view(len(segments), samples, *futures.shape[1:])
+
+
+BASELINES: Mapping[str, Predictor] = {
+    "constant velocity": partial(predict_with_policy, constant_velocity),
+    "constant velocity with noise": predict_with_noise,
+    "constant turn rate": partial(predict_with_policy, constant_turn_rate),
+}
+
+
+def _roll_out(policy: Policy, segments: Segments, history: int) -> Float[Tensor, "B T N 4"]:
+    recording = Recording(
+        segments.states,
+        segments.present,
+        segments.sizes,
+        segments.layers == PEDESTRIAN,
+        segments.dt,
+    )
+    return rollout(recording, policy, segments.controlled, observed=history).states

@@ -1,4 +1,4 @@
-"""Models as files: weights with what they need to be used again."""
+"""Model files and training checkpoints."""
 
 import os
 from dataclasses import asdict
@@ -9,10 +9,12 @@ import torch
 
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
-from geoaim.prediction.itra import ITRA, Config
+from geoaim.prediction.config import Config
+from geoaim.prediction.itra import ITRA, BuildEncoder
+from geoaim.prediction.networks import build_cnn
 
-FORMAT = 1
-SHIPPED = Path(__file__).parent / "models"
+FORMAT = 2
+PRETRAINED = Path(__file__).parent / "models"
 
 
 def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
@@ -21,39 +23,38 @@ def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
     write_state({"config": asdict(model.config), "weights": weights}, path)
 
 
-def read_model(path: str | os.PathLike[str]) -> ITRA:
-    """Read a model, ready to sample from.
+def read_model(path: str | os.PathLike[str], *, build_encoder: BuildEncoder = build_cnn) -> ITRA:
+    """Read a model, in evaluation mode.
+
+    Args:
+        path: a `model.pt`.
+        build_encoder: builds the model's encoder of views; see `ITRA`.
+
+    Returns:
+        The model, on the CPU.
 
     Raises:
-        ModelError: the file is none.
+        ModelError: the file is not a model.
         OSError: there is no such file.
     """
     state = read_state(path)
     if "optimiser" in state:
-        raise ModelError(f"{path} is a training that goes on; name the model.pt beside it")
+        raise ModelError(f"{path} is a training checkpoint; name the model.pt beside it")
     try:
-        model = ITRA(Config(**state["config"]))
+        model = ITRA(Config(**state["config"]), build_encoder)
         model.load_state_dict({name: value.float() for name, value in state["weights"].items()})
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        raise ModelError(f"{path} is no model of this version: {error}") from None
+        raise ModelError(f"{path} is not a model of this version: {error}") from None
     return model.eval()
 
 
-def kept_model(path: Path, config: Config) -> ITRA:
-    """A model that was trained before, if it is what would be trained now.
+def read_pretrained(kind: str) -> ITRA:
+    """Read the model of an agent kind that comes with the package, trained on synthetic places.
 
-    Raises:
-        ModelError: it is made otherwise.
+    >>> read_pretrained("pedestrian").config.motion
+    'unicycle'
     """
-    model = read_model(path)
-    if model.config != config:
-        raise ModelError(f"{path} is of another config; delete its folder, or name another")
-    return model
-
-
-def shipped(kind: str) -> Path:
-    """The file of the model of a kind that comes with the package; made places taught it."""
-    return SHIPPED / f"{kind}.pt"
+    return read_model(PRETRAINED / f"{kind}.pt")
 
 
 def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
@@ -63,10 +64,10 @@ def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
 
 
 def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read what `write_state` wrote; nothing in the file is run.
+    """Read what `write_state` wrote, without running code from the file.
 
     Raises:
-        ModelError: the file is of something else.
+        ModelError: the file holds something else.
         OSError: there is no such file.
     """
     path = Path(path)
@@ -78,8 +79,8 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise IsADirectoryError(f"{path} is a folder; name the model.pt in it") from None
     except OSError:
         raise
-    except Exception:  # pickle, zip and torch each have their own
-        raise ModelError(f"{path} is no model that geoaim train wrote; name a model.pt") from None
+    except Exception:  # pickle, zip and torch raise errors of their own
+        raise ModelError(f"{path} is not a model that geoaim wrote; name a model.pt") from None
     if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise ModelError(f"{path} is no model of the form {FORMAT}; train it anew")
+        raise ModelError(f"{path} is not a model of format {FORMAT}; train it again")
     return state

@@ -1,116 +1,114 @@
-"""A model and the training-free baselines on the same segments: what `geoaim evaluate` does."""
+"""Evaluation of predictors on segments of one place, or on windows of a benchmark."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from geoaim.lights import UNKNOWN
-from geoaim.prediction.baselines import BASELINES, predict_plainly
+from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Measure, measure, merged
+from geoaim.prediction.metrics import Metric, compute_metrics, concat
 from geoaim.prediction.segments import Segments, pick
-from geoaim.prediction.windows import OBSERVED, Windows
+from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.progress import Progress, no_progress
 from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import Ground
 
-VIEWS = 4000  # of all samples and agents that are drawn at once, at most
+MAX_VIEWS = 4000  # of all samples and agents, that are rendered at once
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What is asked of every predictor.
+class EvalConfig:
+    """Options of an evaluation.
 
     Attributes:
-        observed: steps that are known.
-        samples: futures.
-        spread: of a model's latents.
+        history: observed steps.
+        samples: futures of each segment.
         seed: of the noise.
-        lights: whether their states are shown to the predictor; what is run over counts anyway.
+        show_lights: whether predictors get the lights' states; infractions are counted anyway.
     """
 
-    observed: int
+    history: int
     samples: int
-    spread: float = 1.0
     seed: int = 0
-    lights: bool = True
+    show_lights: bool = True
 
 
 def evaluate(
-    model: ITRA | str,
+    predictor: Predictor,
     segments: Segments,
     ground: Ground,
-    asked: Asked,
+    config: EvalConfig,
     *,
     rules: Rules = NO_RULES,
-    report: Progress = no_progress,
-) -> dict[str, Measure]:
-    """All measures of a model, or of one of `BASELINES`, on segments of one place."""
-    generator = torch.Generator(segments.states.device).manual_seed(asked.seed)
-    name = model if isinstance(model, str) else "model"
-    parts, size = [], _at_once(segments, asked)
+    progress: Progress = no_progress,
+) -> dict[str, Metric]:
+    """Compute all metrics of a predictor on segments of one place.
+
+    Args:
+        predictor: a model's `sample`, or one of `BASELINES`.
+        segments: the ground truth.
+        ground: the map.
+        config: options.
+        rules: where vehicles may drive, for infractions.
+        progress: takes stage, done and total.
+
+    Returns:
+        Metrics by name; see `compute_metrics`.
+    """
+    generator = torch.Generator(segments.states.device).manual_seed(config.seed)
+    max_agents = int(segments.controlled.sum(dim=1).max())
+    size = max(1, MAX_VIEWS // (max_agents * config.samples))
+    parts = []
     for start in range(0, len(segments), size):
-        some = pick(segments, slice(start, start + size))
-        found = _predicted(model, some, ground, asked, generator)
-        parts.append(measure(found, some, asked.observed, rules))
-        report(name, min(start + size, len(segments)), len(segments))
-    return merged(parts)
+        batch = pick(segments, slice(start, start + size))
+        shown = batch
+        if not config.show_lights:
+            unknown = torch.full_like(batch.light_states, UNKNOWN)
+            shown = replace(batch, light_states=unknown)
+        futures = predictor(
+            shown, ground, history=config.history, samples=config.samples, generator=generator
+        )
+        parts.append(compute_metrics(futures, batch, config.history, rules))
+        progress("evaluate", min(start + size, len(segments)), len(segments))
+    return concat(parts)
 
 
 def evaluate_windows(
-    model: ITRA | str,
+    predictor: Predictor,
     windows: Windows,
     samples: int,
     *,
     seed: int = 0,
-    report: Progress = no_progress,
-) -> dict[str, Measure]:
-    """minADE and minFDE of windows, in the pixels of their images and in metres.
+    progress: Progress = no_progress,
+) -> dict[str, Metric]:
+    """Compute minADE and minFDE of windows, in pixels of their images and in metres.
 
-    Latents of a model whose plans are enough for all samples stay at their mean: plans spread.
+    Args:
+        predictor: `make_window_predictor` of a model, or one of `BASELINES`.
+        windows: the ground truth.
+        samples: futures of each window.
+        seed: of the noise.
+        progress: takes stage, done and total.
+
+    Returns:
+        Metrics `minADE_px`, `minADE_m`, `minFDE_px` and `minFDE_m`.
     """
-    planned = isinstance(model, ITRA) and model.config.modes >= samples
-    asked = Asked(OBSERVED, samples, spread=0.0 if planned else 1.0, seed=seed)
-    found = evaluate(model, windows.segments, windows.ground, asked, report=report)
-    scale = windows.metres.double().numpy()
-    measures = {}
+    config = EvalConfig(HISTORY_STEPS, samples, seed=seed)
+    metres = evaluate(predictor, windows.segments, windows.ground, config, progress=progress)
+    resolutions = windows.resolutions.double().numpy()
+    metrics = {}
     for name in ("minADE", "minFDE"):
-        measures[f"{name}_px"] = Measure(found[name].sums / scale, found[name].counts)
-        measures[f"{name}_m"] = found[name]
-    return measures
+        metrics[f"{name}_px"] = Metric(metres[name].sums / resolutions, metres[name].counts)
+        metrics[f"{name}_m"] = metres[name]
+    return metrics
 
 
-def compare(
-    model: ITRA,
-    judge: Callable[[ITRA | str], dict[str, Measure]],
-) -> Mapping[str, dict[str, Measure]]:
-    """The model's measures and those of all baselines."""
-    return {"model": judge(model)} | {name: judge(name) for name in BASELINES}
+def make_window_predictor(model: ITRA, samples: int) -> Predictor:
+    """Make the predictor of a model for windows.
 
-
-def _predicted(
-    model: ITRA | str, segments: Segments, ground: Ground, asked: Asked, generator: torch.Generator
-) -> Float[Tensor, "S K T A 4"]:
-    observed, samples = asked.observed, asked.samples
-    if not asked.lights:
-        segments = replace(segments, lights=torch.full_like(segments.lights, UNKNOWN))
-    if isinstance(model, str):
-        return predict_plainly(
-            model, segments, observed=observed, samples=samples, generator=generator
-        )
-    return model.sample(
-        segments,
-        ground,
-        observed=observed,
-        samples=samples,
-        generator=generator,
-        spread=asked.spread,
-    )
-
-
-def _at_once(segments: Segments, asked: Asked) -> int:
-    most = int(segments.controlled.sum(dim=1).max())
-    return max(1, VIEWS // (most * asked.samples))
+    Latents stay at their mean where every sample follows a proposal of its own.
+    """
+    proposals = model.config.num_anchors >= samples
+    return partial(model.sample, latent_scale=0.0 if proposals else 1.0)

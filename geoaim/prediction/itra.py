@@ -1,198 +1,198 @@
-"""ITRA on image maps (Ścibior et al. 2021; Liu et al. 2023): a recurrent variational model.
+"""ITRA on image maps: a conditional variational recurrent neural network (CVRNN).
 
-At each step an agent sees a view b of the map with everybody on it, draws a latent z, acts, moves
-by its kinematics, and remembers:
+Ścibior et al. 2021, on the maps of Liu et al. 2023. At each step t an observation b_t is rendered
+around each controlled agent, a latent z_t is drawn, an action a_t is decoded, the agent moves by
+its kinematic model f_kin, and the hidden state h_t of a GRU is updated:
 
-    z ~ N(0, I)    a = f_theta(b, z, h)    s' ~ N(f_kin(s, a), sigma)    h' = f_psi(h, b, a)
+    z_t ~ N(0, I)        a_t = f_theta(b_t, z_t, h_{t-1})        s_{t+1} ~ N(f_kin(s_t, a_t), sigma)
+    h_t = f_psi(h_{t-1}, b_t, a_t)
 
-In training z comes from q_phi(z | b, a, h), where a is the action that was really taken, and the
-evidence lower bound is optimised through kinematics and renderer. Only the egos are rolled out;
-all others replay.
+In training z_t comes from the posterior q_phi(z_t | b_t, a_t, h_{t-1}), where a_t is the
+ground-truth action, and the evidence lower bound is maximized through kinematics and renderer.
+All agents that are not controlled replay their ground truth.
 
-Beyond the paper, a model may have `modes`: at the last observed step it proposes so many plans, of
-which one becomes a further input of f_theta (see `plans`).
+Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
+proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
+
+Shapes: B segments, K samples, N agents, T steps, E controlled agents of all segments, F features,
+H hidden state, Z latent, A proposals, P points of a proposal.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from geoaim.prediction.encoders import make_encoder
-from geoaim.prediction.plans import JITTER, REACH, Planner, network, nth_plan, plan_loss
-from geoaim.prediction.segments import Segments, repeated
-from geoaim.prediction.views import CHANNELS, Egos, Sight, egos_of, egos_see, unlike_underfoot
+from geoaim.prediction.anchors import (
+    ANCHOR_SCALE_M,
+    HISTORY_NOISE_M,
+    AnchorHead,
+    compute_anchor_loss,
+    select_anchor,
+)
+from geoaim.prediction.config import Config
+from geoaim.prediction.networks import build_cnn, build_mlp
+from geoaim.prediction.observation import (
+    CHANNELS,
+    Controlled,
+    compute_surface_contrast,
+    index_controlled,
+    render_observation,
+)
+from geoaim.prediction.segments import Segments, repeat
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_angle
-from geoaim.simulation.lines import BAR
 
-LIMIT = 4.0  # scales: true actions beyond are noise of headings at standstill
-HASTE = 0.5  # s: metres that a metre a second is taken for
-FACTS = 3  # speed, length, width
+MAX_ACTION = 4.0  # normalised: ground-truth actions beyond are noise of headings at standstill
+SPEED_SCALE_S = 0.5  # metres that a metre a second counts in the likelihood
+ATTRIBUTES = 3  # speed, length and width
+DT_TOLERANCE_S = 1e-3
 
-
-@dataclass(frozen=True)
-class Config:
-    """What a model is made of.
-
-    Attributes:
-        kind: whom it moves, "vehicle" or "pedestrian".
-        seconds: of a step.
-        motion: "bicycle", "unicycle", or "slide": positions alone, where no heading was measured.
-        encoder: of views, "cnn" or "resnet18"; "none": the model sees nothing.
-        size: pixels of a view's side.
-        resolution: metres a pixel.
-        unlike: whether views also show how unlike the ground is to that under the agent.
-        bar: metres that a light's bar is wide, on its stop line.
-        every: steps from one look to the next; 1 as in the paper. In the steps between, what was
-            seen last is taken to be there still.
-        memory: width of the recurrent state.
-        features: width of what a view is encoded to.
-        latent: width of z.
-        sigma: metres by which states may be off, in the likelihood.
-        lever: metres that a radian of heading is taken for: half an agent's length.
-        modes: plans to propose; 0 as in the paper.
-        points: of a plan, evenly spaced in time, the last one at the end.
-        known: steps that are known when plans are made; 0 without plans.
-        ahead: steps that plans reach; 0 without plans.
-    """
-
-    kind: str
-    motion: str
-    seconds: float
-    encoder: str = "cnn"
-    size: int = 64
-    resolution: float = 0.8
-    unlike: bool = False
-    bar: float = BAR
-    every: int = 5
-    memory: int = 128
-    features: int = 96
-    latent: int = 8
-    sigma: float = 0.2
-    lever: float = 2.0
-    modes: int = 0
-    points: int = 3
-    known: int = 0
-    ahead: int = 0
-
-    @property
-    def view(self) -> Sight:
-        """The view of an agent."""
-        return Sight(self.size, self.size, self.resolution, self.bar)
+BuildEncoder = Callable[[int, int, int], nn.Module]  # channels, view size, features
+DrawLatent = Callable[[Float[Tensor, "E C"], int], Float[Tensor, "E Z"]]  # of context and step
+ChooseAnchor = Callable[[Float[Tensor, "E 4"], Float[Tensor, "E F"]], Float[Tensor, "E P 2"]]
 
 
 @dataclass(frozen=True, eq=False)
 class Losses:
-    """Means over egos and predicted steps.
+    """Means over controlled agents and predicted steps.
 
     Attributes:
-        fit: negative log likelihood of the true states, without its constant.
-        divergence: of the latents from the prior, nats.
-        plan: metres that the plans which learn are off, and a little for their logits; 0 without.
+        nll: negative log-likelihood of the ground-truth states, without its constant.
+        kl: Kullback-Leibler divergence of the posterior from the prior, nats.
+        anchor: `compute_anchor_loss` of the proposals, metres; 0 without proposals.
     """
 
-    fit: Float[Tensor, ""]
-    divergence: Float[Tensor, ""]
-    plan: Float[Tensor, ""]
+    nll: Float[Tensor, ""]
+    kl: Float[Tensor, ""]
+    anchor: Float[Tensor, ""]
 
 
 @dataclass(frozen=True, eq=False)
-class _Moment:
-    """A step before which egos act, and all that they know; f_theta and q_phi read the context."""
+class _Batch:
+    """Segments with the index of their controlled agents.
 
-    number: int
-    pose: Float[Tensor, "E 4"]
-    seen: Float[Tensor, "E F"]
-    context: Float[Tensor, "E C"]
+    Attributes:
+        segments: states of all agents.
+        ground: the map.
+        controlled: index of the E controlled agents.
+        history: observed steps.
+    """
+
+    segments: Segments
+    ground: Ground
+    controlled: Controlled
+    history: int
+
+    @property
+    def truth(self) -> Float[Tensor, "E T 4"]:
+        """Ground-truth states of the controlled agents."""
+        return self.segments.states[self.controlled.segment, :, self.controlled.agent]
+
+    @property
+    def sizes(self) -> Float[Tensor, "E 2"]:
+        """Lengths and widths of the controlled agents."""
+        return self.segments.sizes[self.controlled.segment, self.controlled.agent]
+
+    @property
+    def present(self) -> Bool[Tensor, "E T"]:
+        """Presence of the controlled agents."""
+        return self.segments.present[self.controlled.segment, :, self.controlled.agent]
 
 
 @dataclass(frozen=True, eq=False)
-class _Mind:
-    """What egos saw last, and what they remember."""
+class _Recurrent:
+    """What a controlled agent carries from step to step: encoded view and hidden state."""
 
-    seen: Float[Tensor, "E F"]
-    memory: Float[Tensor, "E M"]
-
-
-Choice = Callable[[_Moment], Tensor]
-Plan = Callable[[_Moment], Tensor | None]
+    features: Float[Tensor, "E F"]
+    hidden: Float[Tensor, "E H"]
 
 
 class ITRA(nn.Module):
-    """The networks. `forward` gives the losses of segments; see `sample` for predictions."""
+    """The model. `forward` computes the losses of segments, `sample` draws futures.
 
-    def __init__(self, config: Config) -> None:
+    Args:
+        config: its hyperparameters.
+        build_encoder: builds the encoder of views from channels, view size and width of features.
+    """
+
+    def __init__(self, config: Config, build_encoder: BuildEncoder = build_cnn) -> None:
         super().__init__()
         self.config = config
         self.motion = MOTION_MODELS[config.motion]
-        context = config.features + config.memory + FACTS
-        plan = 2 * config.points + 1 if config.modes else 0
-        if config.encoder != "none":
-            channels = CHANNELS + config.unlike
-            self.encoder = make_encoder(config.encoder, channels, config.size, config.features)
-        self.remember = nn.GRUCell(config.features + 2 + FACTS, config.memory)
-        self.act = network(context + config.latent + plan, config.memory, 2)
-        self.infer = network(context + 2, config.memory, 2 * config.latent)
-        if config.modes:
-            self.plan = Planner(
-                config.known,
-                config.ahead,
-                config.modes,
-                config.points,
-                config.features,
-                config.memory,
+        context = config.feature_size + config.hidden_size + ATTRIBUTES
+        anchor = 2 * config.anchor_points + 1 if config.num_anchors else 0
+        if config.use_observations:
+            channels = CHANNELS + config.surface_contrast
+            self.encoder = build_encoder(channels, config.view_size, config.feature_size)
+        # f_psi, f_theta and q_phi; the prior is a standard normal distribution
+        self.update_hidden = nn.GRUCell(config.feature_size + 2 + ATTRIBUTES, config.hidden_size)
+        self.decode_action = build_mlp(context + config.latent_size + anchor, config.hidden_size, 2)
+        self.posterior = build_mlp(context + 2, config.hidden_size, 2 * config.latent_size)
+        if config.num_anchors:
+            self.anchors = AnchorHead(
+                config.history,
+                config.horizon,
+                config.num_anchors,
+                config.anchor_points,
+                config.feature_size,
+                config.hidden_size,
             )
 
     def forward(
         self,
         segments: Segments,
         ground: Ground,
-        observed: int,
+        history: int,
         generator: torch.Generator,
-        winners: int = 1,
+        top_k: int = 1,
     ) -> Losses:
-        """The parts of the negative evidence lower bound, of all who are controlled.
+        """Compute the parts of the negative evidence lower bound over all controlled agents.
 
         Args:
-            segments: what happened.
+            segments: the ground truth.
             ground: the map.
-            observed: first steps that are given.
-            generator: of all noise.
-            winners: plans that learn from each ego, its best ones.
-        """
-        egos = self._egos(segments, observed)
-        truth = segments.states[egos.segment, :, egos.agent]
-        done = self._actions(truth, segments, egos)
-        levers = truth.new_tensor([1.0, 1.0, self.config.lever, HASTE]) / self.config.sigma
-        divergences, plans = [], [truth.new_zeros(())]
+            history: observed steps.
+            generator: source of all noise.
+            top_k: proposals of each agent that are trained, its best ones.
 
-        def choose(now: _Moment) -> Tensor:
-            known = torch.cat([now.context, done[:, now.number]], dim=1)
-            mean, log_scale = self.infer(known).chunk(2, 1)
+        Returns:
+            The losses, to be weighted and summed.
+
+        Raises:
+            ValueError: the segments do not fit the model.
+        """
+        batch = self._index(segments, ground, history)
+        truth = batch.truth  # (E, T, 4)
+        actions = self._normalise_actions(batch)  # (E, T - 1, 2)
+        kl, anchor_loss = [], truth.new_zeros(())
+
+        def draw_latent(context: Tensor, step: int) -> Tensor:
+            inputs = torch.cat([context, actions[:, step]], dim=1)  # (E, C + 2)
+            mean, log_scale = self.posterior(inputs).chunk(2, 1)  # (E, Z) each
             log_scale = log_scale.clamp(-5, 3)
             scale = log_scale.exp()
-            divergences.append((0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1))
+            kl.append((0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1))
             return mean + scale * torch.randn(mean.shape, generator=generator, device=mean.device)
 
-        def plan(now: _Moment) -> Tensor | None:
-            if not self.config.modes:
-                return None
-            past = truth[:, :observed, :2]
-            past = past + JITTER * torch.randn(past.shape, generator=generator, device=past.device)
-            found, logits = self.plan(now.pose, past, now.seen)
-            way = truth[:, [observed - 1 + k for k in self.plan.steps], :2]
-            plans.append(plan_loss(found, logits, way, winners))
-            return way
+        def choose_anchor(pose: Tensor, features: Tensor) -> Tensor:
+            nonlocal anchor_loss
+            past = truth[:, :history, :2]
+            noise = torch.randn(past.shape, generator=generator, device=past.device)
+            anchors, logits = self.anchors(pose, past + HISTORY_NOISE_M * noise, features)
+            target = truth[:, [history - 1 + step for step in self.anchors.steps], :2]
+            anchor_loss = compute_anchor_loss(anchors, logits, target, top_k)
+            return target
 
-        mind = self._watch(segments, ground, egos, done, observed)
-        states = self._roll(segments, ground, egos, mind, observed, choose, plan)
-        found = states[egos.segment, observed:, egos.agent]
-        error = _difference(found, truth[:, observed:]) * levers
-        fit = 0.5 * error.square().sum(dim=2).mean()
-        return Losses(fit, torch.stack(divergences, dim=1).mean(), plans[-1])
+        recurrent = self._encode_history(batch, actions)
+        states = self._roll_out(batch, recurrent, draw_latent, choose_anchor)  # (B, T, N, 4)
+        predicted = states[batch.controlled.segment, history:, batch.controlled.agent]
+        scales = truth.new_tensor([1.0, 1.0, self.config.heading_scale, SPEED_SCALE_S])
+        error = _subtract(predicted, truth[:, history:]) * (scales / self.config.sigma)
+        nll = 0.5 * error.square().sum(dim=2).mean()
+        return Losses(nll, torch.stack(kl, dim=1).mean(), anchor_loss)
 
     @torch.no_grad()
     def sample(
@@ -200,167 +200,168 @@ class ITRA(nn.Module):
         segments: Segments,
         ground: Ground,
         *,
-        observed: int,
+        history: int,
         samples: int,
         generator: torch.Generator,
-        spread: float = 1.0,
-    ) -> Float[Tensor, "S K T A 4"]:
-        """Possible futures of all who are controlled, jointly; all others replay.
+        latent_scale: float = 1.0,
+    ) -> Float[Tensor, "B K T N 4"]:
+        """Sample joint futures of all controlled agents; all others replay.
 
         Args:
-            segments: whose first steps are known; of the controlled, later ones are not looked at.
+            segments: whose first steps are observed; later steps of controlled agents are ignored.
             ground: the map.
-            observed: steps that are known.
+            history: observed steps.
             samples: futures to draw.
-            generator: of the noise.
-            spread: of the latents: 1 as in training; 0: the most usual way to each plan.
+            generator: source of the noise.
+            latent_scale: factor on the prior's standard deviation.
+
+        Returns:
+            States of all agents at all steps, the observed ones included.
+
+        Raises:
+            ValueError: the segments do not fit the model.
         """
-        egos = self._egos(segments, observed)
-        truth = segments.states[egos.segment, :, egos.agent]
-        done = self._actions(truth, segments, egos)
-        watched = self._watch(segments, ground, egos, done, observed)
-        numbers = segments.controlled.long()
-        numbers[egos.segment, egos.agent] = torch.arange(len(truth), device=truth.device)
-        many = repeated(segments, samples)
-        all_egos = egos_of(many)
-        which = numbers[all_egos.segment // samples, all_egos.agent]
-        mind = _Mind(watched.seen[which], watched.memory[which])
+        one = self._index(segments, ground, history)
+        observed = self._encode_history(one, self._normalise_actions(one))
+        number = segments.controlled.long()  # (B, N) row of each controlled agent
+        number[one.controlled.segment, one.controlled.agent] = torch.arange(
+            len(one.truth), device=number.device
+        )
+        repeated = repeat(segments, samples)
+        batch = _Batch(repeated, ground, index_controlled(repeated), history)
+        segment = batch.controlled.segment
+        row = number[segment // samples, batch.controlled.agent]  # (E K,)
+        recurrent = _Recurrent(observed.features[row], observed.hidden[row])
 
-        def choose(now: _Moment) -> Tensor:
-            size = (len(which), self.config.latent)
-            return spread * torch.randn(size, generator=generator, device=truth.device)
+        def draw_latent(context: Tensor, step: int) -> Tensor:
+            shape = (len(context), self.config.latent_size)
+            return latent_scale * torch.randn(shape, generator=generator, device=context.device)
 
-        def plan(now: _Moment) -> Tensor | None:
-            if not self.config.modes:
-                return None
-            past = truth[which, :observed, :2]
-            plans, logits = self.plan(now.pose, past, now.seen)
-            return nth_plan(plans, logits, all_egos.segment % samples)
+        def choose_anchor(pose: Tensor, features: Tensor) -> Tensor:
+            anchors, logits = self.anchors(pose, batch.truth[:, :history, :2], features)
+            return select_anchor(anchors, logits, segment % samples)
 
-        found = self._roll(many, ground, all_egos, mind, observed, choose, plan)
-        return found.view(len(segments), samples, *found.shape[1:])
+        states = self._roll_out(batch, recurrent, draw_latent, choose_anchor)  # (B K, T, N, 4)
+        return states.view(len(segments), samples, *states.shape[1:])
 
-    def _watch(
+    def _encode_history(self, batch: _Batch, actions: Float[Tensor, "E t 2"]) -> _Recurrent:
+        """Replay all observed steps but the last one, and update hidden states on the way."""
+        controlled, sizes = batch.controlled, batch.sizes
+        recurrent = _Recurrent(
+            sizes.new_zeros(len(sizes), self.config.feature_size),
+            sizes.new_zeros(len(sizes), self.config.hidden_size),
+        )
+        for step in range(batch.history - 1):
+            states = batch.segments.states[:, step]  # (B, N, 4)
+            features = self._encode_view(batch, states, step, recurrent.features)  # (E, F)
+            attributes = _normalise_attributes(states[controlled.segment, controlled.agent], sizes)
+            inputs = torch.cat([features, actions[:, step], attributes], dim=1)  # (E, F + 2 + 3)
+            hidden = self.update_hidden(inputs, recurrent.hidden)  # (E, H)
+            # the hidden state of an agent that enters later stays zero until then
+            present = batch.present[:, step : step + 2].all(dim=1, keepdim=True)
+            recurrent = _Recurrent(features, torch.where(present, hidden, recurrent.hidden))
+        return recurrent
+
+    def _roll_out(
         self,
-        segments: Segments,
-        ground: Ground,
-        egos: Egos,
-        done: Float[Tensor, "E t 2"],
-        observed: int,
-    ) -> _Mind:
-        """What egos remember when they have replayed all steps that are given but the last."""
-        config, sizes = self.config, segments.sizes[egos.segment, egos.agent]
-        count = len(sizes)
-        mind = _Mind(sizes.new_zeros(count, config.features), sizes.new_zeros(count, config.memory))
-        for number in range(observed - 1):
-            states = segments.states[:, number]
-            seen = self._look(segments, ground, egos, states, number, observed, mind.seen)
-            facts = _facts(states[egos.segment, egos.agent], sizes)
-            kept = self.remember(torch.cat([seen, done[:, number], facts], dim=1), mind.memory)
-            both = segments.present[egos.segment, number : number + 2, egos.agent]
-            there = both.all(dim=1, keepdim=True)  # who comes later has nothing to remember yet
-            mind = _Mind(seen, torch.where(there, kept, mind.memory))
-        return mind
-
-    def _roll(
-        self,
-        segments: Segments,
-        ground: Ground,
-        egos: Egos,
-        mind: _Mind,
-        observed: int,
-        choose: Choice,
-        plan: Plan,
-    ) -> Float[Tensor, "S T A 4"]:
-        """Let the egos act from the last step that is given on; all others replay."""
-        total, sizes = segments.states.shape[1], segments.sizes[egos.segment, egos.agent]
-        states, way, seen, memory = segments.states[:, observed - 1], None, mind.seen, mind.memory
-        path = list(segments.states[:, :observed].unbind(dim=1))
-        for number in range(observed - 1, total - 1):
-            pose = states[egos.segment, egos.agent]
-            facts = _facts(pose, sizes)
-            seen = self._look(segments, ground, egos, states, number, observed, seen)
-            now = _Moment(number, pose, seen, torch.cat([seen, memory, facts], dim=1))
-            if number == observed - 1:
-                way = plan(now)
-            parts = [now.context, choose(now)]
-            if way is not None:
-                left = torch.full_like(pose[:, :1], (total - 1 - number) / total)
-                points = agent_from_world(pose[:, None], way) / REACH
-                parts.append(torch.cat([points.flatten(1), left], dim=1))
-            action = LIMIT * torch.tanh(self.act(torch.cat(parts, dim=1)) / LIMIT)
-            after = self._moved(pose, action, sizes[:, 0], segments.seconds)
-            memory = self.remember(torch.cat([seen, action, facts], dim=1), memory)
-            states = segments.states[:, number + 1].index_put((egos.segment, egos.agent), after)
+        batch: _Batch,
+        recurrent: _Recurrent,
+        draw_latent: DrawLatent,
+        choose_anchor: ChooseAnchor,
+    ) -> Float[Tensor, "B T N 4"]:
+        """Roll controlled agents out from the last observed step; all others replay."""
+        segments, controlled, sizes = batch.segments, batch.controlled, batch.sizes
+        first, total = batch.history - 1, segments.states.shape[1]
+        features, hidden, anchor = recurrent.features, recurrent.hidden, None
+        states = segments.states[:, first]  # (B, N, 4)
+        path = list(segments.states[:, : batch.history].unbind(dim=1))
+        for step in range(first, total - 1):
+            pose = states[controlled.segment, controlled.agent]  # (E, 4)
+            attributes = _normalise_attributes(pose, sizes)  # (E, 3)
+            features = self._encode_view(batch, states, step, features)  # (E, F)
+            context = torch.cat([features, hidden, attributes], dim=1)  # (E, F + H + 3)
+            if self.config.num_anchors and step == first:
+                anchor = choose_anchor(pose, features)  # (E, P, 2)
+            inputs = [context, draw_latent(context, step)]
+            if anchor is not None:
+                inputs.append(_encode_anchor(pose, anchor, (total - 1 - step) / total))
+            action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
+            action = MAX_ACTION * torch.tanh(action / MAX_ACTION)
+            action_in_units = action * action.new_tensor(self.motion.scale)
+            after = self.motion.step(pose, action_in_units, sizes[:, 0], segments.dt)  # (E, 4)
+            hidden = self.update_hidden(torch.cat([features, action, attributes], dim=1), hidden)
+            states = segments.states[:, step + 1].index_put(
+                (controlled.segment, controlled.agent), after
+            )
             path.append(states)
         return torch.stack(path, dim=1)
 
-    def _egos(self, segments: Segments, observed: int) -> Egos:
-        total = segments.states.shape[1]
-        if abs(segments.seconds - self.config.seconds) > 1e-3:
-            raise ValueError(
-                f"steps of {segments.seconds:g} s; the model was made for {self.config.seconds:g} s"
-            )
-        if not 1 <= observed < total:
-            raise ValueError(f"{observed} of {total} steps are observed; 1 to {total - 1} can be")
-        plans = (self.config.known, self.config.ahead)
-        if self.config.modes and (observed, total - observed) != plans:
-            raise ValueError(
-                f"{observed} of {total} steps known; the model plans {plans[1]} after {plans[0]}"
-            )
-        if not segments.controlled.any():
-            raise ValueError("nobody in these segments is controlled")
-        egos = egos_of(segments)
-        if self.config.modes and not segments.present[egos.segment, :observed, egos.agent].all():
-            raise ValueError(
-                f"plans need everybody who is moved to be there in all {observed} steps"
-            )
-        return egos
-
-    def _look(
+    def _encode_view(
         self,
-        segments: Segments,
-        ground: Ground,
-        egos: Egos,
-        states: Float[Tensor, "S A 4"],
-        number: int,
-        observed: int,
-        seen: Float[Tensor, "E F"],
+        batch: _Batch,
+        states: Float[Tensor, "B N 4"],
+        step: int,
+        features: Float[Tensor, "E F"],
     ) -> Float[Tensor, "E F"]:
-        """What is seen now, or was seen last: between two looks, and by who is not there."""
-        if self.config.encoder == "none" or (number - observed + 1) % self.config.every:
-            return seen
-        pictures = egos_see(self.config.view, ground, segments, egos, states, number)
-        if self.config.unlike:
-            pictures = torch.cat([pictures, unlike_underfoot(pictures)], dim=1)
-        kind = pictures.device.type
-        with torch.autocast(kind, dtype=torch.bfloat16, enabled=kind == "cuda"):
-            found = self.encoder((pictures - 0.5).to(memory_format=torch.channels_last))
-        there = segments.present[egos.segment, number, egos.agent, None]
-        return torch.where(there, found.to(seen), seen)
+        """Encode views every `view_stride` steps; else, and for absent agents, reuse features."""
+        config = self.config
+        if not config.use_observations or (step - batch.history + 1) % config.view_stride:
+            return features
+        views = render_observation(
+            config.view, batch.ground, batch.segments, batch.controlled, states, step
+        )  # (E, 7, H, W)
+        if config.surface_contrast:
+            views = torch.cat([views, compute_surface_contrast(views)], dim=1)
+        device = views.device.type
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=device == "cuda"):
+            encoded = self.encoder((views - 0.5).to(memory_format=torch.channels_last))
+        return torch.where(batch.present[:, step, None], encoded.to(features), features)
 
-    def _actions(
-        self, truth: Float[Tensor, "E T 4"], segments: Segments, egos: Egos
-    ) -> Float[Tensor, "E t 2"]:
-        """What was really done in each step, in usual actions."""
-        before, after = truth[:, :-1], truth[:, 1:]
-        lengths = segments.sizes[egos.segment, egos.agent, :1]
-        found = self.motion.inverse(before, after, lengths, segments.seconds)
-        return (found / found.new_tensor(self.motion.scale)).clamp(-LIMIT, LIMIT)
+    def _normalise_actions(self, batch: _Batch) -> Float[Tensor, "E t 2"]:
+        """Compute the ground-truth actions of all steps, normalised."""
+        before, after = batch.truth[:, :-1], batch.truth[:, 1:]
+        actions = self.motion.inverse(before, after, batch.sizes[:, :1], batch.segments.dt)
+        return (actions / actions.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
 
-    def _moved(
-        self, pose: Float[Tensor, "E 4"], action: Tensor, lengths: Tensor, seconds: float
-    ) -> Float[Tensor, "E 4"]:
-        action = action * action.new_tensor(self.motion.scale)
-        return self.motion.step(pose, action, lengths, seconds)
+    def _index(self, segments: Segments, ground: Ground, history: int) -> _Batch:
+        """Index the controlled agents of segments, and check that they fit the model."""
+        config, total = self.config, segments.states.shape[1]
+        if abs(segments.dt - config.dt) > DT_TOLERANCE_S:
+            raise ValueError(f"segments have a dt of {segments.dt:g} s, the model {config.dt:g} s")
+        if not 1 <= history < total:
+            raise ValueError(f"{history} of {total} steps are observed; 1 to {total - 1} can be")
+        if not segments.controlled.any():
+            raise ValueError("no agent in these segments is controlled")
+        batch = _Batch(segments, ground, index_controlled(segments), history)
+        if config.num_anchors:
+            if (history, total - history) != (config.history, config.horizon):
+                raise ValueError(
+                    f"{history} of {total} steps are observed; the model's proposals cover "
+                    f"{config.horizon} steps after {config.history}"
+                )
+            if not batch.present[:, :history].all():
+                raise ValueError(
+                    f"proposals need agents that are present in all {history} observed steps"
+                )
+        return batch
 
 
-def _facts(pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]) -> Float[Tensor, "E 3"]:
-    """What an ego knows of itself without looking."""
+def _normalise_attributes(
+    pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]
+) -> Float[Tensor, "E 3"]:
+    """Speed, length and width of agents, normalised."""
     return torch.cat([pose[:, 3:] / 10, sizes / 5], dim=1)
 
 
-def _difference(found: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> Tensor:
-    """States apart; headings the shorter way."""
-    x, y, turn, speed = (found - truth).unbind(-1)
-    return torch.stack([x, y, wrap_angle(turn), speed], dim=-1)
+def _encode_anchor(
+    pose: Float[Tensor, "E 4"], anchor: Float[Tensor, "E P 2"], remaining: float
+) -> Float[Tensor, "E _"]:
+    """A proposal in the agent's frame, normalised, and the share of steps that remain."""
+    local = agent_from_world(pose[:, None], anchor) / ANCHOR_SCALE_M
+    return torch.cat([local.flatten(1), torch.full_like(pose[:, :1], remaining)], dim=1)
+
+
+def _subtract(states: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> Tensor:
+    """Difference of states, headings wrapped to [-pi, pi)."""
+    x, y, heading, speed = (states - truth).unbind(-1)
+    return torch.stack([x, y, wrap_angle(heading), speed], dim=-1)

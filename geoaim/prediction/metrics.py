@@ -1,6 +1,6 @@
-"""How good predictions are: nearness of the best sample, spread, and what goes wrong in them.
+"""Metrics of predicted futures, each with its sums for every segment.
 
-All numbers are kept for each segment, so that intervals come from drawing segments anew.
+Bootstrap intervals need the segments, hence the sums and counts instead of means.
 """
 
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
@@ -17,186 +17,220 @@ from geoaim.prediction.segments import VEHICLE, Segments
 from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.infractions import collisions, offroad_distance, ran_red
 
-DRAWS = 1000  # of segments, for an interval
-LEVEL = 0.95
+BOOTSTRAP_DRAWS = 1000
+CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Measure:
-    """A quantity: its sum in each segment, and over how many agents, samples and steps it is."""
+class Metric:
+    """A quantity that is averaged over agents, samples or steps of B segments.
 
-    sums: Float[Array, "S"]
-    counts: Float[Array, "S"]
+    Attributes:
+        sums: (B,) sum over each segment.
+        counts: (B,) number of summands in each segment.
+    """
+
+    sums: Float[Array, "B"]
+    counts: Float[Array, "B"]
 
     @property
     def mean(self) -> float:
-        """Of everything counted; NaN where nothing was."""
+        """Mean over all summands of all segments; NaN without any."""
         total = self.counts.sum()
         return float(self.sums.sum() / total) if total else float("nan")
 
 
-def measure(
-    futures: Float[Tensor, "S K T A 4"],
+def compute_metrics(
+    futures: Float[Tensor, "B K T N 4"],
     segments: Segments,
-    observed: int,
+    history: int,
     rules: Rules = NO_RULES,
-) -> dict[str, Measure]:
-    """All measures of some predictions, by name.
+) -> dict[str, Metric]:
+    """Compute all metrics of controlled agents.
 
-    `minADE` and `minFDE` take the best sample of each agent; `joint minADE` and `joint minFDE` the
-    sample that is best for all of a segment together, as the paper does. `MFD` is the largest
-    distance between two samples' ends. Rates are of agents, samples and predicted steps; those
-    that nothing could break are left out.
+    - `minADE`, `minFDE`: average and final displacement error of the best of K samples, chosen for
+      each agent (Gupta et al. 2018).
+    - `joint minADE`, `joint minFDE`: the same, one sample chosen for all agents of a segment (Liu
+      et al. 2023).
+    - `MFD`: maximum final distance between two samples (Ścibior et al. 2021).
+    - `collision rate`, `off-road rate`: share of agents, samples and predicted steps (Lioutas et
+      al. 2021). `red-light rate`: the same, of vehicles' steps with known lights. Rates without
+      any summand are left out.
 
     Args:
-        futures: of all agents, observed steps included.
-        segments: what happened; who is controlled is judged.
-        observed: steps that were given.
-        rules: what a map says about where vehicles may be.
+        futures: states of all agents, observed steps included.
+        segments: the ground truth.
+        history: observed steps.
+        rules: where vehicles may drive.
+
+    Returns:
+        Metrics by name: displacements in metres, rates between 0 and 1.
     """
-    off = displacements(futures, segments, observed)
-    who, agents = segments.controlled, segments.controlled.sum(dim=1)
-    ends = _final(futures, segments)
-    found = {}
-    for name, apart in (("ADE", off), ("FDE", ends)):
-        best = torch.where(who, apart.amin(dim=1), 0.0)
-        found[f"min{name}"] = _measure(best.sum(dim=1), agents)
-        together = torch.where(who[:, None], apart, 0.0).sum(dim=2).amin(dim=1)
-        found[f"joint min{name}"] = _measure(together, agents)
-    found["MFD"] = _measure(torch.where(who, _spread(futures), 0.0).sum(dim=1), agents)
-    return found | _rates(futures, segments, observed, rules)
+    controlled = segments.controlled
+    count = controlled.sum(dim=1)
+    metrics = {}
+    for name, errors in (
+        ("ADE", compute_ade(futures, segments, history)),
+        ("FDE", compute_fde(futures, segments)),
+    ):
+        best = torch.where(controlled, errors.amin(dim=1), 0.0).sum(dim=1)
+        metrics[f"min{name}"] = _make_metric(best, count)
+        joint = torch.where(controlled[:, None], errors, 0.0).sum(dim=2).amin(dim=1)
+        metrics[f"joint min{name}"] = _make_metric(joint, count)
+    mfd = torch.where(controlled, _compute_mfd(futures), 0.0).sum(dim=1)
+    metrics["MFD"] = _make_metric(mfd, count)
+    return metrics | _compute_infraction_rates(futures, segments, history, rules)
 
 
-def displacements(
-    futures: Float[Tensor, "S K T A 4"], segments: Segments, observed: int
-) -> Float[Tensor, "S K A"]:
-    """Mean distance from the truth over the predicted steps."""
-    apart = futures[:, :, observed:, :, :2] - segments.states[:, None, observed:, :, :2]
-    return apart.norm(dim=-1).mean(dim=2)
+def compute_ade(
+    futures: Float[Tensor, "B K T N 4"], segments: Segments, history: int
+) -> Float[Tensor, "B K N"]:
+    """Compute the average displacement error of every sample.
+
+    Args:
+        futures: states of all agents, observed steps included.
+        segments: the ground truth.
+        history: observed steps.
+
+    Returns:
+        Mean distance from the ground truth over predicted steps, metres.
+    """
+    offsets = futures[:, :, history:, :, :2] - segments.states[:, None, history:, :, :2]
+    return offsets.norm(dim=-1).mean(dim=2)
 
 
-def interval(
-    measure: Measure, other: Measure | None = None, *, seed: int = 0
+def compute_fde(futures: Float[Tensor, "B K T N 4"], segments: Segments) -> Float[Tensor, "B K N"]:
+    """Compute the final displacement error of every sample: distance at the last step, metres."""
+    return (futures[:, :, -1, :, :2] - segments.states[:, None, -1, :, :2]).norm(dim=-1)
+
+
+def bootstrap_interval(
+    metric: Metric, other: Metric | None = None, *, seed: int = 0
 ) -> tuple[float, float]:
-    """Within which the mean lies, or the difference from another's on the same segments.
+    """Estimate the confidence interval of a mean, or of the difference from another mean.
 
-    By the percentiles of the bootstrap over segments (Efron 1979).
+    By percentiles of the bootstrap over segments (Efron 1979).
 
-    >>> low, high = interval(Measure(np.array([1.0, 2.0, 3.0]), np.ones(3)))
+    Args:
+        metric: of B segments.
+        other: of the same segments, subtracted draw by draw.
+        seed: of the draws.
+
+    Returns:
+        Lower and upper bound.
+
+    >>> low, high = bootstrap_interval(Metric(np.array([1.0, 2.0, 3.0]), np.ones(3)))
     >>> bool(1 <= low < 2 < high <= 3)
     True
     """
     generator = np.random.default_rng(seed)
-    count = len(measure.sums)
-    drawn = generator.integers(0, count, (DRAWS, count))
-    means = _means(measure, drawn)
+    count = len(metric.sums)
+    draws = generator.integers(0, count, (BOOTSTRAP_DRAWS, count))
+    means = _average_draws(metric, draws)
     if other is not None:
-        means = means - _means(other, drawn)
-    low, high = np.nanquantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+        means = means - _average_draws(other, draws)
+    low, high = np.nanquantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 
 
-def merged(parts: list[dict[str, Measure]]) -> dict[str, Measure]:
-    """Measures of several sets of segments as of one; one that a set lacks counts nothing there."""
-    found = {}
+def concat(parts: Sequence[Mapping[str, Metric]]) -> dict[str, Metric]:
+    """Concatenate metrics of several sets of segments; a metric that a set lacks counts zero."""
+    metrics = {}
     for name in dict.fromkeys(name for part in parts for name in part):
-        rows = [part.get(name) or _nothing(part) for part in parts]
-        found[name] = Measure(
+        rows = [part[name] if name in part else _make_empty(part) for part in parts]
+        metrics[name] = Metric(
             np.concatenate([row.sums for row in rows]),
             np.concatenate([row.counts for row in rows]),
         )
-    return found
+    return metrics
 
 
-def pooled(trainings: Sequence[Mapping[str, Measure]]) -> dict[str, Measure]:
-    """Measures of several trainings on the same segments as of one, whose segments stay as many.
+def average_seeds(trainings: Sequence[Mapping[str, Metric]]) -> dict[str, Metric]:
+    """Average metrics of trainings with different seeds on the same segments.
 
-    Intervals are narrower by what the trainings differ; they do not say by how much they do.
+    Intervals are over segments; they do not tell how much trainings differ.
     """
     return {
-        name: Measure(
-            np.sum([found[name].sums for found in trainings], axis=0),
-            np.sum([found[name].counts for found in trainings], axis=0),
+        name: Metric(
+            np.sum([metrics[name].sums for metrics in trainings], axis=0),
+            np.sum([metrics[name].counts for metrics in trainings], axis=0),
         )
         for name in trainings[0]
     }
 
 
-def _nothing(part: dict[str, Measure]) -> Measure:
-    zeros = np.zeros_like(next(iter(part.values())).sums)
-    return Measure(zeros, zeros)
+def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
+    """Summarise metrics as means with the bounds of their intervals."""
+    summary = {}
+    for name, metric in metrics.items():
+        low, high = bootstrap_interval(metric)
+        summary[name] = {"mean": metric.mean, "low": low, "high": high}
+    return summary
 
 
-def summary(measures: Mapping[str, Measure]) -> dict[str, dict[str, float]]:
-    """Means with their intervals, as plain numbers."""
-    found = {}
-    for name, value in measures.items():
-        low, high = interval(value)
-        found[name] = {"mean": value.mean, "low": low, "high": high}
-    return found
-
-
-def _means(measure: Measure, drawn: Array) -> Float[Array, "n"]:
-    counts = measure.counts[drawn].sum(axis=1)
-    sums = measure.sums[drawn].sum(axis=1)
-    return np.where(counts > 0, sums / np.maximum(counts, 1e-9), np.nan)
-
-
-def _final(futures: Float[Tensor, "S K T A 4"], segments: Segments) -> Float[Tensor, "S K A"]:
-    return (futures[:, :, -1, :, :2] - segments.states[:, None, -1, :, :2]).norm(dim=-1)
-
-
-def _spread(futures: Float[Tensor, "S K T A 4"]) -> Float[Tensor, "S A"]:
-    """The largest distance between two samples' ends."""
-    ends = futures[:, :, -1, :, :2].transpose(1, 2)
+def _compute_mfd(futures: Float[Tensor, "B K T N 4"]) -> Float[Tensor, "B N"]:
+    """The maximum final distance between two samples of an agent, metres."""
+    ends = futures[:, :, -1, :, :2].transpose(1, 2)  # (B, N, K, 2)
     return (ends[:, :, :, None] - ends[:, :, None]).norm(dim=-1).amax(dim=(2, 3))
 
 
-def _rates(
-    futures: Float[Tensor, "S K T A 4"], segments: Segments, observed: int, rules: Rules
-) -> dict[str, Measure]:
-    """Shares of agents, samples and steps with a collision, off the road, through a red light."""
-    samples = futures.shape[1]
-    poses = futures[:, :, observed - 1 :, :, :3]
-    there = segments.present[:, None, observed - 1 :].expand(-1, samples, -1, -1)
-    after, now = poses[:, :, 1:], there[:, :, 1:]
-    mine = now & segments.controlled[:, None, None]
-    sizes = segments.sizes[:, None, None].expand(*now.shape, 2)
-    flat = after.flatten(0, 2), sizes.flatten(0, 2), now.flatten(0, 2)
-    hits = (collisions(*flat) > 0).view(now.shape)
-    found = {"collision rate": _rate(hits, mine)}
-    driven = mine & (segments.planes == VEHICLE)[:, None, None]
-    if rules.drivable is not None and driven.any():
-        off = offroad_distance(rules.drivable, after, sizes, driven) > 0
-        found["off-road rate"] = _rate(off, driven)
-    told = (segments.lights[:, observed - 1 : -1] != UNKNOWN).any(dim=2)[:, None, :, None]
-    if told.any() and driven.any():
-        ran = _ran_red(poses, segments, observed, driven)
-        found["red-light rate"] = _rate(ran, driven & told)
-    return found
+def _compute_infraction_rates(
+    futures: Float[Tensor, "B K T N 4"], segments: Segments, history: int, rules: Rules
+) -> dict[str, Metric]:
+    """Shares of agents, samples and steps that collide, are off the road or run a red light."""
+    poses = futures[:, :, history - 1 :, :, :3]  # (B, K, 1 + t, N, 3)
+    after = poses[:, :, 1:]
+    present = segments.present[:, None, history:].expand(*after.shape[:4])
+    controlled = present & segments.controlled[:, None, None]
+    sizes = segments.sizes[:, None, None].expand(*present.shape, 2)
+    overlap = collisions(after.flatten(0, 2), sizes.flatten(0, 2), present.flatten(0, 2))
+    rates = {"collision rate": _make_rate((overlap > 0).view(present.shape), controlled)}
+    vehicles = controlled & (segments.layers == VEHICLE)[:, None, None]
+    if rules.drivable is not None and vehicles.any():
+        offroad = offroad_distance(rules.drivable, after, sizes, vehicles) > 0
+        rates["off-road rate"] = _make_rate(offroad, vehicles)
+    states = segments.light_states[:, history - 1 : -1]  # (B, t, L)
+    known = (states != UNKNOWN).any(dim=2)[:, None, :, None]
+    if known.any() and vehicles.any():
+        violations = _find_red_light_violations(poses, segments, states, vehicles)
+        rates["red-light rate"] = _make_rate(violations, vehicles & known)
+    return rates
 
 
-def _ran_red(
-    poses: Float[Tensor, "S K _ A 3"], segments: Segments, observed: int, driven: Tensor
-) -> Bool[Tensor, "S K t A"]:
-    """Who crosses a line in a step while its light is red."""
-    shape = driven.shape[:3]
-    lights = segments.lights[:, None, observed - 1 : -1]
-    each = (
+def _find_red_light_violations(
+    poses: Float[Tensor, "B K _ N 3"],
+    segments: Segments,
+    light_states: Int[Tensor, "B t L"],
+    vehicles: Bool[Tensor, "B K t N"],
+) -> Bool[Tensor, "B K t N"]:
+    """Mask of vehicles that cross a stop line in a step while its light is red."""
+    leading = vehicles.shape[:3]
+    arguments = (
         poses[:, :, :-1],
         poses[:, :, 1:],
         segments.sizes[:, None, None, :, 0],
-        driven,
-        segments.lines[:, None, None],
-        lights,
+        vehicles,
+        segments.stop_lines[:, None, None],
+        light_states[:, None],
     )
-    flat = (x.expand(*shape, *x.shape[3:]).flatten(0, 2) for x in each)
-    return ran_red(*flat).view(driven.shape)
+    flat = (x.expand(*leading, *x.shape[3:]).flatten(0, 2) for x in arguments)
+    return ran_red(*flat).view(vehicles.shape)
 
 
-def _rate(wrong: Bool[Tensor, "S K t A"], who: Bool[Tensor, "S K t A"]) -> Measure:
-    return _measure((wrong & who).sum(dim=(1, 2, 3)), who.sum(dim=(1, 2, 3)))
+def _average_draws(metric: Metric, draws: Int[Array, "D B"]) -> Float[Array, "D"]:
+    counts = metric.counts[draws].sum(axis=1)
+    sums = metric.sums[draws].sum(axis=1)
+    return np.where(counts > 0, sums / np.maximum(counts, 1e-9), np.nan)
 
 
-def _measure(sums: Tensor, counts: Tensor) -> Measure:
-    return Measure(sums.double().cpu().numpy(), counts.double().cpu().numpy())
+def _make_rate(violations: Bool[Tensor, "B K t N"], agents: Bool[Tensor, "B K t N"]) -> Metric:
+    return _make_metric((violations & agents).sum(dim=(1, 2, 3)), agents.sum(dim=(1, 2, 3)))
+
+
+def _make_metric(sums: Tensor, counts: Tensor) -> Metric:
+    return Metric(sums.double().cpu().numpy(), counts.double().cpu().numpy())
+
+
+def _make_empty(part: Mapping[str, Metric]) -> Metric:
+    zeros = np.zeros_like(next(iter(part.values())).sums)
+    return Metric(zeros, zeros)

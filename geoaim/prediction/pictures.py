@@ -1,8 +1,9 @@
-"""Futures on the map, for people: a picture, a film, a table."""
+"""Futures on the map as pictures and frames of a film, and as a table."""
 
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -21,68 +22,102 @@ from geoaim.simulation.scene import Scene
 from geoaim.track_files import format_world
 from geoaim.world import World
 
-WIDE = 1280  # px of a picture's longer side
-FUTURE = (1.0, 0.45, 0.0)
-TRUTH = (0.95, 0.95, 0.95)
-LINE = 0.5  # m that a path is wide
-AROUND = 15.0  # m around all paths that a picture shows
+PICTURE_SIZE_PX = 1280  # of the longer side
+FUTURE_COLOUR = (1.0, 0.45, 0.0)
+TRUTH_COLOUR = (0.95, 0.95, 0.95)
+PATH_WIDTH_M = 0.5
+MARGIN_M = 15.0  # of a picture around all paths
 
-Seen = tuple[View, Float[Tensor, "1 3"]]
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A view and where it is.
+
+    Attributes:
+        view: size and resolution.
+        pose: (1, 3) x, y and heading of its centre.
+    """
+
+    view: View
+    pose: Float[Tensor, "1 3"]
 
 
 def draw_futures(
-    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int, seen: Seen | None = None
+    scene: Scene, futures: Float[Tensor, "K N T 4"], start: int, camera: Camera | None = None
 ) -> UInt8[Array, "H W 3"]:
-    """The map, north up, with all futures, what really happened, and everybody at the start.
+    """Draw the map, north up, with agents at the start, all futures, and the ground truth.
 
     Args:
         scene: map, agents and lights.
         futures: from `predict`.
-        start: the step after which they begin.
-        seen: view and camera; if left out, `all_futures`.
+        start: the last observed step.
+        camera: what to show; None: `fit_camera`.
+
+    Returns:
+        An RGB picture.
     """
-    view, camera = seen or all_futures(scene, futures, start)
-    after = scene.poses[None, :, start : start + 1 + futures.shape[2], :2]
-    now = scene.poses[None, :, start : start + 1, :2].expand(len(futures), -1, -1, -1)
-    moved = _moved(futures)
-    ways = torch.cat([now, moved], dim=2)
-    predicted = torch.isfinite(moved).flatten(2).any(dim=2).any(dim=0)
-    after = torch.where(predicted[:, None, None], after, torch.nan)
+    camera = camera or fit_camera(scene, futures, start)
+    paths = _select_predicted(futures)
+    current = scene.poses[None, :, start : start + 1, :2].expand(len(futures), -1, -1, -1)
+    predicted = torch.isfinite(paths).flatten(2).any(dim=2).any(dim=0)
+    truth = scene.poses[None, :, start : start + 1 + futures.shape[2], :2]
+    truth = torch.where(predicted[:, None, None], truth, torch.nan)
     layers = [
-        _paths(after, TRUTH, LINE),
-        _paths(ways.flatten(0, 1)[None], FUTURE, LINE / 2),
+        _make_path_boxes(truth, TRUTH_COLOUR, PATH_WIDTH_M),
+        _make_path_boxes(
+            torch.cat([current, paths], dim=2).flatten(0, 1)[None], FUTURE_COLOUR, PATH_WIDTH_M / 2
+        ),
         lights_at(scene, torch.tensor([start])),
-        _agents(scene, scene.poses[:, start]),
+        _make_agent_boxes(scene, scene.poses[:, start]),
     ]
-    return _picture(view, camera, fit_ground(scene.ground, view.resolution), layers)
+    return _draw(camera, fit_ground(scene.ground, camera.view.resolution), layers)
 
 
-def all_futures(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> Seen:
-    """A view of all futures, as far as the map goes, north up."""
-    places = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
-    places = places[torch.isfinite(places).all(dim=1)]
-    first, last = bounds_of(scene.ground).to(places)
-    low = (places.amin(dim=0) - AROUND).clamp(first, last - AROUND)
-    high = (places.amax(dim=0) + AROUND).clamp(low + AROUND, last)
+def fit_camera(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> Camera:
+    """Fit a camera, north up, to all futures as far as the map reaches.
+
+    Args:
+        scene: map and agents.
+        futures: from `predict`.
+        start: the last observed step.
+
+    Returns:
+        The camera.
+    """
+    positions = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
+    positions = positions[torch.isfinite(positions).all(dim=1)]
+    first, last = bounds_of(scene.ground).to(positions)
+    low = (positions.amin(dim=0) - MARGIN_M).clamp(first, last - MARGIN_M)
+    high = (positions.amax(dim=0) + MARGIN_M).clamp(low + MARGIN_M, last)
     width, height = (high - low).tolist()
-    metres = max(width, height) / WIDE
-    rows, columns = (2 * max(1, round(side / metres / 2)) for side in (height, width))
-    middle = (low + high) / 2
-    camera = torch.cat([middle, middle.new_tensor([math.pi / 2])])[None]
-    return View(rows, columns, metres), camera
+    resolution = max(width, height) / PICTURE_SIZE_PX
+    rows, columns = (2 * max(1, round(side / resolution / 2)) for side in (height, width))
+    centre = (low + high) / 2
+    pose = torch.cat([centre, centre.new_tensor([math.pi / 2])])[None]
+    return Camera(View(rows, columns, resolution), pose)
 
 
 def film_futures(
     scene: Scene, futures: Float[Tensor, "K N T 4"], start: int
 ) -> Iterator[UInt8[Array, "H W 3"]]:
-    """The futures as they go on, all of them in one picture a step."""
-    view, camera = all_futures(scene, futures, start)
-    ground, moved = fit_ground(scene.ground, view.resolution), _moved(futures)
-    for number in range(futures.shape[2]):
-        ways = moved[:, :, : number + 1].flatten(0, 1)[None]
-        layers = [] if number == 0 else [_paths(ways, FUTURE, LINE / 2)]
-        layers += [_agents(scene, future[:, number, :3]) for future in futures]
-        yield _picture(view, camera, ground, layers)
+    """Draw the futures step by step, all samples in one picture.
+
+    Args:
+        scene: map and agents.
+        futures: from `predict`.
+        start: the last observed step.
+
+    Yields:
+        An RGB picture for each step.
+    """
+    camera = fit_camera(scene, futures, start)
+    ground, paths = fit_ground(scene.ground, camera.view.resolution), _select_predicted(futures)
+    for step in range(futures.shape[2]):
+        layers = [_make_agent_boxes(scene, future[:, step, :3]) for future in futures]
+        if step:
+            until = paths[:, :, : step + 1].flatten(0, 1)[None]
+            layers.insert(0, _make_path_boxes(until, FUTURE_COLOUR, PATH_WIDTH_M / 2))
+        yield _draw(camera, ground, layers)
 
 
 def write_futures(
@@ -92,12 +127,19 @@ def write_futures(
     path: str | os.PathLike[str],
     *,
     world: World,
-    seconds: float,
+    dt: float,
 ) -> None:
-    """A table with a row for each sample, agent and step, below the lines of `geoaim.tracks`.
+    """Write a CSV with a row for each sample, agent and step, below the header of tracks.
 
-    Columns are sample, id, type, time, x, y, heading, speed, in the units of tracks; steps last
-    so many seconds.
+    Columns are sample, id, type, time, x, y, heading, speed, in the units of tracks.
+
+    Args:
+        scene: names, types and times.
+        futures: from `predict`.
+        start: the last observed step.
+        path: of the file.
+        world: of the scene.
+        dt: time between steps, s.
     """
     sample, agent, step = torch.isfinite(futures[..., 0]).nonzero().unbind(1)
     values = futures[sample, agent, step].double().cpu().numpy()
@@ -106,7 +148,7 @@ def write_futures(
             "sample": sample.cpu().numpy(),
             "id": np.array(scene.ids, object)[agent.cpu().numpy()],
             "type": np.array(scene.types, object)[agent.cpu().numpy()],
-            "time": (float(scene.times[start]) + (step.cpu().numpy() + 1) * seconds).round(3),
+            "time": (float(scene.times[start]) + (step.cpu().numpy() + 1) * dt).round(3),
         }
     )
     for column, name in enumerate(("x", "y", "heading", "speed")):
@@ -116,16 +158,16 @@ def write_futures(
         table.to_csv(file, index=False)
 
 
-def _moved(futures: Float[Tensor, "K N T 4"]) -> Float[Tensor, "K N T 2"]:
-    """Places of those whose samples differ; NaN of those who replay, the same in all of them."""
-    places = futures[..., :2]
+def _select_predicted(futures: Float[Tensor, "K N T 4"]) -> Float[Tensor, "K N T 2"]:
+    """Positions of agents whose samples differ; NaN for the others, which replay."""
+    positions = futures[..., :2]
     if len(futures) == 1:
-        return places
-    same = ((places - places[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
-    return torch.where(same[:, None, None], torch.nan, places)
+        return positions
+    same = ((positions - positions[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
+    return torch.where(same[:, None, None], torch.nan, positions)
 
 
-def _paths(
+def _make_path_boxes(
     points: Float[Tensor, "1 P S 2"], colour: tuple[float, float, float], width: float
 ) -> Boxes:
     present = torch.isfinite(points).all(dim=-1)
@@ -134,16 +176,13 @@ def _paths(
     return path_boxes(safe, colours, width=width, present=present)
 
 
-def _agents(scene: Scene, poses: Float[Tensor, "N 3"]) -> Boxes:
+def _make_agent_boxes(scene: Scene, poses: Float[Tensor, "N 3"]) -> Boxes:
     present = torch.isfinite(poses).all(dim=1)
     colours = usual_colours(scene)
-    noses = torch.ones_like(colours)
     safe = torch.where(present[:, None], poses, 0.0)
-    return Boxes(safe[None], scene.sizes, colours, present[None], noses)
+    return Boxes(safe[None], scene.sizes, colours, present[None], torch.ones_like(colours))
 
 
-def _picture(
-    view: View, camera: Float[Tensor, "1 3"], ground: Ground, layers: list[Boxes]
-) -> UInt8[Array, "H W 3"]:
-    with torch.no_grad():
-        return pixels_of(render(view, camera, ground, layers))[0]
+@torch.no_grad()
+def _draw(camera: Camera, ground: Ground, layers: list[Boxes]) -> UInt8[Array, "H W 3"]:
+    return pixels_of(render(camera.view, camera.pose, ground, layers))[0]

@@ -1,15 +1,14 @@
-"""Futures of a scene: what a model thinks that may happen next."""
+"""Predicting the future of a scene."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.prediction.itra import ITRA
-from geoaim.prediction.segments import cut_ahead
+from geoaim.prediction.config import MAX_HISTORY_STEPS
+from geoaim.prediction.cutting import cut_future
+from geoaim.prediction.itra import DT_TOLERANCE_S, ITRA
 from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import Scene, step_seconds
-
-OBSERVED = 10  # steps before the prediction that a model gets at most, as in training
 
 
 def predict(
@@ -17,44 +16,49 @@ def predict(
     scene: Scene,
     *,
     samples: int = 6,
-    steps: int = 40,
+    horizon: int = 40,
     start: int | None = None,
     generator: torch.Generator,
 ) -> Float[Tensor, "K N T 4"]:
-    """Draw joint futures of all agents of the model's kind.
+    """Sample joint futures of all agents of the model's kind.
 
     Args:
         model: from `read_model` or `train`.
-        scene: map, agents and lights, at the model's steps.
-        samples: futures.
-        steps: of each.
-        start: step of the scene that is the last one known; its last if left out.
-        generator: of the noise.
+        scene: map, agents and lights, at the model's dt.
+        samples: futures to draw.
+        horizon: steps to predict.
+        start: the last observed step; None: the scene's last step.
+        generator: source of the noise.
 
     Returns:
-        x, y, heading and speed of everybody at the steps after `start`; NaN of who is not there.
-        Others replay, and go straight on beyond the scene's end; lights stay as they were last.
+        x, y, heading and speed of all agents at the steps after `start`; NaN where absent. Agents
+        of other kinds replay, and go straight on beyond the scene's end; lights then stay as they
+        are.
 
     Raises:
-        TracksError: nobody of the kind is there at that step.
-        ValueError: the scene's steps are not the model's, there is no such step, or a model with
-            plans needs more known ones.
+        TracksError: no agent of the kind is present at that step.
+        ValueError: the scene's dt is not the model's, there is no such step, or a model with
+            proposals needs a longer history.
     """
     config, total = model.config, len(scene.times)
     start = total - 1 if start is None else start
     if not 0 <= start < total:
         raise ValueError(f"step {start} is not among the scene's {total}")
-    if total > 1 and abs(step_seconds(scene) - config.seconds) > 1e-3:
+    if total > 1 and abs(step_seconds(scene) - config.dt) > DT_TOLERANCE_S:
         raise ValueError(
-            f"the scene's steps are {step_seconds(scene):g} s and the model's "
-            f"{config.seconds:g} s; resample the tracks"
+            f"the scene's dt is {step_seconds(scene):g} s and the model's {config.dt:g} s; "
+            "resample the tracks"
         )
-    first = max(0, start + 1 - (config.known or OBSERVED))
-    segment = cut_ahead(scene, config.kind, config.seconds, first=first, start=start, steps=steps)
-    observed = start + 1 - first
-    ground = fit_ground(scene.ground, config.resolution)
-    found = model.sample(segment, ground, observed=observed, samples=samples, generator=generator)[
-        0, :, observed:
-    ]
-    there = segment.present[0, observed:, :, None]
-    return torch.where(there, found, torch.nan).transpose(1, 2)
+    first = max(0, start + 1 - (config.history or MAX_HISTORY_STEPS))
+    steps = slice(first, start + 1 + horizon)
+    segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
+    history = start + 1 - first
+    futures = model.sample(
+        segment,
+        fit_ground(scene.ground, config.resolution),
+        history=history,
+        samples=samples,
+        generator=generator,
+    )[0, :, history:]  # (K, T, N, 4)
+    present = segment.present[0, history:, :, None]
+    return torch.where(present, futures, torch.nan).transpose(1, 2)

@@ -1,25 +1,52 @@
-"""Measures as tables for people."""
+"""Reports: tables of metrics, and curves of a training."""
 
+import os
 from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from geoaim.files import write_figure
 
 Summary = Mapping[str, Mapping[str, float]]
+CURVES = {
+    "nll": "negative log-likelihood",
+    "kl": "KL divergence, nats",
+    "anchor": "loss of proposals, m",
+    "minADE": "minADE in validation, m",
+}
 
 
-def markdown(found: Mapping[str, Summary]) -> str:
-    """A row for each method, a column for each measure, with its interval of 95 %.
+def format_markdown(summaries: Mapping[str, Summary]) -> str:
+    """Format a table: a row for each method, a column for each metric with its 95 % interval.
 
-    >>> print(markdown({"a": {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}}))
+    >>> print(format_markdown({"a": {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}}))
     | | minADE |
     | --- | --- |
     | a | 1 (0.9 to 1.1) |
     """
-    names = list(dict.fromkeys(name for summary in found.values() for name in summary))
+    names = list(dict.fromkeys(name for summary in summaries.values() for name in summary))
     lines = ["| | " + " | ".join(names) + " |", "|" + " --- |" * (len(names) + 1)]
-    for method, summary in found.items():
-        cells = [_cell(summary[name]) if name in summary else "" for name in names]
+    for method, summary in summaries.items():
+        cells = [_format_cell(summary[name]) if name in summary else "" for name in names]
         lines.append(f"| {method} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
-def _cell(value: Mapping[str, float]) -> str:
+def plot_training(log: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+    """Plot a training's `log.csv` as a PNG: a panel for each loss and for minADE, by steps."""
+    table = pd.read_csv(Path(log)).set_index("step")
+    columns = [name for name in CURVES if table[name].any()]
+    figure = Figure(figsize=(4 * len(columns), 3), layout="constrained")
+    panels = figure.subplots(1, len(columns), squeeze=False)[0]
+    for axes, name in zip(panels, columns, strict=True):
+        axes.plot(table.index, table[name], ".-", color="#ff6a00")
+        axes.set(title=CURVES[name], xlabel="steps")
+        axes.set_yscale("log" if name == "nll" else "linear")
+        axes.grid(alpha=0.3)
+    write_figure(figure, path)
+
+
+def _format_cell(value: Mapping[str, float]) -> str:
     return f"{value['mean']:.3g} ({value['low']:.3g} to {value['high']:.3g})"

@@ -1,287 +1,224 @@
-"""Training: a plain loop that can be killed at any time and goes on where it was."""
+"""Training: a plain loop that resumes after an interruption with the same result."""
 
+import copy
 import csv
 import hashlib
 import math
 import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-import torch.distributed as dist
-from jaxtyping import Int
-from torch import Tensor, nn
+from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
-from geoaim.prediction.atlas import ground_scaled
+from geoaim.prediction.batches import (
+    compute_kl_weight,
+    compute_top_k,
+    draw_batch,
+    join_processes,
+)
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
-from geoaim.prediction.itra import ITRA, Config, Losses
-from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.metrics import displacements
-from geoaim.prediction.segments import Segments, pick, scaled, segments_on
+from geoaim.prediction.config import Config, TrainConfig
+from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.itra import ITRA, BuildEncoder, Losses
+from geoaim.prediction.metrics import compute_ade
+from geoaim.prediction.networks import build_cnn
+from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import Ground, on_device
 
-CHECKED = 256  # segments at most that are predicted for the log
-SAMPLES = 6
-PLAN = 12.0  # weight of metres from the best plans; the fit is in sigmas, squared
-CLIP = 1.0  # of the gradient's norm
-NARROWING = 0.8  # share of the steps over which fewer and fewer plans learn from each segment
-LOG = ("step", "fit", "divergence", "plan", "minADE", "segments a second")
+MAX_VAL_SEGMENTS = 256  # that are predicted for the log
+VAL_SAMPLES = 6
+ANCHOR_WEIGHT = 12.0  # of metres, beside a likelihood in squared sigmas
+MAX_GRADIENT_NORM = 1.0
+LOG_COLUMNS = ("step", "nll", "kl", "anchor", "minADE", "segments_per_s")
 
 
-@dataclass(frozen=True)
-class Training:
-    """How a model is trained.
+@dataclass(frozen=True, eq=False)
+class _Parts:
+    """What a checkpoint holds."""
 
-    Attributes:
-        steps: of the optimiser.
-        batch: segments of each, of all processes together.
-        rate: the highest learning rate, of one cycle (Smith 2018).
-        divergence: weight of the latents' divergence in the end. 1 is the evidence lower bound;
-            with more, latents tell less of what was done, and the model looks at map, lights and
-            others to know it.
-        warm_up: share of the steps in which that weight rises from zero, so that latents come to
-            be used at all (Bowman et al. 2016).
-        observed: fewest and most steps that are given, drawn for each batch.
-        mirror: whether half of the batches are mirrored; not where people keep to one side.
-        resize: share by which batches are made larger or smaller at most.
-        colour: share by which a batch's ground is brighter or darker at most, in each channel.
-        seed: of everything random.
-        save: steps from one checkpoint to the next.
+    model: ITRA
+    optimiser: torch.optim.AdamW
+    scheduler: torch.optim.lr_scheduler.OneCycleLR
+
+
+def init_model(config: Config, *, seed: int = 0, build_encoder: BuildEncoder = build_cnn) -> ITRA:
+    """Make a new model with random weights.
+
+    Args:
+        config: its hyperparameters.
+        seed: of the weights.
+        build_encoder: builds its encoder of views; see `ITRA`.
+
+    Returns:
+        The model, on the CPU.
     """
-
-    steps: int
-    batch: int = 64
-    rate: float = 2e-3
-    divergence: float = 3.0
-    warm_up: float = 0.3
-    observed: tuple[int, int] = (1, 10)
-    mirror: bool = False
-    resize: float = 0.0
-    colour: float = 0.0
-    seed: int = 0
-    save: int = 250
-
-
-def from_scratch(kind: str, *, steps: int, batch: int, seed: int = 0) -> Training:
-    """The training of a new model."""
-    mirror = kind == "pedestrian"  # people keep to no side
-    return Training(steps, batch, mirror=mirror, seed=seed)
-
-
-def fine_tuning(kind: str, *, steps: int, batch: int, seed: int = 0) -> Training:
-    """The training of a model that is good already: gentle, with its latents in use throughout."""
-    training = from_scratch(kind, steps=steps, batch=batch, seed=seed)
-    return replace(training, rate=5e-4, warm_up=0.0, save=50)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return ITRA(config, build_encoder)
 
 
 def train(
-    config: Config,
-    training: Training,
-    lessons: Lessons,
+    model: ITRA,
+    config: TrainConfig,
+    dataset: Dataset,
     folder: str | os.PathLike[str],
     *,
-    start: ITRA | None = None,
     progress: Progress = no_progress,
 ) -> ITRA:
-    """Train a model, on the ground's device, or go on with the training that is in the folder.
+    """Train a model on the device of the dataset's ground, or resume the folder's training.
 
-    Writes `checkpoint.pt`, `log.csv` and, at the end, `model.pt`. On a CPU, with as many threads,
-    the same seed gives the same weights, interrupted or not. Under `torchrun` processes share each
-    batch.
+    Writes `checkpoint.pt`, `log.csv` and, at the end, `model.pt`. On a CPU, with the same number of
+    threads, the same seed gives the same weights, interrupted or not. Processes of `torchrun` share
+    each batch.
 
     Args:
-        config: what the model is made of.
-        training: how it is trained.
-        lessons: what from.
-        folder: where its files lie.
-        start: a model to begin with, whose config it has; None: from scratch.
+        model: to begin with, from `init_model` or `read_model`; it stays as it is.
+        config: hyperparameters of the training.
+        dataset: training and validation segments.
+        folder: of the files.
         progress: takes stage, done and total.
+
+    Returns:
+        The trained model, in evaluation mode.
 
     Raises:
         ValueError: the folder holds another training.
         ModelError: its checkpoint cannot be read, or the loss is not finite.
     """
     path = Path(folder) / "checkpoint.pt"
-    with _processes(lessons.ground.image.device) as (rank, count, device):
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(training.seed)
-            model = ITRA(config).to(device)
-        if start is not None:
-            model.load_state_dict(start.state_dict())
-        optimiser = torch.optim.AdamW(model.parameters(), training.rate, weight_decay=0.01)
-        schedule = torch.optim.lr_scheduler.OneCycleLR(
-            optimiser, training.rate, total_steps=training.steps + 1
-        )
-        kept: dict[str, Any] = {"model": model, "optimiser": optimiser, "schedule": schedule}
-        about = {
-            "config": asdict(config),
-            "training": asdict(training),
-            "start": {"lessons": digest(lessons), "weights": digest(start)},
-        }
-        log = _resume(path, kept, about)
-        network: nn.Module = model if count == 1 else DistributedDataParallel(model)
-        ground, began, sums = on_device(lessons.ground, device), time.perf_counter(), []
-        if start is not None and not log:
-            before = _check(model, lessons.valid, ground, training)
-            log.append((0, math.nan, math.nan, math.nan, before, math.nan))
-        for step in range(int(log[-1][0]) if log else 0, training.steps):
-            winners = _winners(training, step, config.modes) if start is None else 1
-            losses = _losses(network, training, lessons.train, ground, step, winners, (rank, count))
-            loss = losses.fit + losses.plan * PLAN + _weight(training, step) * losses.divergence
-            if not torch.isfinite(loss):
-                raise ModelError(
-                    f"the loss of step {step} is {loss}: look for jumps in the tracks, or "
-                    "lower the rate of learning"
+    identity = {
+        "config": asdict(model.config),
+        "training": asdict(config),
+        "start": {"dataset": hash_dataset(dataset), "weights": hash_weights(model)},
+    }
+    with join_processes(dataset.ground.image.device) as process:
+        parts = _make_parts(copy.deepcopy(model).to(process.device).train(), config)
+        log = _resume(path, parts, identity)
+        ground = on_device(dataset.ground, process.device)
+        alone = process.world_size == 1
+        network: nn.Module = parts.model if alone else DistributedDataParallel(parts.model)
+        if config.log_start and not log:
+            min_ade = _validate(parts.model, dataset.val, ground, config)
+            log.append((0, math.nan, math.nan, math.nan, min_ade, math.nan))
+        began, losses = time.perf_counter(), []
+        for step in range(int(log[-1][0]) if log else 0, config.steps):
+            batch = draw_batch(config, dataset.train, ground, step, process)
+            top_k = compute_top_k(config, step, model.config.num_anchors)
+            losses.append(
+                _update(
+                    parts,
+                    network(batch.segments, batch.ground, batch.history, batch.generator, top_k),
+                    compute_kl_weight(config, step),
+                    step,
                 )
-            optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(model.parameters(), CLIP)
-            optimiser.step()
-            schedule.step()
-            sums.append([x.item() for x in (losses.fit, losses.divergence, losses.plan)])
-            progress("train", step + 1, training.steps)
+            )
             done = step + 1
-            if rank == 0 and (done % training.save == 0 or done == training.steps):
-                speed = len(sums) * training.batch / (time.perf_counter() - began)
-                means = torch.tensor(sums).mean(dim=0).tolist()
-                log.append((done, *means, _check(model, lessons.valid, ground, training), speed))
-                state = {name: part.state_dict() for name, part in kept.items()}
-                write_state({**about, **state, "log": log}, path)
-                _write_log(log, path.with_name("log.csv"))
-                began, sums = time.perf_counter(), []
-        if rank == 0:
-            write_model(model, path.with_name("model.pt"))
-    return model.eval()
+            progress("train", done, config.steps)
+            due = done % config.checkpoint_interval == 0 or done == config.steps
+            if due and process.rank == 0:
+                speed = len(losses) * config.batch_size / (time.perf_counter() - began)
+                means = torch.tensor(losses).mean(dim=0).tolist()
+                min_ade = _validate(parts.model, dataset.val, ground, config)
+                log.append((done, *means, min_ade, speed))
+                _write_checkpoint(path, parts, identity, log)
+                began, losses = time.perf_counter(), []
+        if process.rank == 0:
+            write_model(parts.model, path.with_name("model.pt"))
+    return parts.model.eval()
 
 
-def _resume(path: Path, kept: dict[str, Any], about: dict[str, Any]) -> list[tuple[float, ...]]:
-    """Load a checkpoint into what is kept; the log until then."""
+def hash_dataset(dataset: Dataset) -> str:
+    """Hash a dataset, to tell it from another."""
+    train = dataset.train
+    return _hash_tensors([train.states, train.light_states, dataset.ground.image])
+
+
+def hash_weights(model: ITRA) -> str:
+    """Hash a model's weights, to tell them from others."""
+    return _hash_tensors(list(model.state_dict().values()))
+
+
+def _make_parts(model: ITRA, config: TrainConfig) -> _Parts:
+    optimiser = torch.optim.AdamW(model.parameters(), config.learning_rate, weight_decay=0.01)
+    scheduler = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, config.learning_rate, total_steps=config.steps + 1
+    )
+    return _Parts(model, optimiser, scheduler)
+
+
+def _update(parts: _Parts, losses: Losses, kl_weight: float, step: int) -> list[float]:
+    """Take a step of the optimiser; the losses as numbers."""
+    loss = losses.nll + losses.anchor * ANCHOR_WEIGHT + kl_weight * losses.kl
+    if not torch.isfinite(loss):
+        raise ModelError(
+            f"the loss of step {step} is {loss}: look for jumps in the tracks, or lower the "
+            "learning rate"
+        )
+    parts.optimiser.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    nn.utils.clip_grad_norm_(parts.model.parameters(), MAX_GRADIENT_NORM)
+    parts.optimiser.step()
+    parts.scheduler.step()
+    return [value.item() for value in (losses.nll, losses.kl, losses.anchor)]
+
+
+@torch.no_grad()
+def _validate(model: ITRA, val: Segments, ground: Ground, config: TrainConfig) -> float:
+    """Compute minADE on some of the validation segments."""
+    stride = -(-len(val) // MAX_VAL_SEGMENTS)
+    segments = move_to(pick(val, slice(None, None, stride)), ground.image.device)
+    generator = torch.Generator(ground.image.device).manual_seed(config.seed)
+    history = config.history[1]
+    futures = model.sample(
+        segments, ground, history=history, samples=VAL_SAMPLES, generator=generator
+    )
+    errors = compute_ade(futures, segments, history).amin(dim=1)
+    return float(errors[segments.controlled].mean())
+
+
+def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[float, ...]]:
+    """Load a checkpoint, if there is one; the log until then."""
     if not path.exists():
         return []
     state = read_state(path)
-    found: dict[str, Any] = {name: state.get(name, {}) for name in about}
-    if found != about:
-        odd = [
-            f"{key} {found[name].get(key)} instead of {value}"
-            for name, values in about.items()
-            for key, value in values.items()
-            if found[name].get(key) != value
-        ]
-        raise ValueError(f"{path} is of another training ({', '.join(odd)}); name another folder")
-    for name, part in kept.items():
+    differences = [
+        f"{key} {state.get(name, {}).get(key)} instead of {value}"
+        for name, values in identity.items()
+        for key, value in values.items()
+        if state.get(name, {}).get(key) != value
+    ]
+    if differences:
+        raise ValueError(
+            f"{path} is of another training ({', '.join(differences)}); name another folder"
+        )
+    for name, part in vars(parts).items():
         part.load_state_dict(state[name])
     return [tuple(row) for row in state["log"]]
 
 
-def digest(what: Lessons | ITRA | None) -> str:
-    """Tells one set of lessons, or of weights to begin with, from another."""
-    if what is None:
-        return "none"
-    tensors = (
-        list(what.state_dict().values())
-        if isinstance(what, ITRA)
-        else [what.train.states, what.train.lights, what.ground.image]
-    )
-    found = hashlib.sha256()
-    for tensor in tensors:
-        found.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    return found.hexdigest()[:12]
-
-
-def _losses(
-    network: nn.Module,
-    training: Training,
-    segments: Segments,
-    ground: Ground,
-    step: int,
-    winners: int,
-    share: tuple[int, int],
-) -> Losses:
-    """Of one step's batch, or this process's share of it; the same at each run."""
-    rank, count = share
-    draw = torch.Generator().manual_seed(_seed(training.seed, 2 * step))
-    few, most = training.observed
-    observed = int(torch.randint(few, most + 1, (), generator=draw))
-    size, side = torch.rand(2, generator=draw)
-    sides = (1 + training.resize * (2 * size - 1)).repeat(2)
-    if training.mirror and side > 0.5:
-        sides = sides * sides.new_tensor([1.0, -1.0])
-    if training.colour:
-        gain = 1 + training.colour * (2 * torch.rand(3, 1, 1, generator=draw) - 1)
-        shift = training.colour * (torch.rand(3, 1, 1, generator=draw) - 0.5)
-        image = ground.image * gain.to(ground.image) + shift.to(ground.image)
-        ground = replace(ground, image=image)
-    batch = _numbers(len(segments), training, step)[rank::count]
-    some = scaled(segments_on(pick(segments, batch), ground.image.device), sides)
-    noise = torch.Generator(ground.image.device)
-    noise.manual_seed(_seed(training.seed, 2 * step + 1) + rank)
-    return network(some, ground_scaled(ground, sides), observed, noise, winners)
-
-
-def _numbers(total: int, training: Training, step: int) -> Int[Tensor, "B"]:
-    """Which segments a step's batch is: each once before any comes again."""
-    at = torch.arange(step * training.batch, (step + 1) * training.batch)
-    order = {
-        epoch: torch.randperm(
-            total, generator=torch.Generator().manual_seed(_seed(training.seed, -1 - epoch))
-        )
-        for epoch in sorted(set((at // total).tolist()))
-    }
-    return torch.stack([order[k // total][k % total] for k in at.tolist()])
-
-
-def _seed(seed: int, number: int) -> int:
-    """Far apart for numbers that are near: 64 bits of a Weyl sequence."""
-    return ((seed + 1) * 0x9E3779B97F4A7C15 + number * 0xD1B54A32D192ED03) % 2**63
-
-
-def _weight(training: Training, step: int) -> float:
-    rising = training.warm_up * training.steps
-    return training.divergence * min(1.0, (step + 1) / max(rising, 1.0))
-
-
-def _winners(training: Training, step: int, modes: int) -> int:
-    """From all plans to one; see `plan_loss`."""
-    left = 1 - step / (NARROWING * training.steps)
-    return max(1, round(modes ** max(0.0, left)))
-
-
-def _check(model: ITRA, valid: Segments, ground: Ground, training: Training) -> float:
-    """minADE of some segments that are not learnt from."""
-    every = -(-len(valid) // CHECKED)
-    some = segments_on(pick(valid, slice(None, None, every)), ground.image.device)
-    generator = torch.Generator(ground.image.device).manual_seed(training.seed)
-    observed = training.observed[1]
-    found = model.sample(some, ground, observed=observed, samples=SAMPLES, generator=generator)
-    return float(displacements(found, some, observed).amin(dim=1)[some.controlled].mean())
-
-
-def _write_log(log: list[tuple[float, ...]], path: Path) -> None:
-    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+def _write_checkpoint(
+    path: Path, parts: _Parts, identity: dict[str, Any], log: list[tuple[float, ...]]
+) -> None:
+    states = {name: part.state_dict() for name, part in vars(parts).items()}
+    write_state({**identity, **states, "log": log}, path)
+    with (
+        atomic_write(path.with_name("log.csv")) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.writer(file)
-        writer.writerow(LOG)
+        writer.writerow(LOG_COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in log)
 
 
-@contextmanager
-def _processes(device: torch.device) -> Iterator[tuple[int, int, torch.device]]:
-    """This process's number, how many there are, and its device."""
-    count, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
-    if count == 1:
-        yield 0, 1, device
-        return
-    if device.type == "cuda":
-        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
-    try:
-        yield rank, count, device
-    finally:
-        dist.destroy_process_group()
+def _hash_tensors(tensors: list[torch.Tensor]) -> str:
+    digest = hashlib.sha256()
+    for tensor in tensors:
+        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()[:12]

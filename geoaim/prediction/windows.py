@@ -1,8 +1,8 @@
-"""Windows of the Stanford Drone Dataset in its trajectory-prediction form, and any in that form.
+"""Windows of the Stanford Drone Dataset as prepared for trajectory prediction (TrajNet).
 
-A folder holds `<scene>.csv` with the columns frame, track, u_px, v_px: pieces of `STEPS` rows, of
-which the first `OBSERVED` are given. `<scene>.jpg` or `.png` is what lies below them, and a table
-has the metres a pixel of each scene (columns scene, metres_per_pixel).
+A folder holds `<scene>.csv` with the columns frame, track, u_px, v_px: windows of `WINDOW_STEPS`
+rows, of which the first `HISTORY_STEPS` are observed. `<scene>.jpg` or `.png` is the scene's image.
+A table has the resolution of each image (columns scene, metres_per_pixel).
 """
 
 import math
@@ -20,15 +20,17 @@ from PIL import Image
 from torch import Tensor
 
 from geoaim.errors import TracksError
-from geoaim.prediction.atlas import make_atlas, no_map
-from geoaim.prediction.segments import PERSON, Segments
+from geoaim.prediction.atlas import make_atlas, make_grey_ground
+from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.simulation.ground import Ground, View, make_ground
 
-OBSERVED, STEPS = 8, 20
-SECONDS = 0.4
-PERSON_SIZE = 0.5  # m
-CLEAR = 0.15  # m: over a shorter way the last steps tell no heading
+HISTORY_STEPS, WINDOW_STEPS = 8, 20
+DT_S = 0.4
+PEDESTRIAN_SIZE_M = 0.5
+MIN_HEADING_TRAVEL_M = 0.15  # a shorter displacement gives no reliable heading
 COLUMNS = ["frame", "track", "u_px", "v_px"]
+
+ImageTransform = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,126 +38,133 @@ class Windows:
     """Windows of all scenes in one plane.
 
     Attributes:
-        segments: each with its one walker, whose heading at all steps is that of his last
-            observed ones: none was measured.
-        ground: what lies below, of all scenes.
-        metres: (S,) metres a pixel of each window's scene.
+        segments: each with one pedestrian. No headings are measured: the heading at all steps is
+            that of the last observed displacement.
+        ground: the maps of all scenes.
+        resolutions: (B,) metres a pixel of each window's scene.
         scenes: the scene of each window.
     """
 
     segments: Segments
     ground: Ground
-    metres: Float[Tensor, "S"]
+    resolutions: Float[Tensor, "B"]
     scenes: tuple[str, ...]
 
 
-Change = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
+@dataclass(frozen=True)
+class WindowFiles:
+    """Where windows lie.
 
+    Attributes:
+        windows: folder of `<scene>.csv`.
+        images: folder of `<scene>.jpg` or `.png`; None: no map.
+        table: CSV with the resolution of each scene's image.
+    """
 
-def unchanged(image: Float32[Array, "H W 3"], resolution: float) -> Float32[Array, "H W 3"]:
-    """The image."""
-    return image
+    windows: str | os.PathLike[str]
+    images: str | os.PathLike[str] | None
+    table: str | os.PathLike[str]
 
 
 def read_windows(
-    folder: str | os.PathLike[str],
-    images: str | os.PathLike[str] | None,
-    table: str | os.PathLike[str],
+    files: WindowFiles,
     view: View,
     *,
-    only: Sequence[str] = (),
-    change: Change = unchanged,
+    scenes: Sequence[str] = (),
+    transform: ImageTransform | None = None,
 ) -> Windows:
-    """Read all scenes of a folder, or some of them.
+    """Read the windows of all scenes of a folder, or of some of them.
 
     Args:
-        folder: of the windows.
-        images: of the scenes; None: no map.
-        table: metres a pixel.
-        view: as models will see the ground.
-        only: names of scenes; all if left out.
-        change: of each image, by its metres a pixel, before anything else.
+        files: where they lie.
+        view: of the model.
+        scenes: names; none: all.
+        transform: applied to each image (values 0 to 1), with its resolution.
+
+    Returns:
+        The windows, with their scenes side by side in an atlas.
 
     Raises:
-        TracksError: a file is missing or not in that form.
+        TracksError: a file is missing or malformed.
     """
-    folder = Path(folder)
-    scales = _read_scales(Path(table))
-    found = sorted(path.stem for path in folder.glob("*.csv") if path.stem in scales)
-    wanted = sorted(only) or found
-    missing = set(wanted) - set(found)
-    if missing or not wanted:
+    folder = Path(files.windows)
+    scales = _read_resolutions(Path(files.table))
+    available = sorted(path.stem for path in folder.glob("*.csv") if path.stem in scales)
+    names = sorted(scenes) or available
+    missing = sorted(set(names) - set(available))
+    if missing or not names:
         raise TracksError(
-            f"{folder}: {len(found)} scenes are here and in {table}; "
-            + (f"{', '.join(sorted(missing))} are not" if missing else "windows are <scene>.csv")
+            f"{folder}: {len(available)} scenes are in the folder and in {files.table}; "
+            + (f"{', '.join(missing)} are not" if missing else "windows are <scene>.csv")
         )
-    places = [_read_places(folder / f"{name}.csv") * scales[name] for name in wanted]
-    if images is None:
-        ground, offsets = no_map(), torch.zeros(len(wanted), 2)
+    if files.images is None:
+        ground, offsets = make_grey_ground(), torch.zeros(len(names), 2)
     else:
-        grounds = [_ground(Path(images), name, scales[name], change) for name in wanted]
+        images = Path(files.images)
+        grounds = [_read_ground(images, name, scales[name], transform) for name in names]
         ground, offsets = make_atlas(grounds, view)
-    moved = [torch.tensor(x).float() + d for x, d in zip(places, offsets, strict=True)]
-    counts = [len(x) for x in places]
-    metres = torch.cat([torch.full((n,), scales[k]) for n, k in zip(counts, wanted, strict=True)])
-    names = tuple(k for n, k in zip(counts, wanted, strict=True) for _ in range(n))
-    return Windows(walkers(torch.cat(moved)), ground, metres.float(), names)
+    paths = [_read_paths(folder / f"{name}.csv") * scales[name] for name in names]
+    shifted = [torch.tensor(x).float() + d for x, d in zip(paths, offsets, strict=True)]
+    scene_of = [name for name, path in zip(names, paths, strict=True) for _ in path]
+    resolutions = torch.tensor([scales[name] for name in scene_of], dtype=torch.float32)
+    return Windows(make_path_segments(torch.cat(shifted)), ground, resolutions, tuple(scene_of))
 
 
-def walkers(places: Float[Tensor, "S T 2"]) -> Segments:
-    """A segment for each of so many paths, of which the first `OBSERVED` steps are known."""
-    count, steps = places.shape[:2]
-    last = places[:, OBSERVED - 1]
-    near, far = last - places[:, OBSERVED - 4], last - places[:, 0]
-    way = torch.where((near.norm(dim=1) > CLEAR)[:, None], near, far)
-    heading = torch.atan2(way[:, 1], way[:, 0])[:, None].expand(-1, steps)
-    ways = places.diff(dim=1).norm(dim=2)
-    speed = torch.cat([ways[:, :1], ways], dim=1) / SECONDS
-    states = torch.cat([places, heading[..., None], speed[..., None]], dim=2)
-    everywhere = torch.ones(count, 1, dtype=torch.bool)
+def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
+    """Make a segment of one pedestrian from each path, with headings from its observed steps."""
+    count, steps = paths.shape[:2]
+    last = paths[:, HISTORY_STEPS - 1]
+    recent, whole = last - paths[:, HISTORY_STEPS - 4], last - paths[:, 0]
+    far_enough = recent.norm(dim=1) > MIN_HEADING_TRAVEL_M
+    direction = torch.where(far_enough[:, None], recent, whole)
+    heading = torch.atan2(direction[:, 1], direction[:, 0])[:, None].expand(-1, steps)
+    distances = paths.diff(dim=1).norm(dim=2)
+    speed = torch.cat([distances[:, :1], distances], dim=1) / DT_S
+    states = torch.cat([paths, heading[..., None], speed[..., None]], dim=2)
+    every = torch.ones(count, 1, dtype=torch.bool)
     return Segments(
         states=states[:, :, None],
-        present=everywhere[:, None].expand(-1, steps, -1).clone(),
-        sizes=torch.full((count, 1, 2), PERSON_SIZE),
-        planes=torch.full((count, 1), PERSON),
-        controlled=everywhere,
-        lines=torch.zeros(count, 0, 2, 2),
-        lights=torch.zeros(count, steps, 0, dtype=torch.long),
-        seconds=SECONDS,
+        present=every[:, None].expand(-1, steps, -1).clone(),
+        sizes=torch.full((count, 1, 2), PEDESTRIAN_SIZE_M),
+        layers=torch.full((count, 1), PEDESTRIAN),
+        controlled=every,
+        stop_lines=torch.zeros(count, 0, 2, 2),
+        light_states=torch.zeros(count, steps, 0, dtype=torch.long),
+        dt=DT_S,
     )
 
 
-def backwards(segments: Segments) -> Segments:
-    """The same paths, walked from their ends: other paths that somebody might have walked."""
-    return walkers(segments.states[:, :, 0, :2].flip(1))
+def reverse_paths(segments: Segments) -> Segments:
+    """Reverse paths in time, as an augmentation."""
+    return make_path_segments(segments.states[:, :, 0, :2].flip(1))
 
 
-def _read_scales(path: Path) -> dict[str, float]:
-    table = _read(path, ["scene", "metres_per_pixel"])
-    scales = dict(
-        zip(table["scene"].astype(str), table["metres_per_pixel"].astype(float), strict=True)
-    )
-    wrong = [name for name, scale in scales.items() if not 0 < scale < math.inf]
-    if wrong:
-        raise TracksError(f"{path}: metres a pixel of {wrong[0]} are {scales[wrong[0]]}")
+def _read_resolutions(path: Path) -> dict[str, float]:
+    table = _read_table(path, ["scene", "metres_per_pixel"])
+    names, values = table["scene"].astype(str), table["metres_per_pixel"].astype(float)
+    scales = dict(zip(names, values, strict=True))
+    for name, scale in scales.items():
+        if not 0 < scale < math.inf:
+            raise TracksError(f"{path}: metres_per_pixel of {name} is {scale}")
     return scales
 
 
-def _read_places(path: Path) -> Float[Array, "S T 2"]:
-    """Pixels to the right and up of all windows."""
-    table = _read(path, COLUMNS)
-    places = table[["u_px", "v_px"]].to_numpy(float)
+def _read_paths(path: Path) -> Float[Array, "B T 2"]:
+    """The paths of all windows, pixels to the right and up."""
+    table = _read_table(path, COLUMNS)
+    pixels = table[["u_px", "v_px"]].to_numpy(float)
     tracks = table["track"].to_numpy()
-    if len(table) % STEPS or not np.isfinite(places).all():
+    if len(table) % WINDOW_STEPS or not np.isfinite(pixels).all():
         raise TracksError(
-            f"{path}: {len(table)} rows, of which {STEPS} each make a window, with finite pixels"
+            f"{path}: {len(table)} rows; windows of {WINDOW_STEPS} rows each, with finite pixels, "
+            "are needed"
         )
-    if (tracks.reshape(-1, STEPS) != tracks[::STEPS, None]).any():
-        raise TracksError(f"{path}: a window of {STEPS} rows is of more than one track")
-    return places.reshape(-1, STEPS, 2) * [1, -1]
+    if (tracks.reshape(-1, WINDOW_STEPS) != tracks[::WINDOW_STEPS, None]).any():
+        raise TracksError(f"{path}: a window of {WINDOW_STEPS} rows has more than one track")
+    return pixels.reshape(-1, WINDOW_STEPS, 2) * [1, -1]
 
 
-def _read(path: Path, columns: list[str]) -> pd.DataFrame:
+def _read_table(path: Path, columns: list[str]) -> pd.DataFrame:
     try:
         table = pd.read_csv(path)
     except (OSError, ValueError) as error:
@@ -165,12 +174,16 @@ def _read(path: Path, columns: list[str]) -> pd.DataFrame:
     return table
 
 
-def _ground(folder: Path, name: str, metres: float, change: Change) -> Ground:
-    paths = [folder / f"{name}{ending}" for ending in (".jpg", ".png")]
+def _read_ground(
+    folder: Path, name: str, resolution: float, transform: ImageTransform | None
+) -> Ground:
+    paths = [folder / f"{name}{suffix}" for suffix in (".jpg", ".png")]
     path = next((path for path in paths if path.exists()), None)
     if path is None:
-        raise TracksError(f"{folder}: neither {paths[0].name} nor {paths[1].name} is here")
+        raise TracksError(f"{folder}: there is neither {paths[0].name} nor {paths[1].name}")
     with Image.open(path) as picture:
-        pixels = np.asarray(picture.convert("RGB"))
-    image = torch.tensor(change(pixels.astype(np.float32) / 255, metres)).permute(2, 0, 1)
-    return make_ground(image, torch.tensor([[1 / metres, 0, 0], [0, -1 / metres, 0]]))
+        image = np.asarray(picture.convert("RGB")).astype(np.float32) / 255
+    if transform is not None:
+        image = transform(image, resolution)
+    matrix = torch.tensor([[1 / resolution, 0, 0], [0, -1 / resolution, 0]])
+    return make_ground(torch.tensor(image).permute(2, 0, 1), matrix)

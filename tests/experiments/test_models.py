@@ -3,43 +3,61 @@ from dataclasses import asdict, replace
 import pytest
 
 from geoaim.errors import ModelError
-from geoaim.experiments.models import kept_or_trained
-from geoaim.prediction.lessons import Lessons
-from geoaim.prediction.training import Training
-from geoaim.progress import no_progress
-from tests.prediction.made import TINY, drive, hill
+from geoaim.experiments import models
+from geoaim.experiments.models import MODELS, train_model, train_once
+from geoaim.experiments.protocol import PEDESTRIANS, TRAININGS
+from geoaim.prediction.config import TrainConfig
+from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.training import init_model
+from tests.prediction.tiny import TINY, drive, hill
 
-TRAINING = Training(steps=1, batch=2, observed=(2, 2))
-
-
-def lessons():
-    return Lessons(drive(8, 2), drive(8, 2), hill())
+TRAINING = TrainConfig(steps=1, batch_size=2, history=(2, 2))
 
 
-def nobody():
-    raise AssertionError("it is there already")
+def load_dataset():
+    return Dataset(drive(8, 2), drive(8, 2), hill())
 
 
-def test_a_kept_model_is_the_one_that_is_asked_for(tmp_path):
-    first = kept_or_trained(tmp_path / "first", TINY, TRAINING, lessons, no_progress)
-    again = kept_or_trained(tmp_path / "first", TINY, TRAINING, nobody, no_progress)
+def fail():
+    raise AssertionError("the model is trained already")
+
+
+def test_a_trained_model_is_read_when_its_settings_match(tmp_path):
+    model, folder = init_model(TINY), tmp_path / "first"
+    first = train_once(model, TRAINING, load_dataset, folder)
+    again = train_once(model, TRAINING, fail, folder)
     assert asdict(again.config) == asdict(first.config)
-    with pytest.raises(ModelError, match="trained otherwise"):
-        kept_or_trained(tmp_path / "first", TINY, replace(TRAINING, seed=1), nobody, no_progress)
-    config = replace(TINY, latent=4)
+    with pytest.raises(ModelError, match="another training"):
+        train_once(model, replace(TRAINING, seed=1), fail, folder)
     with pytest.raises(ModelError, match="another config"):
-        kept_or_trained(tmp_path / "first", config, TRAINING, nobody, no_progress)
+        train_once(init_model(replace(TINY, latent_size=4)), TRAINING, fail, folder)
 
 
-def test_a_kept_model_that_began_with_other_weights_is_refused(tmp_path):
+def test_a_trained_model_that_began_with_other_weights_is_rejected(tmp_path):
     one, two = (
-        kept_or_trained(
-            tmp_path / str(seed), TINY, replace(TRAINING, seed=seed), lessons, no_progress
-        )
+        train_once(init_model(TINY, seed=seed), TRAINING, load_dataset, tmp_path / str(seed))
         for seed in (0, 1)
     )
-    where = tmp_path / "tuned"
-    kept_or_trained(where, TINY, TRAINING, lessons, no_progress, start=one)
-    kept_or_trained(where, TINY, TRAINING, nobody, no_progress, start=one)
+    folder = tmp_path / "tuned"
+    train_once(one, TRAINING, load_dataset, folder)
+    train_once(one, TRAINING, fail, folder)
     with pytest.raises(ModelError, match="other weights"):
-        kept_or_trained(where, TINY, TRAINING, nobody, no_progress, start=two)
+        train_once(two, TRAINING, fail, folder)
+
+
+def test_models_are_of_all_kinds_that_can_be_trained():
+    assert {spec.config.kind for spec in MODELS.values()} == set(TRAININGS)
+    assert MODELS["pedestrian_aim"].config == PEDESTRIANS
+
+
+def test_each_training_of_a_model_has_its_own_folder_and_seed(monkeypatch, tmp_path):
+    calls = []
+
+    def record(model, training, load_dataset, folder, *, progress):
+        calls.append((folder.name, training.seed, model.config))
+        return model
+
+    monkeypatch.setattr(models, "train_once", record)
+    for seed in (0, 1):
+        train_model("pedestrian_aim", tmp_path, seed=seed)
+    assert calls == [("pedestrian_aim", 0, PEDESTRIANS), ("pedestrian_aim_1", 1, PEDESTRIANS)]

@@ -5,39 +5,48 @@ import pytest
 import torch
 
 from geoaim.lights import GREEN, RED
-from geoaim.prediction.baselines import BASELINES, predict_plainly
-from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Measure, interval, measure, merged, pooled, summary
-from geoaim.prediction.report import markdown
+from geoaim.prediction.metrics import (
+    Metric,
+    average_seeds,
+    bootstrap_interval,
+    compute_metrics,
+    concat,
+    summarise,
+)
+from geoaim.prediction.report import format_markdown
 from geoaim.prediction.segments import pick
 from geoaim.simulation.episodes import Rules
 from geoaim.simulation.infractions import Drivable
-from tests.prediction.made import TINY, drive, hill
+from tests.prediction.tiny import TINY, drive, hill
+
+NOISY = "constant velocity with noise"
 
 
 def futures(segments, shifts):
-    """The truth, moved to the left in each sample."""
+    """The ground truth, shifted to the left in each sample."""
     found = segments.states[:, None].repeat(1, len(shifts), 1, 1, 1)
     move = torch.tensor(shifts)[None, :, None, None] * segments.controlled[:, None, None]
     return torch.cat([found[..., :1], found[..., 1:2] + move[..., None], found[..., 2:]], dim=-1)
 
 
-def test_best_sample_counts():
+def test_metrics_are_of_the_best_sample():
     segments = drive(10, 3)
-    found = measure(futures(segments, [3.0, -0.5, 2.0]), segments, 4)
+    found = compute_metrics(futures(segments, [3.0, -0.5, 2.0]), segments, 4)
     assert found["minADE"].mean == pytest.approx(0.5, abs=1e-5)
     assert found["joint minFDE"].mean == pytest.approx(0.5, abs=1e-5)
     assert found["MFD"].mean == pytest.approx(3.5, abs=1e-5)
 
 
-def test_a_joint_sample_must_be_good_for_all_at_once():
+def test_joint_metrics_choose_one_sample_for_all_agents():
     segments = drive(10, 1)
     both = replace(segments, controlled=torch.ones(1, 2, dtype=torch.bool))
     found = futures(both, [0.0, 0.0])
     move = torch.zeros_like(found)
     move[0, 0, :, 0, 1], move[0, 1, :, 1, 1] = 2.0, 2.0
-    measures = measure(found + move, both, 4)
+    measures = compute_metrics(found + move, both, 4)
     assert measures["minADE"].mean == pytest.approx(0, abs=1e-6)
     assert measures["joint minADE"].mean == pytest.approx(1.0, abs=1e-5)
 
@@ -46,119 +55,119 @@ def test_rates_count_agents_samples_and_steps():
     segments = drive(10, 1, curve=0.0)
     off = Drivable(torch.tensor([[-1.0, 3.0]]), torch.tensor([[0.0, 0.1, 0.5], [0.0, 0.0, 0.5]]))
     # the drivable half ends a few metres to the left: a shift by 30 m leaves it
-    found = measure(futures(segments, [0.0, 30.0]), segments, 4, Rules(drivable=off))
+    found = compute_metrics(futures(segments, [0.0, 30.0]), segments, 4, Rules(drivable=off))
     assert found["off-road rate"].mean == pytest.approx(0.5)
     assert "red-light rate" in found
     assert found["red-light rate"].mean == 0
-    red = replace(segments, lights=torch.full_like(segments.lights, RED))
-    ran = measure(futures(red, [0.0]), red, 4)["red-light rate"]
+    red = replace(segments, light_states=torch.full_like(segments.light_states, RED))
+    ran = compute_metrics(futures(red, [0.0]), red, 4)["red-light rate"]
     front = segments.states[0, :, 0, 0] + 4.5 / 2
     crossings = ((front[3:-1] - 9) * (front[4:] - 9) <= 0).sum()
     assert ran.sums.sum() == crossings
     hit = replace(segments, states=segments.states.clone())
     hit.states[:, :, 1, :2] = hit.states[:, :, 0, :2]
-    assert measure(futures(hit, [0.0]), hit, 4)["collision rate"].mean == 1
+    assert compute_metrics(futures(hit, [0.0]), hit, 4)["collision rate"].mean == 1
 
 
-def test_interval_covers_the_truth_about_as_often_as_it_says():
+def test_intervals_cover_the_true_mean_at_their_confidence():
     generator = np.random.default_rng(0)
     inside = 0
     for seed in range(200):
-        drawn = Measure(generator.normal(5, 2, 60), np.ones(60))
-        low, high = interval(drawn, seed=seed)
+        drawn = Metric(generator.normal(5, 2, 60), np.ones(60))
+        low, high = bootstrap_interval(drawn, seed=seed)
         inside += low < 5 < high
     assert 180 < inside <= 200
 
 
 def test_difference_is_taken_on_the_same_segments():
     noise = np.random.default_rng(0).normal(0, 5, 100)
-    one, two = (Measure(noise + shift, np.ones(100)) for shift in (1.1, 1.0))
-    low, high = interval(one, two)
+    one, two = (Metric(noise + shift, np.ones(100)) for shift in (1.1, 1.0))
+    low, high = bootstrap_interval(one, two)
     assert low == pytest.approx(0.1)
     assert high == pytest.approx(0.1)
 
 
-def test_parts_are_judged_as_a_whole():
-    one = {"a": Measure(np.array([2.0]), np.array([1.0])), "b": Measure(np.ones(1), np.ones(1))}
-    two = {"a": Measure(np.array([4.0]), np.array([3.0]))}
-    whole = merged([one, two])
+def test_concatenated_metrics_average_over_all_segments():
+    one = {"a": Metric(np.array([2.0]), np.array([1.0])), "b": Metric(np.ones(1), np.ones(1))}
+    two = {"a": Metric(np.array([4.0]), np.array([3.0]))}
+    whole = concat([one, two])
     assert set(whole) == {"a", "b"}
     assert whole["b"].mean == 1
     assert whole["a"].mean == pytest.approx(1.5)
-    assert "| x | 1.5 (" in markdown({"x": summary(whole)})
+    assert "| x | 1.5 (" in format_markdown({"x": summarise(whole)})
 
 
 @pytest.mark.parametrize("name", BASELINES)
-def test_baselines_know_who_goes_straight_on(name):
+def test_baselines_predict_straight_motion(name):
     segments = drive(12, 3, curve=0.0)
     even = segments.states.clone()
     even[:, :, 0, 3] = 5.0
     even[:, :, 0, 0] = 0.5 * torch.arange(12)
-    given = {"observed": 3, "samples": 4, "generator": torch.Generator().manual_seed(0)}
-    found = predict_plainly(name, replace(segments, states=even), **given)
+    given = {"history": 3, "samples": 4, "generator": torch.Generator().manual_seed(0)}
+    found = BASELINES[name](replace(segments, states=even), hill(), **given)
     assert found.shape == (3, 4, 12, 2, 4)
     off = (found[..., 0, :2] - even[:, None, :, 0, :2]).norm(dim=-1)
-    assert off[:, :, :3].max() == 0 or name == BASELINES[1]
-    if name == BASELINES[1]:
+    assert off[:, :, :3].max() == 0 or name == NOISY
+    if name == NOISY:
         assert off[:, :, -1].std() > 0.1
     else:
         assert off.max() < 1e-3
 
 
-def test_constant_turn_rate_goes_on_round_the_bend():
+def test_constant_turn_rate_continues_a_curve():
     segments = drive(12, 1, curve=0.2)
-    given = {"observed": 3, "samples": 1, "generator": torch.Generator()}
-    straight, bent = (predict_plainly(BASELINES[k], segments, **given) for k in (0, 2))
+    given = {"history": 3, "samples": 1, "generator": torch.Generator()}
+    straight, bent = (
+        BASELINES[name](segments, hill(), **given)
+        for name in ("constant velocity", "constant turn rate")
+    )
     truth = segments.states[:, None]
     last = (slice(None), slice(None), -1, 0, slice(2))
     assert (bent - truth)[last].norm() < (straight - truth)[last].norm() / 2
 
 
-def test_unknown_baselines_are_refused():
-    with pytest.raises(ValueError, match="no baseline 'magic'"):
-        predict_plainly("magic", drive(4), observed=1, samples=1, generator=torch.Generator())
-
-
 def test_tables_have_the_columns_of_all_methods():
     one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}
     both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2}}
-    lines = markdown({"people": one, "vehicles": both}).splitlines()
+    lines = format_markdown({"people": one, "vehicles": both}).splitlines()
     assert lines[0] == "| | minADE | off-road rate |"
     assert lines[2] == "| people | 1 (0.9 to 1.1) |  |"
 
 
-def test_lights_that_are_hidden_change_futures_and_count_all_the_same():
+def test_hidden_lights_change_futures_and_infractions_still_count():
     torch.manual_seed(0)
     model, segments = ITRA(TINY).eval(), drive(12, 3)
-    segments = replace(segments, lights=torch.full_like(segments.lights, RED))
-    asked = Asked(observed=4, samples=2)
-    shown = evaluate(model, segments, hill(), asked)
-    hidden = evaluate(model, segments, hill(), replace(asked, lights=False))
+    segments = replace(segments, light_states=torch.full_like(segments.light_states, RED))
+    options = EvalConfig(history=4, samples=2)
+    shown = evaluate(model.sample, segments, hill(), options)
+    hidden = evaluate(model.sample, segments, hill(), replace(options, show_lights=False))
     assert shown["red-light rate"].counts.sum() == hidden["red-light rate"].counts.sum() > 0
     assert not np.array_equal(shown["minADE"].sums, hidden["minADE"].sums)
 
 
 def test_red_lights_are_those_of_each_segment():
     segments = drive(10, 3, curve=0.0)
-    red = torch.full_like(segments.lights, RED)
+    red = torch.full_like(segments.light_states, RED)
     red[1] = GREEN
-    segments = replace(segments, lights=red)
-    lines = segments.lines.clone()
-    lines[..., 0] = (segments.states[:, 6, 0, 0] + 4.5 / 2)[:, None, None]  # each crosses his own
-    lines[2] += 1000.0  # but this one
-    segments = replace(segments, lines=lines)
-    together = measure(futures(segments, [0.0, 0.0]), segments, 4)["red-light rate"]
+    segments = replace(segments, light_states=red)
+    lines = segments.stop_lines.clone()
+    lines[..., 0] = (segments.states[:, 6, 0, 0] + 4.5 / 2)[:, None, None]  # each one's own
+    lines[2] += 1000.0  # except this one
+    segments = replace(segments, stop_lines=lines)
+    together = compute_metrics(futures(segments, [0.0, 0.0]), segments, 4)["red-light rate"]
     for number in range(3):
         one = pick(segments, slice(number, number + 1))
-        alone = measure(futures(one, [0.0, 0.0]), one, 4)["red-light rate"]
+        alone = compute_metrics(futures(one, [0.0, 0.0]), one, 4)["red-light rate"]
         assert together.sums[number] == alone.sums[0]
     assert together.sums[0] > together.sums[1] == together.sums[2] == 0
 
 
-def test_pooled_trainings_are_no_more_segments():
-    one = {"minADE": Measure(np.array([1.0, 4.0]), np.array([1.0, 2.0]))}
-    other = {"minADE": Measure(np.array([3.0, 2.0]), np.array([1.0, 2.0]))}
-    both = pooled([one, other])["minADE"]
+def test_averaging_seeds_keeps_the_number_of_segments():
+    one = {"minADE": Metric(np.array([1.0, 4.0]), np.array([1.0, 2.0]))}
+    other = {"minADE": Metric(np.array([3.0, 2.0]), np.array([1.0, 2.0]))}
+    both = average_seeds([one, other])["minADE"]
     assert len(both.sums) == 2
     assert both.mean == pytest.approx(10 / 6)
-    assert interval(pooled([one, one])["minADE"]) == interval(one["minADE"])
+    assert bootstrap_interval(average_seeds([one, one])["minADE"]) == bootstrap_interval(
+        one["minADE"]
+    )

@@ -11,18 +11,18 @@ from geoaim.errors import ModelError, TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.lights import read_lights
-from geoaim.prediction.baselines import predict_plainly
-from geoaim.prediction.checkpoints import read_model, shipped, write_model
-from geoaim.prediction.encoders import make_encoder
-from geoaim.prediction.evaluation import Asked, evaluate
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.checkpoints import PRETRAINED, read_model, read_pretrained, write_model
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA
+from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import predict
-from geoaim.prediction.segments import cut_segments
 from geoaim.simulation.ground import fit_ground
 from geoaim.simulation.scene import make_scene, scene_steps
 from geoaim.track_changes import resample_tracks
-from tests.prediction.made import TINY
+from tests.prediction.tiny import TINY
 
 run = CliRunner().invoke
 
@@ -48,11 +48,11 @@ def noise(seed=0):
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])
-def test_shipped_models_are_small_and_move_their_kind(hdmap, kind):
-    assert shipped(kind).stat().st_size < 2e6
-    model = read_model(shipped(kind))
-    scene = sample_scene(hdmap, 1 / model.config.seconds)
-    found = predict(model, scene, samples=3, steps=10, start=12, generator=noise())
+def test_pretrained_models_are_small_and_control_their_kind(hdmap, kind):
+    assert (PRETRAINED / f"{kind}.pt").stat().st_size < 2e6
+    model = read_pretrained(kind)
+    scene = sample_scene(hdmap, 1 / model.config.dt)
+    found = predict(model, scene, samples=3, horizon=10, start=12, generator=noise())
     assert found.shape == (3, len(scene.ids), 10, 4)
     there = scene.present[:, 12]
     mine = torch.tensor([(kind == "pedestrian") == (k == "pedestrian") for k in scene.types])
@@ -65,61 +65,61 @@ def test_shipped_models_are_small_and_move_their_kind(hdmap, kind):
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])
-def test_shipped_models_beat_constant_velocity_on_the_sample(hdmap, kind):
-    """The sample's place is none of those that taught them."""
-    model = read_model(shipped(kind))
-    scene = sample_scene(hdmap, 1 / model.config.seconds)
+def test_pretrained_models_beat_constant_velocity_on_the_sample(hdmap, kind):
+    """The sample's place is not among those that the models are trained on."""
+    model = read_pretrained(kind)
+    scene = sample_scene(hdmap, 1 / model.config.dt)
     steps = 40 if kind == "vehicle" else 30
     segments = cut_segments(scene, kind, steps=steps, stride=20, joint=True)
-    ground, asked = fit_ground(scene.ground, model.config.resolution), Asked(10, 6)
-    judged = [
-        evaluate(who, segments, ground, asked)["minADE"].mean
-        for who in (model, "constant velocity")
+    ground, options = fit_ground(scene.ground, model.config.resolution), EvalConfig(10, 6)
+    errors = [
+        evaluate(predictor, segments, ground, options)["minADE"].mean
+        for predictor in (model.sample, BASELINES["constant velocity"])
     ]
-    assert judged[0] < judged[1]
+    assert errors[0] < errors[1]
 
 
-def test_prediction_goes_on_beyond_the_recording(scene):
+def test_predictions_extend_beyond_the_recording(scene):
     torch.manual_seed(0)
     model = ITRA(TINY).eval()
-    found = predict(model, scene, samples=2, steps=15, generator=noise())
+    found = predict(model, scene, samples=2, horizon=15, generator=noise())
     there = scene.present[:, -1]
     assert torch.isfinite(found[:, there]).all()
-    walkers = there & torch.tensor([k == "pedestrian" for k in scene.types])
-    moved = (found[0, walkers, -1, :2] - scene.poses[walkers, -1, :2]).norm(dim=-1)
+    pedestrians = there & torch.tensor([k == "pedestrian" for k in scene.types])
+    moved = (found[0, pedestrians, -1, :2] - scene.poses[pedestrians, -1, :2]).norm(dim=-1)
     assert moved.tolist() == pytest.approx(
-        (1.5 * scene.speeds[walkers, -1].abs()).tolist(), abs=0.1
+        (1.5 * scene.speeds[pedestrians, -1].abs()).tolist(), abs=0.1
     )
 
 
 def test_one_step_is_enough_to_predict_from(scene):
-    model = read_model(shipped("vehicle"))
-    one = predict(model, scene_steps(scene, slice(12, 13)), samples=1, steps=4, generator=noise())
+    model = read_pretrained("vehicle")
+    one = predict(model, scene_steps(scene, slice(12, 13)), samples=1, horizon=4, generator=noise())
     here = scene.present[:, 12]
     way = (one[0, :, 0, :2] - scene.poses[:, 12, :2]).norm(dim=1)[here]
-    assert way.max() < 2.5  # a tenth of a second, not a second
+    assert way.max() < 2.5  # of a tenth of a second, not of a second
     assert torch.isfinite(one[0, here]).all()
 
 
-def test_what_cannot_be_predicted_is_refused(scene):
+def test_scenes_that_cannot_be_predicted_are_rejected(scene):
     model = ITRA(TINY).eval()
     with pytest.raises(ValueError, match="resample the tracks"):
-        predict(ITRA(replace(TINY, seconds=0.4)), scene, steps=2, generator=noise())
+        predict(ITRA(replace(TINY, dt=0.4)), scene, horizon=2, generator=noise())
     with pytest.raises(ValueError, match="step 999 is not among"):
-        predict(model, scene, steps=2, start=999, generator=noise())
+        predict(model, scene, horizon=2, start=999, generator=noise())
     empty = replace(scene, types=("pedestrian",) * len(scene.types))
-    with pytest.raises(TracksError, match="no vehicle is there"):
-        predict(model, empty, steps=2, generator=noise())
+    with pytest.raises(TracksError, match="no vehicle is present"):
+        predict(model, empty, horizon=2, generator=noise())
 
 
 def test_pictures_show_the_futures(scene, hdmap, tmp_path):
-    found = predict(ITRA(TINY).eval(), scene, samples=2, steps=6, start=20, generator=noise())
+    found = predict(ITRA(TINY).eval(), scene, samples=2, horizon=6, start=20, generator=noise())
     picture = draw_futures(scene, found, 20)
     assert max(picture.shape) == pytest.approx(1280, abs=4)
     orange = (picture[..., 0] > 200) & (picture[..., 2] < 80) & (picture[..., 1] < 160)
     assert orange.sum() > 20
     assert len(list(film_futures(scene, found, 20))) == 6
-    write_futures(scene, found, 20, tmp_path / "f.csv", world=hdmap.world, seconds=0.1)
+    write_futures(scene, found, 20, tmp_path / "f.csv", world=hdmap.world, dt=0.1)
     lines = (tmp_path / "f.csv").read_text().splitlines()
     assert lines[0].startswith("# crs: EPSG:")
     rows = list(csv.DictReader(lines[2:]))
@@ -166,7 +166,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     assert run(app, ["experiment", "none"]).exit_code == 1
 
 
-def test_models_come_back_as_they_were(tmp_path):
+def test_models_are_read_as_they_were_written(tmp_path):
     torch.manual_seed(0)
     model = ITRA(TINY)
     write_model(model, tmp_path / "m.pt")
@@ -175,27 +175,24 @@ def test_models_come_back_as_they_were(tmp_path):
     for one, two in zip(model.parameters(), again.parameters(), strict=True):
         assert torch.allclose(one, two, atol=1e-3)
     (tmp_path / "m.pt").write_text("no model")
-    with pytest.raises(ModelError, match="is no model"):
+    with pytest.raises(ModelError, match="is not a model"):
         read_model(tmp_path / "m.pt")
     torch.save({"weights": 1}, tmp_path / "n.pt")
-    with pytest.raises(ModelError, match="train it anew"):
+    with pytest.raises(ModelError, match="train it again"):
         read_model(tmp_path / "n.pt")
     with pytest.raises(FileNotFoundError):
         read_model(tmp_path / "none.pt")
 
 
-def test_encoders_are_those_of_the_paper():
-    small = sum(p.numel() for p in make_encoder("cnn", 7, 64, 96).parameters())
-    large = sum(p.numel() for p in make_encoder("resnet18", 3, 64, 96).parameters())
-    assert small < 2e5
-    assert large == pytest.approx(11.2e6, rel=0.02)  # He et al. 2016, without the classifier
-    with pytest.raises(ValueError, match="no encoder 'vit'"):
-        make_encoder("vit", 7, 64, 96)
+def test_encoder_is_small():
+    assert sum(p.numel() for p in build_cnn(7, 64, 96).parameters()) < 2e5
 
 
-def test_baselines_stay_where_nothing_is_known_to_move(scene):
+def test_baselines_replay_agents_that_are_not_controlled(scene):
     segments = cut_segments(scene, "vehicle", steps=20, stride=20, joint=True)
-    found = predict_plainly("constant velocity", segments, observed=5, samples=1, generator=noise())
+    found = BASELINES["constant velocity"](
+        segments, scene.ground, history=5, samples=1, generator=noise()
+    )
     others = ~segments.controlled[:, None].expand(-1, 20, -1)
     truth = segments.states
     assert torch.equal(found[:, 0][others], truth[others])

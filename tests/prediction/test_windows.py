@@ -10,26 +10,43 @@ from typer.testing import CliRunner
 
 from geoaim.cli import app
 from geoaim.errors import TracksError
+from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import write_model
-from geoaim.prediction.evaluation import evaluate_windows
-from geoaim.prediction.itra import ITRA, Config
-from geoaim.prediction.windows import SECONDS, STEPS, backwards, read_windows, walkers
+from geoaim.prediction.config import Config
+from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.windows import (
+    DT_S,
+    WINDOW_STEPS,
+    WindowFiles,
+    make_path_segments,
+    read_windows,
+    reverse_paths,
+)
 
 CONFIG = Config(
-    "pedestrian", "slide", SECONDS, size=16, resolution=1.0, every=12, modes=4, known=8, ahead=12
+    kind="pedestrian",
+    motion="slide",
+    dt=DT_S,
+    view_size=16,
+    resolution=1.0,
+    view_stride=12,
+    num_anchors=4,
+    history=8,
+    horizon=12,
 )
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Two scenes of people who go straight on, 20 and 40 pixels a second."""
+    """Two scenes of pedestrians that walk straight, 20 and 40 pixels a second."""
     folder = tmp_path_factory.mktemp("windows")
     generator = np.random.default_rng(0)
     for scene, speed in (("park_0", 20), ("square_1", 40)):
         rows = []
         for track in range(5):
             turn = generator.uniform(0, 2 * np.pi)
-            ways = speed * SECONDS * np.arange(STEPS)
+            ways = speed * DT_S * np.arange(WINDOW_STEPS)
             u, v = 200 + ways * np.cos(turn), 150 + ways * np.sin(turn)
             rows += [(12 * k, track, *uv) for k, uv in enumerate(zip(u, v, strict=True))]
         table = pd.DataFrame(rows, columns=["frame", "track", "u_px", "v_px"])
@@ -45,39 +62,42 @@ def folder(tmp_path_factory):
 
 def read(folder, images="i", **options):
     images = None if images is None else folder / images
-    return read_windows(folder / "w", images, folder / "scenes.csv", CONFIG.view, **options)
+    files = WindowFiles(folder / "w", images, folder / "scenes.csv")
+    return read_windows(files, CONFIG.view, **options)
 
 
-def test_windows_are_metres_of_their_scenes(folder):
+def test_windows_are_in_metres(folder):
     found = read(folder)
     assert len(found.segments) == 10
     speed = found.segments.states[:, :, 0, 3]
     assert torch.allclose(speed, torch.ones_like(speed), atol=1e-3)  # 20 x 0.05 and 40 x 0.025
     assert found.scenes[0] == "park_0"
-    assert found.metres[[0, -1]].tolist() == pytest.approx([0.05, 0.025])
-    assert len(read(folder, only=["square_1"]).segments) == 5
+    assert found.resolutions[[0, -1]].tolist() == pytest.approx([0.05, 0.025])
+    assert len(read(folder, scenes=["square_1"]).segments) == 5
 
 
-def test_heading_comes_from_what_is_known_only():
-    paths = torch.randn(6, STEPS, 2, generator=torch.Generator().manual_seed(0)).cumsum(dim=1)
+def test_heading_comes_from_observed_steps_only():
+    paths = torch.randn(6, WINDOW_STEPS, 2, generator=torch.Generator().manual_seed(0)).cumsum(
+        dim=1
+    )
     other = torch.cat([paths[:, :8], paths[:, 8:] + 5], dim=1)
-    one, two = walkers(paths).states, walkers(other).states
+    one, two = make_path_segments(paths).states, make_path_segments(other).states
     assert torch.equal(one[:, :8], two[:, :8])
     assert torch.equal(one[..., 2], two[..., 2])
-    back = backwards(walkers(paths)).states
+    back = reverse_paths(make_path_segments(paths)).states
     assert torch.equal(back[:, :, 0, :2], paths.flip(1))
 
 
-def test_straight_walkers_are_predicted_and_measured_in_pixels(folder):
-    found = evaluate_windows("constant velocity", read(folder, None), 20)
+def test_straight_paths_are_predicted_and_measured_in_pixels(folder):
+    found = evaluate_windows(BASELINES["constant velocity"], read(folder, None), 20)
     assert found["minADE_px"].mean < 0.05
     assert set(found) == {"minADE_px", "minADE_m", "minFDE_px", "minFDE_m"}
-    noisy = evaluate_windows("constant velocity with noise", read(folder, None), 1)
+    noisy = evaluate_windows(BASELINES["constant velocity with noise"], read(folder, None), 1)
     ratio = noisy["minADE_px"].sums / noisy["minADE_m"].sums
     assert ratio == pytest.approx(np.r_[np.full(5, 20), np.full(5, 40)], rel=1e-4)
 
 
-def test_command_prints_what_was_asked_for(folder, tmp_path):
+def test_command_prints_metrics_as_json_or_as_a_table(folder, tmp_path):
     torch.manual_seed(0)
     write_model(ITRA(CONFIG), tmp_path / "m.pt")
     command = ["evaluate", "--windows", str(folder / "w"), "--images", str(folder / "i")]
@@ -98,16 +118,16 @@ def test_command_prints_what_was_asked_for(folder, tmp_path):
     assert "--windows needs --weights" in " ".join(done.output.split())
 
 
-def test_what_is_missing_or_broken_is_said(folder, tmp_path):
+def test_missing_and_malformed_files_are_reported(folder, tmp_path):
     with pytest.raises(TracksError, match=r"neither park_0\.jpg nor park_0\.png"):
         read(folder, "w")
     with pytest.raises(TracksError, match="lake_3 are not"):
-        read(folder, only=["lake_3"])
+        read(folder, scenes=["lake_3"])
     table = pd.read_csv(folder / "w" / "park_0.csv")
     (tmp_path / "w").mkdir()
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\npark_0,0.05\n")
     for broken, why in (
-        (table[:-1], "99 rows, of which 20 each"),
+        (table[:-1], "99 rows; windows of 20 rows each"),
         (table.assign(track=np.arange(len(table)) // 10), "more than one track"),
         (table.drop(columns="u_px"), "are needed"),
     ):
@@ -115,12 +135,14 @@ def test_what_is_missing_or_broken_is_said(folder, tmp_path):
         with pytest.raises(TracksError, match=why):
             read(tmp_path, None)
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\npark_0,0\n")
-    with pytest.raises(TracksError, match="metres a pixel of park_0 are 0"):
+    with pytest.raises(TracksError, match="metres_per_pixel of park_0 is 0"):
         read(tmp_path, None)
 
 
-def test_a_model_that_sees_nothing_needs_no_images(folder):
+def test_a_model_without_observations_needs_no_images(folder):
     torch.manual_seed(0)
-    blind = ITRA(replace(CONFIG, encoder="none")).eval()
-    one, two = (evaluate_windows(blind, read(folder, i), 4) for i in ("i", None))
+    blind = ITRA(replace(CONFIG, use_observations=False)).eval()
+    one, two = (
+        evaluate_windows(make_window_predictor(blind, 4), read(folder, i), 4) for i in ("i", None)
+    )
     assert one["minADE_m"].mean == pytest.approx(two["minADE_m"].mean, abs=1e-4)

@@ -1,14 +1,15 @@
-"""People of made places: HD maps against AIM, in parks and along roads."""
+"""Pedestrians at synthetic places: HD maps and AIM, in parks and along roads."""
 
 from pathlib import Path
 
-from geoaim.experiments.cases import Case, Table, run_table
-from geoaim.experiments.learning import PEOPLE
+from geoaim.experiments.protocol import PEDESTRIANS
+from geoaim.experiments.results import Folders
+from geoaim.experiments.tables import Case, Table, run_table
 from geoaim.prediction.baselines import BASELINES
 from geoaim.progress import Progress
 
 TABLE = Table(
-    config=PEOPLE,
+    config=PEDESTRIANS,
     cases={
         "HD map of roads alone": Case("pedestrian_roads", "roads"),
         "HD map": Case("pedestrian_hdm", "hdm"),
@@ -22,8 +23,8 @@ TABLE = Table(
         "along roads, HD map": Case("pedestrian_hdm", "hdm", "plain"),
         "along roads, AIM": Case("pedestrian_aim", "aim", "plain"),
         **{name: Case(name, "none") for name in BASELINES},
-        "HD map, last 5 %": Case("pedestrian_hdm", "hdm", "learnt"),
-        "AIM, last 5 %": Case("pedestrian_aim", "aim", "learnt"),
+        "HD map, last 5 %": Case("pedestrian_hdm", "hdm", "validation"),
+        "AIM, last 5 %": Case("pedestrian_aim", "aim", "validation"),
     },
     pairs=(
         ("AIM", "HD map"),
@@ -38,7 +39,7 @@ TABLE = Table(
     ),
     shown=("in parks, AIM", "in parks, HD map"),
     time=60.0,
-    # minADE_6 and minFDE_6 (m), MFD
+    # metres of six samples
     paper={
         "HD map": {"joint minADE": 0.90, "joint minFDE": 2.01, "MFD": 0.29},
         "AIM": {"joint minADE": 0.74, "joint minFDE": 1.56, "MFD": 0.51},
@@ -46,6 +47,6 @@ TABLE = Table(
 )
 
 
-def run(folder: Path, report: Progress) -> list[Path]:
-    """the paper's table of people, on made places that no model has seen and on last 5 %."""
-    return run_table("people", TABLE, folder, report)
+def run(folders: Folders, progress: Progress) -> list[Path]:
+    """The paper's table of pedestrians, at synthetic test places and on ends of recordings."""
+    return run_table("pedestrians", TABLE, folders, progress)

@@ -1,0 +1,158 @@
+"""How models are trained and evaluated on synthetic places."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from geoaim.errors import TracksError
+from geoaim.experiments.places import make_place_scene, read_map, read_recordings
+from geoaim.prediction.baselines import Predictor
+from geoaim.prediction.config import (
+    DEFAULT_CONFIGS,
+    MAX_HISTORY_STEPS,
+    SEGMENT_STEPS,
+    Config,
+    configure_training,
+)
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.dataset import VAL_FRACTION, Dataset, make_dataset, split_scene
+from geoaim.prediction.evaluation import EvalConfig, evaluate
+from geoaim.prediction.metrics import Metric, concat
+from geoaim.progress import Progress, no_progress
+from geoaim.simulation.episodes import NO_RULES, Rules
+from geoaim.simulation.ground import fit_ground
+from geoaim.simulation.scene import Scene
+
+VEHICLES_ON_AIM = DEFAULT_CONFIGS["vehicle"]
+VEHICLES = replace(VEHICLES_ON_AIM, surface_contrast=False)
+PEDESTRIANS = DEFAULT_CONFIGS["pedestrian"]
+SAMPLES = 6
+TRAININGS = {
+    "vehicle": configure_training("vehicle", steps=1600, batch_size=48),
+    "pedestrian": configure_training("pedestrian", steps=900, batch_size=48),
+}
+
+
+def make_places_dataset(
+    places: Sequence[Path],
+    config: Config,
+    map_name: str,
+    *,
+    lights: bool = True,
+    val_fraction: float = VAL_FRACTION,
+    progress: Progress = no_progress,
+) -> Dataset:
+    """Make a dataset of all recordings of synthetic places, on one of their maps.
+
+    Args:
+        places: folders of the places.
+        config: of the model.
+        map_name: one of `MAPS`.
+        lights: whether the scenes have traffic lights.
+        val_fraction: share of each recording, at its end, for validation.
+        progress: takes stage, done and total.
+
+    Returns:
+        The dataset.
+    """
+    scenes: list[Scene] = []
+    for number, folder in enumerate(places):
+        progress("places", number, len(places))
+        aim = read_map(folder, map_name)
+        here = [
+            make_place_scene(recording, aim, dt=config.dt, lights=lights)
+            for recording in read_recordings(folder)
+        ]
+        scenes += [replace(scene, ground=here[0].ground) for scene in here]
+    return make_dataset(scenes, config, val_fraction=val_fraction, progress=progress)
+
+
+def evaluate_places(
+    predictor: Predictor, places: Sequence[Path], config: Config, map_name: str
+) -> dict[str, Metric]:
+    """Evaluate a predictor at several places, on whole recordings.
+
+    Args:
+        predictor: a model's `sample`, or one of `BASELINES`.
+        places: folders of the places.
+        config: agent kind, dt and resolution.
+        map_name: one of `MAPS`.
+
+    Returns:
+        Metrics by name.
+
+    Raises:
+        TracksError: no agent of the kind is present for long enough.
+    """
+    parts = [
+        part for place in places for part in evaluate_place(predictor, place, config, map_name)
+    ]
+    if not parts:
+        raise TracksError(
+            f"no {config.kind} is present for {SEGMENT_STEPS[config.kind]} steps at "
+            f"{len(places)} places"
+        )
+    return concat(parts)
+
+
+def evaluate_place(
+    predictor: Predictor,
+    place: Path,
+    config: Config,
+    map_name: str,
+    *,
+    fraction: float = 1.0,
+    lights: bool = True,
+) -> list[dict[str, Metric]]:
+    """Evaluate a predictor on every recording of a place.
+
+    Args:
+        predictor: a model's `sample`, or one of `BASELINES`.
+        place: folder of the place.
+        config: agent kind, dt and resolution.
+        map_name: one of `MAPS`.
+        fraction: share of each recording, at its end, to evaluate on.
+        lights: whether the predictor gets the lights' states.
+
+    Returns:
+        Metrics of each recording in which agents of the kind are present for long enough.
+    """
+    options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES, show_lights=lights)
+    aim, parts = read_map(place, map_name), []
+    for recording in read_recordings(place):
+        _, scene = split_scene(make_place_scene(recording, aim, dt=config.dt), fraction)
+        rules = recording.rules if config.kind == "vehicle" else NO_RULES
+        stride = 2 * SEGMENT_STEPS[config.kind]  # half of the recording is enough
+        parts += evaluate_scene(predictor, scene, config, options, stride=stride, rules=rules)
+    return parts
+
+
+def evaluate_scene(
+    predictor: Predictor,
+    scene: Scene,
+    config: Config,
+    options: EvalConfig,
+    *,
+    stride: int,
+    rules: Rules = NO_RULES,
+) -> list[dict[str, Metric]]:
+    """Evaluate a predictor on joint segments of a scene.
+
+    Args:
+        predictor: a model's `sample`, or one of `BASELINES`.
+        scene: the ground truth.
+        config: agent kind and resolution.
+        options: of the evaluation.
+        stride: steps from one segment's start to the next.
+        rules: where vehicles may drive.
+
+    Returns:
+        Metrics; an empty list where no agent of the kind is present for long enough.
+    """
+    steps = SEGMENT_STEPS[config.kind]
+    try:
+        segments = cut_segments(scene, config.kind, steps=steps, stride=stride, joint=True)
+    except TracksError:
+        return []
+    ground = fit_ground(scene.ground, config.resolution)
+    return [evaluate(predictor, segments, ground, options, rules=rules)]

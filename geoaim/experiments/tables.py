@@ -1,0 +1,162 @@
+"""Tables of results: each row is a model or baseline, on a map, at some synthetic places."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from geoaim.errors import TracksError
+from geoaim.experiments.figures import write_futures_on_maps
+from geoaim.experiments.models import MODELS, train_all_seeds
+from geoaim.experiments.places import TEST, TRAIN, make_places
+from geoaim.experiments.protocol import evaluate_place
+from geoaim.experiments.results import (
+    Folders,
+    Metrics,
+    compute_differences,
+    compute_seed_means,
+    write_results,
+)
+from geoaim.prediction.baselines import BASELINES, Predictor
+from geoaim.prediction.config import Config
+from geoaim.prediction.dataset import VAL_FRACTION
+from geoaim.prediction.metrics import Metric, average_seeds, concat
+from geoaim.progress import Progress
+from geoaim.synthetic.roads.layouts import PLACE_KINDS, STANDARD_KINDS, PlaceKind
+
+EvaluatePlace = Callable[..., list[dict[str, Metric]]]
+SUBSETS: Mapping[str, Sequence[PlaceKind]] = {
+    "test": PLACE_KINDS,
+    "validation": PLACE_KINDS,
+    "lights": ("junction",),
+    "plain": STANDARD_KINDS,
+    "parks": ("park",),
+    "campus": ("campus",),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A row of a table.
+
+    Attributes:
+        model: one of `MODELS` or of `BASELINES`.
+        map_name: one of `MAPS`.
+        subset: one of `SUBSETS`: test places of some kinds, or the ends of the recordings of
+            training places ("validation").
+    """
+
+    model: str
+    map_name: str
+    subset: str = "test"
+
+
+@dataclass(frozen=True)
+class Table:
+    """The rows of a table, and what is shown beside them.
+
+    Attributes:
+        config: agent kind, dt and resolution of the segments.
+        cases: by name.
+        pairs: names of cases whose difference is reported.
+        shown: names of cases of different models, drawn on the maps that they are trained on, at
+            the first place of the first case.
+        time: s of the recording after which the drawn futures begin.
+        paper: figures of the paper's tables.
+    """
+
+    config: Config
+    cases: Mapping[str, Case]
+    pairs: Sequence[tuple[str, str]]
+    shown: Sequence[str]
+    time: float
+    paper: Mapping[str, Mapping[str, float]]
+
+
+def run_table(name: str, table: Table, folders: Folders, progress: Progress) -> list[Path]:
+    """Make places, train models, evaluate all cases, and write the table with a figure.
+
+    Args:
+        name: of the experiment.
+        table: its rows.
+        folders: where to keep and to write.
+        progress: takes stage, done and total.
+
+    Returns:
+        Paths of the written files.
+    """
+    kind = table.config.kind
+    make_places(folders.work / "places", (*TRAIN[kind], *TEST[kind]), progress=progress)
+    names = dict.fromkeys(case.model for case in table.cases.values() if case.model in MODELS)
+    models = {one: train_all_seeds(one, folders.work, progress=progress) for one in names}
+    evaluate_once = cache(evaluate_place)  # subsets share places
+    metrics: dict[str, Metrics] = {}
+    by_seed: dict[str, list[dict[str, float]]] = {}
+    for number, (title, case) in enumerate(table.cases.items()):
+        progress("evaluate", number, len(table.cases))
+        places = find_places(case, kind, folders.work)
+        if case.model in models:
+            predictors: list[Predictor] = [model.sample for model in models[case.model]]
+        else:
+            predictors = [BASELINES[case.model]]
+        parts = [
+            _evaluate_case(evaluate_once, predictor, case, table.config, places)
+            for predictor in predictors
+        ]
+        metrics[title] = average_seeds(parts)
+        if len(parts) > 1:
+            by_seed[title] = compute_seed_means(parts)
+    settings = {
+        "training places": TRAIN[kind],
+        "test places": TEST[kind],
+        "differences": {
+            f"{one} minus {other}": compute_differences(metrics[one], metrics[other])
+            for one, other in table.pairs
+        },
+        "by seed": by_seed,
+        "paper": table.paper,
+    }
+    written = write_results(name, metrics, settings, folders.results)
+    picture = written[0].with_suffix(".png")
+    shown = [table.cases[title] for title in table.shown]
+    place = find_places(shown[0], kind, folders.work)[0]
+    write_futures_on_maps(
+        {case.model: models[case.model][0] for case in shown}, place, table.time, picture
+    )
+    return [*written, picture]
+
+
+def find_places(case: Case, kind: str, work: Path) -> list[Path]:
+    """Find the folders of a case's places.
+
+    Args:
+        case: its subset of places.
+        kind: "vehicle" or "pedestrian".
+        work: folder of places and models.
+
+    Returns:
+        The folders, made where they are missing.
+    """
+    places = (TRAIN if case.subset == "validation" else TEST)[kind]
+    kinds = SUBSETS[case.subset]
+    return make_places(work / "places", [place for place in places if place[1] in kinds])
+
+
+def _evaluate_case(
+    evaluate_once: EvaluatePlace,
+    predictor: Predictor,
+    case: Case,
+    config: Config,
+    places: Sequence[Path],
+) -> dict[str, Metric]:
+    fraction = VAL_FRACTION if case.subset == "validation" else 1.0
+    lights = case.model not in MODELS or MODELS[case.model].lights
+    parts = [
+        evaluate_once(predictor, place, config, case.map_name, fraction=fraction, lights=lights)
+        for place in places
+    ]
+    if not any(parts):
+        raise TracksError(
+            f"{case}: no {config.kind} is present for long enough at {len(places)} places"
+        )
+    return concat([metrics for part in parts for metrics in part])

@@ -1,0 +1,123 @@
+"""Trajectory proposals: several coarse trajectories at once, of which each sample follows one.
+
+They go beyond the paper. Only the best proposals of each agent are trained, so that the proposals
+spread over what may happen, as best-of-K measures reward.
+"""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from geoaim.prediction.networks import build_mlp
+from geoaim.simulation.kinematics import agent_from_world, world_from_agent
+
+ANCHOR_SCALE_M = 10.0  # typical distance to a proposal's points
+HISTORY_NOISE_M = 0.04  # noise on observed positions in training, against overfitting to them
+
+
+class AnchorHead(nn.Module):
+    """Proposes trajectories from observed positions and a view, with a logit for each.
+
+    It reads the observed positions rather than the GRU's hidden state, which loses detail. The
+    speed is taken from them too, so that it carries the same noise in training.
+
+    Args:
+        history: observed steps, two or more.
+        horizon: predicted steps.
+        num_anchors: proposals.
+        points: of a proposal, evenly spaced in time, the last one at its end.
+        feature_size: width of an encoded view.
+        width: of the networks' hidden layers.
+
+    Raises:
+        ValueError: fewer than two steps are observed.
+    """
+
+    def __init__(
+        self,
+        history: int,
+        horizon: int,
+        num_anchors: int,
+        points: int,
+        feature_size: int,
+        width: int,
+    ) -> None:
+        super().__init__()
+        if history < 2:
+            raise ValueError(
+                f"proposals from {history} observed steps; two or more give a velocity"
+            )
+        self.steps = [round(horizon * (k + 1) / points) for k in range(points)]
+        self.propose = build_mlp(feature_size + 2 * history, 2 * width, num_anchors * 2 * points)
+        self.score = build_mlp(feature_size + 2 * history, width, num_anchors)
+
+    def forward(
+        self,
+        pose: Float[Tensor, "E 4"],
+        past: Float[Tensor, "E t 2"],
+        features: Float[Tensor, "E F"],
+    ) -> tuple[Float[Tensor, "E A P 2"], Float[Tensor, "E A"]]:
+        """Propose trajectories as offsets from constant velocity.
+
+        Args:
+            pose: state at the last observed step.
+            past: observed positions in the world, metres.
+            features: encoded views.
+
+        Returns:
+            Points of A proposals in the world, metres, and the logit of each proposal.
+        """
+        local = agent_from_world(pose[:, None], past)  # (E, t, 2)
+        inputs = torch.cat([features, local.flatten(1)], dim=1)  # (E, F + 2 t)
+        offsets = ANCHOR_SCALE_M * self.propose(inputs).view(len(pose), -1, len(self.steps), 2)
+        velocity = local[:, -1:] - local[:, -2:-1]  # (E, 1, 2) metres a step
+        straight = velocity * offsets.new_tensor(self.steps)[:, None]  # (E, P, 2)
+        return world_from_agent(pose[:, None, None], offsets + straight[:, None]), self.score(
+            inputs
+        )
+
+
+def compute_anchor_loss(
+    anchors: Float[Tensor, "E A P 2"],
+    logits: Float[Tensor, "E A"],
+    target: Float[Tensor, "E P 2"],
+    top_k: int,
+) -> Float[Tensor, ""]:
+    """Compute the distance of the best proposals from the ground truth.
+
+    Only the `top_k` best proposals of each agent are trained: all at first and one in the end, so
+    that no proposal stays unused (evolving winner-takes-all, Makansi et al. 2019). The logits are
+    trained to tell the best one.
+
+    Args:
+        anchors: points of the proposals, metres.
+        logits: of the proposals.
+        target: the ground truth at the same steps, metres.
+        top_k: proposals of each agent that are trained.
+
+    Returns:
+        Metres over all points, half of the metres at the end, and a tenth of the cross entropy.
+    """
+    distances = (anchors - target[:, None]).norm(dim=-1)  # (E, A, P)
+    mean, best = distances.mean(dim=2).topk(top_k, dim=1, largest=False)
+    final = distances[..., -1].topk(top_k, dim=1, largest=False).values
+    cross_entropy = nn.functional.cross_entropy(logits, best[:, 0])
+    return mean.mean() + final.mean() / 2 + cross_entropy / 10
+
+
+def select_anchor(
+    anchors: Float[Tensor, "E A P 2"], logits: Float[Tensor, "E A"], rank: Int[Tensor, "E"]
+) -> Float[Tensor, "E P 2"]:
+    """Select the proposal that a sample follows.
+
+    Args:
+        anchors: points of the proposals.
+        logits: of the proposals.
+        rank: 0 for the likeliest proposal; ranks beyond the last one start over.
+
+    Returns:
+        The points of the selected proposals.
+    """
+    order = logits.argsort(dim=1, descending=True)
+    rows = torch.arange(len(rank), device=rank.device)
+    return anchors[rows, order[rows, rank % anchors.shape[1]]]

@@ -1,0 +1,140 @@
+"""Batches of a training: which segments, how they are augmented, and what is scheduled by step.
+
+All of it is a function of the seed and the step, so that an interrupted training resumes with the
+same batches.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import torch
+import torch.distributed as dist
+from jaxtyping import Int
+from torch import Tensor
+
+from geoaim.prediction.atlas import scale_ground
+from geoaim.prediction.config import TrainConfig
+from geoaim.prediction.segments import Segments, move_to, pick, scale
+from geoaim.simulation.ground import Ground
+
+
+@dataclass(frozen=True)
+class Process:
+    """One of the processes that `torchrun` starts.
+
+    Attributes:
+        rank: its number.
+        world_size: how many there are.
+        device: the device that it trains on.
+    """
+
+    rank: int
+    world_size: int
+    device: torch.device
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What a training step needs, in the order of `ITRA.forward`.
+
+    Attributes:
+        segments: the batch, or a process's share of it, augmented.
+        ground: the map, augmented.
+        history: observed steps.
+        generator: source of the model's noise.
+    """
+
+    segments: Segments
+    ground: Ground
+    history: int
+    generator: torch.Generator
+
+
+@contextmanager
+def join_processes(device: torch.device) -> Iterator[Process]:
+    """Join the processes of `torchrun`, if any.
+
+    Args:
+        device: to train on, when this process is alone or on a CPU.
+
+    Yields:
+        This process.
+    """
+    world_size, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
+    if world_size == 1:
+        yield Process(0, 1, device)
+        return
+    if device.type == "cuda":
+        device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    try:
+        yield Process(rank, world_size, device)
+    finally:
+        dist.destroy_process_group()
+
+
+def draw_batch(
+    config: TrainConfig, segments: Segments, ground: Ground, step: int, process: Process
+) -> Batch:
+    """Draw and augment the batch of a step.
+
+    Args:
+        config: seed, sizes and augmentation.
+        segments: all training segments.
+        ground: their map, on the process's device.
+        step: of the training.
+        process: gets its share of the batch; augmentation is the same for all.
+
+    Returns:
+        The batch.
+    """
+    draws = torch.Generator().manual_seed(_derive_seed(config.seed, 2 * step))
+    least, most = config.history
+    history = int(torch.randint(least, most + 1, (), generator=draws))
+    size, side = torch.rand(2, generator=draws)
+    factors = (1 + config.scale_jitter * (2 * size - 1)).repeat(2)
+    if config.mirror and side > 0.5:
+        factors = factors * factors.new_tensor([1.0, -1.0])
+    if config.colour_jitter:
+        gain = 1 + config.colour_jitter * (2 * torch.rand(3, 1, 1, generator=draws) - 1)
+        offset = config.colour_jitter * (torch.rand(3, 1, 1, generator=draws) - 0.5)
+        image = ground.image * gain.to(ground.image) + offset.to(ground.image)
+        ground = replace(ground, image=image)
+    index = _draw_index(len(segments), config, step)[process.rank :: process.world_size]
+    batch = scale(move_to(pick(segments, index), process.device), factors)
+    generator = torch.Generator(process.device)
+    generator.manual_seed(_derive_seed(config.seed, 2 * step + 1) + process.rank)
+    return Batch(batch, scale_ground(ground, factors), history, generator)
+
+
+def compute_kl_weight(config: TrainConfig, step: int) -> float:
+    """Weight of the KL term at a step."""
+    warmup_steps = config.kl_warmup * config.steps
+    return config.kl_weight * min(1.0, (step + 1) / max(warmup_steps, 1.0))
+
+
+def compute_top_k(config: TrainConfig, step: int, num_anchors: int) -> int:
+    """Proposals of each agent that are trained at a step; see `compute_anchor_loss`."""
+    annealing_steps = config.anchor_annealing * config.steps
+    if step >= annealing_steps:
+        return 1
+    return max(1, round(num_anchors ** (1 - step / annealing_steps)))
+
+
+def _draw_index(total: int, config: TrainConfig, step: int) -> Int[Tensor, "B"]:
+    """Draw the segments of a step: every segment once in each epoch."""
+    positions = torch.arange(step * config.batch_size, (step + 1) * config.batch_size)
+    order = {
+        epoch: torch.randperm(
+            total, generator=torch.Generator().manual_seed(_derive_seed(config.seed, -1 - epoch))
+        )
+        for epoch in sorted(set((positions // total).tolist()))
+    }
+    return torch.stack([order[k // total][k % total] for k in positions.tolist()])
+
+
+def _derive_seed(seed: int, number: int) -> int:
+    """Derive a seed, far apart for numbers that are near: 64 bits of a Weyl sequence."""
+    return ((seed + 1) * 0x9E3779B97F4A7C15 + number * 0xD1B54A32D192ED03) % 2**63

@@ -1,0 +1,102 @@
+"""Observations: bird's-eye views of the map, agents and lights around each controlled agent."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from geoaim.lights import GREEN, RED, YELLOW
+from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
+from geoaim.simulation.birdview import Boxes, render_layers
+from geoaim.simulation.ground import Ground, View
+from geoaim.simulation.lines import BAR, light_layers
+
+MAX_COLOUR_DISTANCE = 0.4  # of channels from 0 to 1: beyond it, the surface is another one
+CHANNELS = 7  # ground (3), vehicles, pedestrians, red and yellow lights, green lights
+
+
+@dataclass(frozen=True)
+class ObservationView(View):
+    """The view of an agent.
+
+    Attributes:
+        light_width: width of a light's bar on its stop line, metres.
+    """
+
+    light_width: float = BAR
+
+
+@dataclass(frozen=True, eq=False)
+class Controlled:
+    """Index of the E agents that a model controls.
+
+    Attributes:
+        segment: (E,) row of the segment.
+        agent: (E,) column of the agent in it.
+    """
+
+    segment: Int[Tensor, "E"]
+    agent: Int[Tensor, "E"]
+
+
+def index_controlled(segments: Segments) -> Controlled:
+    """Index all controlled agents."""
+    return Controlled(*segments.controlled.nonzero().unbind(1))
+
+
+def render_observation(
+    view: ObservationView,
+    ground: Ground,
+    segments: Segments,
+    controlled: Controlled,
+    states: Float[Tensor, "B N 4"],
+    step: int,
+) -> Float[Tensor, "E 7 H W"]:
+    """Render the view of each controlled agent, heading up; the agent itself is not drawn.
+
+    Args:
+        view: size, resolution and width of lights.
+        ground: the map.
+        segments: sizes, presence and lights of all agents.
+        controlled: agents whose views to render.
+        states: of all agents at the step.
+        step: number of the step.
+
+    Returns:
+        `CHANNELS` channels between 0 and 1: ground, vehicles, pedestrians, lights.
+    """
+    poses = states[controlled.segment, :, :3]  # (E, N, 3)
+    itself = torch.arange(states.shape[1], device=states.device) == controlled.agent[:, None]
+    visible = segments.present[controlled.segment, step] & ~itself  # (E, N)
+    cameras = states[controlled.segment, controlled.agent, :3]  # (E, 3)
+    layers, sizes = segments.layers[controlled.segment], segments.sizes[controlled.segment]
+    white = sizes.new_ones(1, 3).expand(states.shape[1], 3)
+    boxes = [
+        Boxes(poses, sizes, white, visible & (layers == layer), white)
+        for layer in (VEHICLE, PEDESTRIAN)
+    ]
+    stop_lines = segments.stop_lines[controlled.segment]
+    light_states = segments.light_states[controlled.segment, step]
+    groups = [(RED, YELLOW), (GREEN,)]
+    boxes += light_layers(stop_lines, light_states, groups, width=view.light_width)
+    return render_layers(view, cameras, ground, boxes)
+
+
+def compute_surface_contrast(views: Float[Tensor, "E 7 H W"]) -> Float[Tensor, "E 1 H W"]:
+    """Compute the colour distance of each pixel from the ground under the agent, 0 to 1.
+
+    Agents mostly stay on one surface, whatever its colour. Such a distance generalizes from few
+    places; colours themselves need many.
+
+    >>> views = torch.zeros(1, 7, 4, 4)
+    >>> views[:, :3, 0] = 0.1  # a row that is a little brighter
+    >>> compute_surface_contrast(views)[0, 0, :, 0].round(decimals=2)
+    tensor([0.4300, 0.0000, 0.0000, 0.0000])
+    """
+    ground = views[:, :3]
+    rows, columns = (slice((side - 1) // 2, side // 2 + 1) for side in ground.shape[2:])
+    centre = ground[:, :, rows, columns].mean(dim=(2, 3), keepdim=True)  # (E, 3, 1, 1)
+    squared = (ground - centre).square().sum(dim=1, keepdim=True)  # (E, 1, H, W)
+    distance = (squared + 1e-8).sqrt() - 1e-4  # gradients stay finite where colours are equal
+    return (distance / MAX_COLOUR_DISTANCE).clamp(max=1)

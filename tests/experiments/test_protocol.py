@@ -1,0 +1,32 @@
+from dataclasses import replace
+
+import pytest
+import torch
+
+from geoaim.experiments.protocol import (
+    VEHICLES,
+    evaluate_place,
+    evaluate_places,
+    make_places_dataset,
+)
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.metrics import concat
+
+SMALL = replace(VEHICLES, view_size=16, resolution=3.0)
+
+
+def test_models_are_trained_and_evaluated_on_places(place):
+    dataset = make_places_dataset([place], SMALL, "aim", val_fraction=0.2)
+    assert len(dataset.train) > 50
+    assert dataset.train.states.shape[1] == dataset.val.states.shape[1] == 40
+    low, high = dataset.train.states[:, :, 0, :2].flatten(0, 1).aminmax(dim=0)
+    shape = torch.tensor(dataset.ground.image.shape[:0:-1])
+    matrix = dataset.ground.image_from_world
+    pixels = torch.stack([low, high]) @ matrix[:, :2].t() + matrix[:, 2]
+    assert (pixels > 0).all() and (pixels < shape).all()  # noqa: PT018
+    predictor = BASELINES["constant velocity"]
+    end = concat(evaluate_place(predictor, place, SMALL, "none", fraction=0.2))
+    assert 0 < end["minADE"].mean < 10
+    assert end["minADE"].mean == pytest.approx(end["joint minADE"].mean)
+    whole = evaluate_places(predictor, [place], SMALL, "none")
+    assert whole["minADE"].counts.sum() > end["minADE"].counts.sum()
