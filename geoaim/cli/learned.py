@@ -265,7 +265,7 @@ def experiment(
     in GEOAIM_DATA.
     """
     from geoaim.experiments import EXPERIMENTS
-    from geoaim.experiments.results import Folders
+    from geoaim.experiments.results import Workspace
 
     with stages() as progress, plain_errors():
         if name == "list":
@@ -274,7 +274,7 @@ def experiment(
             return
         if name not in EXPERIMENTS:
             raise ValueError(f"there is no experiment {name!r}; 'list' says what there is")
-        written = EXPERIMENTS[name](Folders(folder, results), progress)
+        written = EXPERIMENTS[name](Workspace(folder, results, progress))
     console.print(", ".join(str(path) for path in written))
 
 

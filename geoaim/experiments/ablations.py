@@ -10,7 +10,7 @@ from geoaim.experiments.models import train_once
 from geoaim.experiments.places import TRAIN, make_places
 from geoaim.experiments.protocol import SAMPLES, VEHICLES, make_places_dataset
 from geoaim.experiments.resnet import build_resnet18
-from geoaim.experiments.results import Folders, compute_differences, write_results
+from geoaim.experiments.results import Workspace, compute_differences, write_results
 from geoaim.prediction.config import (
     MAX_HISTORY_STEPS,
     Config,
@@ -23,7 +23,6 @@ from geoaim.prediction.itra import ITRA, BuildEncoder
 from geoaim.prediction.metrics import Metric
 from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.segments import pick
-from geoaim.progress import Progress
 
 STEPS, BATCH_SIZE = 250, 32
 VAL_STRIDE = 6  # every sixth validation segment is evaluated
@@ -57,15 +56,16 @@ ABLATIONS = {
 }
 
 
-def run(folders: Folders, progress: Progress) -> list[Path]:
+def run(workspace: Workspace) -> list[Path]:
     """Choices that the paper leaves open, by short trainings on synthetic places."""
-    places = make_places(folders.work / "places", TRAIN["vehicle"], progress=progress)
+    progress = workspace.progress
+    places = make_places(workspace.places, TRAIN["vehicle"], progress=progress)
     dataset = make_places_dataset(places, VEHICLES, "aim", progress=progress)
     val = pick(dataset.val, slice(None, None, VAL_STRIDE))
     options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
     table: dict[str, dict[str, Metric]] = {}
     for name, ablation in ABLATIONS.items():
-        model = _train(name, ablation, dataset, folders.work, progress)
+        model = _train(name, ablation, dataset, workspace)
         metrics = evaluate(model.sample, val, dataset.ground, options, progress=progress)
         table[name] = {key: metrics[key] for key in METRICS}
     settings = {
@@ -79,10 +79,10 @@ def run(folders: Folders, progress: Progress) -> list[Path]:
             if name != "vehicles"
         },
     }
-    return write_results("ablations", table, settings, folders.results)
+    return write_results("ablations", table, settings, workspace.results)
 
 
-def _train(name: str, ablation: Ablation, dataset: Dataset, work: Path, progress: Progress) -> ITRA:
+def _train(name: str, ablation: Ablation, dataset: Dataset, workspace: Workspace) -> ITRA:
     config, build_encoder = ablation.config, ablation.build_encoder
     training = configure_training(config.kind, steps=STEPS, batch_size=BATCH_SIZE)
     training = replace(training, kl_weight=ablation.kl_weight)
@@ -96,9 +96,9 @@ def _train(name: str, ablation: Ablation, dataset: Dataset, work: Path, progress
         model,
         training,
         lambda: dataset,
-        work / "models" / "ablations" / label,
+        workspace.models / "ablations" / label,
         build_encoder=build_encoder,
-        progress=progress,
+        progress=workspace.progress,
     )
 
 

@@ -13,6 +13,7 @@ from geoaim.experiments.protocol import (
     VEHICLES_ON_AIM,
     make_places_dataset,
 )
+from geoaim.experiments.results import Workspace
 from geoaim.prediction.checkpoints import read_model, read_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
@@ -52,59 +53,40 @@ MODELS = {
 }
 
 
-def train_all_seeds(name: str, work: Path, *, progress: Progress = no_progress) -> list[ITRA]:
-    """Train one of `MODELS` with all its seeds, or read it from its folders.
-
-    Args:
-        name: of the model.
-        work: folder of places and models.
-        progress: takes stage, done and total.
-
-    Returns:
-        A model for each seed.
-    """
-    seeds = range(MODELS[name].seeds)
-    return [train_model(name, work, seed=seed, progress=progress) for seed in seeds]
+def train_all_seeds(name: str, workspace: Workspace) -> list[ITRA]:
+    """Train one of `MODELS` with all its seeds, or read it from its folders."""
+    return [train_model(name, workspace, seed=seed) for seed in range(MODELS[name].seeds)]
 
 
-def train_model(name: str, work: Path, *, seed: int = 0, progress: Progress = no_progress) -> ITRA:
+def train_model(name: str, workspace: Workspace, *, seed: int = 0) -> ITRA:
     """Train one of `MODELS` on synthetic places, or read it from its folder.
 
     Args:
         name: of the model.
-        work: folder of places and models.
+        workspace: keeps places and models.
         seed: of the training; each has a folder of its own.
-        progress: takes stage, done and total.
 
     Returns:
         The model.
     """
-    spec = MODELS[name]
+    spec, progress = MODELS[name], workspace.progress
 
     def load_dataset() -> Dataset:
-        places = make_places(work / "places", TRAIN[spec.config.kind], progress=progress)
+        places = make_places(workspace.places, TRAIN[spec.config.kind], progress=progress)
         return make_places_dataset(
             places, spec.config, spec.map_name, lights=spec.lights, progress=progress
         )
 
     training = replace(TRAININGS[spec.config.kind], seed=seed)
-    model = init_model(spec.config, seed=seed)
-    folder = get_training_folder(work, name, seed)
-    return train_once(model, training, load_dataset, folder, progress=progress)
+    folder = workspace.models / label_seed(name, seed)
+    return train_once(
+        init_model(spec.config, seed=seed), training, load_dataset, folder, progress=progress
+    )
 
 
-def get_training_folder(work: Path, label: str, seed: int) -> Path:
-    """Get the folder of a training; that of the first seed has the model's label alone.
-
-    Args:
-        work: folder of places and models.
-        label: of the model.
-        seed: of the training.
-
-    Returns:
-        The folder.
-    """
-    return work / "models" / (f"{label}_{seed}" if seed else label)
+def label_seed(name: str, seed: int) -> str:
+    """Label the training of a model with a seed; the first one has the model's name alone."""
+    return f"{name}_{seed}" if seed else name
 
 
 def train_once(

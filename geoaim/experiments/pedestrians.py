@@ -3,10 +3,9 @@
 from pathlib import Path
 
 from geoaim.experiments.protocol import PEDESTRIANS
-from geoaim.experiments.results import Folders
+from geoaim.experiments.results import Workspace
 from geoaim.experiments.tables import Case, Table, run_table
 from geoaim.prediction.baselines import BASELINES
-from geoaim.progress import Progress
 
 TABLE = Table(
     config=PEDESTRIANS,
@@ -47,6 +46,6 @@ TABLE = Table(
 )
 
 
-def run(folders: Folders, progress: Progress) -> list[Path]:
+def run(workspace: Workspace) -> list[Path]:
     """The paper's table of pedestrians, at synthetic test places and on ends of recordings."""
-    return run_table("pedestrians", TABLE, folders, progress)
+    return run_table("pedestrians", TABLE, workspace)

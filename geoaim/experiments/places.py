@@ -27,24 +27,12 @@ from geoaim.track_files import read_tracks
 from geoaim.tracks import Tracks
 
 Places = Sequence[tuple[int, PlaceKind]]
-ROADS: Places = (
-    (201, "junction"),
-    (202, "junction"),
-    (203, "t"),
-    (204, "roundabout"),
-    (205, "junction"),
-    (206, "street"),
-    (207, "junction"),
-    (208, "t"),
-    (209, "junction"),
-    (210, "roundabout"),
+KINDS_OF_ROADS: Sequence[PlaceKind] = (
+    *("junction", "junction", "t", "roundabout", "junction"),
+    *("street", "junction", "t", "junction", "roundabout"),
 )
-NEW_ROADS: Places = (
-    (301, "junction"),
-    (302, "junction"),
-    (303, "t"),
-    (304, "roundabout"),
-)
+ROADS: Places = tuple(enumerate(KINDS_OF_ROADS, 201))
+NEW_ROADS: Places = tuple(enumerate(KINDS_OF_ROADS[:4], 301))
 PARKS: Places = ((241, "park"), (242, "park"), (243, "park"), (244, "park"))
 NEW_PARKS: Places = ((341, "park"), (342, "park"))
 CAMPUS: Places = ((251, "campus"), (252, "campus"), (253, "campus"), (254, "campus"))

@@ -9,21 +9,34 @@ from geoaim.bench.report import describe_machine, write_json
 from geoaim.files import atomic_write
 from geoaim.prediction.metrics import Metric, bootstrap_interval, summarise
 from geoaim.prediction.report import format_markdown
+from geoaim.progress import Progress, no_progress
 
 Metrics = Mapping[str, Metric]
 
 
 @dataclass(frozen=True)
-class Folders:
+class Workspace:
     """Where an experiment reads and writes.
 
     Attributes:
-        work: keeps synthetic places and trained models between runs.
-        results: gets tables and figures.
+        folder: keeps synthetic places and trained models between runs.
+        results: folder of tables and figures.
+        progress: takes stage, done and total.
     """
 
-    work: Path
+    folder: Path
     results: Path = Path("docs/experiments")
+    progress: Progress = no_progress
+
+    @property
+    def places(self) -> Path:
+        """Folder of synthetic places."""
+        return self.folder / "places"
+
+    @property
+    def models(self) -> Path:
+        """Folder of trained models."""
+        return self.folder / "models"
 
 
 def write_results(

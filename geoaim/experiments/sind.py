@@ -17,11 +17,11 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.bench.data import require_data
 from geoaim.errors import TracksError
-from geoaim.experiments.models import get_training_folder, train_all_seeds, train_once
+from geoaim.experiments.models import label_seed, train_all_seeds, train_once
 from geoaim.experiments.protocol import PEDESTRIANS, SAMPLES, evaluate_scene
 from geoaim.experiments.results import (
-    Folders,
     Metrics,
+    Workspace,
     compute_differences,
     compute_seed_means,
     write_results,
@@ -36,7 +36,6 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, configure
 from geoaim.prediction.dataset import make_dataset, split_scene
 from geoaim.prediction.evaluation import EvalConfig
 from geoaim.prediction.metrics import Metric, average_seeds, concat
-from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
 from geoaim.track_formats import read_any
@@ -99,7 +98,7 @@ VAL_FRACTION = 0.5
 FINE_TUNING = configure_fine_tuning("pedestrian", steps=150, batch_size=48)
 
 
-def run(folders: Folders, progress: Progress) -> list[Path]:
+def run(workspace: Workspace) -> list[Path]:
     """Real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
     junctions = {name: georeference_junction(name) for name in JUNCTIONS}
     metrics: dict[str, Metrics] = {}
@@ -109,11 +108,11 @@ def run(folders: Folders, progress: Progress) -> list[Path]:
             _make_scene(name, aim if map_name == "aim" else draw_hdmap(hdmap))
             for name, (aim, _, hdmap) in junctions.items()
         ]
-        predictors = _train(map_name, scenes, folders.work, progress)
+        predictors = _train(map_name, scenes, workspace)
         if map_name == MAPS[-1]:
             predictors |= {name: [predictor] for name, predictor in BASELINES.items()}
         for number, (name, seeds) in enumerate(predictors.items()):
-            progress(f"evaluate {map_name}", number, len(predictors))
+            workspace.progress(f"evaluate {map_name}", number, len(predictors))
             parts = [_evaluate(predictor, scenes) for predictor in seeds]
             metrics[name] = average_seeds(parts)
             if len(parts) > 1:
@@ -129,7 +128,7 @@ def run(folders: Folders, progress: Progress) -> list[Path]:
     for stage in ("zero-shot", "fine-tuned"):
         difference = compute_differences(metrics[f"aim, {stage}"], metrics[f"hdm, {stage}"])
         settings[f"aim minus hdm, {stage}"] = difference
-    return write_results("sind", metrics, settings, folders.results)
+    return write_results("sind", metrics, settings, workspace.results)
 
 
 def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
@@ -153,18 +152,16 @@ def _make_scene(name: str, aim: AIM) -> Scene:
     return make_scene(aim, resample_tracks(tracks, 1 / PEDESTRIANS.dt))
 
 
-def _train(
-    map_name: str, scenes: list[Scene], work: Path, progress: Progress
-) -> dict[str, list[Predictor]]:
+def _train(map_name: str, scenes: list[Scene], workspace: Workspace) -> dict[str, list[Predictor]]:
     """Predictors on a map, of each seed: trained on synthetic places, and fine-tuned."""
     load_dataset = partial(make_dataset, scenes, PEDESTRIANS, val_fraction=VAL_FRACTION)
     zero_shot: list[Predictor] = []
     fine_tuned: list[Predictor] = []
-    models = train_all_seeds(f"pedestrian_{map_name}", work, progress=progress)
+    models = train_all_seeds(f"pedestrian_{map_name}", workspace)
     for seed, model in enumerate(models):
-        folder = get_training_folder(work, f"pedestrian_sind_{map_name}", seed)
+        folder = workspace.models / label_seed(f"pedestrian_sind_{map_name}", seed)
         training = replace(FINE_TUNING, seed=seed)
-        tuned = train_once(model, training, load_dataset, folder, progress=progress)
+        tuned = train_once(model, training, load_dataset, folder, progress=workspace.progress)
         zero_shot.append(model.sample)
         fine_tuned.append(tuned.sample)
     return {f"{map_name}, zero-shot": zero_shot, f"{map_name}, fine-tuned": fine_tuned}

@@ -7,7 +7,7 @@ import numpy as np
 from geoaim.bench.data import require_data
 from geoaim.experiments.models import train_model, train_once
 from geoaim.experiments.protocol import SAMPLES, VEHICLES
-from geoaim.experiments.results import Folders, compute_differences, write_results
+from geoaim.experiments.results import Workspace, compute_differences, write_results
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.baselines import BASELINES
@@ -16,7 +16,6 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.segments import pick, shift
-from geoaim.progress import Progress
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
 from geoaim.track_formats import read_geotrax
@@ -26,15 +25,16 @@ MARGIN_M = 30.0  # of the map around the tracks
 FINE_TUNING = configure_fine_tuning("vehicle", steps=100, batch_size=32)
 
 
-def run(folders: Folders, progress: Progress) -> list[Path]:
+def run(workspace: Workspace) -> list[Path]:
     """Real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
     dataset = make_songdo_dataset(read_scene())
-    model = train_model("vehicle_aim", folders.work, progress=progress)
+    progress = workspace.progress
+    model = train_model("vehicle_aim", workspace)
     tuned = train_once(
         model,
         FINE_TUNING,
         lambda: dataset,
-        folders.work / "models" / "vehicle_songdo",
+        workspace.models / "vehicle_songdo",
         progress=progress,
     )
     options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
@@ -45,7 +45,7 @@ def run(folders: Folders, progress: Progress) -> list[Path]:
     }
     difference = compute_differences(metrics["fine-tuned"], metrics["zero-shot"])
     settings = {"vehicles": len(dataset.val), "fine-tuned minus zero-shot": difference}
-    return write_results("songdo", metrics, settings, folders.results)
+    return write_results("songdo", metrics, settings, workspace.results)
 
 
 def make_songdo_dataset(scene: Scene) -> Dataset:

@@ -10,9 +10,9 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.experiments.models import get_training_folder, train_once
+from geoaim.experiments.models import label_seed, train_once
 from geoaim.experiments.places import add_blur_and_noise
-from geoaim.experiments.results import Folders, Metrics, compute_differences, write_results
+from geoaim.experiments.results import Metrics, Workspace, compute_differences, write_results
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
@@ -83,27 +83,25 @@ PUBLISHED = {
 }
 
 
-def run(folders: Folders, progress: Progress) -> list[Path]:
+def run(workspace: Workspace) -> list[Path]:
     """Real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20 samples."""
     names = [path.stem for path in sorted((require_data(DATA) / "windows").glob("*.csv"))]
     train_scenes = [name for name in names if name not in VAL_SCENES]
     metrics: dict[str, Metrics] = {}
     for name, config in MODELS.items():
         predictors = [
-            make_window_predictor(
-                _train(name, train_scenes, folders.work, progress, seed=seed), SAMPLES
-            )
+            make_window_predictor(_train(name, train_scenes, workspace, seed=seed), SAMPLES)
             for seed in range(SEEDS.get(name, 1))
         ]
         val = _read_windows(config, VAL_SCENES)
-        metrics[name] = _evaluate(predictors, val, progress)
+        metrics[name] = _evaluate(predictors, val, workspace.progress)
         if name == "map":
             degraded = _read_windows(config, VAL_SCENES, transform=_degrade)
-            metrics["map, blurred and noisy"] = _evaluate(predictors, degraded, progress)
+            metrics["map, blurred and noisy"] = _evaluate(predictors, degraded, workspace.progress)
     for name in ("constant velocity", "constant velocity with noise"):  # headings are not measured
-        metrics[name] = _evaluate([BASELINES[name]], val, progress)
-    _train("map", names, folders.work, progress, label="all scenes")
-    return write_results("stanford", metrics, _describe(metrics, val), folders.results)
+        metrics[name] = _evaluate([BASELINES[name]], val, workspace.progress)
+    _train("map", names, workspace, label="all scenes")
+    return write_results("stanford", metrics, _describe(metrics, val), workspace.results)
 
 
 def _evaluate(
@@ -138,8 +136,7 @@ def _describe(metrics: Mapping[str, Metrics], windows: Windows) -> dict[str, Any
 def _train(
     name: str,
     scenes: list[str],
-    work: Path,
-    progress: Progress,
+    workspace: Workspace,
     *,
     seed: int = 0,
     label: str | None = None,
@@ -154,10 +151,10 @@ def _train(
         return Dataset(both, windows.segments, windows.ground)
 
     words = (label or name).replace(",", "").split()
-    folder = get_training_folder(work, "_".join(["stanford", *words]), seed)
+    folder = workspace.models / label_seed("_".join(["stanford", *words]), seed)
     model = init_model(config, seed=seed)
     training = replace(TRAINING, seed=seed)
-    return train_once(model, training, load_dataset, folder, progress=progress)
+    return train_once(model, training, load_dataset, folder, progress=workspace.progress)
 
 
 def _average_scene(scene: str, metrics: Metrics, windows: Windows) -> dict[str, float]:

@@ -11,8 +11,8 @@ from geoaim.experiments.models import MODELS, train_all_seeds
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.protocol import evaluate_place
 from geoaim.experiments.results import (
-    Folders,
     Metrics,
+    Workspace,
     compute_differences,
     compute_seed_means,
     write_results,
@@ -21,7 +21,6 @@ from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import VAL_FRACTION
 from geoaim.prediction.metrics import Metric, average_seeds, concat
-from geoaim.progress import Progress
 from geoaim.synthetic.roads.layouts import PLACE_KINDS, STANDARD_KINDS, PlaceKind
 
 EvaluatePlace = Callable[..., list[dict[str, Metric]]]
@@ -73,28 +72,27 @@ class Table:
     paper: Mapping[str, Mapping[str, float]]
 
 
-def run_table(name: str, table: Table, folders: Folders, progress: Progress) -> list[Path]:
+def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
     """Make places, train models, evaluate all cases, and write the table with a figure.
 
     Args:
         name: of the experiment.
         table: its rows.
-        folders: where to keep and to write.
-        progress: takes stage, done and total.
+        workspace: where to read and write.
 
     Returns:
         Paths of the written files.
     """
-    kind = table.config.kind
-    make_places(folders.work / "places", (*TRAIN[kind], *TEST[kind]), progress=progress)
+    kind, progress = table.config.kind, workspace.progress
+    make_places(workspace.places, (*TRAIN[kind], *TEST[kind]), progress=progress)
     names = dict.fromkeys(case.model for case in table.cases.values() if case.model in MODELS)
-    models = {one: train_all_seeds(one, folders.work, progress=progress) for one in names}
+    models = {one: train_all_seeds(one, workspace) for one in names}
     evaluate_once = cache(evaluate_place)  # subsets share places
     metrics: dict[str, Metrics] = {}
     by_seed: dict[str, list[dict[str, float]]] = {}
     for number, (title, case) in enumerate(table.cases.items()):
         progress("evaluate", number, len(table.cases))
-        places = find_places(case, kind, folders.work)
+        places = find_places(case, kind, workspace.places)
         if case.model in models:
             predictors: list[Predictor] = [model.sample for model in models[case.model]]
         else:
@@ -116,30 +114,30 @@ def run_table(name: str, table: Table, folders: Folders, progress: Progress) -> 
         "by seed": by_seed,
         "paper": table.paper,
     }
-    written = write_results(name, metrics, settings, folders.results)
+    written = write_results(name, metrics, settings, workspace.results)
     picture = written[0].with_suffix(".png")
     shown = [table.cases[title] for title in table.shown]
-    place = find_places(shown[0], kind, folders.work)[0]
+    place = find_places(shown[0], kind, workspace.places)[0]
     write_futures_on_maps(
         {case.model: models[case.model][0] for case in shown}, place, table.time, picture
     )
     return [*written, picture]
 
 
-def find_places(case: Case, kind: str, work: Path) -> list[Path]:
+def find_places(case: Case, kind: str, folder: Path) -> list[Path]:
     """Find the folders of a case's places.
 
     Args:
         case: its subset of places.
         kind: "vehicle" or "pedestrian".
-        work: folder of places and models.
+        folder: of all places.
 
     Returns:
         The folders, made where they are missing.
     """
     places = (TRAIN if case.subset == "validation" else TEST)[kind]
     kinds = SUBSETS[case.subset]
-    return make_places(work / "places", [place for place in places if place[1] in kinds])
+    return make_places(folder, [place for place in places if place[1] in kinds])
 
 
 def _evaluate_case(

@@ -3,10 +3,9 @@
 from pathlib import Path
 
 from geoaim.experiments.protocol import VEHICLES
-from geoaim.experiments.results import Folders
+from geoaim.experiments.results import Workspace
 from geoaim.experiments.tables import Case, Table, run_table
 from geoaim.prediction.baselines import BASELINES
-from geoaim.progress import Progress
 
 TABLE = Table(
     config=VEHICLES,
@@ -64,6 +63,6 @@ TABLE = Table(
 )
 
 
-def run(folders: Folders, progress: Progress) -> list[Path]:
+def run(workspace: Workspace) -> list[Path]:
     """The paper's tables of vehicles, at synthetic test places and on ends of recordings."""
-    return run_table("vehicles", TABLE, folders, progress)
+    return run_table("vehicles", TABLE, workspace)

@@ -6,6 +6,7 @@ from geoaim.errors import ModelError
 from geoaim.experiments import models
 from geoaim.experiments.models import MODELS, train_model, train_once
 from geoaim.experiments.protocol import PEDESTRIANS, TRAININGS
+from geoaim.experiments.results import Workspace
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.training import init_model
@@ -59,5 +60,5 @@ def test_each_training_of_a_model_has_its_own_folder_and_seed(monkeypatch, tmp_p
 
     monkeypatch.setattr(models, "train_once", record)
     for seed in (0, 1):
-        train_model("pedestrian_aim", tmp_path, seed=seed)
+        train_model("pedestrian_aim", Workspace(tmp_path), seed=seed)
     assert calls == [("pedestrian_aim", 0, PEDESTRIANS), ("pedestrian_aim_1", 1, PEDESTRIANS)]

@@ -6,11 +6,10 @@ import numpy as np
 from geoaim.experiments import EXPERIMENTS, pedestrians, tables, vehicles
 from geoaim.experiments.models import MODELS
 from geoaim.experiments.places import MAPS, TRAIN
-from geoaim.experiments.results import Folders
+from geoaim.experiments.results import Workspace
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.dataset import VAL_FRACTION
 from geoaim.prediction.metrics import Metric
-from geoaim.progress import no_progress
 
 
 @dataclass(frozen=True)
@@ -76,13 +75,13 @@ def test_seeds_of_a_model_are_averaged(monkeypatch, tmp_path):
         "make_places": lambda folder, places, **_: [
             tmp_path / kind for kind in {k for _, k in places}
         ],
-        "train_all_seeds": lambda name, work, progress: models,
+        "train_all_seeds": lambda name, workspace: models,
         "evaluate_place": evaluate_place,
         "write_results": write_results,
     }
     for name, fake in fakes.items():
         monkeypatch.setattr(tables, name, fake)
-    tables.run_table("vehicles", table, Folders(tmp_path, tmp_path), no_progress)
+    tables.run_table("vehicles", table, Workspace(tmp_path, tmp_path))
     assert written["metrics"]["AIM"]["minADE"].mean == 2
     assert len(calls) == len(set(calls))  # nothing is evaluated twice
     assert (1.0, "junction", "aim", 1.0, True) in calls

@@ -1,0 +1,160 @@
+"""Every experiment runs on tiny input: one-step trainings of tiny models at one small place."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+
+from geoaim.experiments import (
+    ablations,
+    models,
+    pedestrians,
+    pretrained,
+    protocol,
+    sind,
+    songdo,
+    stanford,
+    vehicles,
+)
+from geoaim.experiments.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
+from geoaim.experiments.protocol import make_places_dataset
+from geoaim.experiments.resnet import build_resnet18
+from geoaim.experiments.results import Workspace
+from geoaim.prediction.windows import WINDOW_STEPS
+from geoaim.simulation.scene import scene_steps
+
+SMALL = {"view_size": 16, "hidden_size": 16, "feature_size": 12}
+WITH_MORE_VALIDATION = partial(make_places_dataset, val_fraction=0.4)
+
+
+@pytest.fixture
+def workspace(place, monkeypatch, tmp_path):
+    """A workspace with one place, in which all trainings are tiny."""
+    (tmp_path / "places").symlink_to(place.parent)
+    for kind in ("vehicle", "pedestrian"):
+        monkeypatch.setitem(TRAIN, kind, ((5, "t"),))
+        monkeypatch.setitem(TEST, kind, ((5, "t"),))
+        training = replace(models.TRAININGS[kind], steps=1, batch_size=2)
+        monkeypatch.setitem(models.TRAININGS, kind, training)
+    for name, spec in models.MODELS.items():
+        small = replace(spec, config=replace(spec.config, **SMALL), seeds=1)
+        monkeypatch.setitem(models.MODELS, name, small)
+    monkeypatch.setattr(models, "make_places_dataset", WITH_MORE_VALIDATION)
+    monkeypatch.setattr(protocol, "SAMPLES", 2)
+    monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 2)
+    return Workspace(tmp_path, tmp_path / "results")
+
+
+def read_methods(paths):
+    """The metrics in an experiment's JSON, after a check of all its files."""
+    assert all(path.stat().st_size for path in paths)
+    (path,) = (path for path in paths if path.suffix == ".json")
+    return json.loads(path.read_text())["methods"]
+
+
+@pytest.mark.parametrize("experiment", [vehicles, pedestrians])
+def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
+    names = ("HD map", "AIM", "constant velocity")
+    cases = {name: experiment.TABLE.cases[name] for name in names}
+    table = replace(
+        experiment.TABLE, cases=cases, pairs=(("AIM", "HD map"),), shown=("AIM", "HD map"), time=20
+    )
+    monkeypatch.setattr(experiment, "TABLE", table)
+    paths = experiment.run(workspace)
+    assert tuple(read_methods(paths)) == names
+    assert paths[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_pretrained_models_are_written_to_the_workspace(workspace):
+    paths = pretrained.run(workspace)
+    assert [path.parent for path in paths[:2]] == [workspace.folder / "pretrained"] * 2
+    assert "pedestrians, ITRA" in read_methods(paths)
+
+
+def test_ablations_differ_in_one_choice(workspace, monkeypatch):
+    small = {
+        name: replace(ablation, config=replace(ablation.config, **SMALL))
+        for name, ablation in ablations.ABLATIONS.items()
+    }
+    for name, value in {
+        "ABLATIONS": small,
+        "STEPS": 1,
+        "BATCH_SIZE": 2,
+        "SAMPLES": 2,
+        "VAL_STRIDE": 50,
+        "make_places_dataset": WITH_MORE_VALIDATION,
+    }.items():
+        monkeypatch.setattr(ablations, name, value)
+    assert list(read_methods(ablations.run(workspace))) == list(small)
+
+
+def test_resnet18_is_that_of_the_paper():
+    count = sum(p.numel() for p in build_resnet18(3, 64, 96).parameters())
+    assert count == pytest.approx(11.2e6, rel=0.02)  # He et al. 2016, without the classifier
+
+
+def test_songdo_splits_its_vehicles(place, workspace, monkeypatch):
+    recording, aim = read_recordings(place)[0], read_map(place, "aim")
+    scene = scene_steps(make_place_scene(recording, aim, dt=0.1), slice(100, 150))
+    monkeypatch.setattr(songdo, "read_scene", lambda: scene)
+    tuning = replace(songdo.FINE_TUNING, steps=1, batch_size=2)
+    monkeypatch.setattr(songdo, "FINE_TUNING", tuning)
+    monkeypatch.setattr(songdo, "SAMPLES", 2)
+    assert {"zero-shot", "fine-tuned"} < set(read_methods(songdo.run(workspace)))
+
+
+def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
+    recording, aim = read_recordings(place)[0], read_map(place, "aim")
+    for name, value in {
+        "JUNCTIONS": ("here",),
+        "georeference_junction": lambda name: (aim, None, recording.hdmap),
+        "_summarise_fit": lambda fit: {},
+        "_make_scene": lambda name, aim: make_place_scene(recording, aim, dt=0.4),
+        "FINE_TUNING": replace(sind.FINE_TUNING, steps=1, batch_size=2),
+        "SAMPLES": 2,
+        "PEDESTRIANS": models.MODELS["pedestrian_aim"].config,
+    }.items():
+        monkeypatch.setattr(sind, name, value)
+    assert {"aim, fine-tuned", "hdm, zero-shot"} < set(read_methods(sind.run(workspace)))
+
+
+def test_stanford_trains_on_other_scenes_than_it_evaluates_on(workspace, monkeypatch, tmp_path):
+    generator = np.random.default_rng(0)
+    for folder in ("windows", "images"):
+        (tmp_path / "data" / folder).mkdir(parents=True)
+    for scene in ("park_0", "square_1"):
+        rows = np.column_stack(
+            [
+                np.tile(12 * np.arange(WINDOW_STEPS), 4),
+                np.repeat(np.arange(4), WINDOW_STEPS),
+                generator.uniform(100, 200, (4 * WINDOW_STEPS, 2)),
+            ]
+        )
+        table = pd.DataFrame(rows, columns=["frame", "track", "u_px", "v_px"])
+        table.to_csv(tmp_path / "data" / "windows" / f"{scene}.csv", index=False)
+        pixels = generator.integers(0, 255, (300, 400, 3), np.uint8)
+        Image.fromarray(pixels).save(tmp_path / "data" / "images" / f"{scene}.jpg")
+    lines = "scene,metres_per_pixel\npark_0,0.05\nsquare_1,0.05\n"
+    (tmp_path / "data" / "scenes.csv").write_text(lines)
+    for name, value in {
+        "require_data": lambda name: tmp_path / "data",
+        "VAL_SCENES": ("park_0",),
+        "SEEDS": {"map": 2, "no map": 1},
+        "TRAINING": replace(stanford.TRAINING, steps=1, batch_size=2),
+        "MODELS": {name: replace(config, **SMALL) for name, config in stanford.MODELS.items()},
+    }.items():
+        monkeypatch.setattr(stanford, name, value)
+    torch.manual_seed(0)
+    methods = read_methods(stanford.run(workspace))
+    assert set(methods) == {
+        *stanford.MODELS,
+        "map, blurred and noisy",
+        "constant velocity",
+        "constant velocity with noise",
+    }
+    assert (workspace.models / "stanford_all_scenes" / "model.pt").exists()
