@@ -64,7 +64,7 @@ def _summarize_alignment(evidence: str, alignment: Mapping[str, Any]) -> Lines:
     east, north = alignment["shift_m"]
     line = (
         f"{alignment['model']}, {east:+.2f} m east, {north:+.2f} m north, "
-        f"{alignment['turn_degrees']:+.2f} degrees; {alignment['uncertainty_m']:.2f} m (95 %)"
+        f"{alignment['rotation_degrees']:+.2f} degrees; {alignment['uncertainty_m']:.2f} m (95 %)"
     )
     lines = {f"alignment by {evidence}": line}
     direction = alignment["undetermined_degrees"]
@@ -76,7 +76,7 @@ def _summarize_alignment(evidence: str, alignment: Mapping[str, Any]) -> Lines:
 def _summarize_check(check: Mapping[str, Any]) -> str:
     """Summarize what one evidence says about an alignment by another."""
     if not check["checked"]:
-        return f"not possible: {shorten(check['why'], MAX_REASON_CHARS, placeholder=' ...')}"
+        return f"not possible: {shorten(check['reason'], MAX_REASON_CHARS, placeholder=' ...')}"
     verdict = "agrees" if check["agrees"] else "DISAGREES"
-    off, uncertainty = check["corners_off_m"], check["corners_known_to_m"]
+    off, uncertainty = check["corner_offset_m"], check["corner_uncertainty_m"]
     return f"{verdict}: corners {off:.2f} m off, uncertainty {uncertainty:.2f} m (95 %)"

@@ -32,7 +32,7 @@ from geoaim.geometry import from_opencv, similarity_about, transform_points
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
-from geoaim.imagery.alignment.result import Alignment
+from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.track_formats import read_geotrax
@@ -83,11 +83,11 @@ def ways() -> dict[str, Callable[[Pair], tuple[Float[Array, "3 3"], float]]]:
         return found.true_from_stated, found.uncertainty
 
     def with_shadows(pair: Pair) -> tuple[Float[Array, "3 3"], float]:
-        kept, template_matching.SURROUNDINGS = template_matching.SURROUNDINGS, 0.0
+        kept, template_matching.SHADOW_RADIUS_M = template_matching.SHADOW_RADIUS_M, 0.0
         try:
             return ours(pair)
         finally:
-            template_matching.SURROUNDINGS = kept
+            template_matching.SHADOW_RADIUS_M = kept
 
     return {
         "geoaim": ours,
@@ -209,13 +209,13 @@ def _by_tracks(
         moved = replace(picture, world_from_image=matrix @ picture.world_from_image)
         start = time.perf_counter()
         try:
-            found: Alignment = align_tracks(moved, tracks)
+            found: ImageryAlignment = align_tracks(moved, tracks)
         except AlignmentError:
             refused += 1
             continue
         seconds.append(time.perf_counter() - start)
-        apart = transform_points(found.true_from_stated @ matrix, found.middle[None])[0]
-        apart = apart - found.middle
+        apart = transform_points(found.true_from_stated @ matrix, found.center[None])[0]
+        apart = apart - found.center
         inside += int(apart @ np.linalg.solve(found.covariance, apart) < 5.99)
         across = apart if road is None else apart @ [[-np.sin(road)], [np.cos(road)]]
         errors.append(float(np.linalg.norm(across)))

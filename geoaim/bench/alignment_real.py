@@ -14,7 +14,7 @@ from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
 from geoaim.grid import Grid
 from geoaim.imagery.alignment.by_image import align_image
-from geoaim.imagery.alignment.template_matching import grey_on, picture_of
+from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.imagery.mosaic import read_imagery
 
 
@@ -52,7 +52,7 @@ def rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
                 "come back to, m (worst)": max(apart, default=None),
                 "stated uncertainty, m": start.uncertainty,
                 "windows": start.evidence["windows"],
-                "that agree": start.evidence["agreeing"],
+                "that agree": start.evidence["windows_agreeing"],
             }
         )
     return rows
@@ -67,7 +67,7 @@ def _by_brightness(pair: Pair) -> Float[Array, "2"]:
     grid = Grid((side, side), matrix, pair.aim.world)
     views = []
     for shown in (pair.aim, pair.picture):
-        grey, known = grey_on(picture_of(shown, step), np.eye(3), grid)
+        grey, known = resample_grey(reduce_to_grey(shown, step), np.eye(3), grid)
         views.append(cv2.GaussianBlur(np.where(known, grey, 0).astype(np.float32), (0, 0), 1.5))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-7)
     start = np.eye(2, 3, dtype=np.float32)

@@ -1,9 +1,12 @@
-"""Comparing pictures of one ground by different sensors on different days.
+"""Template matching between images of one ground by different sensors on different days.
 
-Brightness changes with sensor, season and sun; where edges run does not. Each pixel gets the
-direction of its edge as a doubled angle, so that dark beside bright reads as bright beside dark
-does, and windows are compared by normalised correlation. Shadows do move: what is darker than its
-surroundings is flattened beforehand, since a shadow is, and paint, kerbs and roofs are not.
+Brightness changes with sensor, season and sun; the direction of edges does not. Each pixel gets two
+orientation channels, cos and sin of the doubled angle of its gradient (Granlund 1978; Kass and
+Witkin 1987), so that an edge from dark to bright equals one from bright to dark. Windows of these
+channels are compared by normalised cross-correlation; orientation correlation (Fitch et al. 2002)
+does so with single angles. Shadows move with the sun: pixels darker than the local mean are raised
+to it beforehand, since shadows are darker than their surroundings, and paint, kerbs and roofs are
+not.
 """
 
 from typing import NamedTuple
@@ -17,168 +20,203 @@ from geoaim.aim import AIM
 from geoaim.geometry import to_opencv
 from geoaim.grid import Grid
 
-SURROUNDINGS = 10.0  # m: what is darker than the mean this far around is flattened
-SMOOTH = 0.7  # px, before edges are taken
-RIM = 5  # px beside the unknown that are unknown
-LEAST_KNOWN = 0.6  # of a window
-FLAT = 1e-4  # curvature of a correlation's peak below which it has no place
+SHADOW_RADIUS_M = 10.0  # of the local mean, to which darker pixels are raised
+GRADIENT_SIGMA_PX = 0.7  # of the Gaussian before the gradient
+EROSION_PX = 5  # side of the square of valid pixels that a gradient needs around it
+MIN_WINDOW_VALID_SHARE = 0.6  # of a window's pixels
+MIN_CURVATURE = 1e-4  # of a correlation peak: a flatter one has no position
 
 
-class Shifts(NamedTuple):
-    """Where windows of one picture were found in another.
+class WindowShifts(NamedTuple):
+    """Where windows of one image were found in another.
 
     Attributes:
-        middles: (M, 2) of the windows, pixels of the grid.
-        shifts: (M, 2) to where they are found, pixels; NaN where at no place in particular.
-        information: (M, 2, 2) how sharp the peaks are: little along a straight edge.
+        centers: (M, 2) of the windows, pixels of the grid.
+        shifts: (M, 2) to where they were found, pixels; NaN where the peak has no position.
+        information: (M, 2, 2) sharpness of the peaks: low along a straight edge.
     """
 
-    middles: Float[Array, "M 2"]
+    centers: Float[Array, "M 2"]
     shifts: Float[Array, "M 2"]
     information: Float[Array, "M 2 2"]
 
 
-class Picture(NamedTuple):
-    """Brightness of an image, no finer than a grid needs it, and where it is known (255)."""
+class GreyImage(NamedTuple):
+    """Grey values of an image, smoothed for grids of one resolution.
+
+    Attributes:
+        grey: (H, W) brightness.
+        valid: (H, W) 255 where the image shows ground.
+        image_from_world: (3, 3) metres to pixels.
+    """
 
     grey: Float32[Array, "H W"]
-    known: UInt8[Array, "H W"]
+    valid: UInt8[Array, "H W"]
     image_from_world: Float[Array, "3 3"]
 
 
-def picture_of(aim: AIM, resolution: float) -> Picture:
-    """An image as grids of so many metres a pixel need it."""
+def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
+    """Grey values of an image, reduced and smoothed for grids of so many metres a pixel."""
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
-    known: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
-    matrix, step = np.linalg.inv(aim.world_from_image), resolution / aim.resolution
+    valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
+    matrix, step = aim.grid.grid_from_world, resolution / aim.resolution
     if step >= 2:  # means of whole pixels first
         height, width = grey.shape
         size = round(width / int(step)), round(height / int(step))
-        grey, known = (cv2.resize(x, size, interpolation=cv2.INTER_AREA) for x in (grey, known))
+        grey, valid = (cv2.resize(x, size, interpolation=cv2.INTER_AREA) for x in (grey, valid))
         matrix = np.diag([size[0] / width, size[1] / height, 1.0]) @ matrix
         step /= int(step)
-    return Picture(smoothed(grey.astype(np.float32), step), known, matrix)
+    return GreyImage(smooth_for_step(grey.astype(np.float32), step), valid, matrix)
 
 
-def smoothed(image: Array, step: float) -> Array:
-    """An image for a grid whose pixels are `step` times as large."""
+def smooth_for_step(image: Array, step: float) -> Array:
+    """Smooth an image against aliasing on a grid whose pixels are `step` times as large."""
     if step <= 1:
         return image
     return cv2.GaussianBlur(image, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
 
 
-def grey_on(
-    picture: Picture, stated_from_true: Float[Array, "3 3"], grid: Grid
+def resample_grey(
+    image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
 ) -> tuple[Float32[Array, "H W"], Bool[Array, "H W"]]:
-    """Brightness on a grid, if the picture were moved, and where it is known."""
-    matrix = to_opencv(picture.image_from_world @ stated_from_true @ grid.world_from_grid)
+    """Resample an image to a grid as if it had been moved.
+
+    Args:
+        image: to be resampled.
+        stated_from_true: (3, 3) metres where ground lies to metres where the image places it.
+        grid: in the world.
+
+    Returns:
+        (H, W) brightness, and (H, W) where it is valid.
+    """
+    matrix = to_opencv(image.image_from_world @ stated_from_true @ grid.world_from_grid)
     size = grid.shape[::-1]
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     replicate = cv2.BORDER_REPLICATE
-    found = cv2.warpPerspective(picture.grey, matrix, size, flags=flags, borderMode=replicate)
+    grey = cv2.warpPerspective(image.grey, matrix, size, flags=flags, borderMode=replicate)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    share = cv2.warpPerspective(picture.known, matrix, size, flags=flags)
-    return found.astype(np.float32), share > 252
+    valid = cv2.warpPerspective(image.valid, matrix, size, flags=flags)
+    return grey.astype(np.float32), valid > 252
 
 
-def orientation(
-    grey: Float32[Array, "H W"], known: Bool[Array, "H W"], resolution: float
+def compute_orientation(
+    grey: Float32[Array, "H W"], valid: Bool[Array, "H W"], resolution: float
 ) -> Float32[Array, "H W 2"]:
-    """Doubled direction of the gradient, weighted by its strength up to the median's; 0: unknown.
+    """Compute the orientation channels of an image.
+
+    With the gradient (x, y) of strength s = |(x, y)| and its median m, they are
+    (x² - y², 2xy) / (s (s + m)): cos and sin of the doubled angle times a weight s / (s + m).
 
     Args:
-        grey: brightness.
-        known: where it is.
+        grey: (H, W) brightness.
+        valid: (H, W) where it is valid.
         resolution: metres a pixel.
+
+    Returns:
+        (H, W, 2) channels; 0 where invalid.
     """
-    smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTH)
-    side = 2 * round(SURROUNDINGS / resolution) + 1
-    around = cv2.blur(grey, (side, side))
-    bright = np.maximum(smooth, around)
+    smooth = cv2.GaussianBlur(grey, (0, 0), GRADIENT_SIGMA_PX)
+    side = 2 * round(SHADOW_RADIUS_M / resolution) + 1
+    bright = np.maximum(smooth, cv2.blur(grey, (side, side)))
     x, y = (cv2.Sobel(bright, cv2.CV_32F, *axis, ksize=3) for axis in ((1, 0), (0, 1)))
-    size = cv2.magnitude(x, y) + np.float32(1e-6)
-    inner = cv2.erode(known.astype(np.uint8), np.ones((RIM, RIM), np.uint8), borderValue=0) > 0
-    some = size[::3, ::3][inner[::3, ::3]]
-    middle = np.float32(np.median(some) if len(some) else 1.0)
-    weight = inner / ((size + middle) * size)
+    strength = cv2.magnitude(x, y) + np.float32(1e-6)
+    square = np.ones((EROSION_PX, EROSION_PX), np.uint8)
+    inner = cv2.erode(valid.astype(np.uint8), square, borderValue=0) > 0
+    sample = strength[::3, ::3][inner[::3, ::3]]
+    median = np.float32(np.median(sample) if len(sample) else 1.0)
+    weight = inner / ((strength + median) * strength)
     return cv2.merge([(x * x - y * y) * weight, 2 * x * y * weight])
 
 
-def seen(edges: Float32[Array, "H W 2"]) -> Bool[Array, "H W"]:
-    """Where there is any edge, however weak."""
-    return (edges[..., 0] != 0) | (edges[..., 1] != 0)
+def find_edges(channels: Float32[Array, "H W 2"]) -> Bool[Array, "H W"]:
+    """Pixels with any edge, however weak."""
+    return (channels[..., 0] != 0) | (channels[..., 1] != 0)
 
 
-def correlation(
-    one: Float32[Array, "h w 2"], two: Float32[Array, "H W 2"]
+def correlate(
+    template: Float32[Array, "h w 2"], image: Float32[Array, "H W 2"]
 ) -> Float32[Array, "_ _"]:
-    """Normalised correlation of a picture with all places of a larger one."""
-    return cv2.matchTemplate(two, one, cv2.TM_CCORR_NORMED)
+    """Normalised cross-correlation of a template at all places of a larger image."""
+    return cv2.matchTemplate(image, template, cv2.TM_CCORR_NORMED)
 
 
-def window_shifts(
-    one: Float32[Array, "H W 2"],
-    two: Float32[Array, "H W 2"],
+def match_windows(
+    reference: Float32[Array, "H W 2"],
+    image: Float32[Array, "H W 2"],
     *,
     side: int,
     search: int,
     stride: int,
-) -> Shifts:
-    """Find windows of one picture in the other, each within `search` pixels of its place.
+) -> WindowShifts:
+    """Find windows of a reference in an image, each within a few pixels of its own place.
 
-    Windows that are mostly unknown in either are left out. Peaks are refined by a parabola; a
-    window whose best place is at the end of the search or on a ridge has NaN for its shift.
+    Windows without edges in much of either are left out. A paraboloid refines each peak.
+
+    Args:
+        reference: (H, W, 2) orientation channels that are divided into windows.
+        image: (H, W, 2) orientation channels on the same grid.
+        side: of a window, pixels.
+        search: largest shift in x and in y, pixels.
+        stride: between windows, pixels.
+
+    Returns:
+        The shifts; NaN for a window whose best place is at the end of the search or on a ridge.
     """
-    height, width = one.shape[:2]
-    there = np.asarray(seen(one) & seen(two), np.float32)
-    share = cv2.blur(there, (side, side), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
-    padded = np.pad(two, ((search, search), (search, search), (0, 0)))
+    height, width = reference.shape[:2]
+    both = np.asarray(find_edges(reference) & find_edges(image), np.float32)
+    share = cv2.blur(both, (side, side), anchor=(0, 0), borderType=cv2.BORDER_CONSTANT)
+    padded = np.pad(image, ((search, search), (search, search), (0, 0)))
     reach = side + 2 * search
     corners = [
         (top, left)
         for top in range(0, height - side + 1, stride)
         for left in range(0, width - side + 1, stride)
-        if share[top, left] >= LEAST_KNOWN
+        if share[top, left] >= MIN_WINDOW_VALID_SHARE
     ]
     scores = [
-        correlation(
-            one[top : top + side, left : left + side],
+        correlate(
+            reference[top : top + side, left : left + side],
             padded[top : top + reach, left : left + reach],
         )
         for top, left in corners
     ]
-    middles = np.array(corners, np.float64).reshape(-1, 2)[:, ::-1] + side / 2
-    every = np.array(scores, np.float64).reshape(-1, 2 * search + 1, 2 * search + 1)
-    places, information = _peaks(every)
-    return Shifts(middles, places - search, information)
+    centers = np.array(corners, np.float64).reshape(-1, 2)[:, ::-1] + side / 2
+    stacked = np.array(scores, np.float64).reshape(-1, 2 * search + 1, 2 * search + 1)
+    peaks, information = _locate_peaks(stacked)
+    return WindowShifts(centers, peaks - search, information)
 
 
-def _peaks(
+def _locate_peaks(
     scores: Float[Array, "M h w"],
 ) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 2"]]:
-    """Where the highest scores are, and their curvature as information; NaN at border or ridge."""
+    """Positions of the highest scores, NaN at the border or on a ridge, and their information."""
     count, height, width = scores.shape
-    rows, columns = np.unravel_index(
-        scores.reshape(count, height * width).argmax(axis=1), (height, width)
-    )
-    inner = (rows > 0) & (rows < height - 1) & (columns > 0) & (columns < width - 1)
-    middle = np.clip(rows, 1, height - 2), np.clip(columns, 1, width - 2)
+    highest = scores.reshape(count, height * width).argmax(axis=1)
+    rows, columns = np.unravel_index(highest, (height, width))
+    valid = (rows > 0) & (rows < height - 1) & (columns > 0) & (columns < width - 1)
     around = np.arange(-1, 2)
     near = scores[
         np.arange(count)[:, None, None],
-        middle[0][:, None, None] + around[:, None],
-        middle[1][:, None, None] + around,
+        np.clip(rows, 1, height - 2)[:, None, None] + around[:, None],
+        np.clip(columns, 1, width - 2)[:, None, None] + around,
     ]
+    gradient, hessian = _differentiate(near)
+    valid &= np.linalg.eigvalsh(hessian)[:, 1] < -MIN_CURVATURE
+    safe = np.where(valid[:, None, None], hessian, -np.eye(2))
+    offset = -np.linalg.solve(safe, gradient[..., None])[..., 0]
+    valid &= np.abs(offset).max(axis=1) <= 1
+    peaks = np.stack([columns, rows], axis=1) + offset
+    information = -safe / (1 - np.minimum(near[:, 1, 1], 0.95))[:, None, None]
+    return np.where(valid[:, None], peaks, np.nan), information
+
+
+def _differentiate(
+    near: Float[Array, "M 3 3"],
+) -> tuple[Float[Array, "M 2"], Float[Array, "M 2 2"]]:
+    """Gradient and Hessian in the middle of 3 x 3 values, by central differences."""
     top = near[:, 1, 1]
-    slope = np.stack([near[:, 1, 2] - near[:, 1, 0], near[:, 2, 1] - near[:, 0, 1]], axis=1) / 2
+    gradient = np.stack([near[:, 1, 2] - near[:, 1, 0], near[:, 2, 1] - near[:, 0, 1]], axis=1) / 2
     mixed = (near[:, 2, 2] - near[:, 2, 0] - near[:, 0, 2] + near[:, 0, 0]) / 4
     across = near[:, 1, 0] + near[:, 1, 2] - 2 * top
     down = near[:, 0, 1] + near[:, 2, 1] - 2 * top
-    bend = np.stack([across, mixed, mixed, down], axis=1).reshape(-1, 2, 2)
-    inner &= np.linalg.eigvalsh(bend)[:, 1] < -FLAT
-    safe = np.where(inner[:, None, None], bend, -np.eye(2))
-    offset = -np.linalg.solve(safe, slope[..., None])[..., 0]
-    inner &= np.abs(offset).max(axis=1) <= 1
-    places = np.stack([columns, rows], axis=1) + offset
-    information = -safe / (1 - np.minimum(top, 0.95))[:, None, None]
-    return np.where(inner[:, None], places, np.nan), information
+    return gradient, np.stack([across, mixed, mixed, down], axis=1).reshape(-1, 2, 2)

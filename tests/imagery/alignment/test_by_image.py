@@ -5,9 +5,10 @@ import pytest
 
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
+from geoaim.imagery.alignment.apply import apply_alignment
 from geoaim.imagery.alignment.by_image import align_image
-from geoaim.imagery.alignment.result import Prior, moved
-from geoaim.imagery.alignment.template_matching import orientation, window_shifts
+from geoaim.imagery.alignment.result import Prior
+from geoaim.imagery.alignment.template_matching import compute_orientation, match_windows
 from geoaim.world import World
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import PHOTO, as_aim, made, misplaced
@@ -26,8 +27,8 @@ def test_another_days_picture_is_laid_within_half_its_pixel():
     assert found.model == "similarity"
     assert _error(found, matrix, aim).max() < 0.5 * PHOTO
     assert _error(found, matrix, aim).mean() < 2 * found.uncertainty
-    assert found.undetermined is None
-    again = moved(stated, found)
+    assert found.undetermined_direction is None
+    again = apply_alignment(stated, found)
     np.testing.assert_allclose(again.corners, photo.corners, atol=0.5 * PHOTO)
 
 
@@ -90,7 +91,9 @@ def test_small_and_long_grounds_are_laid(size):
     np.testing.assert_allclose(align_image(stated, ground).shift, [4.0, -3.0], atol=0.1)
 
 
-@pytest.mark.parametrize("given", [{"reach": 0.0}, {"turn": 5.0}, {"zoom": -0.1}])
+@pytest.mark.parametrize(
+    "given", [{"max_shift": 0.0}, {"max_rotation": 5.0}, {"max_scaling": -0.1}]
+)
 def test_a_range_that_is_none_is_refused(given):
     with pytest.raises(ValueError, match="are needed"):
         Prior(**given)
@@ -109,7 +112,7 @@ def test_places_apart_are_refused():
 def test_more_than_the_range_is_refused():
     stated, _ = misplaced(_noise(1), shift=(14.0, 0.0))
     with pytest.raises(AlignmentError):
-        align_image(stated, _noise(1), prior=Prior(reach=6.0))
+        align_image(stated, _noise(1), prior=Prior(max_shift=6.0))
 
 
 def test_worlds_must_be_one():
@@ -120,10 +123,10 @@ def test_worlds_must_be_one():
 def test_bright_beside_dark_is_dark_beside_bright():
     grey = np.random.default_rng(0).uniform(100, 140, (80, 80)).astype(np.float32)
     known = np.ones(grey.shape, bool)
-    one = orientation(
+    one = compute_orientation(
         np.where(np.arange(80) < 40, 200, 100).astype(np.float32) + 0 * grey, known, 0.5
     )
-    two = orientation(
+    two = compute_orientation(
         np.where(np.arange(80) < 40, 100, 200).astype(np.float32) + 0 * grey, known, 0.5
     )
     edge = np.s_[20:60, 38:42]
@@ -134,7 +137,9 @@ def test_bright_beside_dark_is_dark_beside_bright():
 def test_windows_are_found_to_a_fraction_of_a_pixel():
     grey = textured(np.random.default_rng(4), 240, 240)[..., 0].astype(np.float32)
     known = np.ones(grey.shape, bool)
-    fields = [orientation(view, known, 0.5) for view in (grey, np.roll(grey, (3, -2), (0, 1)))]
-    found = window_shifts(*fields, side=64, search=6, stride=48)
-    assert len(found.middles) > 10
+    fields = [
+        compute_orientation(view, known, 0.5) for view in (grey, np.roll(grey, (3, -2), (0, 1)))
+    ]
+    found = match_windows(*fields, side=64, search=6, stride=48)
+    assert len(found.centers) > 10
     np.testing.assert_allclose(np.nanmedian(found.shifts, axis=0), [-2, 3], atol=0.1)

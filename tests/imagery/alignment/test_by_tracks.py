@@ -6,21 +6,22 @@ import pytest
 
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.imagery.alignment.by_tracks import align_tracks, driven_places
+from geoaim.imagery.alignment.by_tracks import align_tracks
+from geoaim.imagery.alignment.path_template import sample_poses
 from geoaim.imagery.alignment.result import Prior
 from geoaim.tracks import Tracks
 from geoaim.world import World
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced
 
-RANGE = Prior(reach=10.0, turn=0.06)
+RANGE = Prior(max_shift=10.0, max_rotation=0.06)
 
 
 def test_traffic_lays_a_picture_under_itself():
     _, photo, tracks = made()
     stated, matrix = misplaced(photo, shift=(-5.0, 4.0), turn=0.03)
     found = align_tracks(stated, tracks, prior=RANGE)
-    apart = transform_points(found.true_from_stated @ matrix, found.middle[None])[0] - found.middle
+    apart = transform_points(found.true_from_stated @ matrix, found.center[None])[0] - found.center
     assert np.linalg.norm(apart) < 1.0
     assert apart @ np.linalg.solve(found.covariance, apart) < 9.2
     assert found.model == "rigid"
@@ -49,8 +50,8 @@ def test_along_a_straight_road_nothing_is_known():
     picture, tracks = _straight_road()
     stated, _ = misplaced(picture, shift=(3.0, 4.0))
     found = align_tracks(stated, tracks, prior=RANGE)
-    assert found.undetermined is not None
-    assert abs(np.sin(found.undetermined)) < 0.05
+    assert found.undetermined_direction is not None
+    assert abs(np.sin(found.undetermined_direction)) < 0.05
     assert abs(found.shift[1] + 4.0) < 0.4
     assert found.covariance[0, 0] > 4
     assert found.covariance[1, 1] < 0.3
@@ -77,7 +78,7 @@ def test_a_small_range_alone_is_no_evidence():
     picture, tracks = _straight_road()
     flat = replace(picture, image=np.full_like(picture.image, 120))
     with pytest.raises(AlignmentError, match="do not tell where"):
-        align_tracks(flat, tracks, prior=Prior(reach=1.5, turn=0.0))
+        align_tracks(flat, tracks, prior=Prior(max_shift=1.5, max_rotation=0.0))
 
 
 def test_a_picture_elsewhere_is_refused():
@@ -93,7 +94,7 @@ def test_people_and_who_stands_say_nothing():
     with pytest.raises(AlignmentError, match="pass 0 places of a metre; 100 or more are needed"):
         align_tracks(picture, walking)
     states = tracks.states * [1, 1, 1, 0]
-    assert len(driven_places(replace(tracks, states=states))) == 0
+    assert len(sample_poses(replace(tracks, states=states))) == 0
 
 
 def test_places_of_one_cell_and_direction_count_once():
@@ -106,7 +107,7 @@ def test_places_of_one_cell_and_direction_count_once():
         types=tracks.types * 2,
         ids=tuple("abcdef"),
     )
-    assert len(driven_places(twice)) == len(driven_places(tracks)) == 300
+    assert len(sample_poses(twice)) == len(sample_poses(tracks)) == 300
 
 
 def test_worlds_must_be_one():

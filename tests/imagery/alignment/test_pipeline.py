@@ -120,8 +120,8 @@ def test_control_points_that_turn_or_stretch_the_picture_are_doubted(
     said = found.report["alignment"][name]
     assert not said["agrees"]
     assert np.linalg.norm(said["shift_m"]) < 1
-    assert said["corners_off_m"] > 3
-    assert said["corners_known_to_m"] < said["corners_off_m"]
+    assert said["corner_offset_m"] > 3
+    assert said["corner_uncertainty_m"] < said["corner_offset_m"]
 
 
 def test_tracks_do_not_doubt_right_control_points(picture, tmp_path):
@@ -207,7 +207,7 @@ def test_of_a_video_no_more_than_two_frames_are_read(tmp_path, monkeypatch):
             assert index < 2
             yield SimpleNamespace(image=np.zeros((4, 6, 3), np.uint8))
 
-    monkeypatch.setattr("geoaim.imagery.alignment.pipeline.open_video", lambda _: frames())
+    monkeypatch.setattr("geoaim.imagery.alignment.by_control_points.open_video", lambda _: frames())
     with pytest.raises(ValueError, match="holds several pictures"):
         align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
 
@@ -215,5 +215,5 @@ def test_of_a_video_no_more_than_two_frames_are_read(tmp_path, monkeypatch):
 def test_tracks_of_nobody_are_refused():
     tracks = geoaim.read_tracks(TRACKS)
     nobody = replace(tracks, present=np.zeros_like(tracks.present))
-    with pytest.raises(TracksError, match="nobody is present"):
+    with pytest.raises(TracksError, match="no agent is present"):
         align_tiles("samples/ortho.tif", tracks=nobody)

@@ -1,0 +1,83 @@
+"""Georeference of a single picture, such as a scan or a screenshot, by control points."""
+
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, UInt8
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM
+from geoaim.errors import ImageryError
+from geoaim.geometry import translation
+from geoaim.imagery.rasters import describe_raster
+from geoaim.imagery.resampling import MIN_ALPHA, estimate_stretch, resample_raster, unpremultiply
+from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.report import report_georeference
+from geoaim.mapping.video.video import open_video
+from geoaim.world import World
+
+STRIP_ROWS = 2048  # that are read at a time
+MASKED_SUFFIXES = {".png", ".tif", ".tiff"}  # may have masks; other pictures are turned upright
+
+
+def georeference_picture(
+    path: Path, gcps: Any, *, world: World | None = None, crs: str | None = None
+) -> AIM:
+    """Georeference a picture by control points.
+
+    Args:
+        path: of the picture.
+        gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
+        world: plane of the AIM; see `georeference` when None.
+        crs: of control points that name none.
+
+    Returns:
+        The picture as an AIM; coverage is 1 where it is not masked.
+
+    Raises:
+        GeoreferenceError: the control points do not fix a place.
+        ImageryError: the picture cannot be read, or is masked everywhere.
+        ValueError: the path holds several pictures.
+    """
+    points = read_control_points(gcps, crs=crs)
+    image, valid = _read_picture(path)
+    height, width = valid.shape
+    place = georeference(points, height=height, width=width, world=world)
+    return AIM(
+        image=image,
+        world_from_image=place.world_from_image,
+        world=place.world,
+        coverage=valid.astype(np.uint16),
+        contested=np.zeros((height, width), bool),
+        report={"source": str(path), "georeference": report_georeference(place, points)},
+    )
+
+
+def _read_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """A picture, and where it is not masked."""
+    if path.is_file() and path.suffix.lower() in MASKED_SUFFIXES:
+        return _read_masked_picture(path)
+    image, *others = [frame.image for frame in islice(open_video(str(path)), 2)]
+    if others:
+        raise ValueError(f"{path} holds several pictures; control points are of one")
+    return image, np.ones(image.shape[:2], bool)
+
+
+def _read_masked_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """A picture without what nodata, masks and alpha hide; more than 8 bits are stretched."""
+    raster = describe_raster(str(path), georeference=("pixels", np.eye(3)))
+    stretch = estimate_stretch([raster], {"pixels": np.array([[0.0, 0.0], [1.0, 1.0]])})
+    image = np.zeros((*raster.grid.shape, 3), np.uint8)
+    valid = np.zeros(raster.grid.shape, bool)
+    for top in range(0, raster.grid.height, STRIP_ROWS):
+        strip = image[top : top + STRIP_ROWS]
+        resampled = resample_raster(raster, translation(0, top), strip.shape[:2], stretch)
+        if resampled is not None:
+            strip[:] = unpremultiply(resampled[2])
+            valid[top : top + STRIP_ROWS] = resampled[2][3] >= MIN_ALPHA
+    if not valid.any():
+        raise ImageryError(f"{path} shows nothing but nodata or transparency; give another picture")
+    return image, valid
