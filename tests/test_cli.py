@@ -11,7 +11,6 @@ from geoaim.aim_files import read_aim, write_aim
 from geoaim.cli import app
 from geoaim.cli.made import PlaceKind
 from geoaim.geojson import Feature, write_features
-from geoaim.hdmap.drivable import write_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.synthetic.camera import render_frame
@@ -166,7 +165,7 @@ def test_simulate_counts_by_what_is_drawn_by_hand(tmp_path):
     lines = [Feature(LineString(s.ends), {"signal": s.signal}) for s in hdmap.stop_lines]
     write_features(lines, hdmap.world, tmp_path / "lines.geojson")
     nowhere = MultiPolygon([box(0, 0, 1, 1)])
-    write_area(nowhere, hdmap.world, tmp_path / "area.geojson")
+    write_features([Feature(nowhere)], hdmap.world, tmp_path / "area.geojson")
     given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
     given += ["--stop-lines", f"{tmp_path}/lines.geojson", "--lights", "samples/lights.csv"]
     given += ["--drivable", f"{tmp_path}/area.geojson", "--policy", "replay"]

@@ -19,7 +19,7 @@ from shapely import MultiPolygon
 
 from geoaim.bench.data import find_data
 from geoaim.bench.report import format_table, write_rows
-from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.simulation.layers import KINDS
 from geoaim.track_files import read_tracks
@@ -51,7 +51,7 @@ def karlsruhe(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
     hdmap = read_hdmap(folder / "maps" / f"{junction}.osm", World(CRS, (east, north)))
     files = sorted((folder / "tracks" / junction).glob("vehicle_tracks*.csv"))
     places = [places_of(read_interaction(file)) for file in files]
-    return drivable_area(hdmap), np.concatenate(places)
+    return find_drivable_area(hdmap), np.concatenate(places)
 
 
 def row(name: str, area: MultiPolygon, places: Float[Array, "m 2"]) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def main(
 ) -> None:
     """Count vehicles on the drivable areas of the sample's map and of real ones."""
     tracks = read_tracks("samples/tracks.csv")
-    sample = drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
+    sample = find_drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
     found = {"sample": (sample, places_of(tracks))}
     found |= {junction: karlsruhe(junction) for junction in JUNCTIONS}
     rows = [row(name, *both) for name, both in found.items()]

@@ -24,7 +24,7 @@ import geoaim
 from geoaim.aim import AIM
 from geoaim.bench.report import format_table, write_rows
 from geoaim.geometry import transform_points
-from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.synthetic import draw_place, make_place, world_from_image
 from geoaim.synthetic.roads.lanelet import make_lanelet_map
@@ -67,7 +67,7 @@ def across(aim: AIM, line: Float[Array, "n 2"]) -> Float[Array, "m"]:
 
 def row(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
     """How far the paint lies from the map's lines, in pixels of the background."""
-    inner = drivable_area(hdmap).buffer(-KERB)
+    inner = find_drivable_area(hdmap).buffer(-KERB)
     lines = [
         line.points
         for line in hdmap.lines

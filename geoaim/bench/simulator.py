@@ -16,7 +16,7 @@ import torch
 import typer
 
 from geoaim.bench.report import format_table, time_medians, write_rows
-from geoaim.hdmap.drivable import drivable_area, points_along
+from geoaim.hdmap.drivable import find_drivable_area, sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.simulation.infractions import offroad_distance
 from geoaim.simulation.overlap import box_corners, box_iou
@@ -52,7 +52,7 @@ def timings(repeats: int) -> list[dict[str, Any]]:
     states, there = recording.states[:, 0], recording.present[:, 0]
     actions, everyone = torch.full((SCENES, AGENTS, 2), 0.1), there
     hdmap = read_hdmap("samples/map.osm")
-    drivable = drivable_of(drivable_area(hdmap))
+    drivable = drivable_of(find_drivable_area(hdmap))
     few = slice(0, 4)
     parts: dict[str, Callable[[], Any]] = {
         "sines, 4 an agent": lambda: torch.sin(states),
@@ -101,7 +101,7 @@ def _triangles(hdmap: HDMap) -> tuple[torch.Tensor, torch.Tensor]:
     corners: list[np.ndarray] = []
     faces: list[np.ndarray] = []
     for lanelet in hdmap.lanelets:
-        sides = points_along(lanelet, np.linspace(0, 1, STATIONS))
+        sides = sample_borders(lanelet, np.linspace(0, 1, STATIONS))
         start = 2 * STATIONS * len(corners)
         corners.append(sides.swapaxes(0, 1).reshape(-1, 2))
         faces.append(start + two.reshape(-1, 3))

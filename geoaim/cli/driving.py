@@ -96,7 +96,7 @@ def simulate(
     constant-turn-rate, idm (along the recorded way, keeping distance), replay. --drivable and
     --stop-lines are drawn by hand, where there is no HD map or in its place.
     """
-    from geoaim.hdmap.drivable import read_area
+    from geoaim.hdmap.drivable import read_drivable_area
     from geoaim.simulation.episodes import rules_of, simulate_scene
     from geoaim.simulation.scene import agent_number, tracks_of
     from geoaim.track_files import write_tracks
@@ -109,7 +109,7 @@ def simulate(
                 raise ValueError("--film needs --ego, in whose middle the film is")
         agents = (tracks, tracks_world, tracks_resolution)
         scene, known, world = read_scene(aim, agents, lights, hdmap, stop_lines)
-        area = None if drivable is None else read_area(drivable, world)
+        area = None if drivable is None else read_drivable_area(drivable, world)
         rules = rules_of(known, area)
         episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=seconds, rules=rules)
         write_tracks(tracks_of(episode.scene, world), output)

@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.aim_files import read_aim, write_aim
-from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import Area, HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
@@ -136,7 +136,7 @@ def keep_roads(hdmap: HDMap) -> HDMap:
     """
     # lines without kinds are not drawn, but set the extent of the picture
     lines = tuple(replace(line, kind="", subtype="") for line in hdmap.lines)
-    return replace(hdmap, lines=lines, lanelets=(), areas=(Area("", drivable_area(hdmap)),))
+    return replace(hdmap, lines=lines, lanelets=(), areas=(Area("", find_drivable_area(hdmap)),))
 
 
 def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:

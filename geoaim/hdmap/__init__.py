@@ -1,1 +1,1 @@
-"""HD maps: lanelet2 files read, their drivable area, and maps drawn from them."""
+"""HD maps: lanelet2 files, their drivable areas, and images drawn from them."""

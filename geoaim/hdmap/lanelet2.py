@@ -1,8 +1,8 @@
-"""HD maps: lanelet2 files (OpenStreetMap XML) read without the lanelet2 package.
+"""HD maps in lanelet2 files (OpenStreetMap XML), read without the lanelet2 package.
 
 The format is that of Poggenhans et al. 2018 (github.com/fzi-forschungszentrum-informatik/Lanelet2).
-INTERACTION's and SinD's files count metres from a corner of their own, written as degrees about
-(0, 0); they are read into a plane without a place on the Earth.
+INTERACTION and SinD write local metres as degrees about (0, 0); such files are read into a world
+without a CRS.
 """
 
 import os
@@ -22,14 +22,22 @@ from geoaim.errors import MapError
 from geoaim.lights import StopLine
 from geoaim.world import LONLAT, World, choose_world, transform_crs, world_from_lonlat
 
-NOWHERE = 0.1  # degrees about (0, 0) within which a map is not on the Earth but in metres
-NOWHERE_CRS = "EPSG:32631"  # in which lanelet2's projector puts such degrees
-SECTION = (b"<!DOCTYPE", b"<!ENTITY")  # what no map needs, and attacks on parsers do
+MAX_LOCAL_DEGREES = 0.1  # about (0, 0), within which degrees stand for local metres
+LOCAL_CRS = "EPSG:32631"  # to which lanelet2's projector maps such degrees
+XML_DECLARATIONS = (b"<!DOCTYPE", b"<!ENTITY")  # maps need none; entity expansion attacks do
+
+Ways = Mapping[str | None, "MapLine"]  # by the id in the file
 
 
 @dataclass(frozen=True, eq=False)
 class MapLine:
-    """A line of the map: kind and subtype as lanelet2 names them, points in metres."""
+    """A line of the map.
+
+    Attributes:
+        kind: lanelet2's type: "line_thin", "curbstone", "stop_line", ...
+        subtype: lanelet2's subtype: "solid", "dashed", ...
+        points: (N, 2) metres in the world.
+    """
 
     kind: str
     subtype: str
@@ -38,13 +46,13 @@ class MapLine:
 
 @dataclass(frozen=True, eq=False)
 class Lanelet:
-    """A piece of lane between two lines that run along with it.
+    """A section of a lane between two borders, whose points follow the direction of travel.
 
     Attributes:
-        subtype: "road", "crosswalk", "walkway", "bicycle_lane", ...; "road" if the file is silent.
-        one_way: whether it may be driven one way only.
-        left: points of its left line, metres in the world.
-        right: points of its right line.
+        subtype: "road", "crosswalk", "walkway", "bicycle_lane", ...; "road" if the file has none.
+        one_way: whether traffic may go in one direction only.
+        left: (N, 2) points of its left border, metres in the world.
+        right: (M, 2) points of its right border.
     """
 
     subtype: str
@@ -55,7 +63,12 @@ class Lanelet:
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """An area of the map, "parking" for instance, without its holes; metres in the world."""
+    """An area of the map.
+
+    Attributes:
+        subtype: "parking", for instance.
+        shape: polygons without their holes, metres in the world.
+    """
 
     subtype: str
     shape: BaseGeometry
@@ -66,11 +79,11 @@ class HDMap:
     """An HD map.
 
     Attributes:
-        lines: all that is drawn: boundaries, markings, stop lines.
+        lines: borders, markings and stop lines.
         lanelets: lanes, walkways and crossings.
         areas: car parks, for instance.
-        stop_lines: where traffic lights stop traffic.
-        world: the plane that the metres lie in.
+        stop_lines: of traffic lights.
+        world: plane of the metres.
     """
 
     lines: tuple[MapLine, ...]
@@ -85,69 +98,72 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
 
     Args:
         path: the .osm file.
-        world: the plane to bring it into; if left out, the UTM zone in which it lies, or a plane
-            of its own when its degrees are metres in disguise.
+        world: plane of the map; when None, the UTM zone in which it lies, or a plane without a
+            CRS when its degrees stand for local metres.
+
+    Returns:
+        The map.
 
     Raises:
         FileNotFoundError: there is no such file.
-        MapError: it is no lanelet2 map, or it does not lie in that world.
+        MapError: it is not a lanelet2 map, or does not lie in that world.
     """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     root = _parse(path)
-    places, world = _places(path, root, world)
-    ways = {}
-    for way in root.iter("way"):
-        refs = [node.get("ref") for node in way.iter("nd")]
-        missing = [ref for ref in refs if ref not in places]
-        if missing:
-            raise MapError(f"{path}: way {way.get('id')} goes through node {missing[0]}, not there")
-        points = np.array([places[ref] for ref in refs], np.float64).reshape(-1, 2)
-        ways[way.get("id")] = MapLine(_tag(way, "type"), _tag(way, "subtype"), points)
-    relations = list(root.iter("relation"))
-    lanelets = tuple(
-        _lanelet(path, relation, ways)
-        for relation in relations
-        if _tag(relation, "type") == "lanelet"
-    )
+    nodes, world = _locate_nodes(path, root, world)
+    ways = _read_ways(path, root, nodes)
+    lanelets = tuple(_make_lanelet(path, x, ways) for x in _list_relations(root, "lanelet"))
     if not lanelets:
         raise MapError(
             f"{path} has {len(ways)} ways and no lanelets; a lanelet2 map is needed (a road map of "
             "OpenStreetMap has no lanes' outlines)"
         )
     lines = tuple(line for line in ways.values() if len(line.points) > 1)
-    areas = tuple(
-        _area(path, relation, ways)
-        for relation in relations
-        if _tag(relation, "type") == "multipolygon"
-    )
-    return HDMap(lines, lanelets, areas, tuple(_stop_lines(relations, ways)), world)
+    areas = tuple(_make_area(path, x, ways) for x in _list_relations(root, "multipolygon"))
+    return HDMap(lines, lanelets, areas, tuple(_list_stop_lines(root, ways)), world)
 
 
 def _parse(path: Path) -> ET.Element:
     content = path.read_bytes()
-    if b"\0" in content or any(section in content for section in SECTION):
-        raise MapError(f"{path} defines XML entities, or is no UTF-8; no map needs that")
+    if b"\0" in content or any(part in content for part in XML_DECLARATIONS):
+        raise MapError(f"{path} defines XML entities, or is not UTF-8; no map needs that")
     try:
         root = ET.fromstring(content)
     except ET.ParseError as error:
-        raise MapError(f"{path} is no XML: {error}") from error
+        raise MapError(f"{path} is not XML: {error}") from error
     if root.tag != "osm":
         raise MapError(f"{path} is XML of {root.tag!r}; OpenStreetMap's, 'osm', is needed")
-    for deleted in root.findall("*[@action='delete']"):  # editors keep what they have deleted
+    for deleted in root.findall("*[@action='delete']"):  # editors keep deleted elements
         root.remove(deleted)
     return root
 
 
-def _tag(element: ET.Element, name: str) -> str:
+def _get_tag(element: ET.Element, name: str) -> str:
     return next((tag.get("v", "") for tag in element.iter("tag") if tag.get("k") == name), "")
 
 
-def _places(
+def _list_relations(root: ET.Element, kind: str) -> Iterator[ET.Element]:
+    return (item for item in root.iter("relation") if _get_tag(item, "type") == kind)
+
+
+def _read_ways(path: Path, root: ET.Element, nodes: Mapping[str | None, Array]) -> Ways:
+    ways = {}
+    for way in root.iter("way"):
+        refs = [node.get("ref") for node in way.iter("nd")]
+        missing = [ref for ref in refs if ref not in nodes]
+        if missing:
+            raise MapError(f"{path}: way {way.get('id')} has node {missing[0]}, which is missing")
+        points = np.array([nodes[ref] for ref in refs], np.float64).reshape(-1, 2)
+        ways[way.get("id")] = MapLine(_get_tag(way, "type"), _get_tag(way, "subtype"), points)
+    return ways
+
+
+def _locate_nodes(
     path: Path, root: ET.Element, world: World | None
 ) -> tuple[dict[str | None, Float[Array, "2"]], World]:
-    """Every node's place in the world."""
+    """World metres of each node, and the world."""
     nodes = list(root.iter("node"))
     try:
         lonlat = np.array([[node.get("lon"), node.get("lat")] for node in nodes], np.float64)
@@ -155,28 +171,28 @@ def _places(
         raise MapError(f"{path}: a node has no longitude and latitude: {error}") from error
     if len(nodes) == 0 or not np.isfinite(lonlat).all():
         raise MapError(f"{path} has {len(nodes)} nodes; each needs a longitude and a latitude")
-    nowhere = bool((np.abs(lonlat) < NOWHERE).all())
+    local = bool((np.abs(lonlat) < MAX_LOCAL_DEGREES).all())
     if world is None:
-        world = World(None) if nowhere else choose_world(lonlat)
-    if nowhere == (world.crs is not None):
-        what = "metres from a corner of its own" if nowhere else "a place on the Earth"
+        world = World(None) if local else choose_world(lonlat)
+    if local == (world.crs is not None):
+        kind = "local metres" if local else "longitudes and latitudes"
         raise MapError(
-            f"{path} counts {what}, and the world is {world.crs or 'a plane of its own'}; give a "
+            f"{path} has {kind}, and the world is {world.crs or 'a plane without a CRS'}; give a "
             "world of the same kind"
         )
-    if nowhere:
-        corner = transform_crs(LONLAT, NOWHERE_CRS, np.zeros((1, 2)))
-        points = transform_crs(LONLAT, NOWHERE_CRS, lonlat) - corner - world.origin
+    if local:
+        corner = transform_crs(LONLAT, LOCAL_CRS, np.zeros((1, 2)))
+        points = transform_crs(LONLAT, LOCAL_CRS, lonlat) - corner - world.origin
     else:
         points = world_from_lonlat(world, lonlat)
     return dict(zip([node.get("id") for node in nodes], points, strict=True)), world
 
 
-def _lanelet(path: Path, relation: ET.Element, ways: Mapping[str | None, MapLine]) -> Lanelet:
-    """A lanelet, both of whose lines run along with it, whichever way the file has them."""
+def _make_lanelet(path: Path, relation: ET.Element, ways: Ways) -> Lanelet:
+    """A lanelet whose borders both follow its direction, however the file orders their points."""
     sides = {}
     for role in ("left", "right"):
-        refs = [ref for ref in _members(relation, role) if ref in ways]
+        refs = [ref for ref in _list_members(relation, role) if ref in ways]
         if len(refs) != 1 or len(ways[refs[0]].points) < 2:
             raise MapError(
                 f"{path}: lanelet {relation.get('id')} has {len(refs)} {role} lines of two points "
@@ -184,53 +200,49 @@ def _lanelet(path: Path, relation: ET.Element, ways: Mapping[str | None, MapLine
             )
         sides[role] = ways[refs[0]].points
     left, right = sides["left"], sides["right"]
-    as_is, turned = (
+    same, opposite = (
         np.linalg.norm(left[[0, -1]] - line[[0, -1]], axis=1).sum() for line in (right, right[::-1])
     )
-    if turned < as_is:
+    if opposite < same:
         right = right[::-1]
     x, y = np.concatenate([left, right[::-1]]).T
-    if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0:  # the left line lies on the right
+    if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0:  # the left border lies on the right
         left, right = left[::-1], right[::-1]
-    one_way = _tag(relation, "one_way") != "no"
-    return Lanelet(_tag(relation, "subtype") or "road", one_way, left, right)
+    one_way = _get_tag(relation, "one_way") != "no"
+    return Lanelet(_get_tag(relation, "subtype") or "road", one_way, left, right)
 
 
-def _members(relation: ET.Element, role: str) -> list[str | None]:
+def _list_members(relation: ET.Element, role: str) -> list[str | None]:
     return [m.get("ref") for m in relation.iter("member") if m.get("role") == role]
 
 
-def _area(path: Path, relation: ET.Element, ways: Mapping[str | None, MapLine]) -> Area:
-    outer, inner = (_within(path, relation, role, ways) for role in ("outer", "inner"))
-    return Area(_tag(relation, "subtype"), outer - inner)
+def _make_area(path: Path, relation: ET.Element, ways: Ways) -> Area:
+    outer, inner = (_enclose(path, relation, role, ways) for role in ("outer", "inner"))
+    return Area(_get_tag(relation, "subtype"), outer - inner)
 
 
-def _within(
-    path: Path, relation: ET.Element, role: str, ways: Mapping[str | None, MapLine]
-) -> BaseGeometry:
-    """What the lines of a role enclose."""
-    refs, area = _members(relation, role), f"{path}: area {relation.get('id')}"
+def _enclose(path: Path, relation: ET.Element, role: str, ways: Ways) -> BaseGeometry:
+    """The polygons that the lines of a role enclose."""
+    refs, area = _list_members(relation, role), f"{path}: area {relation.get('id')}"
     missing = [ref for ref in refs if ref not in ways]
     if missing:
-        raise MapError(f"{area} goes along way {missing[0]}, not there")
+        raise MapError(f"{area} has way {missing[0]}, which is missing")
     sides = [ways[ref].points for ref in refs]
-    if len(sides) == 1:  # whether or not the file repeats the first point
+    if len(sides) == 1:  # closed, whether or not the file repeats the first point
         sides = [np.concatenate([sides[0], sides[0][:1]])]
-    found = union_all(list(polygonize([LineString(side) for side in sides if len(side) > 1])))
-    if found.is_empty and (refs or role == "outer"):
+    polygons = union_all(list(polygonize([LineString(side) for side in sides if len(side) > 1])))
+    if polygons.is_empty and (refs or role == "outer"):
         raise MapError(
             f"{area} has {len(refs)} {role} lines that close no ring, or cross themselves; draw one"
         )
-    return found
+    return polygons
 
 
-def _stop_lines(
-    relations: list[ET.Element], ways: Mapping[str | None, MapLine]
-) -> Iterator[StopLine]:
-    """The traffic lights' lines; one without a name has its number for it."""
-    for relation in relations:
-        if _tag(relation, "subtype") == "traffic_light":
-            signal = _tag(relation, "name") or str(relation.get("id"))
-            for ref in _members(relation, "ref_line"):
+def _list_stop_lines(root: ET.Element, ways: Ways) -> Iterator[StopLine]:
+    """The stop lines of traffic lights; a light without a name is named by its id."""
+    for relation in root.iter("relation"):
+        if _get_tag(relation, "subtype") == "traffic_light":
+            signal = _get_tag(relation, "name") or str(relation.get("id"))
+            for ref in _list_members(relation, "ref_line"):
                 if ref in ways and len(ways[ref].points) > 1:
                     yield StopLine(signal, ways[ref].points[[0, -1]])

@@ -1,4 +1,4 @@
-"""An HD map drawn as an image in the world, so that models read it as they read an AIM."""
+"""HD maps drawn as images in the world, which models read as they read an AIM."""
 
 from collections.abc import Iterator
 
@@ -12,7 +12,12 @@ from shapely.geometry.base import BaseGeometry
 from geoaim.aim import AIM
 from geoaim.geometry import transform_points
 from geoaim.grid import north_up_grid
-from geoaim.hdmap.drivable import NOT_DRIVEN, outline, points_along, polygons_of
+from geoaim.hdmap.drivable import (
+    NOT_DRIVABLE,
+    outline_lanelet,
+    sample_borders,
+    to_polygons,
+)
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
 
 Colour = tuple[int, int, int]
@@ -27,7 +32,7 @@ SURFACES: dict[str, Colour] = {
     "bikelane": (160, 84, 78),
     "parking": (112, 112, 132),
 }
-LINES: dict[str, tuple[Colour, float]] = {  # kind, or kind and subtype: colour and metres wide
+LINES: dict[str, tuple[Colour, float]] = {  # kind, or kind and subtype: colour, width in m
     "virtual": ((78, 78, 90), 0.15),
     "curbstone": ((235, 170, 60), 0.2),
     "road_border": ((235, 170, 60), 0.2),
@@ -40,40 +45,48 @@ LINES: dict[str, tuple[Colour, float]] = {  # kind, or kind and subtype: colour 
     "zebra": ((206, 200, 180), 0.15),
     "stop_line": ((235, 60, 60), 0.4),
 }
-FINER = 4  # pixels that are drawn for one, each way
-MARGIN = 10.0  # m around the map
-SPACING = 12.0  # m between arrows along a lane
-HEAD = 1.2  # m, of an arrow
-LARGEST = 400_000_000  # pixels that are drawn: more is a map to be cut, or a wrong resolution
+SUPERSAMPLING = 4  # pixels that are drawn for one, each way
+MARGIN_M = 10.0  # of the image around the map
+ARROW_SPACING_M = 12.0  # along a lane
+ARROW_LENGTH_M = 1.2
+MAX_DRAWN_PIXELS = 400_000_000  # for more, the map should be cut, or the resolution is wrong
 
 
 def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
-    """The map as an image, north up, of so many metres a pixel.
+    """Draw an HD map as a north-up image.
 
-    Surfaces lie below lines, lines below stop lines; arrows show the direction of lanes that may
-    be driven one way only. The colours are `SURFACES`, `LINES`, `ROAD`, `ARROW` and `GROUND`.
+    Surfaces are below lines, lines below stop lines; arrows show the direction of one-way lanes.
+    The colours are `SURFACES`, `LINES`, `ROAD`, `ARROW` and `GROUND`.
+
+    Args:
+        hdmap: to be drawn.
+        resolution: metres a pixel.
+
+    Returns:
+        The image in the world of the map; coverage is 1 everywhere.
 
     Raises:
-        ValueError: the resolution is not positive, or the image would be absurdly large.
+        ValueError: the resolution is not positive, or the image would be too large.
     """
     points = np.concatenate([line.points for line in hdmap.lines])
-    corners = np.stack([points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN])
-    wide, high = corners[1] - corners[0]
-    if resolution > 0 and wide * high / resolution**2 > LARGEST / FINER**2:
+    corners = np.stack([points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M])
+    width, height = corners[1] - corners[0]
+    pixels = width * height / max(resolution, 1e-9) ** 2
+    if resolution > 0 and pixels > MAX_DRAWN_PIXELS / SUPERSAMPLING**2:
         raise ValueError(
-            f"at {resolution} m a pixel the image would have {wide * high / resolution**2:.3g} "
-            f"pixels; the map is {wide:.0f} by {high:.0f} m"
+            f"at {resolution} m a pixel the image would have {pixels:.3g} pixels; the map is "
+            f"{width:.0f} by {height:.0f} m"
         )
     grid = north_up_grid(corners, resolution, hdmap.world)
-    fine_from_world = np.diag([FINER, FINER, 1.0]) @ grid.grid_from_world
-    fine = np.full((grid.height * FINER, grid.width * FINER, 3), GROUND, np.uint8)
-    for shape, colour in _drawn(hdmap):
-        _fill(fine, shape, fine_from_world, colour)
+    fine_from_world = np.diag([SUPERSAMPLING, SUPERSAMPLING, 1.0]) @ grid.grid_from_world
+    fine = np.full((grid.height * SUPERSAMPLING, grid.width * SUPERSAMPLING, 3), GROUND, np.uint8)
+    for shape, colour in _list_shapes(hdmap):
+        _fill_polygons(fine, shape, fine_from_world, colour)
     image = cv2.resize(fine, grid.shape[::-1], interpolation=cv2.INTER_AREA)
     return AIM.from_image(image, grid.world_from_grid, hdmap.world, "HD map")
 
 
-def _fill(
+def _fill_polygons(
     image: UInt8[Array, "H W 3"],
     area: BaseGeometry,
     image_from_world: Float[Array, "3 3"],
@@ -82,7 +95,7 @@ def _fill(
     """Fill polygons with their holes, to the 1/256 of a pixel."""
     rings = [
         np.asarray(ring.coords)[:, :2]
-        for polygon in polygons_of(area).geoms
+        for polygon in to_polygons(area).geoms
         for ring in (polygon.exterior, *polygon.interiors)
     ]
     corners = [transform_points(image_from_world, ring) - 0.5 for ring in rings]
@@ -91,42 +104,42 @@ def _fill(
         cv2.fillPoly(image, fixed, colour, lineType=cv2.LINE_AA, shift=8)
 
 
-def _drawn(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
-    """What is drawn, the lowest first."""
-    lanes = [lanelet for lanelet in hdmap.lanelets if lanelet.subtype not in NOT_DRIVEN]
+def _list_shapes(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
+    """Shapes and their colours, the lowest first."""
+    lanes = [lanelet for lanelet in hdmap.lanelets if lanelet.subtype not in NOT_DRIVABLE]
     for area in hdmap.areas:
         yield area.shape, SURFACES.get(area.subtype, ROAD)
     for lanelet in hdmap.lanelets:
         if lanelet.subtype == "walkway":
-            yield outline(lanelet), SURFACES["walkway"]
+            yield outline_lanelet(lanelet), SURFACES["walkway"]
     for lanelet in lanes:
-        yield outline(lanelet), ROAD
+        yield outline_lanelet(lanelet), ROAD
     for lanelet in hdmap.lanelets:
-        if lanelet.subtype in NOT_DRIVEN and lanelet.subtype != "walkway":
-            yield outline(lanelet), SURFACES.get(lanelet.subtype, SURFACES["walkway"])
-    for style, (colour, wide) in LINES.items():
+        if lanelet.subtype in NOT_DRIVABLE and lanelet.subtype != "walkway":
+            yield outline_lanelet(lanelet), SURFACES.get(lanelet.subtype, SURFACES["walkway"])
+    for style, (colour, width) in LINES.items():
         for line in hdmap.lines:
-            if _style(line) == style:
-                yield LineString(line.points).buffer(wide / 2, cap_style="flat"), colour
+            if _find_style(line) == style:
+                yield LineString(line.points).buffer(width / 2, cap_style="flat"), colour
     for lanelet in lanes:
         if lanelet.one_way:
-            yield from ((arrow, ARROW) for arrow in _arrows(lanelet))
+            yield from ((arrow, ARROW) for arrow in _make_arrows(lanelet))
 
 
-def _style(line: MapLine) -> str | None:
-    both = f"{line.kind} {line.subtype}"
-    return both if both in LINES else line.kind if line.kind in LINES else None
+def _find_style(line: MapLine) -> str | None:
+    names = (f"{line.kind} {line.subtype}", line.kind)
+    return next((name for name in names if name in LINES), None)
 
 
-def _arrows(lanelet: Lanelet) -> Iterator[Polygon]:
-    """Heads of arrows along the middle of a lane."""
-    long = sum(LineString(line).length for line in (lanelet.left, lanelet.right)) / 2
-    count = max(1, round(long / SPACING))
+def _make_arrows(lanelet: Lanelet) -> Iterator[Polygon]:
+    """Arrow heads along the middle of a lane."""
+    length = sum(LineString(line).length for line in (lanelet.left, lanelet.right)) / 2
+    count = max(1, round(length / ARROW_SPACING_M))
     shares = (np.arange(count) + 0.5) / count
     starts, ends = (
-        points_along(lanelet, at).mean(axis=0) for at in (shares, np.minimum(shares + 0.02, 1.0))
+        sample_borders(lanelet, at).mean(axis=0) for at in (shares, np.minimum(shares + 0.02, 1.0))
     )
-    for here, ahead in zip(starts, ends, strict=True):
-        along = (ahead - here) / max(np.linalg.norm(ahead - here), 1e-9) * HEAD
-        aside = np.array([-along[1], along[0]]) * 0.35
-        yield Polygon([here + along / 2, here - along / 2 + aside, here - along / 2 - aside])
+    for start, end in zip(starts, ends, strict=True):
+        along = (end - start) / max(np.linalg.norm(end - start), 1e-9) * ARROW_LENGTH_M
+        across = np.array([-along[1], along[0]]) * 0.35
+        yield Polygon([start + along / 2, start - along / 2 + across, start - along / 2 - across])

@@ -1,1 +1,1 @@
-"""Rasters and tiles of others: read as mosaics, and aligned to tracks or to an AIM."""
+"""Third-party rasters and tiles: read as mosaics, and aligned to tracks or to an AIM."""

@@ -9,7 +9,7 @@ from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.errors import TracksError
-from geoaim.hdmap.drivable import drivable_area
+from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.lights import UNKNOWN
 from geoaim.simulation.ground import bounds_of, in_world
@@ -117,7 +117,7 @@ def simulate_scene(
 def rules_of(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Rules:
     """The rules of an HD map, or of an area drawn by hand, in whose place or beside it."""
     if area is None and hdmap is not None:
-        area = drivable_area(hdmap)
+        area = find_drivable_area(hdmap)
     drivable = None if area is None else drivable_of(area)
     return Rules(drivable, None if hdmap is None else lanes_of(hdmap))
 

@@ -11,8 +11,9 @@ from torch import Tensor
 
 from geoaim.aim import AIM
 from geoaim.errors import MapError, TracksError
-from geoaim.hdmap.drivable import lane_directions, signed_distance
+from geoaim.hdmap.drivable import sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.hdmap.signed_distance import compute_signed_distance
 from geoaim.lights import UNKNOWN, Lights, find_light_states
 from geoaim.rectify import rectify
 from geoaim.simulation.ground import Ground, make_ground, on_device
@@ -132,7 +133,7 @@ def drivable_of(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
         MapError: the area lies too far from the world's origin.
     """
     _check_near("drivable area", np.array(area.bounds).reshape(2, 2))
-    distance, grid = signed_distance(area, resolution=resolution)
+    distance, grid = compute_signed_distance(area, resolution=resolution)
     matrix = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
     return Drivable(torch.tensor(distance), matrix)
 
@@ -143,7 +144,7 @@ def lanes_of(hdmap: HDMap) -> Lanes:
     Raises:
         MapError: the lanes lie too far from the world's origin.
     """
-    found = lane_directions(hdmap)
+    found = sample_lane_directions(hdmap)
     _check_near("HD map", found[0])
     places, directions, reaches = (torch.tensor(x, dtype=torch.float32) for x in found)
     return Lanes(places, directions, reaches)

@@ -95,7 +95,7 @@ def test_areas_have_holes(tmp_path):
 def test_what_an_editor_has_deleted_is_left_out(tmp_path):
     park = _park("30").replace("<relation", "<relation action='delete'")
     assert read_hdmap(_osm(tmp_path / "a.osm", more=park)).areas == ()
-    with pytest.raises(MapError, match="area 40 goes along way 30, not there"):
+    with pytest.raises(MapError, match="area 40 has way 30, which is missing"):
         read_hdmap(
             _osm(tmp_path / "b.osm", more=_park("30").replace("<way", "<way action='delete'"))
         )
@@ -104,13 +104,13 @@ def test_what_an_editor_has_deleted_is_left_out(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"left": (3, 99)}, "way 10 goes through node 99"),
-        ({"more": _park("99")}, "area 40 goes along way 99"),
+        ({"left": (3, 99)}, "way 10 has node 99"),
+        ({"more": _park("99")}, "area 40 has way 99"),
         ({"more": _park("12")}, "area 40 has 1 outer lines that close no ring"),
         ({"left": (3,)}, "lanelet 20 has 1 left lines of two points"),
-        ({"head": "<html>"}, "is no XML"),
+        ({"head": "<html>"}, "is not XML"),
         ({"head": "<!DOCTYPE osm><osm>"}, "defines XML entities"),
-        ({"at": (8.0, 49.0)}, "a place on the Earth, and the world is a plane of its own"),
+        ({"at": (8.0, 49.0)}, "longitudes and latitudes, and the world is a plane without a CRS"),
     ],
 )
 def test_what_is_no_map_of_that_world_is_refused(tmp_path, change, message):

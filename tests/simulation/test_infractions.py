@@ -3,7 +3,7 @@ import pytest
 import torch
 from shapely import MultiPolygon, Point, Polygon, box
 
-from geoaim.hdmap.drivable import signed_distance
+from geoaim.hdmap.signed_distance import compute_signed_distance
 from geoaim.lights import GREEN, RED, UNKNOWN
 from geoaim.simulation.infractions import (
     Drivable,
@@ -21,7 +21,7 @@ CAR = torch.tensor([4.0, 2.0])
 
 
 def _drivable(resolution=0.2):
-    distance, grid = signed_distance(AREA, resolution=resolution)
+    distance, grid = compute_signed_distance(AREA, resolution=resolution)
     matrix = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
     return Drivable(torch.tensor(distance), matrix)
 

@@ -1,1 +1,1 @@
-"""Where imagery lies: its correction from tracks, from an AIM, or from control points."""
+"""Correction of the position of imagery by control points, an AIM, or tracks."""

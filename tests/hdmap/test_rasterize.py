@@ -1,0 +1,35 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geoaim.geometry import transform_points
+from geoaim.hdmap.lanelet2 import HDMap, MapLine, read_hdmap
+from geoaim.hdmap.rasterize import GROUND, LINES, draw_hdmap
+from geoaim.world import World
+
+
+def test_drawn_map_lies_where_its_lines_are():
+    """Stop lines, within a fifth of a pixel of the truth of the place."""
+    truth = json.loads(Path("samples/truth.json").read_text())
+    hdmap = read_hdmap("samples/map.osm", World(truth["crs"], tuple(truth["origin"])))
+    aim = draw_hdmap(hdmap, resolution=0.2)
+    red = (np.abs(aim.image.astype(int) - LINES["stop_line"][0]).sum(axis=2) < 90).astype(float)
+    v, u = np.nonzero(red)
+    places = transform_points(aim.world_from_image, np.column_stack([u, v]) + 0.5)
+    for line in (stop.ends for stop in hdmap.stop_lines):
+        along = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
+        apart = places - line.mean(axis=0)
+        near = apart[np.linalg.norm(apart, axis=1) < np.linalg.norm(line[1] - line[0])]
+        across = near @ [-along[1], along[0]]
+        assert len(near) > 10
+        assert abs(across.mean()) < 0.04
+    assert (aim.image[0, 0] == GROUND).all()
+
+
+def test_absurd_resolution_is_refused():
+    line = MapLine("curbstone", "low", np.array([[0.0, 3], [30, 3]]))
+    hdmap = HDMap((line,), (), (), (), World(None))
+    with pytest.raises(ValueError, match="would have"):
+        draw_hdmap(hdmap, resolution=0.0005)
