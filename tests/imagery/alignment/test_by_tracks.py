@@ -17,7 +17,7 @@ from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced
 RANGE = Prior(max_shift=10.0, max_rotation=0.06)
 
 
-def test_traffic_lays_a_picture_under_itself():
+def test_picture_is_aligned_under_traffic():
     _, photo, tracks = made()
     stated, matrix = misplaced(photo, shift=(-5.0, 4.0), turn=0.03)
     found = align_tracks(stated, tracks, prior=RANGE)
@@ -46,7 +46,7 @@ def _straight_road():
     return picture, Tracks(times, states, present, sizes, ("car",) * 3, tuple("abc"), World(None))
 
 
-def test_along_a_straight_road_nothing_is_known():
+def test_place_along_a_straight_road_is_undetermined():
     picture, tracks = _straight_road()
     stated, _ = misplaced(picture, shift=(3.0, 4.0))
     found = align_tracks(stated, tracks, prior=RANGE)
@@ -67,28 +67,28 @@ def test_other_ground_is_refused():
 
 
 @pytest.mark.parametrize("shift", [(14.0, 0.0), (0.0, 16.0)])
-def test_a_place_beyond_the_range_is_refused(shift):
+def test_shift_beyond_the_prior_is_refused(shift):
     _, photo, tracks = made()
     stated, _ = misplaced(photo, shift=shift)
     with pytest.raises(AlignmentError, match=r"Name a wider range|do not tell where"):
         align_tracks(stated, tracks, prior=RANGE)
 
 
-def test_a_small_range_alone_is_no_evidence():
+def test_small_prior_alone_is_no_evidence():
     picture, tracks = _straight_road()
     flat = replace(picture, image=np.full_like(picture.image, 120))
     with pytest.raises(AlignmentError, match="do not tell where"):
         align_tracks(flat, tracks, prior=Prior(max_shift=1.5, max_rotation=0.0))
 
 
-def test_a_picture_elsewhere_is_refused():
+def test_imagery_that_lies_elsewhere_is_refused():
     picture, tracks = _straight_road()
     stated, _ = misplaced(picture, shift=(900.0, 0.0))
     with pytest.raises(AlignmentError, match="shows hardly anything where the tracks are"):
         align_tracks(stated, tracks, prior=RANGE)
 
 
-def test_people_and_who_stands_say_nothing():
+def test_pedestrians_and_standing_vehicles_are_ignored():
     picture, tracks = _straight_road()
     walking = replace(tracks, types=("pedestrian",) * 3)
     with pytest.raises(AlignmentError, match="pass 0 places of a metre; 100 or more are needed"):
@@ -97,7 +97,7 @@ def test_people_and_who_stands_say_nothing():
     assert len(sample_poses(replace(tracks, states=states))) == 0
 
 
-def test_places_of_one_cell_and_direction_count_once():
+def test_poses_of_one_cell_count_once():
     _, tracks = _straight_road()
     twice = replace(
         tracks,
@@ -110,7 +110,7 @@ def test_places_of_one_cell_and_direction_count_once():
     assert len(sample_poses(twice)) == len(sample_poses(tracks)) == 300
 
 
-def test_worlds_must_be_one():
+def test_different_worlds_are_refused():
     picture, tracks = _straight_road()
     with pytest.raises(ValueError, match="the imagery lies in"):
         align_tracks(picture, replace(tracks, world=World("EPSG:32635")))

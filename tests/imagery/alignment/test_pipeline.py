@@ -40,7 +40,7 @@ def aim():
     return as_aim(image, np.load("samples/truth.npz")["world_from_frame"][0], world)
 
 
-def test_an_aim_lays_the_samples_orthophoto(aim):
+def test_aim_corrects_the_position_of_the_sample_orthophoto(aim):
     found = align_tiles("samples/ortho.tif", aim=aim, resolution=0.3)
     said = found.report["alignment"]["aim"]
     np.testing.assert_allclose(said["shift_m"], -OFFSET, atol=0.1)
@@ -49,7 +49,7 @@ def test_an_aim_lays_the_samples_orthophoto(aim):
     assert "alignment by aim" in summarize_aim(found)
 
 
-def test_tracks_check_what_an_aim_has_laid(aim):
+def test_tracks_check_an_alignment_by_an_aim(aim):
     tracks = geoaim.read_tracks(TRACKS)
     found = align_tiles("samples/ortho.tif", aim=aim, tracks=tracks, resolution=0.3)
     said = found.report["alignment"]["tracks"]
@@ -59,7 +59,7 @@ def test_tracks_check_what_an_aim_has_laid(aim):
     assert [axes.get_title() for axes in figure.axes] == ["as stated", "aligned"]
 
 
-def test_tracks_alone_lay_the_samples_tiles():
+def test_tracks_alone_correct_the_position_of_the_sample_tiles():
     tracks = geoaim.read_tracks(TRACKS)
     found = align_tiles("samples/tiles", tracks=tracks, resolution=0.3, prior=Prior(10.0, 0.05))
     said = found.report["alignment"]["tracks"]
@@ -90,7 +90,7 @@ def picture(aim, tmp_path_factory):
     return path, laid
 
 
-def test_control_points_lay_a_picture_and_an_aim_checks_them(picture, aim, tmp_path):
+def test_control_points_place_a_picture_and_an_aim_checks_them(picture, aim, tmp_path):
     path, laid = picture
     gcps = _picked(tmp_path, laid.world_from_image, laid.world)
     found = align_tiles(str(path), gcps=gcps, aim=aim)
@@ -107,7 +107,7 @@ def test_control_points_lay_a_picture_and_an_aim_checks_them(picture, aim, tmp_p
 
 
 @pytest.mark.parametrize(("name", "zoom"), [("aim", 1.03), ("tracks", 1.0)])
-def test_control_points_that_turn_or_stretch_the_picture_are_doubted(
+def test_control_points_that_rotate_or_scale_the_picture_are_doubted(
     picture, aim, tmp_path, name, zoom
 ):
     """The middle stays where it is; only the corners tell."""
@@ -131,7 +131,7 @@ def test_tracks_do_not_doubt_right_control_points(picture, tmp_path):
     assert found.report["alignment"]["tracks"]["agrees"]
 
 
-def test_evidence_that_cannot_check_is_said(picture, aim, tmp_path):
+def test_failed_check_is_reported(picture, aim, tmp_path):
     path, laid = picture
     gcps = _picked(tmp_path, laid.world_from_image, laid.world)
     noise = np.random.default_rng(0).integers(0, 255, aim.image.shape, np.uint8)
@@ -141,13 +141,13 @@ def test_evidence_that_cannot_check_is_said(picture, aim, tmp_path):
     assert summarize_aim(found)["check by aim"].startswith("not possible: ")
 
 
-def test_without_evidence_imagery_stays_where_it_says():
+def test_without_evidence_imagery_keeps_its_georeference():
     found = align_tiles("samples/ortho.tif", resolution=0.5)
     assert "alignment" not in found.report
     assert found.world.crs == TRUTH["crs"]
 
 
-def test_an_hd_map_is_no_reason_to_lay_imagery_anywhere(aim):
+def test_imagery_is_not_misplaced_by_a_drawn_hd_map(aim):
     """Drawn lines have little in common with a picture: refused, or right, but never wrong."""
     world = aim.world
     drawn = draw_hdmap(read_hdmap("samples/map_full.osm", world), resolution=0.3)
@@ -158,14 +158,14 @@ def test_an_hd_map_is_no_reason_to_lay_imagery_anywhere(aim):
     np.testing.assert_allclose(found.report["alignment"]["aim"]["shift_m"], -OFFSET, atol=1.0)
 
 
-def test_control_points_are_of_one_picture():
+def test_control_points_need_one_picture():
     with pytest.raises(ValueError, match="pixels of one picture; give one file"):
         align_tiles(["a.tif", "b.tif"], gcps="gcps.csv")
     with pytest.raises(GeoreferenceError):
         align_tiles("samples/background.jpg", gcps=[])
 
 
-def test_control_points_take_the_wanted_resolution_and_crs(picture, tmp_path):
+def test_control_points_respect_resolution_and_crs(picture, tmp_path):
     path, laid = picture
     gcps = _picked(tmp_path, laid.world_from_image, laid.world)
     found = align_tiles(str(path), gcps=gcps, resolution=1.0)
@@ -181,7 +181,7 @@ def test_control_points_take_the_wanted_resolution_and_crs(picture, tmp_path):
     np.testing.assert_array_equal(found.image, laid.image)
 
 
-def test_what_a_picture_hides_is_no_imagery_and_16_bits_are_stretched(picture, tmp_path):
+def test_masked_pixels_are_not_covered_and_16_bits_are_stretched(picture, tmp_path):
     _, laid = picture
     gcps = _picked(tmp_path, laid.world_from_image, laid.world)
     alpha = np.full(laid.image.shape[:2], 255, np.uint8)
@@ -201,7 +201,7 @@ def test_what_a_picture_hides_is_no_imagery_and_16_bits_are_stretched(picture, t
         align_tiles(str(tmp_path / "nothing.png"), gcps=gcps)
 
 
-def test_of_a_video_no_more_than_two_frames_are_read(tmp_path, monkeypatch):
+def test_at_most_two_frames_of_a_video_are_read(tmp_path, monkeypatch):
     def frames():
         for index in range(3):
             assert index < 2
@@ -212,7 +212,7 @@ def test_of_a_video_no_more_than_two_frames_are_read(tmp_path, monkeypatch):
         align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
 
 
-def test_tracks_of_nobody_are_refused():
+def test_tracks_without_agents_are_refused():
     tracks = geoaim.read_tracks(TRACKS)
     nobody = replace(tracks, present=np.zeros_like(tracks.present))
     with pytest.raises(TracksError, match="no agent is present"):

@@ -1,0 +1,29 @@
+import numpy as np
+
+from geoaim.imagery.alignment.template_matching import compute_orientation, match_windows
+from tests.conftest import textured
+
+
+def test_orientation_is_that_of_the_edge_from_either_side():
+    grey = np.random.default_rng(0).uniform(100, 140, (80, 80)).astype(np.float32)
+    known = np.ones(grey.shape, bool)
+    one = compute_orientation(
+        np.where(np.arange(80) < 40, 200, 100).astype(np.float32) + 0 * grey, known, 0.5
+    )
+    two = compute_orientation(
+        np.where(np.arange(80) < 40, 100, 200).astype(np.float32) + 0 * grey, known, 0.5
+    )
+    edge = np.s_[20:60, 38:42]
+    assert one[edge][..., 0].mean() > 0.1
+    np.testing.assert_allclose(np.sign(one[edge][..., 0]), np.sign(two[edge][..., 0]))
+
+
+def test_windows_are_found_to_a_fraction_of_a_pixel():
+    grey = textured(np.random.default_rng(4), 240, 240)[..., 0].astype(np.float32)
+    known = np.ones(grey.shape, bool)
+    fields = [
+        compute_orientation(view, known, 0.5) for view in (grey, np.roll(grey, (3, -2), (0, 1)))
+    ]
+    found = match_windows(*fields, side=64, search=6, stride=48)
+    assert len(found.centers) > 10
+    np.testing.assert_allclose(np.nanmedian(found.shifts, axis=0), [-2, 3], atol=0.1)

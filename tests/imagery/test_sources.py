@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+import rasterio
+import rasterio.shutil
+from rasterio.enums import Resampling
+
+from geoaim.errors import ImageryError
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.tiles import Tiles
+from geoaim.world import transform_crs
+from tests.imagery.painted_ground import (
+    BOX,
+    HERE,
+    WORLD,
+    misplaced,
+    ortho,
+    painted,
+    tile_place,
+    tiles_here,
+    write,
+)
+
+
+def test_virtual_rasters_and_gdal_strings_are_read(tmp_path):
+    path = ortho(tmp_path / "a.tif", "EPSG:3857", 0.5)
+    rasterio.shutil.copy(path, tmp_path / "a.vrt", driver="VRT")
+    aim = read_imagery(path, world=WORLD, corners=BOX)
+    for source in (tmp_path / "a.vrt", f"GTIFF_DIR:1:{path}"):
+        other = read_imagery(source, world=WORLD, corners=BOX)
+        np.testing.assert_array_equal(aim.image, other.image)
+    with pytest.raises(ImageryError, match="no tiles by zoom"):
+        read_imagery(Tiles(path, zoom=3))
+
+
+@pytest.mark.parametrize("source", ["nowhere.tif", "nowhere/*.tif", "empty"])
+def test_missing_files_are_named(tmp_path, source):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FileNotFoundError, match=source.replace("*", r"\*")):
+        read_imagery(tmp_path / source)
+
+
+def test_address_without_a_scheme_is_not_a_service():
+    with pytest.raises(ImageryError, match="for files give the folder"):
+        read_imagery("tiles/{z}/{x}/{y}.png", world=WORLD, corners=BOX, resolution=1.0)
+
+
+def test_file_that_is_not_an_image_is_refused(tmp_path):
+    (tmp_path / "a.tif").write_text("not a picture")
+    with pytest.raises(ImageryError, match=r"a\.tif cannot be read as imagery: .*not recognized"):
+        read_imagery(tmp_path / "a.tif")
+    with pytest.raises(ImageryError, match=r"none of the 1 file\(s\) of .* can be read"):
+        read_imagery(tmp_path)
+
+
+@pytest.mark.parametrize("zoom", [None, 18, 17])
+def test_mbtiles_are_read_at_any_zoom(tmp_path, zoom):
+    place = tile_place(*tiles_here(17)[0], 512)
+    bands = painted("EPSG:3857", place, (512, 512), 15.0)
+    write(tmp_path / "a.mbtiles", bands, "EPSG:3857", place, driver="MBTILES", TILE_FORMAT="PNG")
+    with rasterio.open(tmp_path / "a.mbtiles", "r+") as dataset:
+        dataset.build_overviews([2], Resampling.average)
+    corners = transform_crs(
+        "EPSG:3857", WORLD.crs, place[:2, :2] @ [250.0, 250.0] + place[None, :2, 2]
+    )
+    corners = corners - HERE + BOX * 0.7
+    tiles = Tiles(tmp_path / "a.mbtiles", zoom=zoom)
+    aim = read_imagery(tiles, world=WORLD, corners=corners, resolution=0.6)
+    assert aim.coverage.all()
+    assert misplaced(aim, 15.0) < 0.05
