@@ -1,4 +1,4 @@
-"""Pairs for the benchmark of alignment: an AIM, and a picture of the place that is misplaced."""
+"""Pairs for the alignment benchmark: an AIM, and a misplaced picture of the same place."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,16 +14,24 @@ from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks import Tracks
 
-RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
-GROUND = 0.2  # m a pixel of the AIM
-DRAWN = 0.1  # of what the sensor sees: finer, so that not one grain is that of the AIM
-REACH, TURN, ZOOM = 15.0, 5.0, 0.05
-GRID = 5  # places each way at which errors are taken
+PICTURE_RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel
+AIM_RESOLUTION = 0.2  # m a pixel
+SCENE_RESOLUTION = 0.1  # m a pixel, of what the sensor sees; finer than the AIM, as its noise is
+MAX_SHIFT_M, MAX_ROTATION_DEGREES, MAX_SCALING = 15.0, 5.0, 0.05
+ERROR_GRID = 5  # points each way at which errors are measured
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A picture of a place, misplaced by `stated_from_true`, and the AIM that it belongs on."""
+    """An AIM and a picture of the same place.
+
+    Attributes:
+        name: kind and seed of the place.
+        aim: the AIM.
+        picture: misplaced.
+        stated_from_true: (3, 3) metres, by which it is misplaced.
+        tracks: of a minute of traffic there.
+    """
 
     name: str
     aim: AIM
@@ -32,41 +40,39 @@ class Pair:
     tracks: Tracks | None = None
 
 
-def misplaced(pair: Pair, generator: np.random.Generator) -> Pair:
-    """The same pair, misplaced anew."""
-    angle, reach = generator.uniform(0, 2 * np.pi), generator.uniform(0, REACH)
-    turn = np.radians(generator.uniform(-TURN, TURN))
-    matrix = similarity_about(
-        pair.aim.corners.mean(axis=0), turn, 1 + generator.uniform(-ZOOM, ZOOM)
-    )
-    matrix[:2, 2] += reach * np.array([np.cos(angle), np.sin(angle)])
+def misplace_picture(pair: Pair, generator: np.random.Generator) -> Pair:
+    """Misplace the picture of a pair by a random similarity within the default prior."""
+    angle, shift = generator.uniform(0, 2 * np.pi), generator.uniform(0, MAX_SHIFT_M)
+    rotation = np.radians(generator.uniform(-MAX_ROTATION_DEGREES, MAX_ROTATION_DEGREES))
+    scale = 1 + generator.uniform(-MAX_SCALING, MAX_SCALING)
+    matrix = similarity_about(pair.aim.corners.mean(axis=0), rotation, scale)
+    matrix[:2, 2] += shift * np.array([np.cos(angle), np.sin(angle)])
     moved = replace(pair.picture, world_from_image=matrix @ pair.picture.world_from_image)
     return replace(pair, picture=moved, stated_from_true=matrix)
 
 
-def made_pairs(seeds: int) -> Iterator[Pair]:
-    """A place of each kind and seed, and what another sensor saw of it on another day."""
+def make_pairs(seeds: int) -> Iterator[Pair]:
+    """Make a place of each kind and seed, and a picture of it on another day by another sensor."""
     for seed in range(1, seeds + 1):
         for kind in STANDARD_KINDS:
             place = make_place(seed, kind=kind)
-            resolution = RESOLUTIONS[seed % len(RESOLUTIONS)]
+            resolution = PICTURE_RESOLUTIONS[seed % len(PICTURE_RESOLUTIONS)]
             tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
             sensor = Sensor(resolution=resolution)
-            photo = photograph(place, make_other_day(place), tracks, sensor, resolution=DRAWN)
-            ground = draw_place(place, resolution=GROUND)
-            yield Pair(
-                f"{kind} {seed}",
-                AIM.from_image(ground, world_from_image(place, GROUND), place.world, "drawn"),
-                AIM.from_image(photo, world_from_image(place, resolution), place.world, "drawn"),
-                np.eye(3),
-                tracks,
+            day = make_other_day(place)
+            photo = photograph(place, day, tracks, sensor, resolution=SCENE_RESOLUTION)
+            ground = draw_place(place, resolution=AIM_RESOLUTION)
+            aim, picture = (
+                AIM.from_image(image, world_from_image(place, metres), place.world, "drawn")
+                for image, metres in ((ground, AIM_RESOLUTION), (photo, resolution))
             )
+            yield Pair(f"{kind} {seed}", aim, picture, np.eye(3), tracks)
 
 
-def error(pair: Pair, true_from_stated: Float[Array, "3 3"]) -> float:
-    """Metres, a mean over the place."""
-    height, width = pair.aim.image.shape[:2]
-    u, v = np.meshgrid(np.linspace(0, width, GRID), np.linspace(0, height, GRID))
-    places = transform_points(pair.aim.world_from_image, np.stack([u, v], -1).reshape(-1, 2))
-    found = transform_points(true_from_stated @ pair.stated_from_true, places)
-    return float(np.linalg.norm(found - places, axis=1).mean())
+def measure_error(pair: Pair, true_from_stated: Float[Array, "3 3"]) -> float:
+    """Mean error of an alignment over the place, metres."""
+    height, width = pair.aim.grid.shape
+    u, v = np.meshgrid(np.linspace(0, width, ERROR_GRID), np.linspace(0, height, ERROR_GRID))
+    points = transform_points(pair.aim.world_from_image, np.stack([u, v], -1).reshape(-1, 2))
+    aligned = transform_points(true_from_stated @ pair.stated_from_true, points)
+    return float(np.linalg.norm(aligned - points, axis=1).mean())

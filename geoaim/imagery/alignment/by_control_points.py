@@ -31,7 +31,7 @@ def georeference_picture(
     Args:
         path: of the picture.
         gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
-        world: plane of the AIM; see `georeference` when None.
+        world: plane of the AIM; see `estimate_georeference` when None.
         crs: of control points that name none.
 
     Returns:
@@ -45,7 +45,7 @@ def georeference_picture(
     points = read_control_points(gcps, crs=crs)
     image, valid = _read_picture(path)
     height, width = valid.shape
-    place = georeference(points, height=height, width=width, world=world)
+    place = estimate_georeference(points, height=height, width=width, world=world)
     return AIM(
         image=image,
         world_from_image=place.world_from_image,
