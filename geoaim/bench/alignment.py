@@ -12,6 +12,7 @@ ten inliers count as refused. Real pairs and tracks need `GEOAIM_DATA`.
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -171,8 +172,10 @@ def main(
         lambda: measure_speed(pairs[0]),
     ]
     if folder is not None:
-        real = (measure_songdo, measure_rotterdam, measure_zooms)
-        parts += [lambda measure=measure: measure(folder) for measure in real]
+        parts += [
+            partial(measure, folder)
+            for measure in (measure_songdo, measure_rotterdam, measure_zooms)
+        ]
     rows: list[dict[str, Any]] = []
     for part in parts:
         rows += (measured := part())

@@ -45,7 +45,9 @@ def measure_synthetic(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
         ]
         if not parts:
             continue
-        columns = {name: [part[name] for part in parts if part[name] is not None] for name in parts[0]}
+        columns = {
+            name: [part[name] for part in parts if part[name] is not None] for name in parts[0]
+        }
         rows.append(
             {
                 "tracks": f"made, {kind}",
