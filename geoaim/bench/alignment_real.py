@@ -69,7 +69,8 @@ def _shift_by_ecc(pair: Pair) -> Float[Array, "2"]:
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 300, 1e-7)
     start = np.eye(2, 3, dtype=np.float32)
     mask = np.full(views[0].shape, 255, np.uint8)
-    _, warp = cv2.findTransformECC(*views, start, cv2.MOTION_TRANSLATION, stop, mask, 5)
+    one, two = views
+    _, warp = cv2.findTransformECC(one, two, start, cv2.MOTION_TRANSLATION, stop, mask, 5)
     return -warp[:, 2] * [step, -step]
 
 
