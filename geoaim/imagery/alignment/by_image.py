@@ -26,8 +26,8 @@ from geoaim.imagery.alignment.verification import verify_candidates
 from geoaim.mapping.registration.motion_models import (
     Model,
     Motion,
-    compute_basis,
     choose_model,
+    compute_basis,
     fit_matches,
 )
 
