@@ -16,7 +16,7 @@ Numbers:
     world axes: x east, y north, metres from `World.origin` in a projected CRS.
     image axes: u right, v down.
     pixels: corner origin; pixel (row i, col j) has its centre at (j + 0.5, i + 0.5).
-    OpenCV: centre origin; `to_opencv` and `from_opencv` stand beside each cv2 call.
+    OpenCV: origin at the first pixel's centre; `to_opencv` and `from_opencv` convert transforms.
     transforms: destination first, so that chains cancel:
     `world_from_frame = world_from_image @ image_from_frame`.
     points: last axis has 2 entries; row arrays, column-vector matrices.
@@ -30,52 +30,100 @@ Numbers:
     randomness: an argument named `generator`; nothing seeds globally.
 
 Failure never looks like success: bad data raises a `GeoaimError`, a bad call a `ValueError` or
-`TypeError`, and the message says what was found, what was needed and what to do.
+`TypeError`. The message states what was found, what was needed and what to do.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geoaim import hdmap as hdmap
+    from geoaim import imagery as imagery
     from geoaim import mapping as mapping
+    from geoaim import prediction as prediction
+    from geoaim import simulation as simulation
+    from geoaim import synthetic as synthetic
+    from geoaim import track_formats as track_formats
     from geoaim.aim import AIM as AIM
     from geoaim.aim_files import read_aim as read_aim
     from geoaim.aim_files import write_aim as write_aim
+    from geoaim.aim_summary import summarize_aim as summarize_aim
+    from geoaim.alignment_picture import draw_alignment as draw_alignment
     from geoaim.errors import GeoaimError as GeoaimError
     from geoaim.errors import GeoaimWarning as GeoaimWarning
+    from geoaim.hdmap.lanelet2 import HDMap as HDMap
+    from geoaim.hdmap.lanelet2 import read_hdmap as read_hdmap
+    from geoaim.hdmap.rasterize import draw_hdmap as draw_hdmap
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
+    from geoaim.imagery.mosaic import read_imagery as read_imagery
+    from geoaim.lights import Lights as Lights
+    from geoaim.lights import read_lights as read_lights
+    from geoaim.mapping.georeference.control_points import (
+        read_control_points as read_control_points,
+    )
     from geoaim.mapping.pipeline import build_aim as build_aim
+    from geoaim.mapping.registration.register import register as register
     from geoaim.mapping.texture import export_texture as export_texture
-    from geoaim.rectify import rectify as rectify
+    from geoaim.mapping.video.detections import read_detections as read_detections
+    from geoaim.mapping.video.video import Video as Video
+    from geoaim.mapping.video.video import open_video as open_video
+    from geoaim.quicklook import draw_quicklook as draw_quicklook
+    from geoaim.rectification import rectify as rectify
+    from geoaim.simulation.scene import Scene as Scene
+    from geoaim.simulation.scene import make_scene as make_scene
     from geoaim.track_files import read_tracks as read_tracks
     from geoaim.track_files import write_tracks as write_tracks
     from geoaim.tracks import Tracks as Tracks
     from geoaim.world import World as World
 
-# where each public name lives; loaded on first use, so that `import geoaim` costs nothing
-_HOMES = {
+# the module of each public name; imported on first use, so that `import geoaim` stays fast
+_MODULE_OF_NAME = {
     "AIM": "geoaim.aim",
     "GeoaimError": "geoaim.errors",
     "GeoaimWarning": "geoaim.errors",
+    "HDMap": "geoaim.hdmap.lanelet2",
+    "Lights": "geoaim.lights",
+    "Scene": "geoaim.simulation.scene",
     "Tracks": "geoaim.tracks",
+    "Video": "geoaim.mapping.video.video",
     "World": "geoaim.world",
     "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
+    "draw_alignment": "geoaim.alignment_picture",
+    "draw_hdmap": "geoaim.hdmap.rasterize",
+    "draw_quicklook": "geoaim.quicklook",
     "export_texture": "geoaim.mapping.texture",
+    "make_scene": "geoaim.simulation.scene",
+    "open_video": "geoaim.mapping.video.video",
     "read_aim": "geoaim.aim_files",
+    "read_control_points": "geoaim.mapping.georeference.control_points",
+    "read_detections": "geoaim.mapping.video.detections",
+    "read_hdmap": "geoaim.hdmap.lanelet2",
+    "read_imagery": "geoaim.imagery.mosaic",
+    "read_lights": "geoaim.lights",
     "read_tracks": "geoaim.track_files",
-    "rectify": "geoaim.rectify",
+    "rectify": "geoaim.rectification",
+    "register": "geoaim.mapping.registration.register",
+    "summarize_aim": "geoaim.aim_summary",
     "write_aim": "geoaim.aim_files",
     "write_tracks": "geoaim.track_files",
 }
-_MODULES = ("mapping",)
-__all__ = [*_HOMES, *_MODULES]
+_SUBPACKAGES = (
+    "hdmap",
+    "imagery",
+    "mapping",
+    "prediction",
+    "simulation",
+    "synthetic",
+    "track_formats",
+)
+__all__ = [*_MODULE_OF_NAME, *_SUBPACKAGES]
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(_HOMES[name]), name)
-    if name in _MODULES:
+    if name in _MODULE_OF_NAME:
+        return getattr(import_module(_MODULE_OF_NAME[name]), name)
+    if name in _SUBPACKAGES:
         return import_module(f"geoaim.{name}")
     raise AttributeError(f"module 'geoaim' has no attribute {name!r}")
 

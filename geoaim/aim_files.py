@@ -21,7 +21,7 @@ from geoaim.aim import AIM
 from geoaim.errors import AimError
 from geoaim.files import atomic_write
 from geoaim.geometry import translation
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from geoaim.world import World
 
 FORMAT = 1

@@ -14,7 +14,7 @@ from geoaim.aim import AIM
 from geoaim.aim_files import read_aim, write_aim
 from geoaim.errors import AimError
 from geoaim.geometry import transform_points
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from geoaim.world import World
 from tests.test_aim import TURNED, UTM, make_aim
 from tests.test_rectify import OBLIQUE, painted_aim

@@ -15,7 +15,7 @@ from geoaim import errors
 from geoaim.aim import AIM
 from geoaim.aim_files import write_aim
 from geoaim.geometry import from_opencv, image_corners, to_opencv, transform_points
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from geoaim.world import World
 
 SOURCES = sorted(Path(geoaim.__file__).parent.rglob("*.py"))

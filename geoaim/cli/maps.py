@@ -62,7 +62,7 @@ def build(
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook
-    from geoaim.rectify import rectify
+    from geoaim.rectification import rectify
 
     with stages() as progress, plain_errors():
         if frame_resolution is not None and gcps is not None:
@@ -120,7 +120,7 @@ def align(
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
-    from geoaim.rectify import rectify
+    from geoaim.rectification import rectify
     from geoaim.track_changes import to_world
 
     with plain_errors():

@@ -9,7 +9,7 @@ import numpy as np
 
 from geoaim.aim import AIM
 from geoaim.files import atomic_write
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 
 VERSION = 1  # of the corner frame: docs/schemas/corner_frame-1.json
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")

@@ -15,7 +15,7 @@ from geoaim.hdmap.drivable import sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.hdmap.signed_distance import compute_signed_distance
 from geoaim.lights import UNKNOWN, Lights, find_light_states
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from geoaim.simulation.ground import Ground, make_ground, on_device
 from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.track_changes import to_world
@@ -74,11 +74,19 @@ def scene_steps(scene: Scene, some: slice) -> Scene:
 
 
 def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
-    """A map with tracks and lights, brought into the map's world; grey where it shows nothing.
+    """Bring a map, tracks and lights into the map's world, as tensors.
+
+    Args:
+        aim: the map.
+        tracks: of the agents.
+        lights: None for a scene without traffic lights.
+
+    Returns:
+        The scene at the tracks' times. Its map is grey where the AIM has no coverage.
 
     Raises:
-        TracksError: not all have a place on the Earth, no track or no stop line touches the map,
-            or the lights' states are told for other times only.
+        TracksError: only some of the three are georeferenced, no track or no stop line touches the
+            map, or the lights' states begin after the tracks end.
         MapError: the map lies too far from its world's origin.
     """
     tracks = to_world(tracks, aim.world)

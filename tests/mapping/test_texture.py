@@ -6,7 +6,7 @@ import pytest
 
 from geoaim.aim import AIM
 from geoaim.mapping.texture import export_texture
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from geoaim.world import World
 
 PLACE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [0.0, 0.0, 1.0]])

@@ -24,7 +24,7 @@ from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World

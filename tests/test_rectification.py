@@ -5,7 +5,7 @@ import pytest
 from geoaim.aim import AIM
 from geoaim.errors import AimError
 from geoaim.geometry import transform_points
-from geoaim.rectify import rectify
+from geoaim.rectification import rectify
 from tests.test_aim import TURNED, UTM, make_aim
 
 OBLIQUE = np.array([[0.05, 0.01, 3.7], [0.004, -0.05, 21.3], [2e-4, 4e-4, 1.0]])
