@@ -17,7 +17,7 @@ from geoaim.geometry import transform_points
 from geoaim.rectification import rectify
 from geoaim.world import World
 from tests.test_aim import TURNED, UTM, make_aim
-from tests.test_rectify import OBLIQUE, painted_aim
+from tests.test_rectification import OBLIQUE, painted_aim
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats() | st.text(max_size=20),
