@@ -1,10 +1,10 @@
-"""Backgrounds against exact truth at 4K: error, ghosts, sharpness, time and memory of each method.
+"""Backgrounds against exact truth at 4K: error, sharpness, time and memory of each method.
 
     python -m geoaim.bench.background --json docs/bench/background.json
 
-The made video ("queue") has traffic over a fifth of the frame and queues that stand for 60 % of
-the time. Every method reads the same H.264 frames, sampled over the clip, with true transforms,
-and runs in a process of its own. Real sequences have no truth: there methods are compared.
+The synthetic video ("queue") has traffic over a fifth of the frame and queues that stand for 60 %
+of the time. Every method reads the same H.264 frames, sampled over the clip, with true transforms,
+in a process of its own. Real sequences have no truth: there methods are compared with each other.
 """
 
 import json as jsonlib
@@ -28,13 +28,10 @@ from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.encode import write_video
-from geoaim.mapping.background.accumulate import compare_exposure, expose, first_exposure, warp
-from geoaim.mapping.background.estimate import (
-    Background,
-    average_frames,
-    remove_traffic,
-    spread_order,
-)
+from geoaim.mapping.background.background import Background
+from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_indices
+from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
+from geoaim.mapping.background.warping import warp
 from geoaim.mapping.registration.register import register
 from geoaim.mapping.video.detections import Detections, read_detections
 from geoaim.mapping.video.frames import Frame
@@ -46,11 +43,11 @@ from geoaim.synthetic import (
     render_background,
 )
 
-MARGIN = 100  # px; the camera's drift leaves the rim to fewer frames
-STOOD = 0.3  # share of the time from which traffic counts as standing
+MARGIN_PX = 100  # left out of the figures: the camera's drift leaves the rim to fewer frames
+MIN_STANDING_SHARE = 0.3  # of the time, from which traffic counts as standing
 
 
-class Held(list[Frame]):
+class DecodedFrames(list[Frame]):
     """Decoded frames in memory, so that decoding is not timed."""
 
     @property
@@ -65,17 +62,24 @@ class Held(list[Frame]):
 
 
 @dataclass(frozen=True, eq=False)
-class Registered:
-    """Frames of a video with known places, in an order that spreads over it; re-iterable."""
+class RegisteredFrames:
+    """Frames of a video with their transforms, in an order that spreads over it; re-iterable.
 
-    video: Video | Held
+    Attributes:
+        video: the frames.
+        reference_from_frame: (T, 3, 3) of each frame, by its index.
+        detections: boxes of vehicles, or None.
+        limit: number of frames to read; None reads all.
+    """
+
+    video: Video | DecodedFrames
     reference_from_frame: Float[Array, "T 3 3"]
-    boxes: Detections | None = None
-    most: int | None = None
+    detections: Detections | None = None
+    limit: int | None = None
 
     def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-        some = islice(self.video, self.most)
-        return ((frame, self.reference_from_frame[frame.index]) for frame in some)
+        frames = islice(self.video, self.limit)
+        return ((frame, self.reference_from_frame[frame.index]) for frame in frames)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,29 +87,29 @@ class Registered:
         return self.video.height, self.video.width
 
 
-def plain_mean(frames: Registered) -> Background:
-    """The mean of all frames."""
+def average_all(frames: RegisteredFrames) -> Background:
+    """Average all frames."""
     return average_frames(frames, size=frames.size)
 
 
-def masked_mean(frames: Registered) -> Background:
-    """The mean of what lies outside of the boxes."""
-    return average_frames(frames, size=frames.size, detections=frames.boxes)
+def average_outside_boxes(frames: RegisteredFrames) -> Background:
+    """Average what lies outside of the boxes."""
+    return average_frames(frames, size=frames.size, detections=frames.detections)
 
 
-def without_boxes(frames: Registered) -> Background:
-    """The mean of what is not found to be traffic."""
+def average_ground(frames: RegisteredFrames) -> Background:
+    """Average what is not ground to be traffic."""
     return remove_traffic(frames, size=frames.size)
 
 
-def half_without_boxes(frames: Registered) -> Background:
-    """The same of the first 30 frames, which spread over the clip as all 60 do."""
-    return remove_traffic(replace(frames, most=30), size=frames.size)
+def average_ground_of_half(frames: RegisteredFrames) -> Background:
+    """Average the ground of the first 30 frames, which spread over the clip as all 60 do."""
+    return remove_traffic(replace(frames, limit=30), size=frames.size)
 
 
-def numpy_median(frames: Registered) -> UInt8[Array, "H W 3"]:
-    """numpy.median of all warped frames, held in memory, 64 rows at a time."""
-    stack = list(warped(frames))
+def compute_median(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+    """Compute numpy.median of all _warp_frames frames, held in memory, 64 rows at a time."""
+    stack = list(_warp_frames(frames))
     result = np.empty((*frames.size, 3), np.uint8)
     for row in range(0, frames.size[0], 64):
         part = np.stack([image[row : row + 64] for image in stack])
@@ -113,45 +117,52 @@ def numpy_median(frames: Registered) -> UInt8[Array, "H W 3"]:
     return result
 
 
-def mog2(frames: Registered) -> UInt8[Array, "H W 3"]:
-    """OpenCV's mixture of Gaussians."""
+def estimate_by_mog2(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+    """Estimate the background by OpenCV's mixture of Gaussians."""
     model = cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False)
-    for image in warped(frames):
+    for image in _warp_frames(frames):
         model.apply(image)
     return np.asarray(model.getBackgroundImage(), np.uint8)
 
 
-def gsoc(frames: Registered) -> UInt8[Array, "H W 3"]:
-    """OpenCV's GSOC (contrib)."""
+def estimate_by_gsoc(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+    """Estimate the background by OpenCV's GSOC (contrib)."""
     model = cv2.bgsegm.createBackgroundSubtractorGSOC()
-    for image in warped(frames):
+    for image in _warp_frames(frames):
         model.apply(image)
     return np.asarray(model.getBackgroundImage(), np.uint8)
 
 
-METHODS: dict[str, Callable[[Registered], Any]] = {
-    "plain mean": plain_mean,
-    "mean masked by boxes": masked_mean,
-    "without boxes": without_boxes,
-    "without boxes, 30 frames": half_without_boxes,
-    "numpy median": numpy_median,
-    "MOG2": mog2,
-    "GSOC": gsoc,
+METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
+    "plain mean": average_all,
+    "mean masked by boxes": average_outside_boxes,
+    "without boxes": average_ground,
+    "without boxes, 30 frames": average_ground_of_half,
+    "numpy median": compute_median,
+    "MOG2": estimate_by_mog2,
+    "GSOC": estimate_by_gsoc,
 }
 
 
-def warped(frames: Registered) -> Iterator[UInt8[Array, "H W 3"]]:
-    """RGB frames on the canvas at one exposure, for the peers."""
-    exposure, gain = first_exposure(frames.size), 1.0
+def _warp_frames(frames: RegisteredFrames) -> Iterator[UInt8[Array, "H W 3"]]:
+    """Frames as RGB, warped to the reference at one exposure, for the other methods."""
+    exposure, gain = start_exposure(frames.size), 1.0
     for frame, matrix in frames:
-        gain = compare_exposure(exposure, frame, matrix, gain)
-        yield expose(warp(frame.image, matrix, frames.size), gain, 0.0)
+        gain = estimate_gain(exposure, frame, matrix, gain)
+        yield apply_gain(warp(frame.image, matrix, frames.size), gain, 0.0)
 
 
-def make_input(still: str, size: str, count: int, folder: Path) -> None:
-    """Encode frames sampled over a made clip of 20 s, and keep the truth beside them."""
+def write_input(still: str, size: str, count: int, folder: Path) -> None:
+    """Encode frames sampled over a synthetic clip of 20 s, and write the truth beside them.
+
+    Args:
+        still: name of the still that the clip is rendered from.
+        size: "720p", "1080p" or "4k".
+        count: number of frames.
+        folder: to write to.
+    """
     video = make_hover_video(still, size=size, count=600, kind="queue")
-    order = np.linspace(0, len(video) - 1, count).round().astype(int)[spread_order(count)]
+    order = np.linspace(0, len(video) - 1, count).round().astype(int)[spread_indices(count)]
     write_video((video[index] for index in order), folder / "frames.mp4", frame_rate=1)
     boxes = [np.insert(list_boxes(video.clip, i), 0, n, axis=1) for n, i in enumerate(order)]
     np.savez(
@@ -164,17 +175,26 @@ def make_input(still: str, size: str, count: int, folder: Path) -> None:
     )
 
 
-def read_input(folder: Path) -> tuple[Registered, Any]:
-    """What `make_input` wrote."""
+def read_input(folder: Path) -> tuple[RegisteredFrames, Any]:
+    """Read what `write_input` wrote: the frames, and the arrays of the truth."""
     truth = np.load(folder / "truth.npz")
     boxes = truth["boxes"]
     video = open_video(folder / "frames.mp4", threads=cv2.getNumThreads())
     by_frame = read_detections([boxes[boxes[:, 0] == i, 1:] for i in range(len(truth["boxes"]))])
-    return Registered(video, truth["reference_from_frame"], by_frame), truth
+    return RegisteredFrames(video, truth["reference_from_frame"], by_frame), truth
 
 
 def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
-    """One method in this process: its figures against the truth."""
+    """Run one method in this process and measure it against the truth.
+
+    Args:
+        name: key of `METHODS`.
+        folder: that `write_input` filled.
+        threads: of OpenCV and of the decoder.
+
+    Returns:
+        A row of the table.
+    """
     cv2.setNumThreads(threads)
     frames, truth = read_input(folder)
     start = time.perf_counter()
@@ -183,12 +203,14 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     peak = measure_peak_megabytes()
     row: dict[str, Any] = {"method": name}
     image = result.image if isinstance(result, Background) else result
-    zones = _zones(truth["share"])
+    zones = _divide_zones(truth["share"])
     error = (image.astype(np.float32) - truth["clean"]) ** 2
     row |= {zone: float(np.sqrt(error[where].mean())) for zone, where in zones.items()}
     first = next(iter(frames))[0].image
-    row["gradient energy %"] = 100 * gradient_energy(image, first, truth["clean"], zones["static"])
-    held = replace(frames, video=Held(frames.video))
+    row["gradient energy %"] = 100 * measure_gradient_energy(
+        image, first, truth["clean"], zones["static"]
+    )
+    held = replace(frames, video=DecodedFrames(frames.video))
     start = time.perf_counter()
     METHODS[name](held)
     row |= {"seconds": seconds, "decoded beforehand": time.perf_counter() - start, "peak MB": peak}
@@ -197,41 +219,63 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     return row
 
 
-def gradient_energy(
+def measure_gradient_energy(
     image: UInt8[Array, "H W 3"],
     frame: UInt8[Array, "H W 3"],
     clean: UInt8[Array, "H W 3"],
     where: Bool[Array, "H W"],
 ) -> float:
-    """Gradient energy of an image over that of a single frame, free of the noise of both.
+    """Measure sharpness: gradient energy of an image over that of a single frame.
 
-    Both are correlated with the gradients of the truth, which has no noise: what survives of an
-    amplitude, squared.
+    Both are correlated with the gradients of the truth, so that their noise does not count.
+
+    Args:
+        image: (H, W, 3) the background.
+        frame: (H, W, 3) a single frame.
+        clean: (H, W, 3) the truth.
+        where: (H, W) pixels to compare.
+
+    Returns:
+        The ratio, 1 for a background as sharp as the frame.
     """
-    truth = _gradients(clean)[:, where]
-    kept, single = ((_gradients(picture)[:, where] * truth).sum() for picture in (image, frame))
-    return float((kept / single) ** 2)
+    truth = _compute_gradients(clean)[:, where]
+    mean, single = (
+        (_compute_gradients(picture)[:, where] * truth).sum() for picture in (image, frame)
+    )
+    return float((mean / single) ** 2)
 
 
-def _gradients(image: UInt8[Array, "H W 3"]) -> Float32[Array, "2 H W"]:
-    """Differences of neighbours, right and down; these see the finest detail."""
+def _compute_gradients(image: UInt8[Array, "H W 3"]) -> Float32[Array, "2 H W"]:
+    """Differences of neighbours to the right and below, which show the finest detail."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     return np.stack([np.roll(grey, -1, axis) - grey for axis in (1, 0)])
 
 
-def _zones(share: Float32[Array, "H W"]) -> dict[str, Bool[Array, "H W"]]:
+def _divide_zones(share: Float32[Array, "H W"]) -> dict[str, Bool[Array, "H W"]]:
     inside = np.zeros(share.shape, bool)
-    inside[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
-    passed, stood = (share > 0) & (share < STOOD), share >= STOOD
+    inside[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX] = True
+    passed, stood = (share > 0) & (share < MIN_STANDING_SHARE), share >= MIN_STANDING_SHARE
     return {"static": inside & (share == 0), "passed": inside & passed, "stood": inside & stood}
 
 
-def made_table(stills: list[str], size: str, count: int, threads: int) -> list[dict[str, Any]]:
-    """All methods on made videos; times also as multiples of the plain mean's, without decoding."""
+def measure_synthetic(
+    stills: list[str], size: str, count: int, threads: int
+) -> list[dict[str, Any]]:
+    """Measure all methods on synthetic videos; times also as multiples of the plain mean's.
+
+    Args:
+        stills: names of the stills that the videos are rendered from.
+        size: "720p", "1080p" or "4k".
+        count: number of frames.
+        threads: of OpenCV and of the decoder.
+
+    Returns:
+        A row for each still and method.
+    """
     rows = []
     for still in stills:
         with TemporaryDirectory() as name:
-            make_input(still, size, count, Path(name))
+            write_input(still, size, count, Path(name))
             command = [sys.executable, "-m", "geoaim.bench.background", "--threads", str(threads)]
             for method in METHODS:
                 call = [*command, "--method", method, "--folder", name]
@@ -244,8 +288,8 @@ def made_table(stills: list[str], size: str, count: int, threads: int) -> list[d
     return rows
 
 
-def real_table() -> list[dict[str, Any]]:
-    """Real sequences without truth: how far the methods are apart, and what stays contested."""
+def measure_real() -> list[dict[str, Any]]:
+    """Compare the methods on real sequences, which have no truth: differences, contested pixels."""
     data = find_data()
     if data is None:
         return []
@@ -254,49 +298,53 @@ def real_table() -> list[dict[str, Any]]:
         video = open_video(data / place)
         registration = register(video)
         valid = registration.valid
-        frames = Registered(
+        frames = RegisteredFrames(
             open_video(sorted((data / place).glob("*.jpg"))),
             registration.reference_from_frame,
             read_detections(data / place),
         )
-        rows.append(_compare(place, frames, valid))
+        rows.append(_compare_methods(place, frames, valid))
     for path in sorted((data / "static").glob("*.mp4")):
         frames_read = [frame.image for frame in open_video(path).sample(64)]
         still = np.broadcast_to(np.eye(3), (len(frames_read), 3, 3))
-        frames = Registered(open_video(frames_read), still)
-        rows.append(_compare(path.name, frames, np.ones(len(frames_read), bool)))
+        frames = RegisteredFrames(open_video(frames_read), still)
+        rows.append(_compare_methods(path.name, frames, np.ones(len(frames_read), bool)))
     return rows
 
 
-def _compare(name: str, frames: Registered, valid: Bool[Array, "T"]) -> dict[str, Any]:
+def _compare_methods(
+    name: str, frames: RegisteredFrames, valid: Bool[Array, "T"]
+) -> dict[str, Any]:
     keep = [pair for pair in frames if valid[pair[0].index]]
     start = time.perf_counter()
-    found = remove_traffic(keep, size=frames.size)
+    ground = remove_traffic(keep, size=frames.size)
     row: dict[str, Any] = {
         "sequence": name,
-        "frames": found.frames_used,
+        "frames": ground.frames_used,
         "seconds": time.perf_counter() - start,
-        "contested %": 100 * float(found.contested.mean()),
-        "gains": f"{found.gains.min():.3f} to {found.gains.max():.3f}",
-        "ghosts of mean %": _ghosts(average_frames(keep, size=frames.size), found),
-        "ghosts of boxes %": float("nan"),
+        "contested %": 100 * float(ground.contested.mean()),
+        "gains": f"{ground.gains.min():.3f} to {ground.gains.max():.3f}",
+        "differs from mean %": _measure_differing_share(
+            average_frames(keep, size=frames.size), ground
+        ),
+        "differs from boxes %": float("nan"),
     }
-    if frames.boxes is not None:
-        boxed = average_frames(keep, size=frames.size, detections=frames.boxes)
-        row["ghosts of boxes %"] = _ghosts(boxed, found)
+    if frames.detections is not None:
+        boxed = average_frames(keep, size=frames.size, detections=frames.detections)
+        row["differs from boxes %"] = _measure_differing_share(boxed, ground)
     return row
 
 
-def _ghosts(one: Background, other: Background) -> float:
-    """Share of pixels that differ by more than 20 grey levels over 5 x 5 pixels."""
+def _measure_differing_share(one: Background, other: Background) -> float:
+    """Percent of pixels that differ by more than 20 grey levels over 5 x 5 pixels."""
     both = (one.coverage > 0) & (other.coverage > 0)
-    apart = cv2.blur(cv2.absdiff(one.image, other.image).max(-1), (5, 5)) > 20
-    return 100 * float((apart & both).mean())
+    differs = cv2.blur(cv2.absdiff(one.image, other.image).max(-1), (5, 5)) > 20
+    return 100 * float((differs & both).mean())
 
 
 def main(
     json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
-    size: Annotated[str, typer.Option(help="of the made videos: 720p, 1080p, 4k")] = "4k",
+    size: Annotated[str, typer.Option(help="of the synthetic videos: 720p, 1080p, 4k")] = "4k",
     frames: Annotated[int, typer.Option(help="sampled over the clip")] = 60,
     stills: Annotated[str, typer.Option(help="comma-separated")] = "00003,00972",
     threads: Annotated[int, typer.Option(help="of OpenCV and of the decoder")] = 2,
@@ -308,13 +356,13 @@ def main(
         print(jsonlib.dumps(run_method(method, folder, threads)))
         return
     cv2.setNumThreads(threads)
-    made = made_table(stills.split(","), size, frames, threads)
-    print(format_table(made), "\n")
-    real = real_table()
+    synthetic = measure_synthetic(stills.split(","), size, frames, threads)
+    print(format_table(synthetic), "\n")
+    real = measure_real()
     if real:
         print(format_table(real))
     command = " ".join(["python -m geoaim.bench.background", *sys.argv[1:]])
-    write_rows(made, json, command=command, size=size, frames=frames, real=real)
+    write_rows(synthetic, json, command=command, size=size, frames=frames, real=real)
 
 
 if __name__ == "__main__":

@@ -14,18 +14,20 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
-from geoaim.mapping.background.estimate import (
-    Background,
+from geoaim.mapping.background.background import Background
+from geoaim.mapping.background.running_mean import (
     RunningMean,
-    TrafficSearch,
     add_to_mean,
-    add_to_search,
-    average_ground,
     finish_mean,
     start_mean,
+)
+from geoaim.mapping.background.traffic_removal import MIN_FRAMES
+from geoaim.mapping.background.traffic_search import (
+    TrafficSearch,
+    add_to_search,
+    average_ground,
     start_search,
 )
-from geoaim.mapping.background.traffic_removal import FEWEST
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
     ControlPointSource,
@@ -183,14 +185,14 @@ def _register_until_converged(
 
 def _refuse_few_frames(registration: Registration) -> None:
     valid = registration.valid
-    if valid.sum() < FEWEST:
+    if valid.sum() < MIN_FRAMES:
         counts = count_reasons(registration.reason)
         reasons = ", ".join(f"{kind}: {count}" for kind, count in counts.items())
         raise RegistrationError(
             f"{valid.sum()} of {len(valid)} frames could be registered to the reference at "
             f"{registration.reference.time:.1f} s{f' ({reasons})' if reasons else ''}; at least "
-            f"{FEWEST} are needed to tell traffic from ground. Use more frames, or detections, or "
-            "frames='all' for the mean with traffic"
+            f"{MIN_FRAMES} are needed to tell traffic from ground. Use more frames, or detections, "
+            "or frames='all' for the mean with traffic"
         )
 
 

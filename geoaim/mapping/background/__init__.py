@@ -1,1 +1,1 @@
-"""The ground without its traffic: a mean of the registered frames."""
+"""The background: a mean of the registered frames, without traffic."""

@@ -3,52 +3,12 @@ import numpy as np
 import pytest
 
 from geoaim.errors import BackgroundError
-from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_order
-from geoaim.mapping.background.traffic_removal import find_traffic
-from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_indices
 from geoaim.mapping.video.video import open_video
-
-SIZE = (120, 200)
-CAR = (60, 40, 100, 60)  # left, top, right, bottom
+from tests.mapping.background.clips import CAR, SIZE, frames_of, queue, shift
 
 
-@pytest.fixture
-def ground():
-    """Smooth texture and two painted lines."""
-    generator = np.random.default_rng(0)
-    noise = generator.normal(0, 60, (*SIZE, 3)).astype(np.float32)
-    ground = 110 + cv2.GaussianBlur(noise, (0, 0), 3)
-    ground[30:33] = 200
-    ground[:, 140:143] = 200
-    return ground.clip(0, 255).astype(np.uint8)
-
-
-def shift(right, down):
-    return np.array([[1.0, 0, right], [0, 1.0, down], [0, 0, 1.0]])
-
-
-def frames_of(images, matrices=None):
-    matrices = matrices or [np.eye(3)] * len(images)
-    return [
-        (Frame(i, float(i), None, image), m)
-        for i, (image, m) in enumerate(zip(images, matrices, strict=True))
-    ]
-
-
-def queue(ground, *, count=30, standing=0.6, seed=1):
-    """A red car stands for a share of the time, then leaves; others pass on another lane."""
-    generator = np.random.default_rng(seed)
-    images = []
-    for k in range(count):
-        image = ground.astype(int)
-        left = CAR[0] + (0 if k < standing * count else 25 * (k - int(standing * count)))
-        image[CAR[1] : CAR[3], left : left + 40] = (170, 40, 40)
-        image[80:100, (37 * k) % 160 : (37 * k) % 160 + 40] = (40, 40, 60)
-        images.append((image + generator.normal(0, 2, image.shape)).clip(0, 255).astype(np.uint8))
-    return images
-
-
-def where_it_stood(image):
+def crop_car(image):
     return image[CAR[1] : CAR[3], CAR[0] : CAR[2]].astype(float)
 
 
@@ -69,7 +29,7 @@ def test_pixels_that_no_frame_reaches_are_black_uncovered_and_not_contested(grou
     assert not result.contested.any()
 
 
-def test_canvas_can_reach_beyond_the_reference(ground):
+def test_the_image_can_reach_beyond_the_reference(ground):
     frames = frames_of([ground, ground], [np.eye(3), shift(40, 0)])
     result = average_frames(frames, size=(140, 260), image_from_reference=shift(10, 20))
     np.testing.assert_allclose(
@@ -79,7 +39,7 @@ def test_canvas_can_reach_beyond_the_reference(ground):
     assert result.coverage[70, 100] == 2
 
 
-def test_gain_brings_frames_to_the_first_ones_exposure(ground):
+def test_gain_brings_frames_to_the_exposure_of_the_first(ground):
     darker = np.rint(ground * 0.8).astype(np.uint8)
     result = average_frames(frames_of([ground, darker, darker]), size=SIZE)
     np.testing.assert_allclose(result.gains, [1, 1.25, 1.25], rtol=0.01)
@@ -93,7 +53,7 @@ def test_gain_ignores_a_bus_over_most_of_the_view(ground):
     np.testing.assert_allclose(result.gains[1], 1, atol=0.02)
 
 
-def test_boxes_leave_the_car_out(ground):
+def test_detections_leave_the_car_out(ground):
     images = queue(ground)
     plain = average_frames(frames_of(images), size=SIZE)
     boxed = average_frames(
@@ -103,9 +63,9 @@ def test_boxes_leave_the_car_out(ground):
             np.array([CAR, (0, 78, 200, 102)], float) if f.index < 25 else np.zeros((0, 4))
         ),
     )
-    truth = where_it_stood(ground)
-    assert np.abs(where_it_stood(plain.image) - truth).mean() > 20
-    assert np.abs(where_it_stood(boxed.image) - truth).mean() < 2
+    truth = crop_car(ground)
+    assert np.abs(crop_car(plain.image) - truth).mean() > 20
+    assert np.abs(crop_car(boxed.image) - truth).mean() < 2
     assert not boxed.contested.any()
 
 
@@ -120,7 +80,7 @@ def test_always_masked_pixels_show_the_mean_and_are_contested_and_uncovered(grou
     assert result.contested.mean() < 0.05
 
 
-def test_frames_without_known_boxes_are_left_out(ground):
+def test_frames_without_known_detections_are_left_out(ground):
     known = {1: np.zeros((0, 4))}
     result = average_frames(
         frames_of([ground // 2, ground, ground // 2]),
@@ -130,7 +90,7 @@ def test_frames_without_known_boxes_are_left_out(ground):
     assert result.frames_used == 1
 
 
-def test_each_pixel_of_a_striped_mean_sees_every_third_frame(ground):
+def test_each_pixel_of_a_mean_in_three_bands_averages_every_third_frame(ground):
     result = average_frames(frames_of([ground] * 6), size=SIZE, bands=3)
     assert (result.coverage[5:-5, 5:-5] == 2).all()
     np.testing.assert_allclose(result.image[5:-5, 5:-5].astype(int), ground[5:-5, 5:-5], atol=1)
@@ -184,22 +144,22 @@ def test_a_car_that_stands_for_most_of_the_time_is_removed(ground, standing):
     images = queue(ground, standing=standing)
     median = np.median(images, axis=0)
     result = remove_traffic(frames_of(images), size=SIZE)
-    truth = where_it_stood(ground)
-    assert np.abs(where_it_stood(median) - truth).mean() > 50
-    assert np.abs(where_it_stood(result.image) - truth).mean() < 3
+    truth = crop_car(ground)
+    assert np.abs(crop_car(median) - truth).mean() > 50
+    assert np.abs(crop_car(result.image) - truth).mean() < 3
     assert result.contested.mean() < 0.02
 
 
-def test_a_car_that_comes_and_stays_is_removed(ground):
+def test_a_car_that_arrives_and_stays_is_removed(ground):
     result = remove_traffic(frames_of(queue(ground)[::-1]), size=SIZE)
-    assert np.abs(where_it_stood(result.image) - where_it_stood(ground)).mean() < 3
+    assert np.abs(crop_car(result.image) - crop_car(ground)).mean() < 3
 
 
 def test_a_mark_on_the_ground_is_kept_where_a_car_stands_for_less_than_half_the_time(ground):
     marked = ground.copy()
     marked[CAR[1] + 4 : CAR[3] - 4, CAR[0] + 4 : CAR[2] - 4] = 220
     result = remove_traffic(frames_of(queue(marked, standing=0.4)), size=SIZE)
-    assert np.abs(where_it_stood(result.image) - where_it_stood(marked)).mean() < 3
+    assert np.abs(crop_car(result.image) - crop_car(marked)).mean() < 3
 
 
 def test_ground_that_no_frame_shows_is_contested(ground):
@@ -210,15 +170,6 @@ def test_ground_that_no_frame_shows_is_contested(ground):
     result = remove_traffic(frames_of(images), size=SIZE)
     assert result.contested[44:56, 64:96].all()
     assert result.contested.mean() < 0.15
-
-
-def test_traffic_is_found_in_frames_that_see_only_a_part(ground):
-    images = np.stack(queue(ground))
-    seen = np.ones(images.shape[:3], bool)
-    seen[::2, :, 180:] = False
-    traffic = find_traffic(images.copy(), seen)
-    assert not traffic.moving[::2, :, 180:].any()
-    assert np.abs(traffic.background.astype(int) - ground).mean() < 3
 
 
 @pytest.mark.parametrize("count", [0, 3])
@@ -238,5 +189,5 @@ def test_one_shot_iterator_is_refused(ground):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 16])
-def test_spread_order_is_a_permutation(count):
-    assert sorted(spread_order(count)) == list(range(count))
+def test_spread_indices_are_a_permutation(count):
+    assert sorted(spread_indices(count)) == list(range(count))

@@ -1,0 +1,158 @@
+"""Search for traffic in small copies of the frames, then average the frames without it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from numpy import ndarray as Array
+
+from geoaim.errors import BackgroundError
+from geoaim.mapping.background.background import Background
+from geoaim.mapping.background.exposure import (
+    Exposure,
+    apply_gain,
+    black_level,
+    estimate_gain,
+    start_exposure,
+)
+from geoaim.mapping.background.running_mean import (
+    add_masked,
+    average_blocks,
+    finish_mean,
+    is_time_to_check,
+    measure_change,
+    start_mean,
+)
+from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_traffic
+from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
+from geoaim.mapping.video.frames import Frame
+
+MAX_SMALL_SIDE_PX = 1024  # of the frames in which traffic is searched
+
+
+@dataclass(eq=False)
+class TrafficSearch:
+    """Small copies of the frames that `add_to_search` has added so far, and the traffic in them.
+
+    Attributes:
+        size: (height, width) of the image, pixels.
+        tolerance: `change` at which the ground has converged, grey levels; 0 takes all frames.
+        exposure: of the frames so far.
+        gain: factor that brings the last frame to the exposure of the first.
+        stack: the small frames, warped to the image.
+        seen: where each of them shows the image.
+        traffic: in these frames, if it was searched after the last of them.
+        blocks: means of blocks when `change` was last measured.
+        change: as in `Background`, of the small ground.
+    """
+
+    size: tuple[int, int]
+    tolerance: float
+    exposure: Exposure
+    gain: float = 1.0
+    stack: list[UInt8[Array, "h w 3"]] = field(default_factory=list)
+    seen: list[Bool[Array, "h w"]] = field(default_factory=list)
+    traffic: Traffic | None = None
+    blocks: Float32[Array, "h w c"] | None = None
+    change: float = np.nan
+
+    @property
+    def reduction(self) -> int:
+        """Size of the image over that of the small frames."""
+        return -(-max(self.size) // MAX_SMALL_SIDE_PX)
+
+    @property
+    def small_size(self) -> tuple[int, int]:
+        """(height, width) of the small frames."""
+        return -(-self.size[0] // self.reduction), -(-self.size[1] // self.reduction)
+
+    @property
+    def converged(self) -> bool:
+        """Whether further frames would hardly change the ground."""
+        return self.tolerance > 0 and self.change <= self.tolerance
+
+
+def start_search(size: tuple[int, int], tolerance: float = 0.0) -> TrafficSearch:
+    """Start a search without frames; the arguments are those of `remove_traffic`."""
+    return TrafficSearch(size, tolerance, start_exposure(size))
+
+
+def add_to_search(
+    search: TrafficSearch, frame: Frame, image_from_frame: Float[Array, "3 3"]
+) -> None:
+    """Add a registered frame to a search, in place, and search at 16, 32, 64 frames.
+
+    Args:
+        search: the search.
+        frame: the frame.
+        image_from_frame: (3, 3) its registration.
+    """
+    small = search.small_size
+    small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])
+    search.gain = estimate_gain(search.exposure, frame, image_from_frame, search.gain)
+    pixels, small_from_frame = _shrink_frame(frame, search.reduction, search.gain)
+    matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
+    search.stack.append(warp(pixels, matrix, small))
+    search.seen.append(draw_footprint(pixels.shape, matrix, small).view(bool))
+    search.traffic = None
+    if search.tolerance > 0 and is_time_to_check(len(search.stack), 1):
+        search.traffic = _find_traffic(search)
+        ground = search.traffic.background.astype(np.float32)
+        blocks = average_blocks(ground, search.reduction)
+        search.change, search.blocks = measure_change(search.blocks, blocks), blocks
+
+
+def average_ground(frames: Iterable[tuple[Frame, Array]], search: TrafficSearch) -> Background:
+    """Average frames without the traffic of a search; the search's small frames are dropped.
+
+    Args:
+        frames: those of the search, in the same order, each with its image_from_frame (3, 3).
+        search: as filled by `add_to_search`.
+
+    Returns:
+        The background.
+
+    Raises:
+        BackgroundError: fewer than 4 frames.
+    """
+    if len(search.stack) < MIN_FRAMES:
+        raise BackgroundError(
+            f"{len(search.stack)} registered frames; at least {MIN_FRAMES} are needed to tell "
+            "traffic from ground: register more frames, give detections, or average the frames as "
+            "they are"
+        )
+    traffic = search.traffic or _find_traffic(search)
+    search.stack.clear()
+    search.seen.clear()
+    mean = start_mean(search.size)
+    # the masks first: when they run out, no further frame is read
+    for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
+        add_masked(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))
+    ground = finish_mean(mean)
+    contested = enlarge_mask(traffic.contested, search.size).view(bool) & (ground.coverage > 0)
+    return replace(ground, contested=ground.contested | contested, change=search.change)
+
+
+def _find_traffic(search: TrafficSearch) -> Traffic:
+    """Find traffic in the small frames, which become views of one array: nothing is held twice."""
+    stack, seen = np.stack(search.stack), np.stack(search.seen)
+    search.stack[:], search.seen[:] = stack, seen
+    return find_traffic(stack, seen)
+
+
+def _shrink_frame(
+    frame: Frame, reduction: int, gain: float
+) -> tuple[UInt8[Array, "h w 3"], Float[Array, "3 3"]]:
+    """A small RGB copy, near enough for comparisons, and its small_from_frame."""
+    height, width = frame.grey.shape
+    size = (-(-width // reduction), -(-height // reduction))
+    if frame.planes is None:
+        pixels = cv2.resize(frame.image, size, interpolation=cv2.INTER_AREA)
+    else:
+        parts = [cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in frame.planes]
+        pixels = cv2.cvtColor(cv2.merge(parts), cv2.COLOR_YUV2RGB)
+    neutral = 0.0 if frame.planes is None else black_level(frame)
+    scale = np.diag([size[0] / width, size[1] / height, 1.0])
+    return apply_gain(np.asarray(pixels, np.uint8), gain, neutral), scale

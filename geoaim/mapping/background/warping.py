@@ -1,0 +1,111 @@
+"""Warp frames to the image, and correct the blur of their mean."""
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from numpy import ndarray as Array
+
+from geoaim.geometry import image_corners, to_opencv, transform_points
+
+FRAME_INSET_PX = 0.5  # a frame covers the area between the centres of its outermost pixels
+PHASES = 16  # points along each side at which sub-pixel phases are sampled
+
+
+def warp(
+    pixels: UInt8[Array, "H W *c"], matrix: Float[Array, "3 3"], size: tuple[int, int]
+) -> UInt8[Array, "h w *c"]:
+    """Warp pixels with bilinear interpolation.
+
+    Bilinear takes a third of bicubic's time, and OpenCV's bicubic kernel (a = -0.75) shifts smooth
+    texture by up to 0.047 px. `sharpen_mean` restores what a mean of bilinear warps loses.
+
+    Args:
+        pixels: (H, W) or (H, W, C).
+        matrix: (3, 3) target from source, of pixels with the origin at the image's corner.
+        size: (height, width) of the target.
+
+    Returns:
+        The target; pixels outside the source repeat its edge.
+    """
+    matrix = to_opencv(matrix)
+    matrix = matrix / matrix[2, 2]
+    if np.abs(matrix[2, :2]).max() < 1e-12:  # affine is faster
+        warped = cv2.warpAffine(
+            pixels, matrix[:2], size[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    else:
+        warped = cv2.warpPerspective(
+            pixels, matrix, size[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+    return np.asarray(warped, np.uint8)
+
+
+def measure_warp_blur(matrix: Float[Array, "3 3"], size: tuple[int, int]) -> Float[Array, "2"]:
+    """Measure the mean blur of a bilinear warp along x and y: d (1 - d) at the sub-pixel phase d.
+
+    That is the second moment of the two interpolation weights about the point, in px squared: 0
+    where pixels fall on pixels, 1/6 where the phases are uniformly distributed.
+    """
+    steps = [(np.arange(PHASES) + 0.5) * extent / PHASES // 1 + 0.5 for extent in size[::-1]]
+    points = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
+    phase = (transform_points(np.linalg.inv(matrix), points) - 0.5) % 1.0
+    return np.asarray((phase * (1 - phase)).mean(axis=0))
+
+
+def sharpen_mean(
+    pixels: Float32[Array, "h w c"], blur: Float[Array, "2"]
+) -> Float32[Array, "h w c"]:
+    """Invert the blur of a mean of bilinear warps, given by `measure_warp_blur`.
+
+    Over uniform phases the mean passes (sin(w/2) / (w/2))^2 of a wave of w radians per pixel. Its
+    inverse is 1 + w^2/12 + w^4/240 + ... A filter of five weights, 1 + s/12 + s^2/90 with
+    s = 2 - 2 cos w, agrees with it to that order.
+    """
+    second = np.array([0.0, -1.0, 2.0, -1.0, 0.0])
+    fourth = np.convolve([-1.0, 2.0, -1.0], [-1.0, 2.0, -1.0])
+    along_x, along_y = (np.eye(5)[2] + 6 * v * (second / 12 + fourth / 90) for v in blur)
+    sharp = cv2.sepFilter2D(pixels, -1, along_x, along_y, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(sharp, np.float32).reshape(pixels.shape)
+
+
+def draw_footprint(
+    frame_size: tuple[int, ...], image_from_frame: Float[Array, "3 3"], size: tuple[int, int]
+) -> UInt8[Array, "h w"]:
+    """Draw where a frame shows the image.
+
+    Args:
+        frame_size: height and width of the frame; further entries are ignored.
+        image_from_frame: (3, 3) its registration.
+        size: (height, width) of the image.
+
+    Returns:
+        (h, w) 1 inside the frame without its rim, else 0.
+    """
+    height, width = frame_size[0] - 2 * FRAME_INSET_PX, frame_size[1] - 2 * FRAME_INSET_PX
+    corners = image_corners(height, width) + FRAME_INSET_PX
+    polygon = transform_points(image_from_frame, corners)
+    return fill_polygons(np.zeros(size, np.uint8), polygon[None], 1)
+
+
+def fill_polygons(
+    mask: UInt8[Array, "h w"], polygons: Float[Array, "n m 2"], value: int
+) -> UInt8[Array, "h w"]:
+    """Fill convex polygons in a mask, in place.
+
+    Args:
+        mask: (h, w) to draw on.
+        polygons: (n, m, 2) points with the origin at the image's corner, drawn to 1/16 px.
+        value: to draw.
+
+    Returns:
+        The mask.
+    """
+    for polygon in np.rint((polygons - 0.5).clip(-30000, 30000) * 16).astype(np.int32):
+        cv2.fillConvexPoly(mask, polygon, [value], shift=4)
+    return mask
+
+
+def enlarge_mask(mask: Bool[Array, "h w"], size: tuple[int, int]) -> UInt8[Array, "H W"]:
+    """Resize a small mask to (height, width): 1 where it is True, else 0."""
+    large = cv2.resize(mask.view(np.uint8), size[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(large, np.uint8)
