@@ -14,6 +14,7 @@ from geoaim.geometry import transform_points
 from geoaim.synthetic.roads.approaches import Approach, locate_outbound_lane, plan_from_road
 from geoaim.synthetic.roads.curves import Polyline, compute_headings, connect_poses
 
+BAYS = 9  # on either side of the aisle
 DRIVEWAY_WIDTH_M = 7.0
 AISLE_WIDTH_M = 6.8  # between the rows of bays
 BAY_SIZE_M = (2.6, 5.0)  # width and depth
@@ -61,18 +62,10 @@ class Manoeuvre:
     bay: int
 
 
-def make_car_park(approach: Approach, s: float, *, bays: int) -> CarPark:
-    """Place a car park beside an approach.
+def make_car_park(approach: Approach, s: float) -> CarPark:
+    """Place a car park with its driveway at s of an approach.
 
     Traffic uses every other bay: a vehicle that backs out would touch one in the next bay.
-
-    Args:
-        approach: the road.
-        s: of the driveway on the approach, metres.
-        bays: their number on either side of the aisle.
-
-    Returns:
-        The car park.
     """
     t = -approach.half_width
     kerb, next_point = plan_from_road(approach, np.array([[s, t], [s + 1, t]]))
@@ -80,7 +73,7 @@ def make_car_park(approach: Approach, s: float, *, bays: int) -> CarPark:
     deep = np.array([along[1], -along[0]])
     plan_from_lot = np.eye(3)
     plan_from_lot[:2] = np.stack([along, deep, kerb], axis=1)
-    return CarPark(approach.name, s, bays, tuple(range(2, bays - 2, 2)), plan_from_lot)
+    return CarPark(approach.name, s, BAYS, tuple(range(2, BAYS - 2, 2)), plan_from_lot)
 
 
 def measure_depth(car_park: CarPark) -> float:

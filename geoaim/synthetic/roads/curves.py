@@ -50,21 +50,11 @@ def offset_polyline(line: Polyline, left: Float[Array, "L"] | float) -> Polyline
     return line + np.reshape(left, (-1, 1)) * normal
 
 
-def sample_arc(centre: Float[Array, "2"], radius: float, start: float, end: float) -> Polyline:
-    """Points on a circle between two angles.
-
-    Args:
-        centre: of the circle.
-        radius: metres.
-        start: angle of the first point, radians.
-        end: angle of the last point; smaller than `start` for a clockwise arc.
-
-    Returns:
-        Points `POINT_SPACING_M` apart.
-    """
-    count = max(2, round(abs(end - start) * radius / POINT_SPACING_M) + 1)
-    angle = np.linspace(start, end, count)
-    return centre + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+def sample_arc(radius: float, angles: tuple[float, float]) -> Polyline:
+    """Equally spaced points on a circle around the origin, from one angle to another (radians)."""
+    start, end = angles
+    angle = np.linspace(start, end, max(2, round(abs(end - start) * radius / POINT_SPACING_M) + 1))
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def connect_poses(

@@ -47,19 +47,28 @@ class Footpaths:
     surface: Geometry
 
 
-def make_door_paths(
-    pavement: LineString, paving: Paving, generator: np.random.Generator
+def draw_footpaths(
+    pavement: LineString, paving: Paving, generator: np.random.Generator, *, park: bool
 ) -> list[Footpaths]:
-    """Draw straight footpaths from a pavement to doors, where the plots have room for them.
+    """Draw the footpaths off a pavement.
 
     Args:
-        pavement: the middle of a pavement.
-        paving: surfaces.
-        generator: of the doors.
+        pavement: its middle.
+        paving: surfaces of the place.
+        generator: of the footpaths.
+        park: whether they lead through a park, not to doors.
 
     Returns:
-        At most `MAX_DOORS` footpaths, not connected to each other.
+        Groups of footpaths that are not connected to each other.
     """
+    draw = _draw_park_paths if park else _draw_door_paths
+    return draw(pavement, paving, generator)
+
+
+def _draw_door_paths(
+    pavement: LineString, paving: Paving, generator: np.random.Generator
+) -> list[Footpaths]:
+    """Straight footpaths to at most `MAX_DOORS` doors, where the plots have room for them."""
     plots = shapely.union_all(list(paving.plots))
     paths: list[Footpaths] = []
     for share, length in zip(
@@ -81,21 +90,13 @@ def make_door_paths(
     return paths
 
 
-def make_park_paths(
+def _draw_park_paths(
     pavement: LineString, paving: Paving, generator: np.random.Generator
 ) -> list[Footpaths]:
-    """Draw winding footpaths through the park beside a pavement.
+    """Winding footpaths through the park beside a pavement.
 
     One runs along the road, at a varying distance; three connect it to the pavement, and two lead
     from it out of the drawn extent. Where two bends intersect there is no node.
-
-    Args:
-        pavement: the middle of a pavement.
-        paving: surfaces.
-        generator: of the footpaths.
-
-    Returns:
-        One network of footpaths.
     """
     road = outline_road(paving)
     shares = np.array([*PARK_ENTRANCES, 0.0, *PARK_ENTRANCES, 1.0])

@@ -18,6 +18,7 @@ from geoaim.synthetic.roads.curves import (
     Polyline,
     compute_headings,
     connect_poses,
+    make_unit_vector,
     offset_polyline,
     resample_polyline,
     sample_arc,
@@ -135,20 +136,19 @@ def _choose_exit_lane(origin: Approach, destination: Approach, index: int, turn:
 
 def _make_ring_lanes(layout: Layout, by_name: dict[str, Lane]) -> list[Lane]:
     """The lanes around the ring, and for each approach one onto the ring and one off it."""
-    centre, radius, approaches = np.zeros(2), layout.ring_radius, layout.approaches
+    radius, approaches = layout.ring_radius, layout.approaches
     lanes = []
     for road, following in zip(approaches, [*approaches[1:], approaches[0]], strict=True):
         on, off = road.angle + RING_JOIN_ANGLE, road.angle - RING_JOIN_ANGLE
         inbound, outbound = (by_name[f"{road.name} {way} 0"].centreline for way in ("in", "out"))
-        join = sample_arc(centre, radius, on, on + 0.1)[0]
-        leave = sample_arc(centre, radius, off - 0.1, off)[-1]
+        join, leave = radius * make_unit_vector(on), radius * make_unit_vector(off)
         ends = compute_headings(inbound)[-1], compute_headings(outbound)[0]
         onto = connect_poses(inbound[-1], ends[0], join, on + np.pi / 2, end_curvature=1 / radius)
         away = connect_poses(
             leave, off + np.pi / 2, outbound[0], ends[1], start_curvature=1 / radius
         )
         gap = (following.angle - RING_JOIN_ANGLE - on) % (2 * np.pi)
-        past, after = (sample_arc(centre, radius, *ends) for ends in ((off, on), (on, on + gap)))
+        past, after = (sample_arc(radius, angles) for angles in ((off, on), (on, on + gap)))
         wide, narrow = RING_LANE_WIDTH_M, road.lane_width
         lanes += [
             Lane(f"{road.name} onto ring", onto, (narrow, wide), RING_SPEED_LIMIT),

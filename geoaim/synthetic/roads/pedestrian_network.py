@@ -12,7 +12,7 @@ from shapely import Geometry, LineString, Point, Polygon
 from shapely.ops import substring
 
 from geoaim.synthetic.roads.curves import Polyline, resample_polyline
-from geoaim.synthetic.roads.footpaths import Footpaths, make_door_paths, make_park_paths
+from geoaim.synthetic.roads.footpaths import Footpaths, draw_footpaths
 from geoaim.synthetic.roads.paving import VERGE_WIDTH_M, Crossing, Paving, outline_road
 
 SPAWN_MARGIN_M = 8.0  # outside the drawn extent, where pavements end
@@ -91,8 +91,8 @@ def make_pedestrian_network(
     """
     road = outline_road(paving)
     pavements = _cut_pavements(road, extent, pavement_width)
-    make_paths = make_park_paths if park else make_door_paths
-    paths = [group for line in pavements for group in make_paths(line, paving, generator)]
+    groups = [draw_footpaths(line, paving, generator, park=park) for line in pavements]
+    paths = [group for on_pavement in groups for group in on_pavement]
     junctions = _join_pavements(pavements, crossings, paths)
     first = 2 * len(pavements)  # junction of the first crossing's first end
     edges = _make_crossing_edges(pavements, crossings, junctions)

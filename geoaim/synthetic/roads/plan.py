@@ -16,7 +16,6 @@ from geoaim.synthetic.roads.pedestrian_network import PedestrianNetwork, make_pe
 
 HEIGHT_M, WIDTH_M = 104.0, 176.0  # of the drawn extent
 CAR_PARK_S: Mapping[PlaceKind, float] = {"junction": 46.0, "t": 42.0, "street": 26.0}
-CAR_PARK_BAYS = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +51,7 @@ def make_roads(kind: PlaceKind, generator: np.random.Generator) -> Roads:
     car_park = None
     if kind in CAR_PARK_S:
         s = CAR_PARK_S[kind] + generator.uniform(-2, 2)
-        car_park = make_car_park(find_approach(layout, "east"), s, bays=CAR_PARK_BAYS)
+        car_park = make_car_park(find_approach(layout, "east"), s)
     pavement_width = generator.uniform(4.0, 5.2)
     paving = make_paving(layout, lanes, car_park, extent, pavement_width)
     crossings = make_crossings(layout, car_park, paving)

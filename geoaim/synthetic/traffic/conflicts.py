@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.roads.paving import Crossing, outline_crossing
+from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.traffic.paths import VehiclePath
 
 STRIDE = 2  # every such point of two paths is compared
@@ -99,19 +100,8 @@ class _Samples:
     directions: Float[Array, "K 2"]
 
 
-def find_conflicts(
-    paths: tuple[VehiclePath, ...], crossings: tuple[Crossing, ...], *, roundabout: bool
-) -> PathConflicts:
-    """Compare all paths with each other and with the crossings.
-
-    Args:
-        paths: of vehicles.
-        crossings: of pedestrians.
-        roundabout: whether vehicles on the ring have the right of way.
-
-    Returns:
-        Tables over the paths.
-    """
+def find_conflicts(roads: Roads, paths: tuple[VehiclePath, ...]) -> PathConflicts:
+    """Compare all paths of vehicles with each other and with the crossings."""
     samples = [_sample_path(path) for path in paths]
     longest = max(len(sample.points) for sample in samples)
     projection = np.full((len(paths), len(paths), longest), np.inf, np.float32)
@@ -126,8 +116,10 @@ def find_conflicts(
         overlaps += _merge_overlaps([_Overlap(a, b, *span) for span in spans])
     for a, sample in enumerate(samples):
         projection[a, a, : len(sample.points)] = STRIDE_M * np.arange(len(sample.points))
-    zone_index, zones = _make_zones(paths, overlaps, roundabout=roundabout)
-    return PathConflicts(projection, zone_index, zones, *_intersect_crossings(paths, crossings))
+    is_roundabout = roads.layout.ring_radius > 0
+    zone_index, zones = _make_zones(paths, overlaps, roundabout=is_roundabout)
+    crossings = _intersect_crossings(paths, roads.crossings)
+    return PathConflicts(projection, zone_index, zones, *crossings)
 
 
 def _sample_path(path: VehiclePath) -> _Samples:

@@ -15,24 +15,13 @@ MAX_STRAIGHT_CURVATURE = 0.02  # 1/m
 CYCLIST_SHARE = 0.12  # of pedestrians and cyclists
 JAYWALKER_SHARE = 0.25  # of those who cross where nothing is marked, if that is shorter
 UNMARKED_COST = 6.0  # factor on the length of such a crossing for the others
-
-
-@dataclass(frozen=True)
-class VehicleType:
-    """A type of vehicle: its share of the traffic, and ranges of length and width (metres)."""
-
-    name: str
-    share: float
-    length: tuple[float, float]
-    width: tuple[float, float]
-
-
-VEHICLE_TYPES = (
-    VehicleType("car", 0.80, (3.9, 5.0), (1.70, 1.92)),
-    VehicleType("van", 0.13, (5.0, 6.0), (1.9, 2.1)),
-    VehicleType("truck", 0.05, (7.0, 9.5), (2.35, 2.5)),
-    VehicleType("bus", 0.02, (11.8, 12.2), (2.5, 2.55)),
-)
+# share of the traffic; ranges of length and width, metres
+VEHICLE_TYPES = {
+    "car": (0.80, (3.9, 5.0), (1.70, 1.92)),
+    "van": (0.13, (5.0, 6.0), (1.9, 2.1)),
+    "truck": (0.05, (7.0, 9.5), (2.35, 2.5)),
+    "bus": (0.02, (11.8, 12.2), (2.5, 2.55)),
+}
 
 
 @dataclass(frozen=True)
@@ -127,15 +116,17 @@ def draw_vehicle_trip(
     """
     is_curved = np.abs(path.curvature).max() > MAX_STRAIGHT_CURVATURE
     max_length = MAX_TURNING_LENGTH_M if is_curved else np.inf
-    shares = np.array([t.share * (t.length[1] < max_length) for t in VEHICLE_TYPES])
-    chosen = VEHICLE_TYPES[int(generator.choice(len(VEHICLE_TYPES), p=shares / shares.sum()))]
-    length, width = generator.uniform(*chosen.length), generator.uniform(*chosen.width)
+    table = VEHICLE_TYPES.values()
+    shares = np.array([share * (lengths[1] < max_length) for share, lengths, _ in table])
+    kind = list(VEHICLE_TYPES)[int(generator.choice(len(shares), p=shares / shares.sum()))]
+    _, lengths, widths = VEHICLE_TYPES[kind]
+    length, width = generator.uniform(*lengths), generator.uniform(*widths)
     speed_factor = float(np.clip(generator.normal(0.98, 0.11), 0.7, 1.3))
     phases = generator.uniform(0, 2 * np.pi, 2)
     return VehicleTrip(
         time=time,
         path=index,
-        kind=chosen.name,
+        kind=kind,
         size=(round(length, 2), round(width, 2)),
         speed_factor=speed_factor,
         headway=generator.uniform(0.2, 1.0),

@@ -1,4 +1,4 @@
-"""How pedestrians mind vehicles: they wait at the kerb for a green light or a gap."""
+"""Pedestrians accept gaps between vehicles: they wait at the kerb for a green light or a gap."""
 
 from dataclasses import dataclass
 
@@ -128,13 +128,7 @@ def _find_gaps(
 def _find_blocked(
     e: _Encounters, speed: Float[Array, "m"], lateral: Float[Array, "m"]
 ) -> Bool[Array, "m"]:
-    """Whether a vehicle is right before pedestrians on a crossing.
-
-    Args:
-        e: the encounters.
-        speed: desired by the pedestrians, m/s.
-        lateral: metres to the left of the crossing's centreline.
-    """
+    """Whether a vehicle is right before pedestrians, `lateral` metres left of the centreline."""
     beside = (lateral * e.side < e.front - 0.1) & (lateral * e.side > e.rear + 0.1)
     close = (e.to_path > -0.2) & (e.to_path < VEHICLE_HALF_WIDTH_M + 0.7 * speed)
     return (e.on_crossing & beside & close).any(axis=0)

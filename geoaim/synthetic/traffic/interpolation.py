@@ -30,9 +30,8 @@ def interpolate_tracks(
 ) -> Tracks:
     """Interpolate the tracks of a recording.
 
-    A vehicle's rear axle follows its path, with a slow drift in the lane, and its heading is that
-    of a kinematic bicycle; between steps, s is the cubic with the speeds at both. The speed in the
-    tracks is that of the box centre.
+    A vehicle moves as a kinematic bicycle whose rear axle follows its path with a slow drift in the
+    lane; between steps, s is a cubic. The speed in the tracks is that of the box centre.
 
     Args:
         model: that was simulated.
@@ -59,9 +58,7 @@ def interpolate_tracks(
     left, bottom, right, top = model.roads.extent.buffer(margin).bounds
     x, y = states[..., 0], states[..., 1]
     states[~((x > left) & (x < right) & (y > bottom) & (y < top))] = np.nan
-    rotation = float(np.arctan2(world_from_plan[1, 0], world_from_plan[0, 0]))
-    states[..., :2] = states[..., :2] @ world_from_plan[:2, :2].T + world_from_plan[:2, 2]
-    states[..., 2] = wrap_angle(states[..., 2] + rotation)
+    states = _transform_states(world_from_plan, states)
     present = np.isfinite(states).all(axis=-1)
     kept = np.flatnonzero(present.any(axis=1))
     agents = [(trip.kind, trip.size) for trip in recording.vehicle_trips]
@@ -75,6 +72,16 @@ def interpolate_tracks(
         ids=tuple(str(k) for k in kept),
         world=world,
     )
+
+
+def _transform_states(
+    world_from_plan: Float[Array, "3 3"], states: Float[Array, "N T 4"]
+) -> Float[Array, "N T 4"]:
+    """Convert states in the plan to states in the world."""
+    rotation = float(np.arctan2(world_from_plan[1, 0], world_from_plan[0, 0]))
+    position = states[..., :2] @ world_from_plan[:2, :2].T + world_from_plan[:2, 2]
+    heading = wrap_angle(states[..., 2:3] + rotation)
+    return np.concatenate([position, heading, states[..., 3:]], axis=-1)
 
 
 def _spread(
@@ -98,13 +105,7 @@ def _locate_steps(
 def _interpolate_cubic(
     values: tuple[Array, Array], slopes: tuple[Array, Array], t: Float[Array, "*T"]
 ) -> tuple[Array, Array]:
-    """The cubic Hermite spline and its time derivative, at a share t of the time step.
-
-    Args:
-        values: at the start and the end of the time step.
-        slopes: their time derivatives.
-        t: between 0 and 1.
-    """
+    """The cubic between values with slopes, at a share t of the time step, and its slope there."""
     change, a, b = values[1] - values[0], slopes[0] * DT, slopes[1] * DT
     value = values[0] + t * (a + t * (3 * change - 2 * a - b + t * (a + b - 2 * change)))
     return value, (a + t * (6 * change - 4 * a - 2 * b + 3 * t * (a + b - 2 * change))) / DT
@@ -162,9 +163,7 @@ def _compute_poses(
 
 
 def _make_pose_table(paths: tuple[VehiclePath, ...]) -> Float[Array, "R K 6"]:
-    """For all points of paths: x, y, heading of the body, curvature, metres for each metre of s,
-    and whether vehicles drive forward.
-    """
+    """At all points of paths: x, y, body heading, curvature, metres a metre of s, forward."""
     longest = max(len(path.line) for path in paths) + 1
     table = np.empty((len(paths), longest, 6))
     for r, path in enumerate(paths):

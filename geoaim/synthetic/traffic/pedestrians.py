@@ -105,6 +105,7 @@ class Outlook:
         crossing: (m,) its index.
         offset: (m,) metres from its first end.
         sign: (m,) 1 for those who walk away from the first end, else -1.
+        visible: those of the m whom vehicles notice.
     """
 
     on_crossing: Bool[Array, "n"]
@@ -114,6 +115,7 @@ class Outlook:
     crossing: Int[Array, "m"]
     offset: Float[Array, "m"]
     sign: Float[Array, "m"]
+    visible: CrossingPedestrians
 
 
 @dataclass(frozen=True)
@@ -146,35 +148,16 @@ def look_ahead(pedestrians: Pedestrians, crossings: CrossingTable) -> Outlook:
     crossing = np.where(current >= 0, current, pedestrians.crossing[rows, kerb])
     near = np.flatnonzero(crossing >= 0)
     crossing = crossing[near]
-    offset = dot(
-        pedestrians.position[near] - crossings.first[crossing], crossings.direction[crossing]
-    )
-    backwards = dot(direction[near], crossings.direction[crossing]) < 0
-    sign = np.where(backwards, -1.0, 1.0)
-    return Outlook(current >= 0, target, direction, near, crossing, offset, sign)
-
-
-def list_crossing_pedestrians(
-    pedestrians: Pedestrians, outlook: Outlook, crossings: CrossingTable
-) -> CrossingPedestrians:
-    """List those on a crossing or walking towards one.
-
-    Args:
-        pedestrians: all.
-        outlook: of these pedestrians.
-        crossings: of the place.
-
-    Returns:
-        What vehicles see of them.
-    """
-    velocity = pedestrians.velocity[outlook.near]
-    stepping = outlook.on_crossing[outlook.near]
-    stepping |= dot(velocity, velocity) > MIN_STEPPING_SPEED**2
-    crossing, sign = outlook.crossing[stepping], outlook.sign[stepping]
-    speed = np.abs(dot(velocity[stepping], crossings.direction[crossing]))
-    radius = np.where(pedestrians.radius[outlook.near[stepping]] > 0.3, 0.9, 0.3)  # cyclist or not
-    speed = sign * np.maximum(speed, MIN_CROSSING_SPEED)
-    return CrossingPedestrians(crossing, outlook.offset[stepping], speed, radius)
+    along = crossings.direction[crossing]
+    offset = dot(pedestrians.position[near] - crossings.first[crossing], along)
+    sign = np.where(dot(direction[near], along) < 0, -1.0, 1.0)
+    velocity, radius = pedestrians.velocity[near], pedestrians.radius[near]
+    moves = dot(velocity, velocity) > MIN_STEPPING_SPEED**2
+    speed = sign * np.maximum(np.abs(dot(velocity, along)), MIN_CROSSING_SPEED)
+    extent = np.where(radius > 0.3, 0.9, 0.3)  # of cyclists and of pedestrians, along the crossing
+    values = (value[moves | (current[near] >= 0)] for value in (crossing, offset, speed, extent))
+    visible = CrossingPedestrians(*values)
+    return Outlook(current >= 0, target, direction, near, crossing, offset, sign, visible)
 
 
 def step_pedestrians(

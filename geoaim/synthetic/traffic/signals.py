@@ -50,10 +50,7 @@ def make_signals(roads: Roads, generator: np.random.Generator) -> Signals:
     main, side = generator.uniform(24, 32), generator.uniform(16, 20)
     if roads.layout.kind in STREET_KINDS:
         walk = 10.0 + _measure_marked_crossing(roads, "east") / CLEARING_SPEED
-        phases = [
-            _Phase(main + 8, ("east", "west")),
-            _Phase(walk - YELLOW_S, (), ("east",)),
-        ]
+        phases = [_Phase(main + 8, ("east", "west")), _Phase(walk - YELLOW_S, (), ("east",))]
         return _make_cycle(phases, roads)
     phases = [
         _Phase(main, ("east", "west"), ("north", "south")),

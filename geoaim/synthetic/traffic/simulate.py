@@ -21,29 +21,20 @@ from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
 from geoaim.synthetic.traffic.paths import VehiclePath, make_paths
 from geoaim.synthetic.traffic.pavement import PavementMap, make_pavement_map
-from geoaim.synthetic.traffic.pedestrians import (
-    CrossingTable,
-    Pedestrians,
-    list_crossing_pedestrians,
-    look_ahead,
-    step_pedestrians,
-)
+from geoaim.synthetic.traffic.pedestrians import CrossingTable, look_ahead, step_pedestrians
 from geoaim.synthetic.traffic.signals import Signals, light_states_at, make_signals
 from geoaim.synthetic.traffic.spawning import (
+    Agents,
+    Trips,
     concat,
-    enter_pedestrian,
-    enter_vehicle,
-    leave_bay,
     make_empty,
+    make_pedestrian,
     make_vehicle,
-    park_vehicles,
-    remove_finished_pedestrians,
-    remove_finished_vehicles,
+    spawn_agents,
 )
 from geoaim.synthetic.traffic.vehicles import (
     PathTables,
     VehiclePairs,
-    Vehicles,
     make_path_tables,
     pair_vehicles,
     place_vehicles,
@@ -103,23 +94,11 @@ class TrafficRecording:
     pedestrian_positions: Float[Array, "P 2"]
 
 
-@dataclass(frozen=True)
-class _Trips:
-    """Trips that wait to begin, each list in the order of time, and those that have begun."""
-
-    vehicle_queues: list[list[VehicleTrip]]
-    pedestrian_queue: list[PedestrianTrip]
-    vehicles: list[VehicleTrip]
-    pedestrians: list[PedestrianTrip]
-
-
 def prepare_traffic(roads: Roads, generator: np.random.Generator) -> TrafficModel:
     """Compute the paths, conflicts, signals and pavements of a place."""
     paths = make_paths(roads)
     signals = make_signals(roads, generator)
-    is_roundabout = roads.layout.ring_radius > 0
-    conflicts = find_conflicts(paths, roads.crossings, roundabout=is_roundabout)
-    tables = make_path_tables(paths, conflicts, signals)
+    tables = make_path_tables(paths, find_conflicts(roads, paths), signals)
     pavement, crossings = make_pavement_map(roads), _make_crossing_table(roads, signals)
     return TrafficModel(roads, paths, tables, signals, pavement, crossings)
 
@@ -148,110 +127,72 @@ def simulate_traffic(
     light_states = light_states_at(model.signals, times)
     interval = -WARM_UP_S, duration
     queues = draw_vehicle_trips(model.paths, interval, rate=lane_rate, generator=generator)
-    vehicles, vehicle_trips = _park_first_vehicles(model, generator)
-    pedestrians, pedestrian_trips = _place_first_pedestrians(model, pedestrian_rate, generator)
-    queue = draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
-    trips = _Trips(queues, queue, vehicle_trips, pedestrian_trips)
-    pairs, states = pair_vehicles(vehicles, model.tables), []
+    trips = Trips(queues, [], [], [])
+    agents = _place_first_agents(model, trips, pedestrian_rate, generator)
+    trips.pedestrian_queue.extend(
+        draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
+    )
+    pairs, states = pair_vehicles(agents.vehicles, model.tables), []
     for time, lights in zip(times.tolist(), light_states, strict=True):
-        paths = vehicles.path
-        vehicles = _spawn_vehicles(vehicles, model.tables, trips, time, generator)
-        pedestrians = _spawn_pedestrians(pedestrians, trips, time)
-        if vehicles.path is not paths:
-            pairs = pair_vehicles(vehicles, model.tables)
+        paths = agents.vehicles.path
+        agents = spawn_agents(agents, trips, model.tables, time, generator)
+        if agents.vehicles.path is not paths:
+            pairs = pair_vehicles(agents.vehicles, model.tables)
         if time > -DT / 2:
-            states.append((vehicles, pedestrians))
-        vehicles, pedestrians = _step(model, (vehicles, pedestrians), pairs, lights, generator)
+            states.append(agents)
+        agents = _step(model, agents, pairs, lights, generator)
     return _make_recording(times[times > -DT / 2], model.signals, states, trips)
 
 
-def _park_first_vehicles(
-    model: TrafficModel, generator: np.random.Generator
-) -> tuple[Vehicles, list[VehicleTrip]]:
-    """Park vehicles in some bays."""
-    vehicles, tables = make_empty()[0], model.tables
-    trips: list[VehicleTrip] = []
+def _place_first_agents(
+    model: TrafficModel, trips: Trips, pedestrian_rate: float, generator: np.random.Generator
+) -> Agents:
+    """Park vehicles in some bays, and place pedestrians somewhere on their paths."""
+    agents, tables = make_empty(), model.tables
+    vehicles, pedestrians = agents.vehicles, agents.pedestrians
     for bay in np.unique(tables.bay[tables.bay >= 0]):
         path = int(np.argmax((tables.bay == bay) & tables.into_bay))
         trip = draw_vehicle_trip(-WARM_UP_S, path, model.paths[path], generator)
         parked_until = generator.exponential(PARKED_S)
         if generator.uniform() < PARKED_SHARE:
-            s = float(tables.length[path])
-            vehicle = make_vehicle(trip, len(trips), s=s, parked_until=parked_until)
+            s, number = float(tables.length[path]), len(trips.vehicles)
+            vehicle = make_vehicle(trip, number, s=s, parked_until=parked_until)
             vehicles = concat(vehicles, vehicle)
-            trips.append(trip)
-    return vehicles, trips
-
-
-def _place_first_pedestrians(
-    model: TrafficModel, rate: float, generator: np.random.Generator
-) -> tuple[Pedestrians, list[PedestrianTrip]]:
-    """Place pedestrians somewhere on their paths."""
-    pedestrians = make_empty()[1]
-    trips = draw_pedestrian_trips(model.roads, (0.0, WALK_S), rate=rate, generator=generator)
-    for number, trip in enumerate(trips):
-        s = generator.uniform() * POINT_SPACING_M * len(trip.path)
-        pedestrians = enter_pedestrian(pedestrians, trip, number, s)
-    return pedestrians, trips
-
-
-def _spawn_vehicles(
-    vehicles: Vehicles,
-    tables: PathTables,
-    trips: _Trips,
-    time: float,
-    generator: np.random.Generator,
-) -> Vehicles:
-    """Let vehicles park, leave bays, leave the plan and enter it; the trips are updated."""
-    vehicles = park_vehicles(vehicles, tables, time, generator)
-    vehicles = leave_bay(vehicles, tables, time, generator)
-    vehicles = remove_finished_vehicles(vehicles, tables)
-    for queue in trips.vehicle_queues:
-        if queue and queue[0].time <= time:
-            more = enter_vehicle(vehicles, tables, queue[0], len(trips.vehicles))
-            if more is not vehicles:
-                vehicles = more
-                trips.vehicles.append(queue.pop(0))
-    return vehicles
-
-
-def _spawn_pedestrians(pedestrians: Pedestrians, trips: _Trips, time: float) -> Pedestrians:
-    """Let pedestrians enter the plan and leave it; the trips are updated."""
-    while trips.pedestrian_queue and trips.pedestrian_queue[0].time <= time:
-        trip = trips.pedestrian_queue.pop(0)
-        pedestrians = enter_pedestrian(pedestrians, trip, len(trips.pedestrians))
-        trips.pedestrians.append(trip)
-    return remove_finished_pedestrians(pedestrians)
+            trips.vehicles.append(trip)
+    interval = 0.0, WALK_S
+    trips.pedestrians.extend(
+        draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
+    )
+    for number, walk in enumerate(trips.pedestrians):
+        s = generator.uniform() * POINT_SPACING_M * len(walk.path)
+        pedestrians = concat(pedestrians, make_pedestrian(walk, number, s))
+    return Agents(vehicles, pedestrians)
 
 
 def _step(
     model: TrafficModel,
-    agents: tuple[Vehicles, Pedestrians],
+    agents: Agents,
     pairs: VehiclePairs,
     lights: Int8[Array, "G"],
     generator: np.random.Generator,
-) -> tuple[Vehicles, Pedestrians]:
-    """Move all vehicles and pedestrians by one time step."""
-    vehicles, pedestrians = agents
-    placed = place_vehicles(vehicles, model.tables)
-    outlook = look_ahead(pedestrians, model.crossings)
-    crossing = list_crossing_pedestrians(pedestrians, outlook, model.crossings)
-    reaction = react_to_vehicles(
-        pedestrians, outlook, model.crossings, placed, model.tables, lights
-    )
-    vehicles = step_vehicles(placed, pairs, model.tables, lights, crossing, DT)
+) -> Agents:
+    """Move all agents by one time step."""
+    pedestrians, tables, crossings = agents.pedestrians, model.tables, model.crossings
+    placed = place_vehicles(agents.vehicles, tables)
+    outlook = look_ahead(pedestrians, crossings)
+    reaction = react_to_vehicles(pedestrians, outlook, crossings, placed, tables, lights)
+    vehicles = step_vehicles(placed, pairs, tables, lights, outlook.visible, DT)
     noise = generator.standard_normal(pedestrians.position.shape)
-    return vehicles, step_pedestrians(pedestrians, outlook, reaction, model.pavement, noise, DT)
+    pedestrians = step_pedestrians(pedestrians, outlook, reaction, model.pavement, noise, DT)
+    return Agents(vehicles, pedestrians)
 
 
 def _make_recording(
-    times: Float[Array, "T"],
-    signals: Signals,
-    states: list[tuple[Vehicles, Pedestrians]],
-    trips: _Trips,
+    times: Float[Array, "T"], signals: Signals, states: list[Agents], trips: Trips
 ) -> TrafficRecording:
     """Concatenate the states of all steps."""
-    vehicles, pedestrians = zip(*states, strict=True)
+    vehicles = [state.vehicles for state in states]
+    pedestrians = [state.pedestrians for state in states]
     motion = [np.stack([state.s, state.speed], axis=1) for state in vehicles]
     return TrafficRecording(
         times=times,

@@ -1,6 +1,6 @@
 """Spawning: vehicles and pedestrians enter, park, leave bays, and leave the plan."""
 
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
@@ -22,33 +22,67 @@ BODY_RADIUS_M = {"pedestrian": 0.25, "cyclist": 0.4}
 State = TypeVar("State", Vehicles, Pedestrians)
 
 
-def enter_vehicle(
-    vehicles: Vehicles, tables: PathTables, trip: VehicleTrip, number: int
-) -> Vehicles:
-    """Let a vehicle enter at the start of its path; if its bay is taken, it drives on.
+@dataclass(frozen=True)
+class Agents:
+    """All vehicles and pedestrians at one time."""
+
+    vehicles: Vehicles
+    pedestrians: Pedestrians
+
+
+@dataclass(frozen=True)
+class Trips:
+    """All trips of a simulation; spawning moves them from the queues to the lists.
+
+    Attributes:
+        vehicle_queues: trips from each entry that have not begun, in the order of time.
+        pedestrian_queue: trips that have not begun, in the order of time.
+        vehicles: trips that have begun.
+        pedestrians: trips that have begun.
+    """
+
+    vehicle_queues: list[list[VehicleTrip]]
+    pedestrian_queue: list[PedestrianTrip]
+    vehicles: list[VehicleTrip]
+    pedestrians: list[PedestrianTrip]
+
+
+def spawn_agents(
+    agents: Agents,
+    trips: Trips,
+    tables: PathTables,
+    time: float,
+    generator: np.random.Generator,
+) -> Agents:
+    """Let vehicles park, leave bays, leave the plan and enter it; pedestrians enter and leave.
 
     Args:
-        vehicles: those that are present.
-        tables: over the paths.
-        trip: of the vehicle that enters.
-        number: index of the trip.
+        agents: those that are present.
+        trips: of the simulation; they are updated.
+        tables: over the paths of vehicles.
+        time: seconds.
+        generator: of parking durations and paths out of bays.
 
     Returns:
-        All vehicles; the same object if there is no room to enter.
+        The agents that are present now; `vehicles.path` is the same object if no path changes.
     """
-    path = trip.path
-    if tables.bay[path] >= 0 and _is_taken(vehicles, tables, int(tables.bay[path])):
-        path = int(np.argmax((tables.entry == tables.entry[path]) & (tables.bay < 0)))
-    same = tables.entry[vehicles.path] == tables.entry[path]
-    speed = trip.speed_factor * float(tables.speed_limit[path, 0])
-    if same.any():
-        rears = vehicles.s[same] - REAR_SHARE * vehicles.length[same]
-        room = float(rears.min()) - FRONT_SHARE * trip.size[0]
-        leader_speed = float(vehicles.speed[same][np.argmin(rears)])
-        if room < ENTRY_GAP_M + ENTRY_HEADWAY_S * leader_speed:
-            return vehicles
-        speed = min(speed, leader_speed + 0.15 * room)
-    return concat(vehicles, make_vehicle(replace(trip, path=path), number, speed=speed))
+    vehicles, pedestrians = agents.vehicles, agents.pedestrians
+    vehicles = _park(vehicles, tables, time, generator)
+    vehicles = _leave_bay(vehicles, tables, time, generator)
+    finished = vehicles.s >= tables.length[vehicles.path] - POINT_SPACING_M
+    vehicles = _remove(vehicles, finished & ~tables.into_bay[vehicles.path])
+    for queue in trips.vehicle_queues:
+        if queue and queue[0].time <= time:
+            entering = _enter(vehicles, tables, queue[0], len(trips.vehicles))
+            if entering is not None:
+                vehicles = concat(vehicles, entering)
+                trips.vehicles.append(queue.pop(0))
+    while trips.pedestrian_queue and trips.pedestrian_queue[0].time <= time:
+        trip = trips.pedestrian_queue.pop(0)
+        pedestrians = concat(pedestrians, make_pedestrian(trip, len(trips.pedestrians)))
+        trips.pedestrians.append(trip)
+    finished = pedestrians.s >= POINT_SPACING_M * pedestrians.last - ARRIVAL_M
+    return Agents(vehicles, _remove(pedestrians, finished))
 
 
 def make_vehicle(
@@ -76,20 +110,72 @@ def make_vehicle(
     return Vehicles(np.array([number]), np.array([trip.path]), *arrays)
 
 
-def park_vehicles(
-    vehicles: Vehicles, tables: PathTables, time: float, generator: np.random.Generator
-) -> Vehicles:
-    """Park the vehicles at the end of a path into a bay.
+def make_pedestrian(trip: PedestrianTrip, number: int, s: float = 0.0) -> Pedestrians:
+    """Make the state of one pedestrian.
 
     Args:
-        vehicles: all.
-        tables: over the paths.
-        time: seconds.
-        generator: of the parking durations.
+        trip: of the pedestrian.
+        number: index of the trip.
+        s: metres of the path walked so far.
 
     Returns:
-        All vehicles.
+        The state.
     """
+    last = len(trip.path) - 1
+    index = min(int(s / POINT_SPACING_M), last - 1)
+    direction = trip.path[index + 1] - trip.path[index]
+    direction = direction / np.sqrt((direction**2).sum())
+    offset = trip.lateral_offset * np.array([-direction[1], direction[0]])
+    return Pedestrians(
+        trip=np.array([number]),
+        position=(trip.path[index] + offset)[None],
+        velocity=ENTRY_SPEED_FACTOR * trip.desired_speed * direction[None],
+        path=trip.path[None],
+        crossing=trip.crossing[None],
+        last=np.array([last]),
+        s=np.array([POINT_SPACING_M * index]),
+        lateral_offset=np.array([trip.lateral_offset]),
+        desired_speed=np.array([trip.desired_speed]),
+        radius=np.array([BODY_RADIUS_M[trip.kind]]),
+    )
+
+
+def make_empty() -> Agents:
+    """No vehicles and no pedestrians."""
+    index, real, pair = np.empty(0, int), np.empty(0), np.empty((0, 2))
+    vehicles = Vehicles(index, index, real, real, real, real, real, real, real)
+    path, crossing = np.empty((0, 1, 2)), np.empty((0, 1), int)
+    pedestrians = Pedestrians(index, pair, pair, path, crossing, index, real, real, real, real)
+    return Agents(vehicles, pedestrians)
+
+
+def concat(first: State, second: State) -> State:
+    """Concatenate the agents of two states."""
+    pairs = [(getattr(first, f.name), getattr(second, f.name)) for f in fields(first)]
+    return type(first)(*(_concat_rows(*pair) for pair in pairs))
+
+
+def _concat_rows(first: Array, second: Array) -> Array:
+    """Concatenate rows; the last points of shorter paths are repeated."""
+    rows = [first, second]
+    if first.ndim > 1:
+        length = max(first.shape[1], second.shape[1])
+        last = [np.repeat(row[:, -1:], length - row.shape[1], axis=1) for row in rows]
+        rows = [np.concatenate(pair, axis=1) for pair in zip(rows, last, strict=True)]
+    return np.concatenate(rows)
+
+
+def _remove(state: State, finished: Bool[Array, "n"]) -> State:
+    """Remove the agents for which a mask is true; the same object if there are none."""
+    if not finished.any():
+        return state
+    return type(state)(*(getattr(state, f.name)[~finished] for f in fields(state)))
+
+
+def _park(
+    vehicles: Vehicles, tables: PathTables, time: float, generator: np.random.Generator
+) -> Vehicles:
+    """Park the vehicles at the end of a path into a bay."""
     end = tables.length[vehicles.path]
     arrived = tables.into_bay[vehicles.path] & (vehicles.s > end - PARKED_TOLERANCE_M)
     arrived &= np.isinf(vehicles.parked_until)
@@ -98,30 +184,15 @@ def park_vehicles(
     parked_until = vehicles.parked_until.copy()
     durations = generator.exponential(MEAN_PARKING_S, int(arrived.sum()))
     parked_until[arrived] = time + MIN_PARKING_S + durations
-    speed = np.where(arrived, 0.0, vehicles.speed)
-    return replace(
-        vehicles,
-        parked_until=parked_until,
-        s=np.where(arrived, end, vehicles.s),
-        speed=speed,
-        acceleration=np.minimum(vehicles.acceleration, speed),
-    )
+    speed, s = np.where(arrived, 0.0, vehicles.speed), np.where(arrived, end, vehicles.s)
+    acceleration = np.minimum(vehicles.acceleration, speed)
+    return replace(vehicles, parked_until=parked_until, s=s, speed=speed, acceleration=acceleration)
 
 
-def leave_bay(
+def _leave_bay(
     vehicles: Vehicles, tables: PathTables, time: float, generator: np.random.Generator
 ) -> Vehicles:
-    """Put a vehicle whose parking has ended on a path out of its bay, one after the other.
-
-    Args:
-        vehicles: all.
-        tables: over the paths.
-        time: seconds.
-        generator: chooses the path.
-
-    Returns:
-        All vehicles; the same object if none leaves.
-    """
+    """Put a vehicle whose parking has ended on a path out of its bay, one after the other."""
     ready = np.flatnonzero(vehicles.parked_until <= time)
     out_of_bay = (tables.bay[vehicles.path] >= 0) & ~tables.into_bay[vehicles.path]
     if len(ready) == 0 or (out_of_bay & (vehicles.s < BAY_CLEARANCE_M)).any():
@@ -133,82 +204,26 @@ def leave_bay(
     return replace(vehicles, path=path, s=s, parked_until=parked_until)
 
 
-def remove_finished_vehicles(vehicles: Vehicles, tables: PathTables) -> Vehicles:
-    """Remove the vehicles at the end of their path, except in bays."""
-    at_end = vehicles.s >= tables.length[vehicles.path] - POINT_SPACING_M
-    finished = at_end & ~tables.into_bay[vehicles.path]
-    return select(vehicles, ~finished) if finished.any() else vehicles
-
-
-def enter_pedestrian(
-    pedestrians: Pedestrians, trip: PedestrianTrip, number: int, s: float = 0.0
-) -> Pedestrians:
-    """Let a pedestrian enter.
-
-    Args:
-        pedestrians: those that are present.
-        trip: of the pedestrian who enters.
-        number: index of the trip.
-        s: metres of the path walked so far.
-
-    Returns:
-        All pedestrians.
-    """
-    last = len(trip.path) - 1
-    index = min(int(s / POINT_SPACING_M), last - 1)
-    direction = trip.path[index + 1] - trip.path[index]
-    direction = direction / np.sqrt((direction**2).sum())
-    offset = trip.lateral_offset * np.array([-direction[1], direction[0]])
-    length = max(pedestrians.path.shape[1], last + 1)
-    entering = Pedestrians(
-        trip=np.array([number]),
-        position=(trip.path[index] + offset)[None],
-        velocity=ENTRY_SPEED_FACTOR * trip.desired_speed * direction[None],
-        path=_pad(trip.path[None], length),
-        crossing=_pad(trip.crossing[None], length),
-        last=np.array([last]),
-        s=np.array([POINT_SPACING_M * index]),
-        lateral_offset=np.array([trip.lateral_offset]),
-        desired_speed=np.array([trip.desired_speed]),
-        radius=np.array([BODY_RADIUS_M[trip.kind]]),
-    )
-    path, crossing = _pad(pedestrians.path, length), _pad(pedestrians.crossing, length)
-    return concat(replace(pedestrians, path=path, crossing=crossing), entering)
-
-
-def remove_finished_pedestrians(pedestrians: Pedestrians) -> Pedestrians:
-    """Remove the pedestrians at the end of their path."""
-    finished = pedestrians.s >= POINT_SPACING_M * pedestrians.last - ARRIVAL_M
-    return select(pedestrians, ~finished) if finished.any() else pedestrians
-
-
-def make_empty() -> tuple[Vehicles, Pedestrians]:
-    """No vehicles and no pedestrians."""
-    index, real, pair = np.empty(0, int), np.empty(0), np.empty((0, 2))
-    vehicles = Vehicles(index, index, real, real, real, real, real, real, real)
-    path, crossing = np.empty((0, 1, 2)), np.empty((0, 1), int)
-    pedestrians = Pedestrians(index, pair, pair, path, crossing, index, real, real, real, real)
-    return vehicles, pedestrians
-
-
-def concat(first: State, second: State) -> State:
-    """Concatenate the agents of two states."""
-    pairs = ((getattr(first, f.name), getattr(second, f.name)) for f in fields(first))
-    return type(first)(*(np.concatenate(pair) for pair in pairs))
-
-
-def select(state: State, mask: Bool[Array, "n"]) -> State:
-    """The agents for which a mask is true."""
-    return type(state)(*(getattr(state, f.name)[mask] for f in fields(state)))
+def _enter(
+    vehicles: Vehicles, tables: PathTables, trip: VehicleTrip, number: int
+) -> Vehicles | None:
+    """A vehicle at the start of its path, past its bay if that is taken; None without room."""
+    path = trip.path
+    if tables.bay[path] >= 0 and _is_taken(vehicles, tables, int(tables.bay[path])):
+        path = int(np.argmax((tables.entry == tables.entry[path]) & (tables.bay < 0)))
+    same = tables.entry[vehicles.path] == tables.entry[path]
+    speed = trip.speed_factor * float(tables.speed_limit[path, 0])
+    if same.any():
+        rears = vehicles.s[same] - REAR_SHARE * vehicles.length[same]
+        room = float(rears.min()) - FRONT_SHARE * trip.size[0]
+        leader_speed = float(vehicles.speed[same][np.argmin(rears)])
+        if room < ENTRY_GAP_M + ENTRY_HEADWAY_S * leader_speed:
+            return None
+        speed = min(speed, leader_speed + 0.15 * room)
+    return make_vehicle(replace(trip, path=path), number, speed=speed)
 
 
 def _is_taken(vehicles: Vehicles, tables: PathTables, bay: int) -> bool:
     """Whether a vehicle is parked in a bay, drives to it, or has only just left it."""
     has_left = ~tables.into_bay[vehicles.path] & (vehicles.s > BAY_CLEARANCE_M)
     return bool(((tables.bay[vehicles.path] == bay) & ~has_left).any())
-
-
-def _pad(rows: Array, length: int) -> Array:
-    """Repeat the last point of paths up to a length."""
-    missing = max(length - rows.shape[1], 0)
-    return np.concatenate([rows, np.repeat(rows[:, -1:], missing, axis=1)], axis=1)

@@ -38,7 +38,7 @@ def test_every_reference_exists(roads):
         assert all((m.attrib["type"], m.attrib["ref"]) in known for m in members)
 
 
-def test_each_lane_is_a_lanelet_and_neighbours_share_their_boundary(roads):
+def test_each_lane_is_a_lanelet_and_neighbours_share_a_bound(roads):
     _, lanelets = _parsed(roads, complete=True)
     assert set(lanelets) == {lane.name for lane in roads.lanes}
     for approach in roads.layout.approaches:
@@ -50,7 +50,7 @@ def test_each_lane_is_a_lanelet_and_neighbours_share_their_boundary(roads):
             assert inner["right"] == outer["left"]
 
 
-def test_lanelets_that_follow_each_other_share_their_end_nodes(roads):
+def test_consecutive_lanelets_share_their_end_nodes(roads):
     root, lanelets = _parsed(roads, complete=True)
     ends = {}
     for way in root.findall("way"):
@@ -62,14 +62,14 @@ def test_lanelets_that_follow_each_other_share_their_end_nodes(roads):
                 assert ends[lanelets[before][side]] & ends[lanelets[after][side]]
 
 
-def test_places_are_longitude_and_latitude(roads):
+def test_nodes_have_longitude_and_latitude(roads):
     root, _ = _parsed(roads)
     found = np.array([[float(n.attrib["lon"]), float(n.attrib["lat"])] for n in root.iter("node")])
     middle = lonlat_from_world(WORLD, np.zeros((1, 2)))[0]
     assert np.abs(found - middle).max() < 0.004
 
 
-def test_people_and_the_car_park_are_left_out_unless_asked_for(roads):
+def test_only_complete_maps_have_walkways_and_the_car_park(roads):
     kinds = [
         {_tags(r).get("subtype") for r in _parsed(roads, **options)[0].findall("relation")}
         for options in ({}, {"complete": True})
@@ -94,7 +94,7 @@ def test_same_plan_gives_the_same_bytes(roads, options):
     assert one == again
 
 
-def test_who_enters_a_ring_yields_to_those_who_come_round_it():
+def test_lanes_onto_a_roundabout_yield_to_its_ring():
     roads = make_roads("roundabout", np.random.default_rng(5))
     root, _ = _parsed(roads)
     names = {r.attrib["id"]: _tags(r).get("name") for r in root.findall("relation")}
@@ -105,7 +105,7 @@ def test_who_enters_a_ring_yields_to_those_who_come_round_it():
         assert roles["yield"].replace(" onto ring", "") == roles["right_of_way"].split()[-1]
 
 
-def test_crossings_at_lights_name_the_light_of_those_on_foot():
+def test_signalised_crosswalks_name_the_pedestrian_light():
     roads = make_roads("junction", np.random.default_rng(5))
     root, _ = _parsed(roads, complete=True)
     found = {_tags(r).get("name", "") for r in root.findall("relation")}
@@ -114,7 +114,7 @@ def test_crossings_at_lights_name_the_light_of_those_on_foot():
     assert wanted <= found
 
 
-def test_private_roads_are_on_the_whole_map_alone():
+def test_only_complete_maps_have_private_roads():
     roads = make_roads("campus", np.random.default_rng(5))
     (private,) = roads.layout.private
     missing = {lane.name for lane in roads.lanes if private in lane.name.split()}

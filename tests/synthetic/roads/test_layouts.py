@@ -16,7 +16,7 @@ EAST, NORTH = (
 )
 
 
-def test_lanes_towards_the_middle_lie_left_of_somebody_who_looks_out():
+def test_inbound_lanes_lie_at_larger_t():
     assert locate_inbound_lane(EAST, 0) > locate_outbound_lane(EAST, 0)
     np.testing.assert_allclose(plan_from_road(EAST, np.array([[20.0, 3.0]])), [[20, 3]])
     np.testing.assert_allclose(
@@ -33,19 +33,19 @@ def test_lanes_fill_the_road_between_the_gutters():
     )
 
 
-@pytest.mark.parametrize(("go", "turn"), [("west", "S"), ("north", "R"), ("south", "L")])
-def test_turns_are_those_of_somebody_who_drives_west(go, turn):
-    angle = {"west": np.pi, "north": np.pi / 2, "south": -np.pi / 2}[go]
-    assert classify_turn(EAST, Approach(go, angle, 0.0, (), 1)) == turn
+@pytest.mark.parametrize(("destination", "turn"), [("west", "S"), ("north", "R"), ("south", "L")])
+def test_turns_from_the_east_are_those_of_westbound_traffic(destination, turn):
+    angle = {"west": np.pi, "north": np.pi / 2, "south": -np.pi / 2}[destination]
+    assert classify_turn(EAST, Approach(destination, angle, 0.0, (), 1)) == turn
 
 
-def test_kerbs_of_two_roads_meet_at_the_other_ones_half_width():
+def test_kerbs_of_perpendicular_roads_meet_at_the_half_width():
     assert locate_corner(EAST, NORTH) == pytest.approx(NORTH.half_width)
     assert locate_corner(EAST, Approach("west", np.pi, 0.0, (), 1)) == 0
 
 
 @pytest.mark.parametrize("kind", PLACE_KINDS)
-def test_stop_lines_lie_outside_of_the_crossings(kind):
+def test_stop_lines_lie_behind_the_crossings(kind):
     for seed in range(20):
         for approach in make_layout(kind, np.random.default_rng(seed)).approaches:
             if kind in ("junction", "t", "campus") and np.isfinite(approach.stop):
@@ -53,6 +53,6 @@ def test_stop_lines_lie_outside_of_the_crossings(kind):
             assert approach.mouth > 0
 
 
-def test_unknown_kind_names_those_that_there_are(unchecked):
+def test_error_for_an_unknown_kind_lists_the_known_ones(unchecked):
     with pytest.raises(ValueError, match="'motorway' is not one of junction, t, roundabout"):
         make_layout("motorway", np.random.default_rng(0))

@@ -8,8 +8,7 @@ from geoaim.synthetic.traffic.paths import make_paths
 
 def _conflicts(roads):
     paths = make_paths(roads)
-    is_roundabout = roads.layout.ring_radius > 0
-    return paths, find_conflicts(paths, roads.crossings, roundabout=is_roundabout)
+    return paths, find_conflicts(roads, paths)
 
 
 def test_one_of_two_conflicting_paths_yields(roads):

@@ -96,4 +96,4 @@ def test_vehicle_lets_a_pedestrian_cross(model):
 
 
 def test_empty_road_is_no_error(model):
-    assert len(_simulate(model, make_empty()[0], 1.0)[-1].s) == 0
+    assert len(_simulate(model, make_empty().vehicles, 1.0)[-1].s) == 0

@@ -9,7 +9,7 @@ from geoaim.synthetic.traffic.demand import PedestrianTrip, VehicleTrip
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
 from geoaim.synthetic.traffic.pedestrians import look_ahead
 from geoaim.synthetic.traffic.simulate import prepare_traffic
-from geoaim.synthetic.traffic.spawning import enter_pedestrian, make_empty, make_vehicle
+from geoaim.synthetic.traffic.spawning import make_pedestrian, make_vehicle
 from geoaim.synthetic.traffic.vehicles import place_vehicles
 
 
@@ -29,7 +29,7 @@ def _reaction(model, gap, *, light=GREEN, marked=False):
     line = np.linspace(*model.roads.crossings[number].ends, 20)
     crossing = np.where(np.arange(20) < 1, -1, number)
     walk = PedestrianTrip(0.0, "pedestrian", line, crossing, 0.0, 1.4)
-    pedestrians = enter_pedestrian(make_empty()[1], walk, 0)
+    pedestrians = make_pedestrian(walk, 0)
     outlook = look_ahead(pedestrians, model.crossings)
     crossings = replace(model.crossings, signal=np.zeros_like(model.crossings.signal))
     crossings = crossings if light == RED else model.crossings
