@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.synthetic import Sample, draw_place, tracks_of
 from geoaim.synthetic.compositing import paste
-from geoaim.synthetic.filming import draw_agents, image_poses
+from geoaim.synthetic.filming import compute_image_poses, draw_agents
 
 RESOLUTION = 0.1  # m/px at which images are compared
 OCTAVES = 2.0 ** np.arange(-7, 0)  # cycles a pixel
@@ -64,7 +64,7 @@ def draw_sample(sample: Sample) -> UInt8[Array, "H W 3"]:
     still = draw_place(sample.place)
     tracks = tracks_of(sample)
     agents = draw_agents(tracks, 0.05, np.random.default_rng(1))
-    paste(still, agents, image_poses(sample.place, tracks, 0.05)[-1])
+    paste(still, agents, compute_image_poses(sample.place, tracks, 0.05)[-1])
     return _resize(still, 0.05)
 
 

@@ -38,7 +38,14 @@ def blend_patch(
     colour: UInt8[Array, "h w 3"],
     alpha: UInt8[Array, "h w"],
 ) -> None:
-    """Lay a premultiply picture over a window."""
+    """Blend premultiplied colours into a window of an image.
+
+    Args:
+        image: changed in place.
+        window: rows and columns.
+        colour: premultiplied colours of the window.
+        alpha: opacity of the window.
+    """
     ground = image[window].astype(np.uint16) * (255 - alpha[..., None].astype(np.uint16))
     image[window] = np.minimum((ground + 127) // 255 + colour, 255).astype(np.uint8)
 

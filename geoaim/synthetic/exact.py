@@ -1,8 +1,8 @@
-"""Arithmetic whose result is the same on every machine.
+"""Image arithmetic whose result is the same on every machine.
 
-Sums, products, quotients and roots of IEEE numbers are; sines, powers and all that a processor may
-fuse or reorder (OpenCV's float warps and blurs among it) differ in the last bits. So made scenes
-use the former, OpenCV's integer functions, and round what comes of the latter.
+IEEE sums, products, quotients and roots are reproducible. Sines, powers and everything that a
+processor may fuse or reorder (such as OpenCV's floating-point warps and blurs) differ in the last
+bits. Synthetic places therefore use the former and OpenCV's integer functions, and round the rest.
 """
 
 import cv2
@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray as Array
 
-FINEST = 2.0**20  # parts of a metre (a second, a grey level) that are told apart
-BITS = 8  # of the fraction of a pixel in a warp
-LANE = 21  # bits for each of three channels in one word
-ROWS = 16  # that are warped at a time, so that they stay in the cache
+ROUNDING_STEPS = 2.0**20  # per unit
+FRACTION_BITS = 8  # of a pixel in a warp
+CHANNEL_BITS = 21  # of each of three channels in one word
+ROWS = 16  # warped at a time, so that they stay in the cache
 
 
 def round_reproducibly(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
@@ -22,16 +22,16 @@ def round_reproducibly(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
     >>> round_reproducibly(np.array([0.1 + 0.2])) == round_reproducibly(np.array([0.3]))
     array([ True])
     """
-    return np.rint(np.asarray(values) * FINEST) / FINEST
+    return np.rint(np.asarray(values) * ROUNDING_STEPS) / ROUNDING_STEPS
 
 
 def blur(image: UInt8[Array, "H W *c"], sigma: float) -> UInt8[Array, "H W *c"]:
-    """Gaussian blur; of bytes OpenCV computes it in integers."""
+    """Blur by a Gaussian, which OpenCV computes in integers for bytes."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma)) if sigma > 0 else image
 
 
 def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array, "_ _ *c"]:
-    """To a width and height, finer details blurred away first; OpenCV's area mean is inexact."""
+    """Resize to (width, height), blurred first to avoid aliasing; OpenCV's area mean is inexact."""
     shrink = image.shape[1] / size[0]
     if shrink > 1:
         smooth = blur(image, 0.5 * np.sqrt(shrink**2 - 1))
@@ -40,32 +40,35 @@ def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array,
 
 
 def premultiply(sprite: UInt8[Array, "h w 4"]) -> UInt8[Array, "_ _ 4"]:
-    """Colours times alpha, with a clear rim, so that it can be resampled."""
+    """Premultiply colours by alpha and add a transparent rim, for resampling."""
     whole = sprite.astype(np.uint16)
     whole[..., :3] = (whole[..., :3] * whole[..., 3:] + 127) // 255
     return np.pad(whole.astype(np.uint8), ((1, 1), (1, 1), (0, 0)))
 
 
 def pack(image: UInt8[Array, "H W _"]) -> UInt64[Array, "H W"]:
-    """Up to three channels in one word each pixel, for `warp`."""
+    """Pack up to three channels into one word per pixel, for `warp`."""
     words = np.zeros(image.shape[:2], np.uint64)
     for channel in range(image.shape[2]):
-        words |= image[..., channel].astype(np.uint64) << np.uint64(LANE * channel)
+        words |= image[..., channel].astype(np.uint64) << np.uint64(CHANNEL_BITS * channel)
     return words
 
 
 def warp(
     words: UInt64[Array, "h w"], source_from_image: Float[Array, "3 3"], height: int, width: int
 ) -> UInt8[Array, "H W 3"]:
-    """Resample a packed image, linearly; outside of it its rim goes on.
+    """Resample a packed image linearly; beyond its border the border pixels continue.
 
-    Places are rounded to 1/256 px. Both matrices' pixels have their origin at the corner.
+    Positions are rounded to 1/256 px; pixels have their origin at the corner.
 
     Args:
         words: from `pack`.
         source_from_image: pixels of the result to pixels of the source.
         height: rows of the result.
-        width: its columns.
+        width: columns of the result.
+
+    Returns:
+        The image.
     """
     image = np.empty((height, width, 3), np.uint8)
     flat = words.ravel()
@@ -79,10 +82,10 @@ def warp(
 def _map_pixels(
     matrix: Float[Array, "3 3"], rows: Int[Array, "h"], width: int
 ) -> tuple[Int[Array, "h W"], Int[Array, "h W"]]:
-    """Where pixels lie in the source, in parts of a pixel from the middle of its first one."""
+    """Map pixels to the source, in 1/256 px from the centre of its first pixel."""
     x, y = np.arange(width) + 0.5, (rows + 0.5)[:, None]
-    (a, b, c), (d, e, f), (g, h, i) = matrix * [[1 << BITS], [1 << BITS], [1]]
-    half = 1 << (BITS - 1)
+    (a, b, c), (d, e, f), (g, h, i) = matrix * [[1 << FRACTION_BITS], [1 << FRACTION_BITS], [1]]
+    half = 1 << (FRACTION_BITS - 1)
     depth = 1 / (g * x + h * y + i)
     u = np.rint((a * x + b * y + c) * depth - half)
     v = np.rint((d * x + e * y + f) * depth - half)
@@ -92,17 +95,19 @@ def _map_pixels(
 def _sample(
     flat: UInt64[Array, "_"], shape: tuple[int, ...], u: Int[Array, "h W"], v: Int[Array, "h W"]
 ) -> UInt8[Array, "h W 3"]:
-    """Linear interpolation of three channels at once, each in its part of a word."""
-    one = 1 << BITS
+    """Interpolate three channels at once, each in its part of a word."""
+    one = 1 << FRACTION_BITS
     u = np.minimum(np.maximum(u, 0), (shape[1] - 1) * one - 1)
     v = np.minimum(np.maximum(v, 0), (shape[0] - 1) * one - 1)
-    at = (v >> BITS) * shape[1] + (u >> BITS)
+    at = (v >> FRACTION_BITS) * shape[1] + (u >> FRACTION_BITS)
     right, down = (u & (one - 1)).astype(np.uint64), (v & (one - 1)).astype(np.uint64)
     left, up = np.uint64(one) - right, np.uint64(one) - down
     top = flat.take(at) * left + flat.take(at + 1) * right
     low = flat.take(at + shape[1]) * left + flat.take(at + shape[1] + 1) * right
-    short = np.uint64(sum(0x1FFF << (LANE * channel) for channel in range(3)))
-    three, round_up = np.uint64(3), np.uint64(sum(1 << (LANE * k + 12) for k in range(3)))
+    short = np.uint64(sum(0x1FFF << (CHANNEL_BITS * channel) for channel in range(3)))
+    three, round_up = np.uint64(3), np.uint64(sum(1 << (CHANNEL_BITS * k + 12) for k in range(3)))
     both = ((top >> three) & short) * up + ((low >> three) & short) * down + round_up
-    parts = [(both >> np.uint64(LANE * channel + 13)).astype(np.uint8) for channel in range(3)]
+    parts = [
+        (both >> np.uint64(CHANNEL_BITS * channel + 13)).astype(np.uint8) for channel in range(3)
+    ]
     return np.stack(parts, axis=-1)

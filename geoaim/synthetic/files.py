@@ -17,7 +17,7 @@ from geoaim.synthetic.imagery import (
 )
 from geoaim.synthetic.imagery_files import write_imagery
 from geoaim.synthetic.map_files import write_maps
-from geoaim.synthetic.readme import TITLE, describe
+from geoaim.synthetic.readme import TITLE, format_readme
 from geoaim.synthetic.roads.markings import list_landmarks
 from geoaim.synthetic.sample import Sample, tracks_of
 from geoaim.synthetic.traffic.signals import light_states_at
@@ -102,7 +102,7 @@ def _write_all(sample: Sample, folder: Path, report: Progress) -> None:
     report("maps", 3, 3)
     if sample.clip is not None:
         write_video_files(sample, sample.clip, folder, report)
-    (folder / "README.md").write_bytes(describe(sample).encode())
+    (folder / "README.md").write_bytes(format_readme(sample).encode())
 
 
 def _format_name(stem: str, number: int, ending: str) -> str:

@@ -1,4 +1,4 @@
-"""A hovering drone over a made place: its traffic as sprites, and the clip over both."""
+"""A hover clip of a synthetic place and its traffic."""
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -9,7 +9,7 @@ from geoaim.synthetic.camera import HoverClip, SpriteTracks, film
 from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.scenery.day import Day, compute_shadow_offset
-from geoaim.synthetic.scenery.objects import CAR, PAINTS
+from geoaim.synthetic.scenery.objects import CAR_HEIGHT_M, PAINTS
 from geoaim.synthetic.scenery.sprites import draw_pedestrian, draw_vehicle
 from geoaim.tracks import Tracks
 
@@ -26,25 +26,28 @@ def film_place(
     size: tuple[int, int],
     resolution: float = RESOLUTION,
 ) -> HoverClip:
-    """A clip of a place and its traffic; frames come from `render_frames(clip)`.
+    """Plan a hover clip of a place and its traffic; `render_frames(clip)` renders it.
 
     Args:
-        place: what is filmed.
-        day: when.
-        tracks: of the traffic at the times of the frames, some metres past the page.
-        hover: how it is filmed.
+        place: the place.
+        day: the day.
+        tracks: the traffic, at the times of the frames.
+        hover: the camera.
         size: height and width of a frame, pixels.
-        resolution: of the drawn place.
+        resolution: metres per pixel of the drawn place.
+
+    Returns:
+        The clip.
 
     Raises:
-        ValueError: there are not as many times as frames.
+        ValueError: the tracks do not have a time for each frame.
     """
-    shadow = CAR * compute_shadow_offset(day) * (1 - day.clouds) / resolution
+    shadow = CAR_HEIGHT_M * compute_shadow_offset(day) * (1 - day.clouds) / resolution
     colours = np.random.default_rng([place.seed, COLOURS])
     traffic = SpriteTracks(
         sprites=draw_agents(tracks, resolution, colours),
         sizes=tracks.sizes / resolution,
-        poses=image_poses(place, tracks, resolution),
+        poses=compute_image_poses(place, tracks, resolution),
         shadow=(float(shadow[0]), float(-shadow[1])),
         types=tracks.types,
     )
@@ -53,8 +56,17 @@ def film_place(
     return film(still, traffic, hover, height=size[0], width=size[1], generator=generator)
 
 
-def image_poses(place: Place, tracks: Tracks, resolution: float) -> Float[Array, "T N 3"]:
-    """Where agents are in the drawn place: pixels and heading (counter-clockwise as seen)."""
+def compute_image_poses(place: Place, tracks: Tracks, resolution: float) -> Float[Array, "T N 3"]:
+    """Compute the agents' poses in the drawn place.
+
+    Args:
+        place: the place.
+        tracks: N agents at T times.
+        resolution: metres per pixel of the drawn place.
+
+    Returns:
+        (T, N, 3) pixels and heading, counter-clockwise as seen.
+    """
     image_from_world = np.linalg.inv(world_from_image(place, resolution))
     pixels = transform_points(image_from_world, tracks.states[..., :2])
     turn = np.arctan2(place.world_from_plan[1, 0], place.world_from_plan[0, 0])
@@ -65,7 +77,16 @@ def image_poses(place: Place, tracks: Tracks, resolution: float) -> Float[Array,
 def draw_agents(
     tracks: Tracks, resolution: float, generator: np.random.Generator
 ) -> tuple[UInt8[Array, "_ _ 4"], ...]:
-    """A picture of each agent from above; colours are drawn by chance."""
+    """Draw a sprite of each agent, in random colours.
+
+    Args:
+        tracks: the agents.
+        resolution: metres per pixel.
+        generator: source of randomness.
+
+    Returns:
+        RGBA sprites, heading right.
+    """
     sprites = []
     for kind, (length, width) in zip(tracks.types, tracks.sizes.tolist(), strict=True):
         paint = PAINTS[int(generator.integers(len(PAINTS)))]

@@ -1,4 +1,4 @@
-"""Imagery of a made place by others: another day, another sensor, a place that is a little off."""
+"""Third-party imagery of a synthetic place: another day, another sensor, misplaced."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.compositing import paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
-from geoaim.synthetic.filming import draw_agents, image_poses
+from geoaim.synthetic.filming import compute_image_poses, draw_agents
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.roads.layouts import PLACE_KINDS
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
@@ -26,15 +26,15 @@ IMAGERY = 30  # stream of random numbers
 
 @dataclass(frozen=True)
 class Sensor:
-    """What took a picture from far above.
+    """A satellite's or an aeroplane's sensor.
 
     Attributes:
-        resolution: on the ground.
-        blur: standard deviation of its blur, its own pixels.
+        resolution: metres per pixel on the ground.
+        blur: standard deviation of its blur, pixels.
         noise: standard deviation of its noise, grey levels.
-        gamma: of its grey levels.
+        gamma: exponent of its grey levels.
         balance: gain of red, green and blue.
-        mix: how far its colours are mixed with each other, 0 to 1.
+        mix: how far its channels are mixed with grey, 0 to 1.
     """
 
     resolution: float = 0.2
@@ -47,15 +47,14 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Imagery:
-    """A georeferenced picture, and by how far it is misplaced.
+    """A georeferenced image, and by how much it is misplaced.
 
     Attributes:
-        image: (H, W, 3) the picture.
-        covered: (H, W) where it shows the place.
+        image: (H, W, 3) the image.
+        covered: (H, W) pixels that show the place.
         crs: a projected CRS.
-        crs_from_image: (3, 3) pixels (corner origin) to where the picture says that they are.
-        offset: metres east and north in the place's world by which it is misplaced: what it shows
-            at a place is in truth that far back.
+        crs_from_image: (3, 3) pixels (corner origin) to stated coordinates.
+        offset: stated minus true position, metres east and north in the place's world.
     """
 
     image: UInt8[Array, "H W 3"]
@@ -66,7 +65,7 @@ class Imagery:
 
 
 def make_other_day(place: Place) -> Day:
-    """A day of another season and another sun than day 0, on which some things have changed."""
+    """Make a day of another season and sun than day 0, with changes on the ground."""
     generator = _make_generator(place)
     return Day(
         season=SEASONS[int(generator.choice([0, 2, 3]))],
@@ -86,25 +85,42 @@ def photograph(
     *,
     resolution: float = RESOLUTION,
 ) -> UInt8[Array, "_ _ 3"]:
-    """A place from far above on some day, with the traffic of the tracks' first time.
+    """Photograph a place, with the traffic of the tracks' first time.
 
-    Its sides are those of the drawn place, at the sensor's resolution; it is drawn finer, at
-    `resolution`.
+    Args:
+        place: the place.
+        day: the day.
+        tracks: the traffic.
+        sensor: the sensor; None takes the default one.
+        resolution: metres per pixel at which the place is drawn before the sensor reduces it.
+
+    Returns:
+        The extent of the drawn place at the sensor's resolution.
     """
     generator = _make_generator(place, day.number)
     still = draw_place(place, day, resolution=resolution)
     agents = draw_agents(tracks, resolution, generator)
-    paste(still, agents, image_poses(place, tracks, resolution)[0])
+    paste(still, agents, compute_image_poses(place, tracks, resolution)[0])
     return _apply_sensor(still, Sensor() if sensor is None else sensor, generator)
 
 
 def georeference_photo(
     place: Place, photo: UInt8[Array, "_ _ 3"], crs: str, *, offset: tuple[float, float]
 ) -> Imagery:
-    """A photo on a north-up grid of some CRS, misplaced by some metres on the ground."""
+    """Resample a photo onto a north-up grid of a CRS, and misplace it.
+
+    Args:
+        place: the place.
+        photo: the photo.
+        crs: a projected CRS.
+        offset: metres east and north by which it is misplaced.
+
+    Returns:
+        The imagery.
+    """
     crs_from_photo = _fit_crs_from_photo(place, photo.shape[:2], crs)
     unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # of the CRS, for a pixel of the photo
-    pixel = float(np.float32(unit))  # a number that is the same on every machine
+    pixel = float(np.float32(unit))  # the same number on every machine
     crs_from_image, (height, width) = _make_grid(crs_from_photo, photo.shape[:2], pixel)
     photo_from_image = np.linalg.inv(crs_from_photo) @ crs_from_image
     image, covered = _resample(photo, photo_from_image, height, width)
@@ -116,7 +132,7 @@ def georeference_photo(
 
 
 def draw_offset(place: Place) -> tuple[float, float]:
-    """By how many metres east and north imagery of a place is misplaced."""
+    """Draw by how many metres east and north imagery of a place is misplaced."""
     generator = _make_generator(place, 0)
     reach, turn = generator.uniform(2.0, 6.0), generator.uniform(0, 2 * np.pi)
     return round(float(reach * np.cos(turn)), 2), round(float(reach * np.sin(turn)), 2)
@@ -154,7 +170,7 @@ def _make_generator(place: Place, *number: int) -> np.random.Generator:
 
 
 def _fit_crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:
-    """Pixels of a photo to a CRS: over a place this small, affine to under a millimetre."""
+    """Fit the affine transform from a photo's pixels to a CRS, exact to a millimetre here."""
     rows, columns = shape
     u, v = np.meshgrid(np.linspace(0, columns, 5), np.linspace(0, rows, 5))
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)
@@ -171,7 +187,7 @@ def _fit_crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float
 def _make_grid(
     crs_from_photo: Float[Array, "3 3"], shape: tuple[int, ...], pixel: float
 ) -> tuple[Float[Array, "3 3"], tuple[int, int]]:
-    """A north-up grid around a photo, its corner on whole units of the CRS."""
+    """Make a north-up grid around a photo, its corner on whole units of the CRS."""
     corners = transform_points(crs_from_photo, image_corners(*shape))
     left, low = np.floor(corners.min(axis=0))
     right, top = np.ceil(corners.max(axis=0))
@@ -182,7 +198,7 @@ def _make_grid(
 def _apply_sensor(
     still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
-    """The drawn place as the sensor renders it, at its resolution."""
+    """Reduce a drawn place to the sensor's resolution, with its blur, tone, colours and noise."""
     width, height = (round(side / sensor.resolution) for side in (WIDTH_M, HEIGHT_M))
     small = blur(resize(still, (width, height)), sensor.blur)
     levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)
@@ -196,7 +212,7 @@ def _apply_sensor(
 def _resample(
     image: UInt8[Array, "h w 3"], image_from_grid: Float[Array, "3 3"], height: int, width: int
 ) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
-    """A picture on another grid, and where it is."""
+    """Resample an image onto another grid; also return where it is covered."""
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     spots = transform_points(image_from_grid, np.stack([u.ravel(), v.ravel()], axis=1))
     rows, columns = image.shape[:2]

@@ -1,4 +1,4 @@
-"""A made place: its plan, its scenery and where it lies; the same seed gives the same place."""
+"""A synthetic place: roads, scenery and world; the same seed gives the same place."""
 
 from dataclasses import dataclass
 
@@ -16,21 +16,21 @@ from geoaim.synthetic.scenery.plots import place_scenery
 from geoaim.synthetic.scenery.scenery import Scenery
 from geoaim.world import World
 
-RESOLUTION = 0.05
-CONTRAST = (0.75, 1.45)  # of the cameras
+RESOLUTION = 0.05  # m/px, default
+CONTRAST = (0.75, 1.45)  # slopes of the cameras' tone curves
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 PLAN, SCENERY, GROUND, DAY = range(4)  # streams of random numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A made place.
+    """A synthetic place.
 
     Attributes:
-        seed: of everything in it.
-        roads: the plan, metres from its middle, x right and y up as drawn.
-        scenery: what stands beside the roads.
-        world: the plane of the tracks.
+        seed: random seed of everything in it.
+        roads: the roads, in plan metres: from the middle, x right and y up as drawn.
+        scenery: the surroundings of the roads.
+        world: the world of its tracks.
         world_from_plan: (3, 3) plan metres to world metres, a rotation and a shift.
     """
 
@@ -42,14 +42,14 @@ class Place:
 
 
 def make_place(seed: int, *, kind: PlaceKind = "junction") -> Place:
-    """A place of some kind: "junction", "t", "roundabout", "street", "park" or "campus".
+    """Make a place: "junction", "t", "roundabout", "street", "park" or "campus".
 
     Raises:
         ValueError: there is no such kind.
     """
     roads = make_roads(kind, _make_generator(seed, PLAN))
     generator = _make_generator(seed, SCENERY)
-    turn = generator.uniform(-np.pi, np.pi)  # nobody flies along the grid
+    turn = generator.uniform(-np.pi, np.pi)  # no drone flies along the grid
     c, s = np.cos(turn), np.sin(turn)
     world_from_plan = np.array([[c, -s, 180.0], [s, c, 240.0], [0, 0, 1.0]])
     return Place(seed, roads, place_scenery(roads, generator), WORLD, world_from_plan)
@@ -58,10 +58,18 @@ def make_place(seed: int, *, kind: PlaceKind = "junction") -> Place:
 def draw_place(
     place: Place, day: Day | None = None, *, resolution: float = RESOLUTION
 ) -> UInt8[Array, "H W 3"]:
-    """The place from above on some day, without traffic.
+    """Draw a place from above, without traffic.
 
-    Texture is drawn anew at each resolution: for two pictures of the same ground, draw the finer
-    and resize it.
+    Textures differ between resolutions: for two images of the same ground, draw the finer one and
+    resize it.
+
+    Args:
+        place: the place.
+        day: the day; None takes day 0.
+        resolution: metres per pixel.
+
+    Returns:
+        The image.
     """
     day = Day() if day is None else day
     canvas = make_canvas(HEIGHT_M, WIDTH_M, resolution, _make_generator(place.seed, GROUND))
@@ -75,12 +83,12 @@ def draw_place(
 
 
 def world_from_image(place: Place, resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
-    """Pixels of a drawn place (corner origin) to metres from `place.world.origin`."""
+    """Compute the transform from pixels of a drawn place to its world."""
     return place.world_from_plan @ plan_from_image(resolution)
 
 
 def plan_from_image(resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
-    """Pixels of a drawn place (corner origin) to plan metres."""
+    """Compute the transform from pixels of a drawn place to plan metres."""
     m = resolution
     left, top = (-m * round(side / m) / 2 for side in (WIDTH_M, HEIGHT_M))
     return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])

@@ -1,4 +1,4 @@
-"""The README of a sample: what each file is, and what made it."""
+"""The README of a sample: what each file is, and the command that makes it."""
 
 from pathlib import Path
 from string import Template
@@ -6,19 +6,19 @@ from string import Template
 from geoaim.synthetic.place import RESOLUTION
 from geoaim.synthetic.sample import HOVER, VIDEOS, Sample
 
-TITLE = "# Sample\n\nA made place"  # how it begins
+TITLE = "# Sample\n\nA synthetic place"  # how it begins
 ZOOM = 19  # of the tiles
 
 
-def describe(sample: Sample) -> str:
-    """What each file is: the template without the blocks that do not apply."""
+def format_readme(sample: Sample) -> str:
+    """Fill the README's template, without the blocks that do not apply."""
     clip = sample.clip
     seconds = sum(float(recording.times[-1]) for recording in sample.recordings)
     values: dict[str, object] = {
-        "command": _command(sample, seconds / 60),
+        "command": _format_command(sample, seconds / 60),
         "traffic": f"{seconds:g}",
         "zoom": ZOOM,
-        "start": "" if clip is None else ". Time 0 is that of the video's first frame",
+        "start": "" if clip is None else ". Time 0 is the video's first frame",
     }
     if clip is not None:
         values |= {"width": clip.width, "height": clip.height, "rate": f"{clip.hover.frame_rate:g}"}
@@ -32,8 +32,8 @@ def describe(sample: Sample) -> str:
     return Template(text).substitute(values)
 
 
-def _command(sample: Sample, minutes: float) -> str:
-    """The command that makes the sample; the call where none does."""
+def _format_command(sample: Sample, minutes: float) -> str:
+    """Format the command that makes the sample, or the Python call if no command does."""
     kind, seed, clip = sample.place.roads.layout.kind, sample.place.seed, sample.clip
     sizes = {size: name for name, size in VIDEOS.items()}
     video = "none" if clip is None else sizes.get((clip.height, clip.width))

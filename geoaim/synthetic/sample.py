@@ -47,7 +47,7 @@ class Sample:
         place: the place.
         traffic_model: what its traffic is simulated from.
         recordings: one after the other, each of at most five minutes.
-        clip: of the first recording, from its start; None: nobody filmed it.
+        clip: video of the first recording, from its start; None without a video.
         resolution: at which the place is drawn.
     """
 
@@ -67,15 +67,18 @@ def make_sample(
     hover: Hover = HOVER,
     resolution: float = RESOLUTION,
 ) -> Sample:
-    """Make a place and let its traffic run; frames come from `render_frames(sample.clip)`.
+    """Make a place and simulate its traffic; `render_frames(sample.clip)` renders its video.
 
     Args:
         seed: the same seed gives the same numbers and frames on every machine.
         kind: "junction", "t", "roundabout", "street", "park" or "campus".
-        minutes: of traffic.
+        minutes: duration of the traffic.
         video: height and width of its frames, pixels; None for no video.
-        hover: how the drone films.
-        resolution: of the drawn place, 0.05 to 0.2.
+        hover: the drone's camera.
+        resolution: metres per pixel of the drawn place, 0.05 to 0.2.
+
+    Returns:
+        The sample.
 
     Raises:
         ValueError: there is no such kind, less traffic than video, or more video than fits in one
@@ -97,7 +100,7 @@ def make_sample(
     place = make_place(seed, kind=kind)
     model = prepare_traffic(place.roads, np.random.default_rng([seed, FLOW]))
     recordings = tuple(
-        _recorded(model, number, min(LONGEST, 60 * minutes - number * LONGEST), seed)
+        _simulate_recording(model, number, min(LONGEST, 60 * minutes - number * LONGEST), seed)
         for number in range(int(np.ceil(60 * minutes / LONGEST)))
     )
     clip = None
@@ -110,7 +113,7 @@ def make_sample(
 
 
 def tracks_of(sample: Sample, number: int = 0) -> Tracks:
-    """The tracks of a recording, 10 a second."""
+    """Return the tracks of a recording, 10 per second."""
     place, recording = sample.place, sample.recordings[number]
     times = np.arange(int(recording.times[-1] * RATE + 1e-9) + 1) / RATE
     return interpolate_tracks(
@@ -118,8 +121,10 @@ def tracks_of(sample: Sample, number: int = 0) -> Tracks:
     )
 
 
-def _recorded(model: TrafficModel, number: int, seconds: float, seed: int) -> TrafficRecording:
-    """A recording; the lights of the first one change early, so that a short video shows it."""
+def _simulate_recording(
+    model: TrafficModel, number: int, seconds: float, seed: int
+) -> TrafficRecording:
+    """Simulate a recording; the first one's lights change early, for short videos."""
     generator = np.random.default_rng([seed, TRAFFIC, number])
     cycle = model.signals.cycle
     early = model.signals.green[0][1] - EARLY_YELLOW if cycle else 0.0

@@ -1,4 +1,4 @@
-"""The picture being drawn, and strokes in plan metres."""
+"""The image that is being drawn, and how shapes in plan metres are drawn on it."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -29,14 +29,14 @@ Window: TypeAlias = tuple[slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """The picture being drawn (changed in place) and what all strokes need.
+    """The image being drawn (changed in place), with the noise for its textures.
 
     Attributes:
         image: (H, W, 3) grey levels.
         image_from_plan: (3, 3) plan metres to pixels, a scale and a flip.
-        resolution: of the picture.
-        generator: of what is scattered by chance.
-        fields: noise for all strokes; each takes another part of it.
+        resolution: metres per pixel.
+        generator: source of randomness.
+        fields: noise of four slopes; each stroke crops another part.
     """
 
     image: Float32[Array, "H W 3"]
@@ -54,7 +54,17 @@ class Canvas:
 def make_canvas(
     height: float, width: float, resolution: float, generator: np.random.Generator
 ) -> Canvas:
-    """A black canvas of some metres around the plan's origin."""
+    """Make a black canvas around the plan's origin.
+
+    Args:
+        height: metres.
+        width: metres.
+        resolution: metres per pixel.
+        generator: source of randomness.
+
+    Returns:
+        The canvas.
+    """
     rows, columns = round(height / resolution), round(width / resolution)
     scale = 1 / resolution
     image_from_plan = np.array([[scale, 0, columns / 2], [0, -scale, rows / 2], [0, 0, 1.0]])
@@ -65,7 +75,16 @@ def make_canvas(
 
 
 def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Float32[Array, "h w"]:
-    """Noise of one kind in a window of the canvas, from a place of its field that chance picks."""
+    """Crop noise at a random position of one of the canvas's fields.
+
+    Args:
+        canvas: the canvas.
+        field: `GRAIN`, `BLOTCH`, `PATCH` or `HILL`.
+        window: rows and columns of the result; None for the whole canvas.
+
+    Returns:
+        Noise of mean 0 and variance 1.
+    """
     rows, columns = window or (slice(0, canvas.shape[0]), slice(0, canvas.shape[1]))
     tile = len(canvas.fields[field])
     down, right = canvas.generator.integers(0, tile, 2)
@@ -79,7 +98,16 @@ def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Fl
 def rasterize_shape(
     canvas: Canvas, shape: Shape, *, within: Window | None = None
 ) -> tuple[Window, UInt8[Array, "h w"]]:
-    """The window around a shape (plan metres) and its anti-aliased mask there."""
+    """Rasterize a shape, anti-aliased.
+
+    Args:
+        canvas: the canvas.
+        shape: polygons in plan metres.
+        within: window of the mask; None takes the bounding box of the shape.
+
+    Returns:
+        The window, and the mask in it, 0 to 255.
+    """
     polygons = [
         [transform_points(canvas.image_from_plan, ring) for ring in rings]
         for rings in _iterate_rings(shape)
@@ -110,12 +138,12 @@ def fill(
     """Fill a shape with a colour that varies by noise.
 
     Args:
-        canvas: what is drawn on.
-        shape: polygons in plan metres; touching ones are one.
-        colour: its mean.
-        strength: how much of what is below is covered, 0 to 1.
-        grain: kinds of noise and their deviations, grey levels.
-        only: where the shape may be drawn.
+        canvas: the canvas, changed in place.
+        shape: polygons in plan metres; their union is filled.
+        colour: mean colour.
+        strength: opacity, 0 to 1.
+        grain: noise fields and their standard deviations in grey levels.
+        only: area to which drawing is clipped.
     """
     window, mask = rasterize_shape(canvas, shape)
     if not mask.any():
@@ -134,7 +162,17 @@ def add_grain(
     grain: Sequence[tuple[int, float]],
     window: Window,
 ) -> Float32[Array, "*_ 3"]:
-    """A colour, or a picture of it with noise."""
+    """Add noise to a colour.
+
+    Args:
+        canvas: the canvas, for its noise.
+        colour: the colour.
+        grain: noise fields and their standard deviations in grey levels.
+        window: rows and columns of the result.
+
+    Returns:
+        The colour alone if there is no grain, else an image of the window.
+    """
     if not grain:
         return np.asarray(colour, np.float32)
     light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
@@ -144,7 +182,14 @@ def add_grain(
 def shade(
     canvas: Canvas, shape: Shape, share: float | Colour, *, only: Geometry | None = None
 ) -> None:
-    """Take a share of the light inside a shape."""
+    """Darken the inside of a shape.
+
+    Args:
+        canvas: the canvas, changed in place.
+        shape: polygons in plan metres.
+        share: share of the light that is taken, for all channels or each.
+        only: area to which drawing is clipped.
+    """
     window, mask = rasterize_shape(canvas, shape)
     if mask.any():
         alpha = mask.astype(np.float32) / np.float32(255)
@@ -156,7 +201,7 @@ def shade(
 
 
 def make_circle(centre: Float[Array, "2"], radius: float) -> Float[Array, "24 2"]:
-    """A round polygon."""
+    """Make a circle as a polygon of 24 corners."""
     turn = np.linspace(0, 2 * np.pi, 25)[:-1]
     return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + centre
 
@@ -164,21 +209,39 @@ def make_circle(centre: Float[Array, "2"], radius: float) -> Float[Array, "24 2"
 def make_rectangle(
     centre: Float[Array, "2"], size: tuple[float, float], angle: float
 ) -> Float[Array, "4 2"]:
-    """Corners of a rectangle (metres along and across its angle), turned about its middle."""
+    """Make a rotated rectangle.
+
+    Args:
+        centre: metres.
+        size: length and width, metres.
+        angle: direction of the length, radians.
+
+    Returns:
+        (4, 2) corners, metres.
+    """
     half = np.array(size) / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return half @ turn + centre
 
 
 def make_bar(start: Float[Array, "2"], end: Float[Array, "2"], half: float) -> Float[Array, "4 2"]:
-    """A thin rectangle from one point to another."""
+    """Make a thin rectangle between two points.
+
+    Args:
+        start: metres.
+        end: metres.
+        half: half its width, metres.
+
+    Returns:
+        (4, 2) corners, metres.
+    """
     along = (end - start) / np.hypot(*(end - start))
     side = half * np.array([-along[1], along[0]])
     return np.array([start + side, end + side, end - side, start - side])
 
 
 def _iterate_rings(shape: Shape) -> Iterator[list[Line]]:
-    """Outline and holes of each polygon."""
+    """Iterate over the polygons of a shape: outline and holes of each."""
     if isinstance(shape, Geometry):
         for part in shapely.get_parts(shape):
             if part.geom_type == "Polygon" and not part.is_empty:

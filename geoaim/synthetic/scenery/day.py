@@ -1,4 +1,4 @@
-"""A day: sun, season, and what has changed on the ground since another day."""
+"""A day: sun, season, and changes on the ground since day 0."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -15,15 +15,15 @@ SEASONS: tuple[Season, ...] = get_args(Season)
 
 @dataclass(frozen=True)
 class Day:
-    """When a place is looked at.
+    """The day on which a place is observed.
 
     Attributes:
         season: colours of grass and leaves.
         azimuth: direction to the sun on the plan, radians counter-clockwise from +x.
         elevation: height of the sun, radians.
         clouds: 0 for a clear sky, 1 for an overcast one without shadows.
-        number: what differs from day to day by chance: parked cars, and with `changes`, more.
-        changes: how many things have changed since day 0: trees, tar, containers, markings.
+        number: seed of what differs between days: parked cars and, with `changes`, more.
+        changes: number of changes since day 0: trees felled, tar repaired, containers.
     """
 
     season: Season = "summer"
@@ -40,9 +40,9 @@ class Palette:
 
     Attributes:
         grass: mean colour of lawns.
-        dry: of their dry places.
-        dryness: how far these reach.
-        leaves: of trees and shrubs.
+        dry: colour of their dry patches.
+        dryness: extent of the dry patches.
+        leaves: colours of trees and shrubs.
         bare: share of the trees without leaves.
         light: colour of the light, 1 is white.
     """
@@ -76,15 +76,15 @@ PALETTES: dict[Season, Palette] = {
 
 
 def compute_shadow_offset(day: Day) -> Float[Array, "2"]:
-    """Plan metres by which a metre of height throws its shadow."""
+    """Compute the shadow's offset per metre of height, plan metres."""
     return -np.array([np.cos(day.azimuth), np.sin(day.azimuth)]) / np.tan(day.elevation)
 
 
 def compute_sun_direction(day: Day) -> tuple[float, float]:
-    """Direction to the sun in the image: right and down."""
+    """Compute the direction to the sun in the image: right and down."""
     return float(np.cos(day.azimuth)), float(-np.sin(day.azimuth))
 
 
 def compute_shadow_depth(day: Day) -> Float[Array, "3"]:
-    """The share of light that a shadow takes from each channel."""
+    """Compute the share of light that a shadow takes from each channel."""
     return (1 - day.clouds) * np.array([0.58, 0.55, 0.47])

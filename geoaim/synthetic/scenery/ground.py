@@ -1,4 +1,4 @@
-"""The ground of a place, drawn: grass, slabs, tar with its wear, paint."""
+"""The ground of a place: grass, slabs, worn tar and paint."""
 
 import cv2
 import numpy as np
@@ -47,13 +47,21 @@ WHITE: Colour = (222, 222, 216)
 TAR: Colour = (122, 121, 119)
 SLAB: Colour = (152, 149, 144)
 KERB: Colour = (196, 193, 186)
-WHEELS = 0.8  # m from the middle of a lane to where wheels roll
+WHEEL_OFFSET_M = 0.8  # from the middle of a lane
 
 
 def draw_ground(
     canvas: Canvas, roads: Roads, scenery: Scenery, day: Day, generator: np.random.Generator
 ) -> None:
-    """Everything that is flat, from below to above; `generator` is that of the day."""
+    """Draw everything that is flat, from bottom to top.
+
+    Args:
+        canvas: changed in place.
+        roads: the roads.
+        scenery: use of the plots.
+        day: the season.
+        generator: source of randomness, the day's own.
+    """
     _draw_grass(canvas, day)
     _draw_plots(canvas, scenery)
     _draw_pavement(canvas, roads, scenery, day)
@@ -65,7 +73,7 @@ def draw_ground(
 
 
 def _draw_grass(canvas: Canvas, day: Day) -> None:
-    """Lawn everywhere, dry in places."""
+    """Draw lawn everywhere, dry in places."""
     palette = PALETTES[day.season]
     image = canvas.image
     image[:] = palette.grass
@@ -77,7 +85,7 @@ def _draw_grass(canvas: Canvas, day: Day) -> None:
 
 
 def _draw_plots(canvas: Canvas, scenery: Scenery) -> None:
-    """Mown parks, yards, gravel, ponds, soil."""
+    """Draw mown parks, yards, gravel, ponds and soil."""
     for parcel in scenery.parcels:
         if parcel.use == "park":
             window, mask = rasterize_shape(canvas, parcel.area)
@@ -104,7 +112,7 @@ def _draw_plots(canvas: Canvas, scenery: Scenery) -> None:
 
 
 def _draw_pavement(canvas: Canvas, roads: Roads, scenery: Scenery, day: Day) -> None:
-    """Slabs between kerb and plots, paths off them, verges of grass."""
+    """Draw slabs between kerb and plots, paths, and verges of grass."""
     paved = shapely.union_all([roads.paving.pavement, roads.footpaths.surface])
     fill(canvas, paved, SLAB, grain=[(PATCH, 4), (GRAIN, 4.5)])
     _draw_joints(canvas, paved, 0.6, 0.22)
@@ -117,7 +125,7 @@ def _draw_pavement(canvas: Canvas, roads: Roads, scenery: Scenery, day: Day) -> 
 
 
 def _draw_joints(canvas: Canvas, area: Geometry, step: float, share: float) -> None:
-    """Dark lines between slabs."""
+    """Draw the dark joints between slabs."""
     window, mask = rasterize_shape(canvas, area)
     if mask.size:
         x, y = _compute_plan_coordinates(canvas, window)
@@ -127,7 +135,7 @@ def _draw_joints(canvas: Canvas, area: Geometry, step: float, share: float) -> N
 
 
 def _draw_tar(canvas: Canvas, roads: Roads) -> None:
-    """Tar of several ages, worn where wheels pass, with oil, patches, cracks and covers."""
+    """Draw tar of several ages with wheel tracks, oil, patches, cracks and manholes."""
     road = shapely.union_all([roads.paving.carriageway, roads.paving.drive, roads.paving.lot])
     window, mask = rasterize_shape(canvas, road)
     grey = np.float32(4) * sample_noise(canvas, PATCH, window) + np.float32(2.5) * sample_noise(
@@ -156,7 +164,7 @@ def _draw_tar(canvas: Canvas, roads: Roads) -> None:
 
 
 def _vary_age(canvas: Canvas, roads: Roads, window: Window) -> Float[Array, "h w"]:
-    """How much paler or darker each approach, its halves and the car park are, grey levels."""
+    """Vary the grey level of each approach, its halves and the car park by its age."""
     rows, columns = window
     change = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.float32)
     shapes: list[Shape] = []
@@ -177,7 +185,7 @@ def _vary_age(canvas: Canvas, roads: Roads, window: Window) -> Float[Array, "h w
 def _draw_strokes(
     canvas: Canvas, window: Window, lines: list[Float[Array, "_ 2"]], wide: float
 ) -> Float[Array, "h w"]:
-    """Soft strokes along lines, 0 to 1."""
+    """Draw soft strokes along lines, 0 to 1."""
     rows, columns = window
     mask = np.zeros((rows.stop - rows.start, columns.stop - columns.start), np.uint8)
     start = np.array([columns.start, rows.start])
@@ -193,7 +201,9 @@ def _draw_strokes(
 
 def _list_wheel_tracks(roads: Roads) -> list[Float[Array, "_ 2"]]:
     return [
-        offset_polyline(lane.centreline, side) for lane in roads.lanes for side in (-WHEELS, WHEELS)
+        offset_polyline(lane.centreline, side)
+        for lane in roads.lanes
+        for side in (-WHEEL_OFFSET_M, WHEEL_OFFSET_M)
     ]
 
 
@@ -202,7 +212,7 @@ def _list_centrelines(roads: Roads) -> list[Float[Array, "_ 2"]]:
 
 
 def _list_waiting_lines(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    """Behind stop lines, where oil drips."""
+    """List the places behind stop lines, where oil drips."""
     lines = []
     for approach in roads.layout.approaches:
         if np.isfinite(approach.stop):
@@ -216,7 +226,7 @@ def _list_waiting_lines(roads: Roads) -> list[Float[Array, "_ 2"]]:
 
 
 def _make_patches(canvas: Canvas, roads: Roads) -> list[tuple[Float[Array, "_ 2"], float]]:
-    """Mended places and a trench: outlines, and grey levels that they are darker by."""
+    """Make repaired patches and a trench: outlines, and by how many grey levels they are darker."""
     patches = []
     for approach in roads.layout.approaches:
         half = approach.half_width
@@ -239,7 +249,7 @@ def _pick_approach(canvas: Canvas, approaches: tuple[Approach, ...]) -> Approach
 
 
 def _draw_fresh_tar(canvas: Canvas, roads: Roads, day: Day, generator: np.random.Generator) -> None:
-    """Places that have been mended since day 0."""
+    """Draw patches that were repaired since day 0."""
     for _ in range(day.changes // 3):
         approach = roads.layout.approaches[int(generator.integers(len(roads.layout.approaches)))]
         along, across = (
@@ -253,7 +263,7 @@ def _draw_fresh_tar(canvas: Canvas, roads: Roads, day: Day, generator: np.random
 
 
 def _draw_cracks(canvas: Canvas, road: Geometry) -> None:
-    """Thin lines that wander along and across the roads."""
+    """Draw thin cracks along and across the roads."""
     low_x, low_y, high_x, high_y = road.bounds
     lines = []
     for _ in range(60):
@@ -273,7 +283,7 @@ def _draw_cracks(canvas: Canvas, road: Geometry) -> None:
 
 
 def _draw_islands(canvas: Canvas, roads: Roads, day: Day) -> None:
-    """Raised ground: grass on large islands, stone on small ones."""
+    """Draw traffic islands: grass on large ones, stone on small ones."""
     palette = PALETTES[day.season]
     for island in shapely.get_parts(roads.paving.islands):
         if island.area > 60:
@@ -285,7 +295,7 @@ def _draw_islands(canvas: Canvas, roads: Roads, day: Day) -> None:
 
 
 def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
-    """Pale stones along every rim of the tar but the drive's."""
+    """Draw kerbstones along the road, except at the drive."""
     rims = [
         outline_road(roads.paving).exterior,
         *(p.boundary for p in shapely.get_parts(roads.paving.islands)),
@@ -296,13 +306,13 @@ def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
 
 
 def _draw_paint(canvas: Canvas, roads: Roads) -> None:
-    """Paint, worn off by chance."""
+    """Draw markings and cycle lanes, with worn paint."""
     tar = shapely.union_all([roads.paving.carriageway, roads.paving.lot]).buffer(-0.05)
-    _draw_worn_paint(canvas, make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
-    _draw_worn_paint(canvas, make_markings(roads), WHITE, 0.9, tar)
+    _draw_paint_with_wear(canvas, make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
+    _draw_paint_with_wear(canvas, make_markings(roads), WHITE, 0.9, tar)
 
 
-def _draw_worn_paint(
+def _draw_paint_with_wear(
     canvas: Canvas, shapes: list[Float[Array, "_ 2"]], colour: Colour, cover: float, only: Geometry
 ) -> None:
     if not shapes:
@@ -318,7 +328,7 @@ def _draw_worn_paint(
 def _compute_plan_coordinates(
     canvas: Canvas, window: Window
 ) -> tuple[Float[Array, "1 w"], Float[Array, "h 1"]]:
-    """Plan coordinates of a window's columns and rows."""
+    """Compute plan coordinates of a window's columns and rows."""
     rows, columns = window
     scale = canvas.resolution
     x = (np.arange(columns.start, columns.stop) + 0.5 - canvas.shape[1] / 2) * scale

@@ -1,4 +1,4 @@
-"""What stands on the drawn ground, and its shadows: houses, trees, hedges, lamps, parked cars."""
+"""Objects on the drawn ground, with their shadows: houses, trees, hedges, lamps, parked cars."""
 
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ from geoaim.synthetic.scenery.day import (
 )
 from geoaim.synthetic.scenery.scenery import Building, Scenery, Tree
 from geoaim.synthetic.scenery.sprites import draw_bare_tree, draw_tree, draw_vehicle
-from geoaim.synthetic.scenery.texture import BAND, Colour, blend, darken
+from geoaim.synthetic.scenery.texture import ROWS_BLENDED, Colour, blend, darken
 
 PAINTS: tuple[Colour, ...] = (
     (206, 208, 210), (236, 236, 233), (40, 42, 46), (128, 132, 137), (64, 68, 74),
@@ -40,17 +40,17 @@ PAINTS: tuple[Colour, ...] = (
 )  # fmt: skip
 TILES: tuple[Colour, ...] = ((150, 94, 74), (112, 108, 108), (134, 78, 62), (92, 90, 96))
 CONTAINERS: tuple[Colour, ...] = ((52, 92, 140), (168, 84, 48), (90, 120, 84), (196, 192, 184))
-LAMP = 7.0  # m, height
-CAR = 1.3  # m, height
-CROWN = 1.6  # height of a tree for each metre of its radius
-STEPS = 4  # of the tone curve for each grey level
-MIDDLE = 0.47  # where it is steepest
-HAZE = (7.0, 8.0, 11.0)  # grey levels that the air adds
+LAMP_HEIGHT_M = 7.0
+CAR_HEIGHT_M = 1.3
+TREE_HEIGHT_PER_RADIUS = 1.6
+TONE_STEPS = 4  # of the tone curve, per grey level
+TONE_MIDDLE = 0.47  # share of white at which the tone curve is steepest
+HAZE = (7.0, 8.0, 11.0)  # grey levels added by the air
 
 
 @dataclass(frozen=True)
 class _Stamp:
-    """A picture that stands on the plan: its middle (metres), heading, and height (metres)."""
+    """A sprite on the plan: its centre (metres), heading and height (metres)."""
 
     place: Float[Array, "2"]
     heading: float
@@ -61,7 +61,14 @@ class _Stamp:
 def draw_objects(
     canvas: Canvas, scenery: Scenery, day: Day, generator: np.random.Generator
 ) -> None:
-    """Shadows first, then what casts them; `generator` is that of the day."""
+    """Draw all objects, shadows first.
+
+    Args:
+        canvas: changed in place.
+        scenery: the objects.
+        day: sun and season.
+        generator: source of randomness, the day's own.
+    """
     trees = [
         _place_tree(canvas, tree, day) for tree in _remove_felled(scenery.trees, day, generator)
     ]
@@ -84,26 +91,34 @@ def draw_objects(
 
 
 def grade_colours(canvas: Canvas, day: Day, contrast: float) -> None:
-    """Uneven light, the day's colour, the haze of pictures from the air, the camera's contrast."""
+    """Apply uneven light, the colour of the day's light, haze and the camera's tone curve.
+
+    Args:
+        canvas: changed in place.
+        day: season and clouds.
+        contrast: slope of the tone curve at its middle.
+    """
     light = np.asarray(PALETTES[day.season].light, np.float32) * np.float32(1 - 0.12 * day.clouds)
     uneven = 1 + np.float32(0.012) * sample_noise(canvas, PATCH)
     image = canvas.image
     image *= uneven[..., None]
     image *= light
     image += np.asarray(HAZE, np.float32)
-    levels = np.arange(256 * STEPS) / (256 * STEPS)
-    steep = contrast * (levels - MIDDLE)  # a tone curve that bends softly towards black and white
+    levels = np.arange(256 * TONE_STEPS) / (256 * TONE_STEPS)
+    steep = contrast * (
+        levels - TONE_MIDDLE
+    )  # a tone curve that bends softly towards black and white
     curve = 0.5 + 0.5 * steep / np.sqrt(0.25 + steep**2)
     low, high = curve[0], curve[-1]
     tones = np.rint(255 * 16 * (curve - low) / (high - low)).astype(np.float32) / np.float32(16)
-    for top in range(0, len(image), BAND):
-        rows = slice(top, top + BAND)
-        place = np.minimum(np.maximum(image[rows] * STEPS, 0), 256 * STEPS - 1)
+    for top in range(0, len(image), ROWS_BLENDED):
+        rows = slice(top, top + ROWS_BLENDED)
+        place = np.minimum(np.maximum(image[rows] * TONE_STEPS, 0), 256 * TONE_STEPS - 1)
         image[rows] = tones[place.astype(np.int32)]
 
 
 def _remove_felled(trees: tuple[Tree, ...], day: Day, generator: np.random.Generator) -> list[Tree]:
-    """Without those that have been felled since day 0."""
+    """Leave out trees that were felled since day 0."""
     felled = (
         set(generator.permutation(len(trees))[: day.changes].tolist()) if day.changes else set()
     )
@@ -111,7 +126,7 @@ def _remove_felled(trees: tuple[Tree, ...], day: Day, generator: np.random.Gener
 
 
 def _place_tree(canvas: Canvas, tree: Tree, day: Day) -> _Stamp:
-    """A tree's crown; it has the same shape on every day of a season."""
+    """Draw a tree's crown, which has the same shape on every day of a season."""
     palette, generator = PALETTES[day.season], np.random.default_rng(tree.number)
     colour = palette.leaves[int(generator.integers(len(palette.leaves)))]
     bare = generator.uniform() < palette.bare
@@ -122,11 +137,11 @@ def _place_tree(canvas: Canvas, tree: Tree, day: Day) -> _Stamp:
         crown = draw_tree(
             radius, colour, compute_sun_direction(day), canvas.fields[GRAIN], generator
         )
-    return _Stamp(np.array(tree.place), 0.0, crown, CROWN * tree.radius)
+    return _Stamp(np.array(tree.place), 0.0, crown, TREE_HEIGHT_PER_RADIUS * tree.radius)
 
 
 def _park_cars(canvas: Canvas, scenery: Scenery, generator: np.random.Generator) -> list[_Stamp]:
-    """Cars in some of the spots."""
+    """Park cars in some of the spots."""
     cars = []
     for spot in scenery.spots:
         there, paint, flip = (
@@ -142,7 +157,7 @@ def _park_cars(canvas: Canvas, scenery: Scenery, generator: np.random.Generator)
         if there < spot.share:
             sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], canvas.resolution)
             heading = spot.heading + np.pi * float(flip) + 0.02 * lean
-            cars.append(_Stamp(np.array(spot.place) + aside, heading, sprite, CAR))
+            cars.append(_Stamp(np.array(spot.place) + aside, heading, sprite, CAR_HEIGHT_M))
     return cars
 
 
@@ -153,7 +168,7 @@ def _cast_shadows(
     boxes: list[Float[Array, "4 2"]],
     day: Day,
 ) -> None:
-    """Darken the ground away from the sun; where shadows meet, it is not darker."""
+    """Draw the shadows of all objects; overlapping shadows do not add up."""
     cast = compute_shadow_offset(day)
     solids = [
         _sweep(make_rectangle(np.array(b.centre), b.size, b.angle), b.height * cast)
@@ -162,8 +177,8 @@ def _cast_shadows(
     solids += [_sweep(hedge, 1.1 * cast) for hedge in scenery.hedges]
     solids += [_sweep(box, 2.6 * cast) for box in boxes]
     for foot, tip in scenery.lamps:
-        solids.append(make_bar(foot, foot + LAMP * cast, 0.08))
-        solids.append(make_bar(foot + LAMP * cast, tip + LAMP * cast, 0.08))
+        solids.append(make_bar(foot, foot + LAMP_HEIGHT_M * cast, 0.08))
+        solids.append(make_bar(foot + LAMP_HEIGHT_M * cast, tip + LAMP_HEIGHT_M * cast, 0.08))
     whole = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
     mask = rasterize_shape(canvas, solids, within=whole)[1]
     for stamp in stamps:
@@ -177,7 +192,7 @@ def _cast_shadows(
 
 
 def _paste(canvas: Canvas, stamp: _Stamp) -> None:
-    """Lay a stamp on the picture."""
+    """Paste a stamp onto the canvas."""
     placed = _render_stamp(canvas, stamp)
     if placed is not None:
         window, sprite = placed
@@ -187,9 +202,9 @@ def _paste(canvas: Canvas, stamp: _Stamp) -> None:
 
 
 def _render_stamp(canvas: Canvas, stamp: _Stamp) -> tuple[Window, UInt8[Array, "h w 4"]] | None:
-    """The window of a stamp and its picture there, premultiply; None where it is off the canvas.
+    """Render a stamp: its window and premultiplied sprite; None if it lies outside.
 
-    What is not turned is laid on whole pixels.
+    A stamp that is not rotated is placed at whole pixels.
     """
     sprite = premultiply(stamp.sprite)
     u, v = transform_points(canvas.image_from_plan, stamp.place[None])[0]
@@ -219,7 +234,7 @@ def _rotate_sprite(
     middle: tuple[float, float],
     size: tuple[int, int],
 ) -> UInt8[Array, "_ _ 4"]:
-    """A sprite turned about its middle, which comes to lie at some pixel."""
+    """Rotate a sprite about its middle, which is placed at a given pixel."""
     c, s, (u, v) = np.cos(heading), np.sin(heading), middle
     x, y = sprite.shape[1] / 2 - c * u + s * v, sprite.shape[0] / 2 - s * u - c * v
     matrix = np.array([[c, -s, x], [s, c, y], [0, 0, 1.0]])
@@ -228,7 +243,7 @@ def _rotate_sprite(
 
 
 def _draw_hedges(canvas: Canvas, scenery: Scenery, day: Day) -> None:
-    """Clipped leaves, ragged at the rim."""
+    """Draw hedges with ragged rims."""
     if not scenery.hedges:
         return
     window, mask = rasterize_shape(canvas, list(scenery.hedges))
@@ -241,7 +256,7 @@ def _draw_hedges(canvas: Canvas, scenery: Scenery, day: Day) -> None:
 
 
 def _draw_flat_roof(canvas: Canvas, building: Building, day: Day) -> None:
-    """Gravel or tar, a parapet, and things on the roof, with their shadows."""
+    """Draw a flat roof: gravel or tar, a parapet, and objects with their shadows."""
     centre, (long, wide), angle = np.array(building.centre), building.size, building.angle
     cast, ahead = compute_shadow_offset(day), np.array([np.cos(angle), np.sin(angle)])
     left = np.array([-ahead[1], ahead[0]])
@@ -267,7 +282,7 @@ def _draw_flat_roof(canvas: Canvas, building: Building, day: Day) -> None:
 def _list_roof_objects(
     long: float, wide: float
 ) -> list[tuple[tuple[float, float], tuple[float, float], float, Colour]]:
-    """Place, size, height and colour of the stairs, machines and skylights of a flat roof."""
+    """List position, size, height and colour of stairs, machines and skylights."""
     return [
         ((0.28 * long, 0.15 * wide), (0.2 * long, 0.2 * wide), 2.6, (184, 180, 172)),
         ((-0.3 * long, -0.24 * wide), (3.0, 2.2), 1.5, (198, 200, 202)),
@@ -282,7 +297,7 @@ def _list_roof_objects(
 
 
 def _draw_pitched_roof(canvas: Canvas, building: Building, day: Day) -> None:
-    """Two slopes of tiles, one more in the sun, with a ridge and a chimney."""
+    """Draw a pitched roof: two slopes of tiles lit differently, a ridge and a chimney."""
     centre, angle = np.array(building.centre), building.angle
     a, b, c, d = make_rectangle(centre, building.size, angle)
     ridge = [(b + c) / 2, (a + d) / 2]
@@ -325,6 +340,6 @@ def _shrink(outline: Float[Array, "4 2"], share: float) -> Float[Array, "4 2"]:
 
 
 def _sweep(corners: Float[Array, "_ 2"], cast: Float[Array, "2"]) -> Float[Array, "_ 2"]:
-    """The convex hull of a polygon and of itself moved: the shadow of an upright prism."""
+    """Compute the shadow of an upright prism: the convex hull of its base and the base shifted."""
     both = np.concatenate([corners, corners + cast]).astype(np.float32)
     return np.asarray(cv2.convexHull(both), np.float64)[:, 0]

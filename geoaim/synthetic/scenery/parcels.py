@@ -1,5 +1,6 @@
-"""What stands on a parcel: blocks, houses, parks, squares, fields."""
+"""What stands on a parcel: blocks, houses, parks, plazas, fields."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,17 +12,17 @@ from shapely import Geometry, LineString, Point, Polygon
 from geoaim.synthetic.scenery.canvas import make_bar, make_rectangle
 from geoaim.synthetic.scenery.scenery import Building, Scenery, Spot, Tree
 
-CLEAR = 1.5  # m around buildings
+CLEARANCE_M = 1.5  # around buildings
 
 
-def make_block(
+def _make_block(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
-    """One or two large flat roofs, slabs around them, a few trees."""
+    """Add one or two large flat roofs, slabs around them, and a few trees."""
     yard, rest, buildings = plot.buffer(1.4), plot, []
     for _ in range(2):
         size = generator.uniform(15, 26), generator.uniform(11, 19)
-        body = _fit_rectangle(rest, size, angle, CLEAR, generator)
+        body = _fit_rectangle(rest, size, angle, CLEARANCE_M, generator)
         if body is not None:
             buildings.append(Building(body[0], size, angle, generator.uniform(6, 13), True, 0))
             rest = rest.difference(Polygon(body[1]).buffer(3.0))
@@ -37,7 +38,7 @@ def make_block(
 
 
 def _make_parking_row(area: Geometry, angle: float, generator: np.random.Generator) -> list[Spot]:
-    """Cars side by side in a yard."""
+    """Make parking spots side by side in a yard."""
     body = _fit_rectangle(area, (13.0, 5.0), angle, 0.3, generator)
     if body is None:
         return []
@@ -46,15 +47,15 @@ def _make_parking_row(area: Geometry, angle: float, generator: np.random.Generat
     return [Spot((float(x), float(y)), angle + np.pi / 2, 0.7) for x, y in places]
 
 
-def make_houses(
+def _make_houses(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
-    """Pitched roofs in gardens, with drives and hedges."""
+    """Add pitched roofs in gardens, with drives and hedges."""
     buildings, spots, drives = [], [], []
     left = plot.buffer(-2.0)
     for _ in range(3):
         size = generator.uniform(11, 14.5), generator.uniform(8, 10)
-        body = _fit_rectangle(left, size, angle + generator.normal(0, 0.05), CLEAR, generator)
+        body = _fit_rectangle(left, size, angle + generator.normal(0, 0.05), CLEARANCE_M, generator)
         if body is None:
             break
         centre, outline = body
@@ -87,10 +88,10 @@ def make_houses(
     )
 
 
-def make_park(
+def _make_park(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
-    """Lawn, winding gravel, a pond, many trees."""
+    """Add lawn, winding gravel paths, a pond and many trees."""
     x, y = plot.representative_point().coords[0]
     middle = np.array([x, y])
     t = np.linspace(-60, 60, 120)
@@ -122,10 +123,10 @@ def make_park(
     )
 
 
-def make_plaza(
+def _make_plaza(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
-    """Slabs with beds of shrubs, a low flat roof, trees in rows."""
+    """Add slabs with shrubs, a low flat roof and trees."""
     square = plot.buffer(-0.4)
     size = generator.uniform(12, 18), generator.uniform(9, 13)
     body = _fit_rectangle(square, size, angle, 3.0, generator)
@@ -145,10 +146,10 @@ def make_plaza(
     )
 
 
-def make_field(
+def _make_field(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
-    """Rough grass with bare soil, shrubs and a few trees."""
+    """Add rough grass with bare soil, shrubs and a few trees."""
     soil = [
         _make_blob(spot, generator.uniform(2, 7), generator)
         for spot in _sample_points(plot, 5, 6.0, generator)
@@ -166,7 +167,7 @@ def make_field(
 
 
 def _make_blob(spot: Point, radius: float, generator: np.random.Generator) -> Polygon:
-    """A patch with an uneven rim."""
+    """Make a patch with an uneven rim."""
     turn = np.linspace(0, 2 * np.pi, 49)[:-1]
     size = radius * np.ones(48)
     for wave in range(2, 8):
@@ -185,7 +186,7 @@ def _fit_rectangle(
     clear: float,
     generator: np.random.Generator,
 ) -> tuple[tuple[float, float], Float[Array, "4 2"]] | None:
-    """A place for a rectangle in an area, with some metres around it; None where none is found."""
+    """Find a place for a rectangle in an area with clearance around it; None if there is none."""
     if area.is_empty:
         return None
     low_x, low_y, high_x, high_y = area.bounds
@@ -201,21 +202,21 @@ def _fit_rectangle(
 def _sample_points(
     area: Geometry, count: int, apart: float, generator: np.random.Generator
 ) -> list[Point]:
-    """Points in an area that keep some metres from each other."""
-    found: list[Point] = []
+    """Sample points in an area that keep a distance from each other."""
+    points: list[Point] = []
     if area.is_empty:
-        return found
+        return points
     low_x, low_y, high_x, high_y = area.bounds
     shapely.prepare(area)
     for x, y in generator.uniform([low_x, low_y], [high_x, high_y], (12 * count, 2)):
         spot = Point(x, y)
         if (
-            len(found) < count
+            len(points) < count
             and area.contains(spot)
-            and all(spot.distance(o) > apart for o in found)
+            and all(spot.distance(o) > apart for o in points)
         ):
-            found.append(spot)
-    return found
+            points.append(spot)
+    return points
 
 
 def _scatter_trees(
@@ -225,7 +226,7 @@ def _scatter_trees(
     apart: float,
     generator: np.random.Generator,
 ) -> tuple[Tree, ...]:
-    """Trees in an area, their stems some metres from each other."""
+    """Scatter trees in an area, with a distance between their stems."""
     inside = area.buffer(-0.4 * radius[1])
     spots = _sample_points(inside, count, apart, generator)
     return tuple(
@@ -235,7 +236,7 @@ def _scatter_trees(
 
 
 def _make_hedges(plot: Polygon, generator: np.random.Generator) -> list[Float[Array, "4 2"]]:
-    """Hedges along parts of a plot's rim."""
+    """Make hedges along parts of a plot's rim."""
     inner = max(shapely.get_parts(plot.buffer(-1.1)), key=lambda part: part.area)
     rim, hedges = inner.exterior, []
     at = generator.uniform(0, 6)
@@ -251,11 +252,20 @@ def _make_hedges(plot: Polygon, generator: np.random.Generator) -> list[Float[Ar
 def _make_spare_rectangles(
     area: Geometry, angle: float, generator: np.random.Generator
 ) -> list[Float[Array, "4 2"]]:
-    """Rectangles of a container's or a tent's size."""
-    found = []
+    """Make rectangles of the size of a container or a tent."""
+    rectangles = []
     for _ in range(2):
         size = generator.uniform(3.5, 7.0), generator.uniform(2.4, 3.5)
         body = _fit_rectangle(area, size, angle + generator.uniform(-0.3, 0.3), 0.5, generator)
         if body is not None:
-            found.append(body[1])
-    return found
+            rectangles.append(body[1])
+    return rectangles
+
+
+PARCEL_MAKERS: dict[str, Callable[[Scenery, Polygon, float, np.random.Generator], Scenery]] = {
+    "block": _make_block,
+    "houses": _make_houses,
+    "park": _make_park,
+    "plaza": _make_plaza,
+    "field": _make_field,
+}

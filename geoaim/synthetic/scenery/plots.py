@@ -1,6 +1,5 @@
-"""Furnishing a plan: plots are cut into parcels, streets get trees and lamps."""
+"""Scenery of a place: plots divided into parcels, street trees and lamps."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,22 +23,16 @@ from geoaim.synthetic.roads.paving import (
     outline_road,
 )
 from geoaim.synthetic.roads.plan import Roads
-from geoaim.synthetic.scenery.parcels import (
-    make_block,
-    make_field,
-    make_houses,
-    make_park,
-    make_plaza,
-)
+from geoaim.synthetic.scenery.parcels import PARCEL_MAKERS
 from geoaim.synthetic.scenery.scenery import Parcel, Scenery, Spot, Tree
 
 USES = ("block", "houses", "park", "plaza", "field", "houses", "block")
-PARCEL = (30.0, 46.0)  # m, width of what is used alike
-TREES = 9.0  # m between street trees, about
+PARCEL_WIDTH_M = (30.0, 46.0)  # smallest and largest
+TREE_SPACING_M = 9.0  # mean distance of street trees
 
 
 def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
-    """Fill the plots of a plan; the same generator state, the same things."""
+    """Place scenery on the plots and along the roads."""
     nothing = Polygon()
     verges = _make_verges(roads)
     empty = Scenery(
@@ -48,37 +41,30 @@ def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
     scenery = replace(
         empty, trees=_make_street_trees(roads, verges, generator), spots=_list_bay_spots(roads)
     )
-    makers: dict[str, Callable[[Scenery, Polygon, float, np.random.Generator], Scenery]] = {
-        "block": make_block,
-        "houses": make_houses,
-        "park": make_park,
-        "plaza": make_plaza,
-        "field": make_field,
-    }
     parcels = []
     for plot in roads.paving.plots:
         angle = _find_angle(roads, plot)
         for area in _divide(plot, angle, generator):
             beside_lot = area.distance(roads.paving.lot) < 3 if roads.car_park else False
             small = beside_lot or area.area < 350
-            rough = small or roads.layout.kind == "park"  # lawns and ponds bring paths of their own
+            rough = small or roads.layout.kind == "park"  # lawns and ponds have paths of their own
             use = "field" if rough else USES[int(generator.integers(len(USES)))]
             parcels.append(Parcel(use, area))
             free = area.buffer(-0.5).difference(roads.footpaths.surface.buffer(1.0))
             part = max(shapely.get_parts(free), key=lambda part: part.area, default=Polygon())
             if part.area > 80:
-                scenery = makers[use](scenery, part, angle, generator)
+                scenery = PARCEL_MAKERS[use](scenery, part, angle, generator)
     return replace(scenery, parcels=tuple(parcels))
 
 
 def _divide(plot: Polygon, angle: float, generator: np.random.Generator) -> list[Polygon]:
-    """A plot cut across its road into parcels."""
+    """Divide a plot into parcels, across the road beside it."""
     level = rotate(plot, -angle, origin=(0, 0), use_radians=True)
     left, low, right, high = level.bounds
     parcels, at = [], left
     while at < right:
-        wide = generator.uniform(*PARCEL)
-        wide = right - at if right - at - wide < PARCEL[0] / 2 else wide
+        wide = generator.uniform(*PARCEL_WIDTH_M)
+        wide = right - at if right - at - wide < PARCEL_WIDTH_M[0] / 2 else wide
         piece = level.intersection(box(at, low, at + wide, high))
         parts = [part for part in shapely.get_parts(piece) if part.area > 60]
         parcels += [rotate(part, angle, origin=(0, 0), use_radians=True) for part in parts]
@@ -87,19 +73,19 @@ def _divide(plot: Polygon, angle: float, generator: np.random.Generator) -> list
 
 
 def _find_angle(roads: Roads, plot: Polygon) -> float:
-    """The direction of the approach that passes closest to a plot's middle."""
+    """Find the direction of the approach that passes closest to a plot's middle."""
     middle = np.array(plot.representative_point().coords[0])
 
-    def apart(approach: Approach) -> float:
+    def measure_distance(approach: Approach) -> float:
         along = np.linspace(0, 100, 21)
         axis = plan_from_road(approach, np.stack([along, 0 * along], axis=1))
         return float(((axis - middle) ** 2).sum(axis=1).min())
 
-    return min(roads.layout.approaches, key=apart).angle
+    return min(roads.layout.approaches, key=measure_distance).angle
 
 
 def _make_verges(roads: Roads) -> Geometry:
-    """Strips of grass along the kerbs, interrupted where people cross and cars turn in."""
+    """Make strips of grass along the kerbs, interrupted at crossings and drives."""
     whole = outline_road(roads.paving)
     band = whole.buffer(VERGE_WIDTH_M + 0.3).difference(whole.buffer(0.35))
     doors = [roads.footpaths.surface.buffer(0.8), roads.paving.drive.buffer(0.4)]
@@ -116,21 +102,21 @@ def _make_verges(roads: Roads) -> Geometry:
 def _make_street_trees(
     roads: Roads, verges: Geometry, generator: np.random.Generator
 ) -> tuple[Tree, ...]:
-    """Rows of trees in the verges."""
+    """Make rows of trees in the verges."""
     line = outline_road(roads.paving).buffer(VERGE_WIDTH_M / 2 + 0.3).exterior
     near = verges.buffer(-0.4)
-    trees, at = [], generator.uniform(0, TREES)
+    trees, at = [], generator.uniform(0, TREE_SPACING_M)
     while at < line.length:
         spot = line.interpolate(at)
         if near.contains(spot) and roads.extent.buffer(4.0).contains(spot):
             number, radius = int(generator.integers(1 << 16)), generator.uniform(1.2, 2.0)
             trees.append(Tree((spot.x, spot.y), radius, number))
-        at += TREES * generator.uniform(0.85, 1.3)
+        at += TREE_SPACING_M * generator.uniform(0.85, 1.3)
     return tuple(trees)
 
 
 def _make_lamps(roads: Roads) -> Float[Array, "L 2 2"]:
-    """Lamps along the approaches, and masts with signals over the stop lines."""
+    """Make lamps along the approaches, and masts with signals over the stop lines."""
     rows = []
     for approach in roads.layout.approaches:
         half = approach.half_width
@@ -145,7 +131,7 @@ def _make_lamps(roads: Roads) -> Float[Array, "L 2 2"]:
 
 
 def _list_bay_spots(roads: Roads) -> tuple[Spot, ...]:
-    """Bays of the car park that traffic does not use."""
+    """List the bays of the car park that traffic does not use."""
     car_park = roads.car_park
     if car_park is None:
         return ()

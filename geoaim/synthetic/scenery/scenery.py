@@ -1,4 +1,4 @@
-"""Scenery: what is on the plots and pavements of a place, on any day."""
+"""Scenery: the objects on plots and pavements of a place."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from shapely import Geometry, Polygon
 
 @dataclass(frozen=True)
 class Building:
-    """A house: a rectangle (metres along and across its angle) of some height."""
+    """A building: a rectangle (length and width along its angle, metres) and its height."""
 
     centre: tuple[float, float]
     size: tuple[float, float]
@@ -21,7 +21,7 @@ class Building:
 
 @dataclass(frozen=True)
 class Tree:
-    """A tree or a shrub: its place, the radius of its crown, and a number that draws it."""
+    """A tree or a shrub: position and crown radius (metres), and the seed of its shape."""
 
     place: tuple[float, float]
     radius: float
@@ -30,7 +30,7 @@ class Tree:
 
 @dataclass(frozen=True)
 class Spot:
-    """Where a car may be parked: its place and heading; `share` of the days one is there."""
+    """A parking spot: position, heading, and the share of days on which it is occupied."""
 
     place: tuple[float, float]
     heading: float
@@ -39,7 +39,7 @@ class Spot:
 
 @dataclass(frozen=True, eq=False)
 class Parcel:
-    """A piece of ground that is used for one thing: one of `USES`."""
+    """A piece of ground with one use, one of `USES`."""
 
     use: str
     area: Polygon
@@ -47,10 +47,10 @@ class Parcel:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """What is on the plots and pavements of a place, on any day.
+    """All scenery of a place, on any day.
 
     Attributes:
-        parcels: what the plots are used for.
+        parcels: the uses of the plots.
         verges: grass between kerb and pavement.
         slabs: paved yards and squares.
         gravel: paths of parcels that are parks.
@@ -61,7 +61,7 @@ class Scenery:
         hedges: polygons.
         lamps: foot and tip of each, and of the masts of the signals.
         spots: for parked cars.
-        spare: rectangles where something may stand on another day.
+        spare: rectangles where a container may stand on another day.
     """
 
     parcels: tuple[Parcel, ...]

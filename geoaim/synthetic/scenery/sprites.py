@@ -1,4 +1,4 @@
-"""What is seen from above and cut out: crowns of trees, vehicles, people."""
+"""Sprites seen from above: crowns of trees, vehicles, pedestrians and cyclists."""
 
 import cv2
 import numpy as np
@@ -8,14 +8,14 @@ from numpy import ndarray as Array
 from geoaim.synthetic.exact import blur
 from geoaim.synthetic.scenery.texture import Colour, blend, rasterize_polygons
 
-FINER = 4  # vehicles and people are drawn at this many times their resolution
-MARGIN = 3  # px of air around them
+SUPERSAMPLING = 4  # times the resolution at which vehicles and pedestrians are drawn
+MARGIN = 3  # px, transparent rim around them
 GLASS: Colour = (34, 40, 46)
 LAMP: Colour = (222, 225, 222)
 TAIL_LAMP: Colour = (146, 34, 32)
 BARK: Colour = (98, 88, 76)
 LARGE, SMALL = 50, 170  # balls of leaves of a crown
-LONG, BUS = 6.5, 11.0  # m: longer vehicles are lorries, and buses
+LORRY_LENGTH_M, BUS_LENGTH_M = 6.5, 11.0  # longer vehicles are lorries, and buses
 HEIGHTS = 16384.0  # parts of a radius that the height of a crown is rounded to, to be blurred
 Outline = list[tuple[float, float]]  # metres forward of the middle and to the side; mirrored
 
@@ -27,14 +27,17 @@ def draw_tree(
     grain: Float32[Array, "_ _"],
     generator: np.random.Generator,
 ) -> UInt8[Array, "_ _ 4"]:
-    """A crown from above: clumps of leaves, lit from one side, with a ragged rim.
+    """Draw a crown from above: clumps of leaves, lit from one side, with a ragged rim.
 
     Args:
         radius: pixels.
-        colour: of leaves in full light.
+        colour: leaves in full light.
         light: direction towards the sun in the image, right and down, of length 1.
         grain: noise of variance 1, of at least 2.4 radii each way.
-        generator: of the crown's shape.
+        generator: source of the crown's shape.
+
+    Returns:
+        RGBA.
     """
     side = 2 * int(radius * 1.2) + 1
     axis = np.linspace(-1.2, 1.2, side)
@@ -54,7 +57,7 @@ def draw_tree(
 
 
 def draw_bare_tree(radius: int, generator: np.random.Generator) -> UInt8[Array, "_ _ 4"]:
-    """A tree without leaves from above: branches that fork outwards."""
+    """Draw a tree without leaves from above: branches that fork outwards."""
     side = 2 * int(radius * 1.2) + 1
     mask = np.zeros((side, side), np.uint8)
     tips = [(np.array([side / 2, side / 2]), turn, 0.42) for turn in np.arange(7) * 2 * np.pi / 7]
@@ -77,7 +80,7 @@ def draw_bare_tree(radius: int, generator: np.random.Generator) -> UInt8[Array, 
 
 
 def _make_crown(axis: Float[Array, "n"], generator: np.random.Generator) -> Float[Array, "n n"]:
-    """The upper surface of balls of leaves, large then small; -1 beside them."""
+    """Compute the upper surface of balls of leaves, large then small; -1 outside."""
     count = LARGE + min(SMALL, len(axis))
     reach = 0.85 * generator.uniform(size=count) ** 0.6
     turn = generator.uniform(0, 2 * np.pi, count)
@@ -98,7 +101,7 @@ def _make_crown(axis: Float[Array, "n"], generator: np.random.Generator) -> Floa
 
 
 def _smooth(height: Float[Array, "n n"], sigma: float) -> Float[Array, "n n"]:
-    """Gaussian blur of heights of -1 to 2, in integers."""
+    """Blur heights of -1 to 2 in integers."""
     whole = np.rint((height + 1) * HEIGHTS).astype(np.uint16)
     return np.asarray(cv2.GaussianBlur(whole, (0, 0), sigma), np.float64) / HEIGHTS - 1
 
@@ -106,24 +109,36 @@ def _smooth(height: Float[Array, "n n"], sigma: float) -> Float[Array, "n n"]:
 def draw_vehicle(
     length: float, width: float, colour: Colour, resolution: float
 ) -> UInt8[Array, "_ _ 4"]:
-    """A vehicle from above, heading right, centred; longer than 6.5 m it is a lorry or a bus.
+    """Draw a vehicle from above, heading right; longer than 6.5 m a lorry, than 11 m a bus.
 
     Args:
         length: metres.
         width: metres.
         colour: of the paint.
-        resolution: of the sprite.
+        resolution: metres per pixel.
+
+    Returns:
+        RGBA, centred.
     """
     a, b = length / 2, width / 2
-    parts = _outline_car(a, b, colour) if length <= LONG else _outline_lorry(a, b, colour)
-    parts = _outline_bus(a, b, colour) if length > BUS else parts
+    parts = _outline_car(a, b, colour) if length <= LORRY_LENGTH_M else _outline_lorry(a, b, colour)
+    parts = _outline_bus(a, b, colour) if length > BUS_LENGTH_M else parts
     return _draw_outlines((length, width), [*_outline_body(a, b, colour), *parts], resolution)
 
 
 def draw_pedestrian(
     colour: Colour, resolution: float, *, cycle: bool = False
 ) -> UInt8[Array, "_ _ 4"]:
-    """Somebody from above, heading right: shoulders and head, and the cycle below them."""
+    """Draw a pedestrian or a cyclist from above, heading right.
+
+    Args:
+        colour: of the clothes.
+        resolution: metres per pixel.
+        cycle: whether to draw a cycle below.
+
+    Returns:
+        RGBA.
+    """
     shoulders = [(0.14, 0), (0.12, 0.2), (0.02, 0.27), (-0.1, 0.24), (-0.14, 0)]
     hair = [(0.11, 0), (0.07, 0.09), (-0.04, 0.1), (-0.1, 0)]
     parts: list[tuple[Outline, Colour]] = [(shoulders, colour), (hair, _mix(BARK, 0.6))]
@@ -138,17 +153,19 @@ def draw_pedestrian(
 def _draw_outlines(
     size: tuple[float, float], parts: list[tuple[Outline, Colour]], resolution: float
 ) -> UInt8[Array, "_ _ 4"]:
-    """Outlines, mirrored, painted one over the other, and made smaller."""
+    """Draw mirrored outlines one over the other, and reduce them."""
     shape = [round(side / resolution) + 2 * MARGIN for side in size[::-1]]
-    canvas = np.zeros((shape[0] * FINER, shape[1] * FINER, 4), np.float32)
+    canvas = np.zeros((shape[0] * SUPERSAMPLING, shape[1] * SUPERSAMPLING, 4), np.float32)
     middle = np.array(canvas.shape[1::-1]) / 2
     for outline, paint in parts:
         for side in (1, -1):
-            corners = np.array(outline) * [1, side] * FINER / resolution + middle
+            corners = np.array(outline) * [1, side] * SUPERSAMPLING / resolution + middle
             mask = rasterize_polygons((canvas.shape[0], canvas.shape[1]), [[corners]])
             blend(canvas, mask.astype(np.float32) / np.float32(255), (*paint, 255.0))
     canvas[..., :3] *= canvas[..., 3:] / 255
-    small = canvas.reshape(shape[0], FINER, shape[1], FINER, 4).mean(axis=(1, 3), dtype=np.float64)
+    small = canvas.reshape(shape[0], SUPERSAMPLING, shape[1], SUPERSAMPLING, 4).mean(
+        axis=(1, 3), dtype=np.float64
+    )
     small[..., :3] /= np.maximum(small[..., 3:] / 255, 1e-3)
     return np.rint(np.minimum(np.maximum(small, 0), 255)).astype(np.uint8)
 
@@ -196,7 +213,7 @@ def _outline_bus(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colo
 
 
 def _outline_lorry(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
-    """A cab and a box behind it."""
+    """Outline a cab and a box behind it."""
     screen: Outline = [(a - 0.1, 0), (a - 0.12, b * 0.8), (a - 0.4, b * 0.86), (a - 0.42, 0)]
     cab: Outline = [(a - 0.5, 0), (a - 0.5, b * 0.9), (a - 1.7, b * 0.9), (a - 1.7, 0)]
     gap: Outline = [(a - 1.7, 0), (a - 1.7, b * 0.8), (a - 2.0, b * 0.8), (a - 2.0, 0)]
