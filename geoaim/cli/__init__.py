@@ -1,20 +1,25 @@
-"""The command line: flags in, one call of the library, a table and files out."""
+"""The command line: each command reads files, calls the library and writes files."""
 
 import typer
 
-from geoaim.cli.driving import render, simulate
-from geoaim.cli.learned import evaluate, experiment, predict, train
-from geoaim.cli.made import sample
-from geoaim.cli.maps import align, build, draw, info, register, texture
+from geoaim.cli.align import align
+from geoaim.cli.build import build, register
+from geoaim.cli.evaluate import evaluate
+from geoaim.cli.experiment import experiment
+from geoaim.cli.maps import draw, info, texture
+from geoaim.cli.predict import predict
+from geoaim.cli.sample import sample
+from geoaim.cli.simulate import render, simulate
+from geoaim.cli.train import train
 
 COMMANDS = (
-    *(build, align, register, texture, info, draw, render, simulate),
+    *(build, align, draw, register, info, texture, render, simulate),
     *(predict, evaluate, train, experiment, sample),
 )
 
 app = typer.Typer(
     name="geoaim",
-    help="Aerial image-based maps (AIM) from drone video: build, draw, render, simulate, predict.",
+    help="Aerial image-based maps (AIM) from drone video: build, render, simulate, predict.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

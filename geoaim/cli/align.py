@@ -1,0 +1,74 @@
+"""The command that aligns third-party imagery."""
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from geoaim.cli import options
+from geoaim.cli.console import print_table, report_errors
+from geoaim.cli.inputs import TracksSource, read_tracks_source
+from geoaim.cli.outputs import check_map_output
+
+
+def align(
+    imagery: Annotated[
+        list[str],
+        typer.Argument(help="orthophotos, folders of tiles, .mbtiles, or URLs of tile services"),
+    ],
+    output: Annotated[Path, options.output("GeoTIFF to write")],
+    tracks: options.OptionalTracks = None,
+    tracks_world: options.TracksWorld = None,
+    tracks_resolution: options.TracksResolution = None,
+    aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
+    gcps: options.ControlPoints = None,
+    resolution: Annotated[float | None, options.resolution()] = None,
+    crs: Annotated[
+        str | None, typer.Option(help="CRS of imagery or control points that state none")
+    ] = None,
+    max_shift: Annotated[float, typer.Option(help="largest expected shift, m", min=1)] = 15.0,
+    max_rotation: Annotated[
+        float, typer.Option(help="largest expected rotation, degrees", min=0, max=45)
+    ] = 5.0,
+    max_scaling: Annotated[
+        float, typer.Option(help="largest expected change of scale, percent", min=0, max=30)
+    ] = 5.0,
+) -> None:
+    """Correct the position of orthophotos or map tiles, and write them as an AIM.
+
+    The position comes from control points, else from an AIM of the same place, else from tracks
+    of vehicles; the others of these check it. Without any of them the imagery stays at its stated
+    position. A .png beside the map shows the imagery before and after.
+
+    Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
+    """
+    from geoaim.aim_files import read_aim, write_aim
+    from geoaim.aim_summary import summarize_aim
+    from geoaim.alignment_picture import draw_alignment
+    from geoaim.files import write_figure
+    from geoaim.imagery.alignment.pipeline import align_tiles
+    from geoaim.imagery.alignment.result import Prior
+    from geoaim.rectify import rectify
+    from geoaim.track_changes import to_world
+
+    with report_errors():
+        look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)
+        reference = None if aim is None else read_aim(aim)
+        agents = None
+        if tracks is not None:
+            agents = read_tracks_source(TracksSource(tracks, tracks_world, tracks_resolution))
+        aligned = align_tiles(
+            imagery[0] if len(imagery) == 1 else imagery,
+            tracks=agents,
+            aim=reference,
+            gcps=gcps,
+            resolution=resolution,
+            crs=crs,
+            prior=Prior(max_shift, float(np.radians(max_rotation)), max_scaling / 100),
+        )
+        write_aim(aligned if aligned.is_affine else rectify(aligned), output)
+        if agents is not None:
+            agents = to_world(agents, aligned.world)
+        write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look)
+    print_table(f"{output} and {look}", summarize_aim(aligned))

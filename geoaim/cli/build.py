@@ -1,0 +1,120 @@
+"""Commands from video: a map, and the registration of its frames."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from geoaim.cli import options
+from geoaim.cli.console import print_table, report_errors, show_progress
+from geoaim.cli.outputs import TRACKS, check_map_output, check_output
+
+if TYPE_CHECKING:
+    from geoaim.mapping.georeference.estimate import Georeference
+
+
+def build(
+    video: options.VideoSource,
+    output: Annotated[Path, options.output("GeoTIFF to write")],
+    gcps: options.ControlPoints = None,
+    detections: options.DetectionsFolder = None,
+    frames: Annotated[
+        str, typer.Option(help="frames used for the background: auto, all or a number")
+    ] = "auto",
+    crs: Annotated[str | None, typer.Option(help="CRS of the map, such as EPSG:32635")] = None,
+    resolution: Annotated[
+        float | None,
+        options.resolution("metres per pixel of the map; as in the video if omitted"),
+    ] = None,
+    frame_resolution: Annotated[
+        float | None,
+        typer.Option(help="metres per pixel of the video, for a map without control points"),
+    ] = None,
+) -> None:
+    """Build a georeferenced map (AIM) from a hovering drone's video.
+
+    Control points are pixels of the first frame, unless their file names another. Without control
+    points the telemetry beside the video gives an approximate position, or --frame-resolution a
+    map in local coordinates. A quick-look .png is written beside the map.
+
+    Example: geoaim build samples/hover.mp4 --gcps samples/gcps.csv -o map.tif
+    """
+    from geoaim.aim_files import write_aim
+    from geoaim.aim_summary import summarize_aim
+    from geoaim.mapping.georeference.from_telemetry import make_local_georeference
+    from geoaim.mapping.pipeline import build_aim
+    from geoaim.mapping.video.video import open_video
+    from geoaim.quicklook import write_quicklook
+    from geoaim.rectify import rectify
+
+    with show_progress() as progress, report_errors():
+        if frame_resolution is not None and gcps is not None:
+            raise ValueError("--gcps and --frame-resolution exclude each other; give one")
+        look = check_map_output(output, [video], [gcps])
+        opened = open_video(video)
+        georeference: Path | Georeference | None = gcps
+        if frame_resolution is not None:
+            size = opened.height, opened.width
+            georeference = make_local_georeference(resolution=frame_resolution, size=size)
+        aim = build_aim(
+            opened,
+            georeference,
+            detections=detections,
+            frames=_parse_frames(frames),
+            crs=crs,
+            progress=progress,
+        )
+        progress("write", 0, 2)
+        if resolution is not None or not aim.is_affine:
+            aim = rectify(aim, resolution)
+        write_aim(aim, output)
+        progress("write", 1, 2)
+        write_quicklook(aim, look)
+        progress("write", 2, 2)
+    print_table(f"{output} and {look}", summarize_aim(aim))
+
+
+def register(
+    video: options.VideoSource,
+    output: Annotated[Path, options.output(".csv or .parquet to write")],
+    detections: options.DetectionsFolder = None,
+    reference_time: Annotated[
+        float | None,
+        typer.Option(help="time of the reference frame, s; chosen automatically if omitted"),
+    ] = None,
+) -> None:
+    """Register the frames of a video to a reference frame.
+
+    The table has a row for each frame; its matrix m00 to m22 maps pixels of the frame to pixels
+    of the reference. With --reference-time 0 the reference is the first frame, in which control
+    points are usually picked.
+
+    Example: geoaim register samples/hover.mp4 -o registration.csv
+    """
+    from geoaim.mapping.registration.register import register as register_frames
+    from geoaim.mapping.registration.register import count_reasons, write_registration
+
+    with show_progress() as progress, report_errors():
+        check_output(output, TRACKS)
+        result = register_frames(
+            video, detections=detections, reference_time=reference_time, progress=progress
+        )
+        write_registration(result, output)
+    lines = {
+        "motion model": result.reference.model,
+        "reference": f"frame {result.reference.index}, {result.reference.time:.2f} s",
+        "registered frames": f"{result.valid.sum()} of {len(result.valid)}",
+    }
+    for reason, count in count_reasons(result.reason).items():
+        lines[f"rejected: {reason}"] = str(count)
+    print_table(str(output), lines)
+
+
+def _parse_frames(text: str) -> int | Literal["auto", "all"]:
+    if text == "auto":
+        return "auto"
+    if text == "all":
+        return "all"
+    if not text.isdigit() or int(text) < 1:
+        raise typer.BadParameter(f"{text!r} is not auto, all or a number", param_hint="--frames")
+    return int(text)

@@ -1,0 +1,57 @@
+"""Arguments and options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+AimFile = Annotated[Path, typer.Argument(help="AIM: a .tif that build, align or draw wrote")]
+VideoSource = Annotated[str, typer.Argument(help="video file, or folder or glob of images")]
+ControlPoints = Annotated[
+    Path | None,
+    typer.Option(help="control points: .csv, OpenDroneMap gcp_list.txt or QGIS .points"),
+]
+DetectionsFolder = Annotated[
+    Path | None, typer.Option(help="folder of detected boxes: a YOLO .txt for each frame")
+]
+
+TRACKS_HELP = "tracks: .csv or .parquet of geoaim, or a file of a public dataset"
+TracksFile = Annotated[Path, typer.Option(help=TRACKS_HELP)]
+OptionalTracks = Annotated[Path | None, typer.Option(help=TRACKS_HELP)]
+TracksWorld = Annotated[
+    str | None,
+    typer.Option(
+        help="CRS and origin of tracks whose file does not state them, such as "
+        "'EPSG:32632 459000 5428000'"
+    ),
+]
+TracksResolution = Annotated[
+    float | None, typer.Option(help="metres per pixel of tracks in image pixels")
+]
+
+HDMapFile = Annotated[
+    Path | None, typer.Option(help="lanelet2 map, .osm: stop lines, lanes and road area")
+]
+LightsFile = Annotated[Path | None, typer.Option(help="states of traffic lights, .csv")]
+StopLinesFile = Annotated[
+    Path | None,
+    typer.Option(help="hand-drawn stop lines: GeoJSON lines with the property 'signal'"),
+]
+
+AgentKind = Literal["vehicles", "pedestrians"]
+Kind = Annotated[AgentKind, typer.Option(help="agents that the model predicts")]
+WeightsFile = Annotated[
+    Path | None, typer.Option("--weights", help="model.pt; the pretrained model if omitted")
+]
+Samples = Annotated[int, typer.Option(help="number of sampled futures", min=1)]
+Seed = Annotated[int, typer.Option(help="random seed", min=0)]
+
+
+def output(help: str) -> Any:
+    """Make the option -o with a command's own help."""
+    return typer.Option("--output", "-o", help=help)
+
+
+def resolution(help: str = "metres per pixel of the map") -> Any:
+    """Make the option --resolution with a command's own help."""
+    return typer.Option("--resolution", help=help, min=0.001)

@@ -1,0 +1,58 @@
+"""Checks of output paths before the work, so that no result is lost and no input replaced."""
+
+import glob
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+GEOTIFF = (".tif", ".tiff")
+TRACKS = (".csv", ".parquet")
+
+
+def check_output(
+    output: Path, suffixes: tuple[str, ...] = (), inputs: Iterable[Path | None] = ()
+) -> None:
+    """Refuse an output with another suffix, in an unwritable folder, or that is also an input."""
+    if suffixes and output.suffix.lower() not in suffixes:
+        raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")
+    if output.resolve() in _resolve(inputs):
+        raise ValueError(f"{output} is read as well; give another name to write")
+    if output.is_dir():
+        raise ValueError(f"{output} is a folder; the name of a file is needed")
+    folder = next(parent for parent in output.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file; a folder is needed to write {output.name} into")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"{folder} cannot be written to; choose another folder for {output.name}")
+
+
+def check_map_output(
+    output: Path, sources: Iterable[str], inputs: Sequence[Path | None], *, recursive: bool = False
+) -> Path:
+    """Check the output of a map, and that of the .png beside it, whose path is returned.
+
+    Inputs are files, and sources that may also be folders (with subfolders if recursive) or
+    patterns of files.
+    """
+    pattern = f"{'**/' if recursive else ''}{glob.escape(output.stem)}.*"
+    read = [*inputs, *(path for source in sources for path in _list_files(source, pattern))]
+    check_output(output, GEOTIFF, read)
+    look = output.with_suffix(".png")
+    if look.resolve() in _resolve(read):
+        raise ValueError(
+            f"the quick look beside {output} would replace the input {look}; give another output"
+        )
+    check_output(look)
+    return look
+
+
+def _resolve(paths: Iterable[Path | None]) -> list[Path]:
+    return [path.resolve() for path in paths if path is not None]
+
+
+def _list_files(source: str, pattern: str) -> list[Path]:
+    """List the files of a source: itself, what it matches as a pattern, or a folder's matches."""
+    path = Path(source)
+    if path.is_dir():
+        return list(path.glob(pattern))
+    return [path, *map(Path, glob.glob(source, recursive=True))]

@@ -1,0 +1,102 @@
+"""The command that predicts agents."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from geoaim.cli import options
+from geoaim.cli.console import console, report_errors, show_progress
+from geoaim.cli.inputs import SceneSource, TracksSource, read_scene
+from geoaim.cli.models import get_horizon, load_model
+from geoaim.cli.outputs import check_output
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from torch import Tensor
+
+    from geoaim.simulation.scene import Scene
+
+
+def predict(
+    aim: options.AimFile,
+    tracks: options.TracksFile,
+    output: Annotated[Path, options.output(".csv, .png, .mp4 or .gif to write")],
+    kind: options.Kind = "vehicles",
+    weights: options.WeightsFile = None,
+    at: Annotated[
+        float | None, typer.Option(help="last observed time, s; the end of the tracks if omitted")
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            help="predicted time, s; 4 for vehicles and 8 for pedestrians if omitted. A model with "
+            "trajectory proposals has a fixed one",
+            min=0.1,
+        ),
+    ] = None,
+    samples: options.Samples = 6,
+    seed: options.Seed = 0,
+    lights: options.LightsFile = None,
+    hdmap: options.HDMapFile = None,
+    stop_lines: options.StopLinesFile = None,
+    tracks_world: options.TracksWorld = None,
+    tracks_resolution: options.TracksResolution = None,
+) -> None:
+    """Predict futures of all vehicles, or of all pedestrians, jointly.
+
+    All other agents replay their tracks. A .csv has a row for each sample, agent and time.
+    Pictures show all samples on the map, and in white the recorded future, if there is one after
+    --at.
+
+    Example: geoaim predict map.tif --tracks samples/tracks.csv --at 20 -o futures.png
+    """
+    import torch
+
+    from geoaim.prediction.cutting import select_kind
+    from geoaim.prediction.pictures import write_futures
+    from geoaim.prediction.predict import predict as predict_futures
+    from geoaim.simulation.scene import step_at_time
+
+    with show_progress() as progress, report_errors():
+        inputs = [aim, tracks, lights, hdmap]
+        check_output(output, (".csv", ".png", ".mp4", ".gif"), inputs)
+        model = load_model(weights, kind)
+        agents = TracksSource(tracks, tracks_world, tracks_resolution)
+        files = SceneSource(aim, agents, lights, hdmap, stop_lines)
+        scene, _, world = read_scene(files, rate=1 / model.config.dt)
+        start, horizon = step_at_time(scene, at), get_horizon(model, duration)
+        progress("predict", 0, 1)
+        futures = predict_futures(
+            model,
+            scene,
+            samples=samples,
+            horizon=horizon,
+            start=start,
+            generator=torch.Generator().manual_seed(seed),
+        )
+        progress("predict", 1, 1)
+        if output.suffix.lower() == ".csv":
+            write_futures(scene, futures, start, output, world=world, dt=model.config.dt)
+        else:
+            _draw_futures(scene, futures, start, output)
+    predicted = int((select_kind(scene, model.config.kind) & scene.present[:, start]).sum())
+    console.print(
+        f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
+        f"{float(scene.times[start]):g} s, {predicted} agents"
+    )
+
+
+def _draw_futures(
+    scene: "Scene", futures: "Float[Tensor, 'K N T 4']", start: int, output: Path
+) -> None:
+    """Draw futures as a picture, or step by step as a video."""
+    from geoaim.prediction.pictures import draw_futures, film_futures
+    from geoaim.simulation.pictures import write_pictures
+    from geoaim.simulation.scene import step_seconds
+
+    if output.suffix.lower() == ".png":
+        write_pictures([draw_futures(scene, futures, start)], output, rate=1.0)
+    else:
+        frames = film_futures(scene, futures, start)
+        write_pictures(frames, output, rate=1 / step_seconds(scene))

@@ -1,0 +1,159 @@
+"""Commands that render agents on a map and simulate them."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from jaxtyping import UInt8
+from numpy import ndarray as Array
+
+from geoaim.cli import options
+from geoaim.cli.console import console, report_errors, show_progress
+from geoaim.cli.inputs import SceneSource, TracksSource, read_scene
+from geoaim.cli.outputs import TRACKS, check_output
+from geoaim.progress import Progress
+
+if TYPE_CHECKING:
+    from geoaim.simulation.scene import Scene
+
+PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
+VIDEO_SIZE_PX, VIDEO_EXTENT_M, VIDEO_TRAIL_S = 512, 80.0, 2.0  # of a simulation's video
+
+
+def render(
+    aim: options.AimFile,
+    tracks: options.TracksFile,
+    ego: Annotated[str, typer.Option(help="id of the agent at the centre")],
+    output: Annotated[Path, options.output(".mp4, .gif or .png to write")],
+    size: Annotated[int, typer.Option(help="side of the view, px", min=16, max=4096)] = 512,
+    extent: Annotated[float, typer.Option(help="side of the view, m", min=1)] = 80.0,
+    time: Annotated[
+        float | None, typer.Option(help="time of a .png, s; the agent's first if omitted")
+    ] = None,
+    trail: Annotated[
+        float, typer.Option(help="length of the trails behind the agents, s", min=0)
+    ] = 0.0,
+    lights: options.LightsFile = None,
+    hdmap: options.HDMapFile = None,
+    stop_lines: options.StopLinesFile = None,
+    tracks_world: options.TracksWorld = None,
+    tracks_resolution: options.TracksResolution = None,
+) -> None:
+    """Render the bird's-eye view of an agent: the map with all agents, heading up.
+
+    Traffic lights are bars on their stop lines: --lights gives their states, --hdmap or
+    --stop-lines their places.
+
+    Example: geoaim render map.tif --tracks samples/tracks.csv --ego 12 -o view.mp4
+    """
+    from geoaim.simulation.ground import View
+    from geoaim.simulation.pictures import film_agent
+    from geoaim.simulation.scene import agent_number, step_at
+
+    with show_progress() as progress, report_errors():
+        check_output(output, (".mp4", ".gif", ".png"))
+        agents = TracksSource(tracks, tracks_world, tracks_resolution)
+        scene, _, _ = read_scene(SceneSource(aim, agents, lights, hdmap, stop_lines))
+        agent = agent_number(scene, ego)
+        steps = scene.present[agent].nonzero()[:, 0]
+        if output.suffix.lower() == ".png":
+            steps = step_at(scene, agent, time)[None]
+        view = View(size, size, extent / size)
+        frames = film_agent(scene, agent, view, steps, trail=trail)
+        _write_frames(scene, frames, len(steps), output, progress)
+    console.print(f"{output}: {len(steps)} images of {size} x {size} px around agent {ego}")
+
+
+def simulate(
+    aim: options.AimFile,
+    tracks: options.TracksFile,
+    output: Annotated[Path, options.output("simulated tracks, .csv or .parquet, to write")],
+    policy: Annotated[PolicyName, typer.Option(help="policy of the controlled agents")] = "idm",
+    ego: Annotated[
+        str | None,
+        typer.Option(
+            help="id of the controlled agent; if omitted, all agents that never drive in reverse"
+        ),
+    ] = None,
+    start: Annotated[
+        float | None,
+        typer.Option(help="time in the tracks at which to start, s; the first if omitted"),
+    ] = None,
+    duration: Annotated[float, typer.Option(help="simulated time, s", min=0.1)] = 6.0,
+    video: Annotated[
+        Path | None, typer.Option(help=".mp4 or .gif of the view around the ego to write")
+    ] = None,
+    lights: options.LightsFile = None,
+    hdmap: options.HDMapFile = None,
+    stop_lines: options.StopLinesFile = None,
+    drivable: Annotated[
+        Path | None, typer.Option(help="hand-drawn drivable area: GeoJSON polygons")
+    ] = None,
+    tracks_world: options.TracksWorld = None,
+    tracks_resolution: options.TracksResolution = None,
+) -> None:
+    """Simulate agents by a policy, and count collisions and traffic violations.
+
+    All agents that are not controlled replay their tracks. Policies: idm (intelligent driver
+    model on the recorded path), constant-velocity, constant-turn-rate, replay. --drivable and
+    --stop-lines replace those of the HD map.
+
+    Example: geoaim simulate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
+    --lights samples/lights.csv -o simulated.csv
+    """
+    from geoaim.hdmap.drivable import read_area
+    from geoaim.simulation.episodes import rules_of, simulate_scene
+    from geoaim.simulation.scene import tracks_of
+    from geoaim.track_files import write_tracks
+
+    with show_progress() as progress, report_errors():
+        check_output(output, TRACKS, [aim, tracks, lights])
+        if video is not None:
+            check_output(video, (".mp4", ".gif"), [aim])
+            if ego is None:
+                raise ValueError("--video needs --ego, the agent at its centre")
+        agents = TracksSource(tracks, tracks_world, tracks_resolution)
+        source = SceneSource(aim, agents, lights, hdmap, stop_lines)
+        scene, roads, world = read_scene(source)
+        area = None if drivable is None else read_area(drivable, world)
+        rules = rules_of(roads, area)
+        episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=duration, rules=rules)
+        write_tracks(tracks_of(episode.scene, world), output)
+        if video is not None and ego is not None:
+            _write_video(episode.scene, ego, video, progress)
+    rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
+    count = int(episode.controlled.sum())
+    console.print(f"{output}: {count} agents by {policy}. {rates or 'no violation can be counted'}")
+
+
+def _write_video(scene: "Scene", ego: str, path: Path, progress: Progress) -> None:
+    """Write the view around an agent at all of its steps."""
+    from geoaim.simulation.ground import View
+    from geoaim.simulation.pictures import film_agent
+    from geoaim.simulation.scene import agent_number
+
+    agent = agent_number(scene, ego)
+    steps = scene.present[agent].nonzero()[:, 0]
+    view = View(VIDEO_SIZE_PX, VIDEO_SIZE_PX, VIDEO_EXTENT_M / VIDEO_SIZE_PX)
+    frames = film_agent(scene, agent, view, steps, trail=VIDEO_TRAIL_S)
+    _write_frames(scene, frames, len(steps), path, progress)
+
+
+def _write_frames(
+    scene: "Scene",
+    frames: Iterable[UInt8[Array, "H W 3"]],
+    count: int,
+    path: Path,
+    progress: Progress,
+) -> None:
+    """Write frames at the scene's frame rate, and report the progress."""
+    from geoaim.simulation.pictures import write_pictures
+    from geoaim.simulation.scene import step_seconds
+
+    def count_frames() -> Iterator[UInt8[Array, "H W 3"]]:
+        for number, frame in enumerate(frames, 1):
+            progress("render", number, count)
+            yield frame
+
+    write_pictures(count_frames(), path, rate=1 / step_seconds(scene))

@@ -1,0 +1,70 @@
+import numpy as np
+import pytest
+import rasterio
+from typer.testing import CliRunner
+
+from geoaim.cli import app
+
+run = CliRunner().invoke
+
+
+def test_build_writes_the_map_and_a_quick_look(frames_folder, tmp_path):
+    output = tmp_path / "aim.tif"
+    result = run(
+        app,
+        ["build", str(frames_folder), "--gcps", str(frames_folder / "gcps.csv"), "-o", str(output)],
+    )
+    assert result.exit_code == 0, result.output
+    with rasterio.open(output) as file:
+        assert file.transform.a == pytest.approx(0.05, rel=1e-3)
+    assert output.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_an_error_is_one_line_and_exit_code_1_and_writes_nothing(frames_folder, tmp_path):
+    output = tmp_path / "aim.tif"
+    result = run(app, ["build", str(frames_folder), "-o", str(output)])
+    assert result.exit_code == 1
+    assert "give four or more control points" in " ".join(result.output.split())
+    assert not list(tmp_path.iterdir())
+
+
+def test_register_writes_a_row_for_each_frame(frames_folder, tmp_path):
+    output = tmp_path / "registration.csv"
+    assert run(app, ["register", str(frames_folder), "-o", str(output)]).exit_code == 0
+    assert len(np.loadtxt(output, delimiter=",", skiprows=1, usecols=(0, 1))) == 6
+
+
+def test_texture_and_info_read_what_build_wrote(frames_folder, tmp_path):
+    output = tmp_path / "aim.tif"
+    run(app, ["build", str(frames_folder), "--frame-resolution", "0.05", "-o", str(output)])
+    assert run(app, ["texture", str(output), str(tmp_path / "out")]).exit_code == 0
+    assert (tmp_path / "out" / "texture.json").exists()
+    assert "640 x 360 px" in run(app, ["info", str(output)]).output
+
+
+def test_an_invalid_number_of_frames_is_refused(frames_folder, tmp_path):
+    result = run(
+        app, ["build", str(frames_folder), "--frames", "some", "-o", str(tmp_path / "a.tif")]
+    )
+    assert result.exit_code == 2
+    assert "auto, all or a number" in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["-o", "map.png"], "ends in .tif"),
+        (["-o", "map.tif", "--gcps", "a.csv", "--frame-resolution", "1"], "exclude each other"),
+        (["-o", "."], "ends in .tif"),
+        (["-o", "taken/map.tif"], "is a file; a folder is needed"),
+    ],
+)
+def test_unwritable_outputs_and_contradicting_options_are_refused_before_the_work(
+    frames_folder, tmp_path, monkeypatch, options, message
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").write_text("a file")
+    result = run(app, ["build", str(frames_folder), *options])
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]

@@ -1,0 +1,27 @@
+"""The help of each command."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+import typer
+
+from geoaim.cli import COMMANDS, app
+
+NAMES = [command.__name__ for command in COMMANDS]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_example_in_the_help_can_be_parsed_and_its_samples_exist(name):
+    command = typer.main.get_command(app).commands[name]
+    example = shlex.split(command.help.split("Example: ")[1])
+    assert example[:2] == ["geoaim", name]
+    command.make_context(name, example[2:]).close()
+    samples = [Path(word) for word in example if word.startswith("samples/")]
+    assert all(path.exists() for path in samples)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_option_has_a_help_text(name):
+    command = typer.main.get_command(app).commands[name]
+    assert all(getattr(option, "help", None) for option in command.params if option.name != "help")

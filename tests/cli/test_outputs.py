@@ -1,0 +1,58 @@
+import pytest
+from typer.testing import CliRunner
+
+from geoaim.cli import app
+
+run = CliRunner().invoke
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["align", "shot.png", "--gcps", "points.csv", "-o", "shot.tif"],
+        ["align", "*.png", "-o", "shot.tif"],
+        ["align", "tiles", "-o", "tiles/19/7.tif"],
+        ["align", "other.tif", "--gcps", "points.tif", "-o", "points.tif"],
+        ["align", "other.tif", "--gcps", "shot.png", "-o", "shot.tif"],
+        ["build", "shot.png", "--gcps", "points.csv", "-o", "shot.tif"],
+        ["build", "tiles/19", "-o", "tiles/19/7.tif"],
+        ["build", "other.mp4", "--gcps", "points.tif", "-o", "points.tif"],
+    ],
+)
+def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, given):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiles" / "19").mkdir(parents=True)
+    for name in ("shot.png", "points.tif", "points.csv", "tiles/19/7.png"):
+        (tmp_path / name).write_text(name)
+    result = run(app, given)
+    assert result.exit_code == 1
+    output = " ".join(result.output.split())
+    assert "would replace the input" in output or "is read as well" in output
+    assert (tmp_path / given[-1]).exists() == (given[-1] == "points.tif")
+    for name in ("shot.png", "points.tif", "points.csv", "tiles/19/7.png"):
+        assert (tmp_path / name).read_text() == name
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["draw", "samples/map.osm", "-o", "a.png"], "ends in .tif or .tiff"),
+        (["draw", "a.tif", "-o", "a.tif"], "is read as well"),
+        (["draw", "samples/map.osm", "--aim", "a.tif", "-o", "./a.tif"], "is read as well"),
+        (["render", "a.tif", "--tracks", "t", "--ego", "1", "-o", "a.avi"], "ends in .mp4"),
+        (["simulate", "a.tif", "--tracks", "t", "-o", "a.txt"], "ends in .csv or .parquet"),
+        (["simulate", "a.tif", "--tracks", "t.csv", "-o", "t.csv"], "is read as well"),
+        (
+            ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--video", "f.png"],
+            "ends in .mp4 or .gif",
+        ),
+        (
+            ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--stop-lines", "l.geojson"],
+            "--stop-lines needs --lights",
+        ),
+    ],
+)
+def test_wrong_suffixes_and_outputs_that_are_inputs_are_refused_before_the_work(options, message):
+    result = run(app, options)
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
