@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.geometry import transform_points
 from geoaim.grid import Grid, north_up_grid
+from geoaim.rectify import sample_nearest
 from geoaim.tracks import Tracks
 
 LONGER_SIDE_PX = 900
@@ -61,9 +61,9 @@ def _draw_checkerboard(
     """Draw imagery on a grid over the corners, with the AIM in every other square."""
     resolution = float(np.ptp(corners, axis=0).max()) / LONGER_SIDE_PX
     grid = north_up_grid(corners, resolution)
-    picture, _ = _sample_nearest(imagery, grid)
+    picture, _ = _sample(imagery, grid)
     if aim is not None:
-        other, covered = _sample_nearest(aim, grid)
+        other, covered = _sample(aim, grid)
         rows, columns = np.indices(grid.shape) * SQUARES_PER_SIDE // LONGER_SIDE_PX
         square = covered & ((rows + columns) % 2 == 0)
         picture = np.where(square[..., None], other, picture)
@@ -71,14 +71,9 @@ def _draw_checkerboard(
     return picture, (left, right, bottom, top)
 
 
-def _sample_nearest(aim: AIM, grid: Grid) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+def _sample(aim: AIM, grid: Grid) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
     """Sample the nearest pixels on a grid, white where none is covered, and the mask of cover."""
-    rows, columns = np.indices(grid.shape) + 0.5
     image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
-    pixels = transform_points(image_from_grid, np.stack([columns, rows], -1).reshape(-1, 2))
-    u, v = np.floor(pixels).astype(int).T
-    covered = (u >= 0) & (v >= 0) & (u < aim.image.shape[1]) & (v < aim.image.shape[0])
-    covered[covered] = aim.coverage[v[covered], u[covered]] > 0
-    picture = np.full((len(covered), 3), 255, np.uint8)
-    picture[covered] = aim.image[v[covered], u[covered]]
-    return picture.reshape(*grid.shape, 3), covered.reshape(grid.shape)
+    covered = sample_nearest(aim.coverage, image_from_grid, grid.shape) > 0
+    image = sample_nearest(aim.image, image_from_grid, grid.shape)
+    return np.where(covered[..., None], image, np.uint8(255)), covered

@@ -40,8 +40,8 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
     grid = north_up_grid(aim.corners, resolution)
     image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
     oversampling = int(np.clip(round(resolution / sides.min()), 1, BLOCK_PX))
-    coverage = _sample_nearest(aim.coverage, image_from_grid, grid.shape)
-    contested = _sample_nearest(aim.contested.astype(np.uint8), image_from_grid, grid.shape)
+    coverage = sample_nearest(aim.coverage, image_from_grid, grid.shape)
+    contested = sample_nearest(aim.contested.astype(np.uint8), image_from_grid, grid.shape)
     image = _resample_colours(aim, image_from_grid, grid.shape, oversampling)
     image[coverage == 0] = 0
     return replace(
@@ -67,9 +67,19 @@ def _measure_pixels(aim: AIM) -> Float[Array, "m 2"]:
     return np.linalg.norm(steps, axis=-1).T
 
 
-def _sample_nearest(
+def sample_nearest(
     raster: Array, image_from_grid: Float[Array, "3 3"], shape: tuple[int, int]
 ) -> Array:
+    """Sample the nearest pixels of a raster on a grid.
+
+    Args:
+        raster: (H, W) or (H, W, C).
+        image_from_grid: (3, 3) pixels of the grid to pixels of the raster.
+        shape: (height, width) of the grid.
+
+    Returns:
+        Values on the grid; 0 outside the raster.
+    """
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)
 

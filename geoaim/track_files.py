@@ -130,11 +130,9 @@ def read_table(
                 header=names,
                 skiprows=skip_rows,
             )
-        except pd.errors.ParserWarning as error:
-            reason = "a row has more fields than there are columns"
-            raise TracksError(f"{Path(path)} is not a table of tracks: {reason}") from error
-        except ValueError as error:
-            reason = str(error).strip()
+        except (ValueError, pd.errors.ParserWarning) as error:
+            extra = isinstance(error, pd.errors.ParserWarning)
+            reason = "a row has more fields than there are columns" if extra else str(error).strip()
             raise TracksError(f"{Path(path)} is not a table of tracks: {reason}") from error
 
 

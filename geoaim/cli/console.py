@@ -8,15 +8,6 @@ from typing import Any
 
 import rich.progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    ProgressColumn,
-    Task,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 from rich.text import Text
 
@@ -26,26 +17,11 @@ from geoaim.progress import Progress
 console = Console(stderr=True)
 
 
-class RateColumn(ProgressColumn):
-    """Steps per second."""
-
-    def render(self, task: Task) -> Text:
-        """Draw the rate once it is known."""
-        return Text(f"{task.speed:.1f} /s" if task.speed else "", style="progress.data.speed")
-
-
 @contextmanager
 def show_progress() -> Iterator[Progress]:
     """Show a progress bar for each stage that the yielded callback names."""
-    columns = (
-        TextColumn("{task.description:<12}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        RateColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    tasks: dict[str, TaskID] = {}
+    columns = (*rich.progress.Progress.get_default_columns(), rich.progress.TimeElapsedColumn())
+    tasks: dict[str, rich.progress.TaskID] = {}
     with rich.progress.Progress(*columns, console=console) as bars:
 
         def progress(stage: str, done: float, total: float | None) -> None:

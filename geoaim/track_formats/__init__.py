@@ -4,7 +4,7 @@ To add a format:
 
 1. Write `track_formats/<name>.py` with a function `read_<name>(path) -> Tracks`. Read the table
    with `read_table` (its `delimiter`, `header` and `text` say how the file is written), refuse
-   unusable files with `check_columns` and `check_numbers`, and name agent types with `map_types`.
+   unusable files with `check_columns`, and name agent types with `map_types`.
    Convert to x east and y north in metres, radians counter-clockwise from +x, seconds.
    - The file has headings and speeds: finish with `make_tracks(rows, world)`.
    - The file has positions only: finish with `make_tracks_from_positions(rows, world, ...)`.

@@ -38,42 +38,36 @@ def map_types(names: "Series[Any]") -> "Series[Any]":
     return lower.map(AGENT_TYPES).fillna(lower)
 
 
-def check_columns(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
-    """Refuse a table that lacks columns.
+def check_columns(
+    path: str | os.PathLike[str],
+    table: "DataFrame",
+    *,
+    numbers: tuple[str, ...],
+    others: tuple[str, ...] = (),
+) -> None:
+    """Refuse a table without rows or columns, or with text where numbers are needed.
 
     Args:
         path: of the table, for the message.
         table: as it was read.
-        names: columns that it needs.
+        numbers: columns that must hold numbers.
+        others: columns that must be there.
 
     Raises:
-        TracksError: a column is missing.
+        TracksError: a column or all rows are missing, or a value is not a number.
     """
-    missing = [name for name in names if name not in table.columns]
+    import pandas as pd
+
+    missing = [name for name in (*others, *numbers) if name not in table.columns]
     if missing:
         columns = ", ".join(map(str, table.columns[:20]))
         raise TracksError(
             f"{Path(path)} lacks the columns {', '.join(missing)}; it has {columns}. "
             "Does it belong to another dataset?"
         )
-
-
-def check_numbers(path: str | os.PathLike[str], table: "DataFrame", names: tuple[str, ...]) -> None:
-    """Refuse a table without rows, or with text where numbers are needed.
-
-    Args:
-        path: of the table, for the message.
-        table: as it was read.
-        names: columns that must hold numbers.
-
-    Raises:
-        TracksError: there are no rows, or a value is not a number.
-    """
-    import pandas as pd
-
     if len(table) == 0:
         raise TracksError(f"{Path(path)} has no rows")
-    for name in names:
+    for name in numbers:
         if not pd.api.types.is_numeric_dtype(table[name]):
             text = table[name][pd.to_numeric(table[name], errors="coerce").isna()].iloc[0]
             raise TracksError(f"{Path(path)}: {name} is {text!r} in a row; a number is needed")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, check_numbers
+from geoaim.track_formats.columns import check_columns
 from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.track_formats.track_format import TrackFormat, has_columns
 from geoaim.tracks import Tracks
@@ -39,8 +39,7 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
 
     table = read_table(path, text=("Vehicle_ID",))
     numbers = ("Local_X", "Local_Y", "Vehicle_Class", *SIZES)
-    check_columns(path, table, ("Vehicle_ID", "Timestamp", *numbers))
-    check_numbers(path, table, numbers)
+    check_columns(path, table, numbers=numbers, others=("Vehicle_ID", "Timestamp"))
     for name in SIZES:
         median = table.groupby("Vehicle_Class")[name].transform("median")
         table[name] = table[name].fillna(median).fillna(table[name].median())

@@ -8,7 +8,7 @@ import numpy as np
 
 from geoaim.errors import GeoaimWarning
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, check_numbers, fill_sizes, map_types
+from geoaim.track_formats.columns import check_columns, fill_sizes, map_types
 from geoaim.track_formats.motion import fill_headings, warn_of_reversed_headings
 from geoaim.track_formats.track_format import TrackFormat, has_columns
 from geoaim.track_tables import make_tracks
@@ -28,9 +28,6 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
         path: a .csv file. Where psi_rad (heading), length or width are missing, as for
             pedestrians, the heading is that of the motion and the size is typical of the type.
         world: the plane of x and y; None for a plane without a place on the Earth.
-
-    Returns:
-        The tracks.
 
     Raises:
         TracksError: columns are missing, or a value is not a number.
@@ -66,9 +63,8 @@ def read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
         TracksError: columns are missing, or a value is not a number.
     """
     table = read_table(path, text=("track_id", "agent_type", "case_id"))
-    check_columns(path, table, ("track_id", "agent_type", *NUMBERS))
     optional = tuple(name for name in (heading, "length", "width") if name in table)
-    check_numbers(path, table, NUMBERS + optional)
+    check_columns(path, table, numbers=NUMBERS + optional, others=("track_id", "agent_type"))
     for name in {"length", "width"} - set(optional):
         table[name] = np.nan
     return table

@@ -13,7 +13,7 @@ import numpy as np
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, check_numbers, fill_sizes, map_types
+from geoaim.track_formats.columns import check_columns, fill_sizes, map_types
 from geoaim.track_formats.motion import (
     compute_signed_speed,
     fill_headings,
@@ -91,9 +91,6 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     Args:
         path: `XX_tracks.csv`, with `XX_tracksMeta.csv` and `XX_recordingMeta.csv` beside it.
 
-    Returns:
-        The tracks.
-
     Raises:
         TracksError: a file or columns are missing, or a value is not a number.
     """
@@ -135,8 +132,7 @@ def _read_tracks_table(
     path: str | os.PathLike[str], id_column: str, numbers: tuple[str, ...]
 ) -> "DataFrame":
     table = read_table(path, text=(id_column,))
-    check_columns(path, table, (id_column, *numbers))
-    check_numbers(path, table, numbers)
+    check_columns(path, table, numbers=numbers, others=(id_column,))
     return table
 
 
@@ -157,8 +153,7 @@ def _read_sibling(
 def _read_recording(path: str | os.PathLike[str], names: tuple[str, ...]) -> dict[str, float]:
     """Read numbers of the recording."""
     table = _read_sibling(path, "recordingMeta")
-    check_columns(f"{path}'s recordingMeta", table, names)
-    check_numbers(f"{path}'s recordingMeta", table, names)
+    check_columns(f"{path}'s recordingMeta", table, numbers=names)
     recording = {name: float(table[name].iloc[0]) for name in names}
     if not recording["frameRate"] > 0:
         raise TracksError(f"{path}: a frameRate of {recording['frameRate']} is not positive")
@@ -169,7 +164,7 @@ def _look_up_agents(path: str | os.PathLike[str], ids: "Series[Any]", column: st
     """Look up a column of the table of agents for each row of the tracks."""
     id_column = str(ids.name)
     meta = _read_sibling(path, "tracksMeta", (id_column, column))
-    check_columns(f"{path}'s tracksMeta", meta, (id_column, column))
+    check_columns(f"{path}'s tracksMeta", meta, numbers=(), others=(id_column, column))
     values = ids.map(meta.drop_duplicates(id_column).set_index(id_column)[column])
     if values.isna().any():
         raise TracksError(f"{path}: {ids[values.isna()].iloc[0]!r} is not in its tracksMeta")

@@ -27,9 +27,6 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
             for both together.
         world: the plane of x and y; None for a plane without a place on the Earth.
 
-    Returns:
-        The tracks.
-
     Raises:
         TracksError: a folder has neither file, columns are missing, or a value is not a number.
     """
@@ -47,7 +44,7 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
         rows = convert_states(table, heading="yaw_rad")
         vehicles = (table["agent_type"].str.lower() != "pedestrian").to_numpy()
         if vehicles.any():
-            check_columns(file, table, ("yaw_rad",))
+            check_columns(file, table, numbers=("yaw_rad",))
         velocity = table[["vx", "vy"]].to_numpy(np.float64)
         signed = compute_signed_speed(velocity, rows["heading"].to_numpy())
         rows["speed"] = np.where(vehicles, signed, rows["speed"])

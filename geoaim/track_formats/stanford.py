@@ -8,7 +8,7 @@ import numpy as np
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, check_numbers
+from geoaim.track_formats.columns import check_columns
 from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.track_formats.track_format import TrackFormat, has_columns
 from geoaim.tracks import Tracks
@@ -58,7 +58,7 @@ def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
             f"{' '.join(COLUMNS)}"
         )
     table.columns = pd.Index(COLUMNS)
-    check_numbers(path, table, COLUMNS[:-1])
+    check_columns(path, table, numbers=COLUMNS[:-1])
     table = table[table["lost"] == 0]
     if len(table) == 0:
         raise TracksError(f"{Path(path)}: all agents are lost in all rows")
@@ -103,8 +103,7 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
         resolution = _look_up_resolution(Path(path))
     _check_resolution(resolution)
     table = read_table(path, text=("track",))
-    check_columns(path, table, ("frame", "track", "u_px", "v_px"))
-    check_numbers(path, table, ("frame", "u_px", "v_px"))
+    check_columns(path, table, numbers=("frame", "u_px", "v_px"), others=("track",))
     length, width = SIZES["Pedestrian"]
     rows = pd.DataFrame(
         {
