@@ -10,7 +10,7 @@ from geoaim.cli.console import print_table, report_errors, show_progress
 from geoaim.cli.outputs import TRACKS, check_map_output, check_output
 
 if TYPE_CHECKING:
-    from geoaim.mapping.georeference.estimate import Georeference
+    from geoaim.mapping.georeference.georeference import Georeference
 
 
 def build(
@@ -91,8 +91,8 @@ def register(
 
     Example: geoaim register samples/hover.mp4 -o registration.csv
     """
-    from geoaim.mapping.registration.register import register as register_frames
     from geoaim.mapping.registration.register import count_reasons, write_registration
+    from geoaim.mapping.registration.register import register as register_frames
 
     with show_progress() as progress, report_errors():
         check_output(output, TRACKS)
