@@ -25,7 +25,7 @@ def experiment(
     Example: geoaim experiment list
     """
     from geoaim.experiments import EXPERIMENTS
-    from geoaim.experiments.results import Folders
+    from geoaim.experiments.results import Workspace
 
     with show_progress() as progress, report_errors():
         if name == "list":
@@ -34,5 +34,5 @@ def experiment(
             return
         if name not in EXPERIMENTS:
             raise ValueError(f"there is no experiment {name!r}; 'list' prints all names")
-        written = EXPERIMENTS[name](Folders(folder, output), progress)
+        written = EXPERIMENTS[name](Workspace(folder, output, progress))
     console.print(", ".join(str(path) for path in written))

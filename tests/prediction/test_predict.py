@@ -143,7 +143,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
                 "5",
                 "--samples",
                 "2",
-                "--seconds",
+                "--duration",
                 "1",
             ],
         )
@@ -154,7 +154,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     done = run(app, ["predict", *given, "-o", str(tmp_path / "x.csv"), "--at", "500"])
     assert done.exit_code == 1
     assert "500 s is not in the scene" in " ".join(done.output.split())
-    done = run(app, ["evaluate", *given, "--kind", "pedestrian", "--hdmap", "samples/map.osm"])
+    done = run(app, ["evaluate", *given, "--kind", "pedestrians", "--hdmap", "samples/map.osm"])
     assert done.exit_code == 0, done.output
     assert "| joint minADE |" in done.stdout
     assert "| constant turn rate |" in done.stdout

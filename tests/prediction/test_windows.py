@@ -112,7 +112,7 @@ def test_command_prints_metrics_as_json_or_as_a_table(folder, tmp_path):
     assert "| constant velocity |" in done.stdout
     done = CliRunner().invoke(app, [part for part in command if part not in command[3:5]])
     assert done.exit_code == 0, done.output
-    assert "sees grey without --images" in " ".join(done.output.split())
+    assert "without --images it gets a uniform grey one" in " ".join(done.output.split())
     done = CliRunner().invoke(app, command[:-2])
     assert done.exit_code == 1
     assert "--windows needs --weights" in " ".join(done.output.split())
