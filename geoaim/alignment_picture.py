@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.grid import Grid, north_up_grid
-from geoaim.rectify import sample_nearest
+from geoaim.rectification import sample_nearest
 from geoaim.tracks import Tracks
 
 LONGER_SIDE_PX = 900

@@ -49,7 +49,7 @@ def align(
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
-    from geoaim.rectify import rectify
+    from geoaim.rectification import rectify
     from geoaim.track_changes import to_world
 
     with report_errors():

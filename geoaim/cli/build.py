@@ -45,7 +45,7 @@ def build(
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import write_quicklook
-    from geoaim.rectify import rectify
+    from geoaim.rectification import rectify
 
     with show_progress() as progress, report_errors():
         if frame_resolution is not None and gcps is not None:

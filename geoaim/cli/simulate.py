@@ -102,7 +102,7 @@ def simulate(
     Example: geoaim simulate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     --lights samples/lights.csv -o simulated.csv
     """
-    from geoaim.hdmap.drivable import read_area
+    from geoaim.hdmap.drivable import read_drivable_area
     from geoaim.simulation.episodes import rules_of, simulate_scene
     from geoaim.simulation.scene import tracks_of
     from geoaim.track_files import write_tracks
@@ -116,7 +116,7 @@ def simulate(
         agents = TracksSource(tracks, tracks_world, tracks_resolution)
         source = SceneSource(aim, agents, lights, hdmap, stop_lines)
         scene, roads, world = read_scene(source)
-        area = None if drivable is None else read_area(drivable, world)
+        area = None if drivable is None else read_drivable_area(drivable, world)
         rules = rules_of(roads, area)
         episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=duration, rules=rules)
         write_tracks(tracks_of(episode.scene, world), output)

@@ -5,7 +5,6 @@ from typer.testing import CliRunner
 from geoaim.aim_files import write_aim
 from geoaim.cli import app
 from geoaim.geojson import Feature, write_features
-from geoaim.hdmap.drivable import write_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.track_files import read_tracks
@@ -67,7 +66,7 @@ def test_simulate_uses_hand_drawn_areas_and_stop_lines(tmp_path):
     lines = [Feature(LineString(s.ends), {"signal": s.signal}) for s in hdmap.stop_lines]
     write_features(lines, hdmap.world, tmp_path / "lines.geojson")
     area = MultiPolygon([box(0, 0, 1, 1)])
-    write_area(area, hdmap.world, tmp_path / "area.geojson")
+    write_features([Feature(area)], hdmap.world, tmp_path / "area.geojson")
     given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
     given += ["--stop-lines", f"{tmp_path}/lines.geojson", "--lights", "samples/lights.csv"]
     given += ["--drivable", f"{tmp_path}/area.geojson", "--policy", "replay"]
