@@ -1,8 +1,8 @@
-"""Do real vehicles drive where HD maps say that they may? Karlsruhe's junctions, and the sample.
+"""How often real vehicles are on the drivable area of HD maps: Karlsruhe's junctions, the sample.
 
     python -m geoaim.bench.drivable --json docs/bench/drivable.json
 
-`--picture FILE` shows where they do not; that stays out of the repository, as real tracks do.
+`--picture FILE` shows where they are off it; that stays out of the repository, as real tracks do.
 """
 
 import csv
@@ -17,80 +17,90 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import MultiPolygon
 
-from geoaim.bench.data import find_data
+from geoaim import read_tracks
+from geoaim.agent_types import select_group
+from geoaim.bench.data import require_data
 from geoaim.bench.report import format_table, write_rows
 from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.simulation.layers import KINDS
-from geoaim.track_files import read_tracks
 from geoaim.track_formats import read_interaction
 from geoaim.tracks import Tracks
 from geoaim.world import LONLAT, World, transform_crs
 
 JUNCTIONS = ("k729_2022-03-16", "k733_2018-05-02")
-CRS = "EPSG:32632"
-NEAR = 0.7  # m
+JUNCTION_CRS = "EPSG:32632"
+NEAR_M = 0.7  # from the area: half a lane beside a queue
 
 
-def places_of(tracks: Tracks) -> Float[Array, "m 2"]:
-    """Where vehicles were."""
-    wheels = np.array([kind in KINDS["vehicle"] for kind in tracks.types])
-    return tracks.states[wheels][tracks.present[wheels]][:, :2]
+def list_positions(tracks: Tracks) -> Float[Array, "m 2"]:
+    """Positions of vehicles at all steps, metres."""
+    vehicles = select_group(tracks.types, "vehicle")
+    return tracks.states[vehicles][tracks.present[vehicles]][:, :2]
 
 
-def karlsruhe(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
-    """The drivable area of a junction about its tracks' origin, and the places of its vehicles."""
-    data = find_data()
-    if data is None:
-        raise FileNotFoundError("no folder of real data; name it in GEOAIM_DATA")
-    folder = data / "tracks" / "karlsruhe"
+def read_junction(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
+    """Read the drivable area of a junction of Karlsruhe, and the positions of its vehicles."""
+    folder = require_data("tracks/karlsruhe")
     with open(folder / "tracks" / junction / "meta_data.csv", encoding="utf-8") as file:
         meta = next(csv.DictReader(file))
     corner = np.array([[float(meta["originLon"]), float(meta["originLat"])]])
-    east, north = transform_crs(LONLAT, CRS, corner)[0].tolist()
-    hdmap = read_hdmap(folder / "maps" / f"{junction}.osm", World(CRS, (east, north)))
+    east, north = transform_crs(LONLAT, JUNCTION_CRS, corner)[0].tolist()
+    hdmap = read_hdmap(folder / "maps" / f"{junction}.osm", World(JUNCTION_CRS, (east, north)))
     files = sorted((folder / "tracks" / junction).glob("vehicle_tracks*.csv"))
-    places = [places_of(read_interaction(file)) for file in files]
-    return find_drivable_area(hdmap), np.concatenate(places)
+    positions = [list_positions(read_interaction(file)) for file in files]
+    return find_drivable_area(hdmap), np.concatenate(positions)
 
 
-def row(name: str, area: MultiPolygon, places: Float[Array, "m 2"]) -> dict[str, Any]:
-    """The share of places in the area, and how far off it the others are."""
+def measure_share(name: str, area: MultiPolygon, positions: Float[Array, "m 2"]) -> dict[str, Any]:
+    """Measure the share of positions on an area, and the distances of the others.
+
+    Args:
+        name: of the map.
+        area: drivable, metres.
+        positions: (M, 2) of vehicles, metres.
+
+    Returns:
+        A row of the table.
+    """
     shapely.prepare(area)
-    off = shapely.distance(area, shapely.points(places))
+    distances = shapely.distance(area, shapely.points(positions))
     return {
         "map": name,
-        "places": len(places),
-        "on the drivable area, %": 100 * float((off == 0).mean()),
-        f"within {NEAR} m of it, %": 100 * float((off < NEAR).mean()),
-        "furthest, m": float(off.max()),
+        "places": len(positions),
+        "on the drivable area, %": 100 * float((distances == 0).mean()),
+        f"within {NEAR_M} m of it, %": 100 * float((distances < NEAR_M).mean()),
+        "furthest, m": float(distances.max()),
     }
 
 
+def draw_positions(cases: dict[str, tuple[MultiPolygon, Float[Array, "m 2"]]], path: Path) -> None:
+    """Draw drivable areas, and positions on and off them."""
+    figure, axes = plt.subplots(1, len(cases), figsize=(7 * len(cases), 6), layout="constrained")
+    for axis, (name, (area, positions)) in zip(np.atleast_1d(axes), cases.items(), strict=True):
+        for part in area.geoms:
+            for ring, colour in [(part.exterior, "0.8"), *((hole, "w") for hole in part.interiors)]:
+                axis.fill(*np.asarray(ring.coords).T, color=colour)
+        off = ~shapely.contains_xy(area, positions)
+        axis.plot(*positions[~off].T, ",", color="C0")
+        axis.plot(*positions[off].T, ".", color="C3", ms=2)
+        axis.set(title=f"{name}: {off.mean():.1%} off", aspect="equal")
+    figure.savefig(path, dpi=80)
+
+
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
-    picture: Annotated[Path | None, typer.Option(help="where to draw places off the area")] = None,
+    json: Annotated[Path | None, typer.Option(help="JSON file for the results")] = None,
+    picture: Annotated[Path | None, typer.Option(help="picture of positions off the area")] = None,
 ) -> None:
     """Count vehicles on the drivable areas of the sample's map and of real ones."""
     tracks = read_tracks("samples/tracks.csv")
     sample = find_drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
-    found = {"sample": (sample, places_of(tracks))}
-    found |= {junction: karlsruhe(junction) for junction in JUNCTIONS}
-    rows = [row(name, *both) for name, both in found.items()]
+    cases = {"sample": (sample, list_positions(tracks))}
+    cases |= {junction: read_junction(junction) for junction in JUNCTIONS}
+    rows = [measure_share(name, *case) for name, case in cases.items()]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.drivable")
-    if picture is None:
-        return
-    figure, axes = plt.subplots(1, len(found), figsize=(7 * len(found), 6), layout="constrained")
-    for axis, (name, (area, places)) in zip(axes, found.items(), strict=True):
-        for part in area.geoms:
-            for ring, colour in [(part.exterior, "0.8"), *((hole, "w") for hole in part.interiors)]:
-                axis.fill(*np.asarray(ring.coords).T, color=colour)
-        off = ~shapely.contains_xy(area, places)
-        axis.plot(*places[~off].T, ",", color="C0")
-        axis.plot(*places[off].T, ".", color="C3", ms=2)
-        axis.set(title=f"{name}: {off.mean():.1%} off", aspect="equal")
-    figure.savefig(picture, dpi=80)
+    if picture is not None:
+        draw_positions(cases, picture)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""Does an HD map lie on the AIM of its place? Markings of the map, looked for in the picture.
+"""How well HD maps match the AIM of their place: markings of the map, located in the image.
 
     python -m geoaim.bench.overlay --json docs/bench/overlay.json
 
-Across each line between lanes, the brightness of each metre of it is read; its excess over the
-asphalt has its middle where the paint is. Between dashes, and where paint is worn off, nothing
-narrow stands out, and nothing is counted. Lines at kerbs and stop lines are left out: maps put
-these at the paint's edge.
+The brightness across each line between lanes is averaged over each metre of it; the centroid of its
+excess over the asphalt is where the paint is. Metres without a narrow bright peak, between dashes
+or where paint is worn off, are not counted. Lines at kerbs and stop lines are left out, since maps
+place these at the edge of the paint.
 """
 
 from pathlib import Path
@@ -30,66 +30,86 @@ from geoaim.synthetic import draw_place, make_place, world_from_image
 from geoaim.synthetic.roads.lanelet import make_lanelet_map
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS, PlaceKind
 
-FEWEST = 20  # places for a figure
-REACH = 0.5  # m to each side
-STEP = 0.02  # m
-SAMPLES = 10  # in a metre along a line
-WIDEST = 0.3  # m, of paint
-STANDS_OUT = 40.0  # grey levels over the asphalt
-KERB = 1.0  # m from the area's edge, where lines are not between lanes
+MIN_SAMPLES = 20  # metres of paint for a statistic
+REACH_M = 0.5  # to each side of a line
+STEP_M = 0.02  # across a line
+SAMPLES_PER_METRE = 10  # along a line
+MAX_PAINT_WIDTH_M = 0.3
+MIN_CONTRAST = 40.0  # grey levels over the asphalt
+KERB_DISTANCE_M = 1.0  # from the area's edge: nearer lines are not between lanes
 RESOLUTION = 0.1  # m a pixel of a drawn place
 
 
-def across(aim: AIM, line: Float[Array, "n 2"]) -> Float[Array, "m"]:
-    """How far the paint lies to the left of the line, metres, in each metre in which it is seen."""
-    way = LineString(line)
-    at = np.arange(0, way.length, 1 / SAMPLES)
-    at = at[: len(at) // SAMPLES * SAMPLES]
-    here, ahead = (
-        shapely.get_coordinates(shapely.line_interpolate_point(way, at + d)) for d in (-0.1, 0.1)
-    )
-    along = (ahead - here) / np.linalg.norm(ahead - here, axis=1, keepdims=True)
-    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    sides = np.arange(-REACH, REACH + STEP / 2, STEP)
-    places = (here + ahead)[:, None] / 2 + sides[:, None] * left[:, None]
-    pixels = transform_points(np.linalg.inv(aim.world_from_image), places.reshape(-1, 2))
-    u, v = (pixels - 0.5).astype(np.float32).T.reshape(2, len(at), len(sides))  # OpenCV's origin
+def measure_paint_offsets(aim: AIM, line: Float[Array, "n 2"]) -> Float[Array, "m"]:
+    """Measure how far paint lies to the left of a line, in each metre where it is visible.
+
+    Args:
+        aim: in the world of the line.
+        line: (N, 2) points, metres.
+
+    Returns:
+        (M,) offsets in metres.
+    """
+    places, sides = _sample_across(line)
+    pixels = transform_points(aim.grid.grid_from_world, places.reshape(-1, 2))
+    u, v = (pixels - 0.5).astype(np.float32).T.reshape(2, *places.shape[:2])  # OpenCV's origin
     grey = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    seen = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    seen = seen.reshape(-1, SAMPLES, len(sides)).mean(axis=1)
-    excess = seen - np.median(seen, axis=1, keepdims=True)
+    values = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = values.reshape(-1, SAMPLES_PER_METRE, len(sides)).mean(axis=1)
+    excess = values - np.median(values, axis=1, keepdims=True)
     peak = excess.max(axis=1, keepdims=True)
     paint = np.where(excess > peak / 2, excess, 0)
-    found = (paint * sides).sum(axis=1) / paint.sum(axis=1).clip(1e-9)
-    wide = (paint > 0).sum(axis=1) * STEP
-    return found[(peak[:, 0] > STANDS_OUT) & (wide < WIDEST)]
+    offsets = (paint * sides).sum(axis=1) / paint.sum(axis=1).clip(1e-9)
+    width = (paint > 0).sum(axis=1) * STEP_M
+    return offsets[(peak[:, 0] > MIN_CONTRAST) & (width < MAX_PAINT_WIDTH_M)]
 
 
-def row(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
-    """How far the paint lies from the map's lines, in pixels of the background."""
-    inner = find_drivable_area(hdmap).buffer(-KERB)
+def _sample_across(line: Float[Array, "n 2"]) -> tuple[Float[Array, "m s 2"], Float[Array, "s"]]:
+    """Points across a line at whole metres of samples, and their distances to its left."""
+    curve = LineString(line)
+    at = np.arange(0, curve.length, 1 / SAMPLES_PER_METRE)
+    at = at[: len(at) // SAMPLES_PER_METRE * SAMPLES_PER_METRE]
+    before, after = (
+        shapely.get_coordinates(shapely.line_interpolate_point(curve, at + d)) for d in (-0.1, 0.1)
+    )
+    along = (after - before) / np.linalg.norm(after - before, axis=1, keepdims=True)
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    sides = np.arange(-REACH_M, REACH_M + STEP_M / 2, STEP_M)
+    return (before + after)[:, None] / 2 + sides[:, None] * left[:, None], sides
+
+
+def measure_overlay(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
+    """Measure how far paint lies from the map's lines, in pixels of the AIM.
+
+    Args:
+        name: of the place.
+        aim: of the place.
+        hdmap: of the place, in the world of the AIM.
+
+    Returns:
+        A row of the table; without statistics where too little paint is visible.
+    """
+    inner = find_drivable_area(hdmap).buffer(-KERB_DISTANCE_M)
     lines = [
         line.points
         for line in hdmap.lines
         if line.kind == "line_thin"
         and inner.contains(LineString(line.points).interpolate(0.5, normalized=True))
     ]
-    pixel = aim.resolution
-    apart = np.concatenate([np.empty(0), *(across(aim, line) for line in lines)]) / pixel
-    if len(apart) < FEWEST:
-        return {"place": name, "m a pixel": pixel, "places": len(apart)}
-    return {
-        "place": name,
-        "m a pixel": pixel,
-        "places": len(apart),
-        "median, px": float(np.median(np.abs(apart))),
-        "95 %, px": float(np.percentile(np.abs(apart), 95)),
-        "to the left, median, px": float(np.median(apart)),
+    offsets = [measure_paint_offsets(aim, line) for line in lines]
+    pixels = np.concatenate([np.empty(0), *offsets]) / aim.resolution
+    row = {"place": name, "m a pixel": aim.resolution, "places": len(pixels)}
+    if len(pixels) < MIN_SAMPLES:
+        return row
+    return row | {
+        "median, px": float(np.median(np.abs(pixels))),
+        "95 %, px": float(np.percentile(np.abs(pixels), 95)),
+        "to the left, median, px": float(np.median(pixels)),
     }
 
 
-def drawn(kind: PlaceKind) -> tuple[AIM, HDMap]:
-    """A place's picture, which lies where the place does, and its HD map by way of a file."""
+def draw_aim_and_map(kind: PlaceKind) -> tuple[AIM, HDMap]:
+    """Draw a synthetic place as an AIM, and read its HD map from a file."""
     place = make_place(1, kind=kind)
     image = draw_place(place, resolution=RESOLUTION)
     aim = AIM.from_image(image, world_from_image(place, RESOLUTION), place.world, "drawn")
@@ -100,12 +120,13 @@ def drawn(kind: PlaceKind) -> tuple[AIM, HDMap]:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    json: Annotated[Path | None, typer.Option(help="JSON file for the results")] = None,
 ) -> None:
-    """Look for the HD maps' lines on the sample's AIM and on drawn places of each kind."""
+    """Locate the lines of HD maps on the sample's AIM and on synthetic places of each kind."""
     built = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
-    rows = [row("sample, built of its video", built, read_hdmap("samples/map.osm", built.world))]
-    rows += [row(f"{kind}, drawn", *drawn(kind)) for kind in STANDARD_KINDS]
+    hdmap = read_hdmap("samples/map.osm", built.world)
+    rows = [measure_overlay("sample, built of its video", built, hdmap)]
+    rows += [measure_overlay(f"{kind}, drawn", *draw_aim_and_map(kind)) for kind in STANDARD_KINDS]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.overlay")
 

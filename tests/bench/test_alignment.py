@@ -1,0 +1,67 @@
+"""The alignment benchmark on tiny input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geoaim.aim import AIM
+from geoaim.bench import alignment, alignment_pairs, alignment_real, alignment_tracks
+from geoaim.bench.alignment_methods import list_methods
+from geoaim.bench.alignment_pairs import Pair, measure_error, misplace_picture
+from geoaim.geometry import translation
+from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.tracks import Tracks
+from geoaim.world import World
+from tests.conftest import textured
+
+
+def _make_pair(seed):
+    image = textured(np.random.default_rng(seed), 200, 260)
+    matrix = np.array([[0.25, 0, 0], [0, -0.25, 50], [0, 0, 1.0]])
+    aim = AIM.from_image(image, matrix, World(None), "a test")
+    return Pair(f"junction {seed}", aim, aim, np.eye(3))
+
+
+def test_error_of_the_inverse_misplacement_is_zero():
+    case = misplace_picture(_make_pair(1), np.random.default_rng(0))
+    assert measure_error(case, np.linalg.inv(case.stated_from_true)) == pytest.approx(0, abs=1e-9)
+    assert measure_error(case, np.eye(3)) > 1
+
+
+def test_methods_align_a_shifted_picture_and_refuse_another_place(monkeypatch):
+    monkeypatch.setattr(alignment_pairs, "MAX_SHIFT_M", 3.0)
+    pairs, methods = [_make_pair(1), _make_pair(2)], list_methods()
+    some = {name: methods[name] for name in ("geoaim", "SIFT + MAGSAC++")}
+    rows = alignment.compare_methods(pairs, 1, some)
+    assert [row["method"] for row in rows] == list(some)
+    assert rows[0]["median, px"] < 0.5
+
+
+def test_chart_is_drawn(tmp_path):
+    row = {"method": "a", "cases": 2, "median, px": 0.2, "under 1 px, %": 100.0, "s": 1.0}
+    rows = [row | {"over 1 px and not refused": 0}, row | {"median, px": None}]
+    alignment.draw_chart(rows, tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 1000
+
+
+def test_ecc_finds_the_shift_of_a_picture():
+    pair = _make_pair(1)
+    moved = translation(1.0, -0.5) @ pair.picture.world_from_image
+    pair = replace(pair, picture=replace(pair.picture, world_from_image=moved))
+    np.testing.assert_allclose(alignment_real._shift_by_ecc(pair), [-1.0, 0.5], atol=0.25)
+
+
+def test_tracks_row_counts_errors_and_refusals(monkeypatch):
+    pair = _make_pair(1)
+    states, present = np.zeros((1, 2, 4)), np.ones((1, 2), bool)
+    tracks = Tracks(np.arange(2.0), states, present, np.ones((1, 2)), ("car",), ("a",), World(None))
+
+    def align(moved, _):
+        stated = moved.world_from_image @ pair.picture.grid.grid_from_world
+        return ImageryAlignment(np.linalg.inv(stated), "rigid", np.eye(2), np.zeros(2))
+
+    monkeypatch.setattr(alignment_tracks, "align_tracks", align)
+    row = alignment_tracks.measure_tracks("a", pair.picture, tracks, 3)
+    assert (row["cases"], row["refused"], row["in the 95 % region"]) == (3, 0, 3)
+    assert row["largest, m"] == pytest.approx(0, abs=1e-9)
