@@ -351,7 +351,7 @@ def main(
     method: Annotated[str | None, typer.Option(hidden=True)] = None,
     folder: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Measure backgrounds."""
+    """Measure the background methods on synthetic videos, and compare them on real ones."""
     if method and folder:
         print(jsonlib.dumps(run_method(method, folder, threads)))
         return

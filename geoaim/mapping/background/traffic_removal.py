@@ -146,7 +146,8 @@ def _segment_foreground(
 ) -> UInt8[Array, "h w"]:
     """1 in regions that differ, with holes filled: a car's roof may look like asphalt.
 
-    OpenCV's morphology and contours take 1.6 ms where scikit-image's take 45 ms, with equal result.
+    OpenCV takes 1.6 ms for a frame of 960 x 540 pixels, scikit-image and SciPy 58 ms, with equal
+    result.
     """
     differs = (_max_difference(frame, background) > threshold).view(np.uint8)
     solid = cv2.morphologyEx(differs, cv2.MORPH_OPEN, SQUARE)
