@@ -28,17 +28,18 @@ from geoaim.synthetic.traffic.vehicles import (
 MAX_ACCELERATION = 1.8  # m/s2
 CLEARING_ACCELERATION = 1.5  # m/s2, expected when a conflict zone must be cleared
 CLEARING_SPEED = 9.0  # m/s, at most expected then
-MAX_YELLOW_BRAKING, MAX_BRAKING = 3.2, 8.0  # m/s2: vehicles that need more pass at yellow; limit
+MAX_YELLOW_BRAKING = 3.2  # m/s2; vehicles that would need more pass at yellow
+MAX_BRAKING = 8.0  # m/s2
 MAX_JERK, MIN_JERK = 3.0, -7.0  # m/s3
-SPEED_RELAXATION_S, MAX_SPEED_CORRECTION = 0.7, 3.5  # s and m/s2, above the desired speed
-PREVIEW_S = 0.6  # ahead of which the desired speed is looked up
+SPEED_RELAXATION_S, MAX_SPEED_CORRECTION = 0.7, 3.5  # m/s2; above the desired speed
+PREVIEW_S = 0.6  # ahead, where the desired speed is looked up
 MIN_GAP_M, STOP_MARGIN_M = 2.0, 0.7  # at standstill, behind vehicles and before lines
 LINE_HEADWAY_S = 0.4  # before lines and conflict zones
 MIN_TIME_GAP_S = 1.0  # between vehicles that pass a conflict zone
 PEDESTRIAN_CLEARANCE_M = 1.6  # from a vehicle's path to a pedestrian
 QUEUE_SPEED = 2.5  # m/s of a leader, below which crossings are kept clear
 FREE_DISTANCE_M = 1e6
-NEAREST_STOP_M = 0.05  # distances are not below it, as the model divides by them
+MIN_DISTANCE_M = 0.05  # to an obstacle, as the model divides by it
 
 
 @dataclass(frozen=True)
@@ -125,19 +126,20 @@ def _brake_for(
 def _find_leaders(placed: PlacedVehicles, pairs: VehiclePairs, tables: PathTables) -> _Obstacles:
     """The nearest vehicle ahead in the lane; vehicles that merge count as soon as they touch it."""
     vehicles, front = placed.state, placed.front
-    last = tables.conflicts.projection.shape[2] - 1
-
-    def project(s: Float[Array, "n"]) -> Float[Array, "n n"]:
-        index = np.minimum(np.maximum(s / STRIDE_M, 0), last).astype(np.int64)
-        return tables.projection.take(pairs.projection_row + index) + (s - STRIDE_M * index)
-
-    fronts, rears = project(front), project(placed.rear)
+    fronts, rears = (_project(s, pairs, tables) for s in (front, placed.rear))
     by_front = np.where(fronts > front[:, None], fronts - vehicles.length, np.inf)
     by_rear = np.where(rears > placed.rear[:, None], rears, np.inf)
     gaps = np.minimum(by_front, by_rear) - front[:, None]
     leader = np.argmin(gaps, axis=1)
     gap = np.minimum(gaps[np.arange(len(leader)), leader], FREE_DISTANCE_M)
     return _Obstacles(gap, np.where(gap < FREE_DISTANCE_M, vehicles.speed[leader], 0.0))
+
+
+def _project(s: Float[Array, "n"], pairs: VehiclePairs, tables: PathTables) -> Float[Array, "n n"]:
+    """The s of each point (column) on each vehicle's path (row); infinite off its lane."""
+    last = tables.conflicts.projection.shape[2] - 1
+    index = np.minimum(np.maximum(s / STRIDE_M, 0), last).astype(np.int64)
+    return tables.projection.take(pairs.projection_row + index) + (s - STRIDE_M * index)
 
 
 def _stop_at_signals(
@@ -159,7 +161,7 @@ def _stop_at_signals(
     can_stop = distance + 0.5 > vehicles.speed * vehicles.speed / (2 * braking)
     stops = (pairs.signal >= 0) & (distance > -0.5) & can_stop & ((state >= YELLOW) | blocked)
     at_give_way = (pairs.signal < 0) & np.isfinite(pairs.stop) & (distance > -0.3)
-    to_line = np.where(stops, np.maximum(distance, NEAREST_STOP_M), FREE_DISTANCE_M)
+    to_line = np.where(stops, np.maximum(distance, MIN_DISTANCE_M), FREE_DISTANCE_M)
     return to_line, stops | at_give_way
 
 
@@ -179,7 +181,7 @@ def _stop_for_pedestrians(
     meets = (to_path - width) / walking_speed < clearing + 0.5
     meets &= (to_path + width) / walking_speed > arrival - 0.3
     can_stop = (distance > 0.0) & (speed**2 < 2 * MAX_BRAKING * distance)
-    stop = np.maximum(distance - STOP_MARGIN_M, NEAREST_STOP_M)
+    stop = np.maximum(distance - STOP_MARGIN_M, MIN_DISTANCE_M)
     return np.where(meets & can_stop, stop, FREE_DISTANCE_M).min(axis=1)
 
 
@@ -192,7 +194,7 @@ def _keep_crossings_clear(
     distance = start - front[:, None]
     is_full = (front + leaders.distance - placed.state.length)[:, None] < end + STOP_MARGIN_M
     is_full &= (leaders.speed < QUEUE_SPEED)[:, None] & (distance > 0.0)
-    stop = np.maximum(distance - STOP_MARGIN_M, NEAREST_STOP_M)
+    stop = np.maximum(distance - STOP_MARGIN_M, MIN_DISTANCE_M)
     return np.where(is_full, stop, FREE_DISTANCE_M).min(axis=1, initial=FREE_DISTANCE_M)
 
 
@@ -244,7 +246,7 @@ def _stop_at_conflict_zones(
     distance = np.where(must_wait, zones.wait - front[i], FREE_DISTANCE_M)
     distance = np.where(is_taken, np.minimum(distance, to_zone - 0.3), distance)
     distance = np.where(follows, to_zone + rear[j] - zones.other_start, distance)
-    distance = np.maximum(distance, NEAREST_STOP_M)
+    distance = np.maximum(distance, MIN_DISTANCE_M)
     nearest, speed = np.full(len(front), FREE_DISTANCE_M), np.zeros(len(front))
     np.minimum.at(nearest, i, distance)
     is_nearest = follows & (distance <= nearest[i])

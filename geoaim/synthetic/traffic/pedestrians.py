@@ -133,17 +133,13 @@ class Reaction:
 
 def look_ahead(pedestrians: Pedestrians, crossings: CrossingTable) -> Outlook:
     """Look up where each path leads next, and over which crossing."""
-    rows, last = np.arange(len(pedestrians.last)), pedestrians.last
-    here = np.minimum((pedestrians.s / POINT_SPACING_M).astype(np.int64), last)
-
-    def index_ahead(distance: Float[Array, "n"]) -> Int[Array, "n"]:
-        return np.minimum(here + (distance / POINT_SPACING_M).astype(np.int64), last)
-
-    ahead = index_ahead(np.maximum(TARGET_M, TARGET_S * pedestrians.desired_speed))
+    last, speed = pedestrians.last, pedestrians.desired_speed
+    rows, here = np.arange(len(last)), np.minimum(_count_points(pedestrians.s), last)
+    ahead = np.minimum(here + _count_points(np.maximum(TARGET_M, TARGET_S * speed)), last)
+    kerb = np.minimum(here + _count_points(KERB_DISTANCE_M + RELAXATION_S * speed), last)
     target = pedestrians.path[rows, ahead]
     direction = target - pedestrians.path[rows, np.maximum(ahead - 2, 0)]
     direction = direction / np.maximum(np.sqrt(dot(direction, direction)), 1e-6)[:, None]
-    kerb = index_ahead(KERB_DISTANCE_M + RELAXATION_S * pedestrians.desired_speed)
     current = pedestrians.crossing[rows, here]
     crossing = np.where(current >= 0, current, pedestrians.crossing[rows, kerb])
     near = np.flatnonzero(crossing >= 0)
@@ -151,12 +147,12 @@ def look_ahead(pedestrians: Pedestrians, crossings: CrossingTable) -> Outlook:
     along = crossings.direction[crossing]
     offset = dot(pedestrians.position[near] - crossings.first[crossing], along)
     sign = np.where(dot(direction[near], along) < 0, -1.0, 1.0)
-    velocity, radius = pedestrians.velocity[near], pedestrians.radius[near]
-    moves = dot(velocity, velocity) > MIN_STEPPING_SPEED**2
-    speed = sign * np.maximum(np.abs(dot(velocity, along)), MIN_CROSSING_SPEED)
-    extent = np.where(radius > 0.3, 0.9, 0.3)  # of cyclists and of pedestrians, along the crossing
-    values = (value[moves | (current[near] >= 0)] for value in (crossing, offset, speed, extent))
-    visible = CrossingPedestrians(*values)
+    velocity = pedestrians.velocity[near]
+    steps = (current[near] >= 0) | (dot(velocity, velocity) > MIN_STEPPING_SPEED**2)
+    crossing_speed = sign * np.maximum(np.abs(dot(velocity, along)), MIN_CROSSING_SPEED)
+    radius = np.where(pedestrians.radius[near] > 0.3, 0.9, 0.3)  # of cyclists, of pedestrians
+    values = (crossing, offset, crossing_speed, radius)
+    visible = CrossingPedestrians(*(value[steps] for value in values))
     return Outlook(current >= 0, target, direction, near, crossing, offset, sign, visible)
 
 
@@ -206,6 +202,10 @@ def step_pedestrians(
 def dot(a: Float[Array, "n 2"], b: Float[Array, "n 2"]) -> Float[Array, "n"]:
     """The dot product of each pair of rows."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])
+
+
+def _count_points(distance: Float[Array, "n"]) -> Int[Array, "n"]:
+    return (distance / POINT_SPACING_M).astype(np.int64)
 
 
 def _drive_to_target(
