@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import groupby
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -32,15 +31,24 @@ def write_origin(name: str, results: Row) -> str:
 
 
 def write_all_rows(results: Row) -> str:
-    """All rows; a table for each set of columns."""
-    groups = [list(rows) for _, rows in groupby(results["rows"], key=list)]
-    return "\n\n".join(write_rows(rows) for rows in groups)
+    """All rows of a benchmark."""
+    return write_rows(results["rows"])
 
 
 def write_rows(rows: Sequence[Row]) -> str:
-    """Rows with the same keys, which become the header."""
-    header = [key.replace("_", " ") for key in rows[0]]
-    return write_table(header, [list(row.values()) for row in rows])
+    """Rows under the keys of the first; a row with a key that its table lacks begins another."""
+    groups: list[list[Row]] = []
+    for row in rows:
+        if not groups or not row.keys() <= groups[-1][0].keys():
+            groups.append([])
+        groups[-1].append(row)
+    return "\n\n".join(
+        write_table(
+            [key.replace("_", " ") for key in group[0]],
+            [[row.get(key) for key in group[0]] for row in group],
+        )
+        for group in groups
+    )
 
 
 def write_registration(results: Row) -> str:
@@ -92,7 +100,7 @@ def write_background(results: Row) -> str:
         rows.append([method, *(_mean(own, key) for key in keys)])
     header = ["method", "static ground", "where cars passed", "where the queue stood"]
     header += ["gradient energy kept, %", "seconds", "peak memory, MB"]
-    return write_table(header, rows)
+    return write_table(header, rows) + "\n\n" + write_rows(results["real"])
 
 
 def write_pipeline(results: Row) -> str:
