@@ -1,4 +1,12 @@
-"""Errors about data, all under `GeoaimError`; a bad call raises ValueError or TypeError."""
+"""Errors about data; a bad call raises ValueError or TypeError.
+
+GeoaimError
+├── VideoError, RegistrationError, BackgroundError, GeoreferenceError: from video to AIM
+├── ImageryError, AlignmentError, MapError: imagery and HD maps
+├── AimError, TracksError, ModelError: files of geoaim
+
+GeoaimWarning: the work went on, with less than was asked for
+"""
 
 
 class GeoaimError(Exception):

@@ -17,8 +17,8 @@ from geoaim.progress import Progress
 
 
 @dataclass(frozen=True)
-class _Options:
-    """Options of both evaluations."""
+class _Settings:
+    """Settings of both evaluations."""
 
     weights: Path | None
     samples: int
@@ -81,20 +81,20 @@ def evaluate(
     with show_progress() as progress, report_errors():
         if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
             raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
-        options = _Options(weights, samples, seed, progress)
+        settings = _Settings(weights, samples, seed, progress)
         if aim is not None and tracks is not None:
             agents = TracksSource(tracks, tracks_world, tracks_resolution)
             source = SceneSource(aim, agents, lights, hdmap, stop_lines)
-            results = _evaluate_on_map(source, kind, val_fraction, options)
+            results = _evaluate_on_map(source, kind, val_fraction, settings)
         elif windows is not None and scenes is not None:
-            results = _evaluate_on_windows(windows, images, scenes, options)
+            results = _evaluate_on_windows(windows, images, scenes, settings)
         else:
             raise ValueError("--windows needs --scenes, for the metres per pixel of each scene")
     _print_results(results, samples, as_json)
 
 
 def _evaluate_on_map(
-    source: SceneSource, kind: options.AgentKind, fraction: float, options: _Options
+    source: SceneSource, kind: options.AgentKind, fraction: float, settings: _Settings
 ) -> _Results:
     """Evaluate the model and baselines jointly for all agents of a kind on a scene."""
     from geoaim.prediction.baselines import BASELINES
@@ -106,7 +106,7 @@ def _evaluate_on_map(
     from geoaim.simulation.episodes import check_place, rules_of
     from geoaim.simulation.ground import fit_ground
 
-    model = load_model(options.weights, kind)
+    model = load_model(settings.weights, kind)
     config, horizon = model.config, get_horizon(model)
     whole, hdmap, _ = read_scene(source, rate=1 / config.dt)
     rules = rules_of(hdmap)
@@ -115,10 +115,10 @@ def _evaluate_on_map(
     steps = MAX_HISTORY_STEPS + horizon
     segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)
     ground = fit_ground(scene.ground, config.resolution)
-    evaluation = EvalConfig(MAX_HISTORY_STEPS, options.samples, seed=options.seed)
+    evaluation = EvalConfig(MAX_HISTORY_STEPS, settings.samples, seed=settings.seed)
     metrics = {
         name: evaluate_predictor(
-            predictor, segments, ground, evaluation, rules=rules, progress=options.progress
+            predictor, segments, ground, evaluation, rules=rules, progress=settings.progress
         )
         for name, predictor in {"model": model.sample, **BASELINES}.items()
     }
@@ -126,16 +126,16 @@ def _evaluate_on_map(
 
 
 def _evaluate_on_windows(
-    windows: Path, images: Path | None, scenes: Path, options: _Options
+    windows: Path, images: Path | None, scenes: Path, settings: _Settings
 ) -> _Results:
     """Evaluate the model and baselines on TrajNet windows."""
     from geoaim.prediction.baselines import BASELINES
     from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
     from geoaim.prediction.windows import HISTORY_STEPS, WINDOW_STEPS, WindowFiles, read_windows
 
-    if options.weights is None:
+    if settings.weights is None:
         raise ValueError("--windows needs --weights of a model that was trained on windows")
-    model = load_model(options.weights)
+    model = load_model(settings.weights)
     if images is None and model.config.use_observations:
         warnings.warn(
             "the model was trained with maps; without --images it gets a uniform grey one",
@@ -143,9 +143,9 @@ def _evaluate_on_windows(
             stacklevel=1,
         )
     data = read_windows(WindowFiles(windows, images, scenes), model.config.view)
-    samples, seed = options.samples, options.seed
+    samples, seed = settings.samples, settings.seed
     metrics = {
-        name: evaluate_windows(predictor, data, samples, seed=seed, progress=options.progress)
+        name: evaluate_windows(predictor, data, samples, seed=seed, progress=settings.progress)
         for name, predictor in {
             "model": make_window_predictor(model, samples),
             **BASELINES,

@@ -2,20 +2,28 @@
 
 To add a format:
 
-1. Write `track_formats/<name>.py` with a function `read_<name>(path) -> Tracks`. Read the table
-   with `read_table` (its `delimiter`, `header` and `text` say how the file is written), refuse
-   unusable files with `check_columns`, and name agent types with `map_types`.
-   Convert to x east and y north in metres, radians counter-clockwise from +x, seconds.
-   - The file has headings and speeds: finish with `make_tracks(rows, world)`.
-   - The file has positions only: finish with `make_tracks_from_positions(rows, world, ...)`.
-   Files that do not say where they lie take `world`, files in pixels take `resolution` (metres
-   per pixel), both as keywords.
-2. At the end of that file describe the format as a `TrackFormat`: its name, how its first line
-   looks (`has_columns(...)`), the reader, and which of "world" and "resolution" it takes.
-3. Add the value to `FORMATS` in `formats.py`. The first format that matches is used, so a format
-   whose columns include those of another comes before it.
-4. Export the reader below, and test it in `tests/track_formats/test_<name>.py` on a few lines of
-   the format; add its first line to the cases of `tests/track_formats/test_formats.py`.
+1. Write `track_formats/<name>.py` with a reader and, at its end, a `TrackFormat` that describes it:
+
+       def read_example(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
+           table = read_table(path, text=("id", "class"), delimiter=";")
+           check_columns(path, table, numbers=("ms", "x", "y"), others=("id", "class"))
+           columns = {"id": table["id"], "type": map_types(table["class"])}
+           columns |= {"time": table["ms"] / 1000, "x": table["x"], "y": table["y"]}
+           rows = pd.DataFrame(columns).assign(length=np.nan, width=np.nan)
+           rows[["length", "width"]] = fill_sizes(rows)
+           return make_tracks_from_positions(rows, world or World(None), half_window=0.5)
+
+       EXAMPLE = TrackFormat(
+           "example", has_columns("id", "class", "ms", delimiter=";"), read_example, ("world",)
+       )
+
+   Units are seconds, metres with x east and y north, and radians counter-clockwise from +x. A
+   file with headings and speeds ends with `make_tracks(rows, world)`. A reader takes `world` if
+   its files do not say where they lie, and `resolution` (metres per pixel) if they are in pixels.
+2. Add the value to `FORMATS` in `formats.py`. The first format that matches is used: a format
+   whose columns include all those of another one comes before it.
+3. Export the reader below. Test it in `tests/track_formats/test_<name>.py`, and add a first line
+   of the format to the cases of `tests/track_formats/test_formats.py`.
 """
 
 from geoaim.track_formats.formats import read_any
