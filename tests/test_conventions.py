@@ -87,14 +87,6 @@ def test_opencv_has_its_origin_at_the_centre_of_the_first_pixel():
     np.testing.assert_array_equal(from_opencv(to_opencv(scale)), scale)
 
 
-def test_files_that_warp_or_find_points_with_opencv_convert_the_origin():
-    calls = r"cv2\.(warp\w+|findHomography|estimateAffine\w*|calcOpticalFlow\w*|ORB_create)\("
-    users = [path for path in SOURCES if re.search(calls, path.read_text())]
-    assert users
-    for path in users:
-        assert re.search(r"to_opencv|from_opencv|\b0\.5\b|HALF", path.read_text()), path
-
-
 def test_chains_of_transforms_cancel():
     world_from_image, image_from_frame = PLACE, np.diag([0.5, 0.5, 1.0])
     world_from_frame = world_from_image @ image_from_frame
