@@ -19,8 +19,10 @@ from geoaim.grid import Grid
 from geoaim.imagery.alignment import surfaces
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.mapping import pipeline
-from geoaim.mapping.background.accumulate import compare_exposure, first_exposure, shrink_frame
-from geoaim.mapping.background.estimate import Background, average_frames
+from geoaim.mapping.background.background import Background
+from geoaim.mapping.background.estimate import average_frames
+from geoaim.mapping.background.exposure import estimate_gain, start_exposure
+from geoaim.mapping.background.traffic_search import _shrink_frame
 from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
@@ -35,11 +37,8 @@ CALLS = r"cv2\.(warp\w+|remap|findHomography|estimateAffine\w*|calcOpticalFlow\w
 PROBED = {  # files that warp or match, and the tests here that would see a bias
     "imagery/alignment/surfaces.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
     "imagery/alignment/template_matching.py": ["test_grey_of_a_grid_lies_where_the_grid_says"],
-    "mapping/background/accumulate.py": [
-        "test_average_lies_where_the_transforms_say",
-        "test_exposure_is_compared_at_the_same_places",
-        "test_shrunk_frame_lies_where_its_transform_says",
-    ],
+    "mapping/background/exposure.py": ["test_exposure_is_compared_at_the_same_places"],
+    "mapping/background/warping.py": ["test_average_lies_where_the_transforms_say"],
     "mapping/pipeline.py": ["test_background_without_distortion_follows_the_lens"],
     "mapping/registration/features.py": ["test_features_of_a_turned_image_match_without_bias"],
     "mapping/registration/patches.py": ["test_patches_find_a_known_transform_without_bias"],
@@ -101,15 +100,15 @@ def test_average_lies_where_the_transforms_say(image_from_frame):
 def test_exposure_is_compared_at_the_same_places():
     u = coordinates(100, 120)[..., 0]
     large, small = (30 + u).astype(np.uint8), (30 + 2 * u[:50, :60]).astype(np.uint8)
-    exposure = first_exposure((100, 120))
-    compare_exposure(exposure, Frame(0, 0.0, None, large), np.eye(3), 1.0)
-    gain = compare_exposure(exposure, Frame(1, 1.0, None, small), np.diag([2.0, 2.0, 1.0]), 1.0)
+    exposure = start_exposure((100, 120))
+    estimate_gain(exposure, Frame(0, 0.0, None, large), np.eye(3), 1.0)
+    gain = estimate_gain(exposure, Frame(1, 1.0, None, small), np.diag([2.0, 2.0, 1.0]), 1.0)
     assert abs(gain - 1) < 0.004
 
 
 @pytest.mark.parametrize("factor", [2, 3])
 def test_shrunk_frame_lies_where_its_transform_says(factor):
-    small, small_from_frame = shrink_frame(Frame(0, 0.0, None, ramp()), factor, 1.0)
+    small, small_from_frame = _shrink_frame(Frame(0, 0.0, None, ramp()), factor, 1.0)
     places = coordinates(*small.shape[:2])
     assert bias(small, transform_points(np.linalg.inv(small_from_frame), places)) < MAX_BIAS_PX
 
@@ -234,6 +233,6 @@ def test_images_are_resized_only_in_these_ways():
                 nearest |= {name} if way == "INTER_NEAREST" else set()
     assert nearest == {
         "experiments/places.py",
-        "mapping/background/accumulate.py",
+        "mapping/background/warping.py",
         "mapping/registration/patches.py",
     }
