@@ -17,7 +17,7 @@ from geoaim.synthetic.roads.paving import Crossing, outline_crossing
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.traffic.paths import VehiclePath
 
-STRIDE = 2  # every such point of two paths is compared
+STRIDE = 2  # every second point of a path is compared with other paths
 STRIDE_M = STRIDE * POINT_SPACING_M
 CONTACT_M = 2.8  # between two paths, where vehicles on them would touch
 LANE_HALF_WIDTH_M = 2.3  # from a path to the vehicles that are in its lane
