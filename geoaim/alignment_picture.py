@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.grid import Grid, north_up_grid
+from geoaim.grid import Grid, make_north_up_grid
 from geoaim.rectification import sample_nearest
 from geoaim.tracks import Tracks
 
@@ -60,7 +60,7 @@ def _draw_checkerboard(
 ) -> tuple[UInt8[Array, "H W 3"], Extent]:
     """Draw imagery on a grid over the corners, with the AIM in every other square."""
     resolution = float(np.ptp(corners, axis=0).max()) / LONGER_SIDE_PX
-    grid = north_up_grid(corners, resolution)
+    grid = make_north_up_grid(corners, resolution)
     picture, _ = _sample(imagery, grid)
     if aim is not None:
         other, covered = _sample(aim, grid)

@@ -57,7 +57,7 @@ class Grid:
         return float(np.sqrt(abs(np.linalg.det(jacobian))))
 
 
-def north_up_grid(
+def make_north_up_grid(
     points: Float[Array, "n 2"], resolution: float, world: World | None = None
 ) -> Grid:
     """A north-up grid over points, whose lines lie on whole multiples of its resolution.

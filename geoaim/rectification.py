@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.geometry import to_opencv, transform_points
-from geoaim.grid import north_up_grid
+from geoaim.grid import make_north_up_grid
 
 BLOCK_PX = 1024  # side of the blocks that are resampled at a time
 SAMPLES_PER_SIDE = 33  # of the image, where pixel sizes are measured
@@ -37,7 +37,7 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
     sides = _measure_pixels(aim)
     if resolution is None:
         resolution = float(f"{np.median(np.sqrt(sides.prod(axis=1))):.2g}")
-    grid = north_up_grid(aim.corners, resolution)
+    grid = make_north_up_grid(aim.corners, resolution)
     image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
     oversampling = int(np.clip(round(resolution / sides.min()), 1, BLOCK_PX))
     coverage = sample_nearest(aim.coverage, image_from_grid, grid.shape)

@@ -3,7 +3,7 @@ import pytest
 
 from geoaim.errors import AimError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.grid import Grid, north_up_grid, pad_grid
+from geoaim.grid import Grid, make_north_up_grid, pad_grid
 from geoaim.world import World
 
 POINTS = np.array([[-3.0, 1.2], [7.1, 4.0]])
@@ -11,7 +11,7 @@ OBLIQUE = np.array([[0.05, 0.01, 3.7], [0.004, -0.05, 21.3], [2e-4, 4e-4, 1.0]])
 
 
 def test_north_up_grid_covers_the_points_on_whole_multiples():
-    grid = north_up_grid(POINTS, 0.5, World(None))
+    grid = make_north_up_grid(POINTS, 0.5, World(None))
     assert grid.shape == (grid.height, grid.width) == (6, 21)
     np.testing.assert_array_equal(grid.corners, [[-3, 4], [7.5, 4], [7.5, 1], [-3, 1]])
     assert grid.resolution == 0.5
@@ -30,7 +30,7 @@ def test_resolution_is_that_of_the_ground_in_the_middle():
 
 
 def test_padded_grid_keeps_the_place_of_its_pixels():
-    grid = north_up_grid(POINTS, 0.5)
+    grid = make_north_up_grid(POINTS, 0.5)
     padded = pad_grid(grid, 3)
     assert padded.shape == (12, 27)
     np.testing.assert_allclose(padded.world_from_grid @ [3, 3, 1], grid.world_from_grid @ [0, 0, 1])
@@ -38,7 +38,7 @@ def test_padded_grid_keeps_the_place_of_its_pixels():
 
 def test_too_many_pixels_and_no_resolution_are_refused():
     with pytest.raises(AimError, match=r"101000 pixels .* use a resolution of 0\.0004 m"):
-        north_up_grid(POINTS, 1e-4)
+        make_north_up_grid(POINTS, 1e-4)
     for resolution in (0.0, -1.0, np.nan):
         with pytest.raises(ValueError, match="positive number of metres"):
-            north_up_grid(POINTS, resolution)
+            make_north_up_grid(POINTS, resolution)

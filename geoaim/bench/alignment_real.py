@@ -31,7 +31,7 @@ def measure_rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
             folder / f"pairs/rotterdam_pan_ms/ms{number}.tif", world=pan.world, corners=pan.corners
         )
         pair = Pair(f"rotterdam {number}", pan, coarse, np.eye(3))
-        reference = _shift_by_ecc(pair)
+        reference = _estimate_shift_by_ecc(pair)
         start = align_image(coarse, pan)
         errors = []
         for case in [misplace_picture(pair, generator) for _ in range(trials)]:
@@ -56,7 +56,7 @@ def measure_rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
     return rows
 
 
-def _shift_by_ecc(pair: Pair) -> Float[Array, "2"]:
+def _estimate_shift_by_ecc(pair: Pair) -> Float[Array, "2"]:
     """The shift in metres by ECC (Evangelidis and Psarakis 2008), started at 0."""
     low, high = pair.aim.corners.min(axis=0), pair.aim.corners.max(axis=0)
     side, step = int((high - low).min() / ECC_RESOLUTION), ECC_RESOLUTION

@@ -11,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from geoaim.aim import AIM
 from geoaim.geometry import transform_points
-from geoaim.grid import north_up_grid
+from geoaim.grid import make_north_up_grid
 from geoaim.hdmap.drivable import (
     NOT_DRIVABLE,
     outline_lanelet,
@@ -77,7 +77,7 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
             f"at {resolution} m a pixel the image would have {pixels:.3g} pixels; the map is "
             f"{width:.0f} by {height:.0f} m"
         )
-    grid = north_up_grid(corners, resolution, hdmap.world)
+    grid = make_north_up_grid(corners, resolution, hdmap.world)
     fine_from_world = np.diag([SUPERSAMPLING, SUPERSAMPLING, 1.0]) @ grid.grid_from_world
     fine = np.full((grid.height * SUPERSAMPLING, grid.width * SUPERSAMPLING, 3), GROUND, np.uint8)
     for shape, colour in _list_shapes(hdmap):

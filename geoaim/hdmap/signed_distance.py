@@ -11,7 +11,7 @@ from rasterio.features import rasterize
 from shapely import MultiPolygon
 
 from geoaim.errors import GeoaimWarning, MapError
-from geoaim.grid import Grid, north_up_grid
+from geoaim.grid import Grid, make_north_up_grid
 
 SUPERSAMPLING = 4  # cells of the mask in one of the distance, each way
 MARGIN_M = 20.0  # of the grid around the area
@@ -42,7 +42,7 @@ def compute_signed_distance(
         raise MapError("the area is empty; polygons are needed")
     low, high = np.array(area.bounds).reshape(2, 2)
     resolution = _limit_resolution(high - low + 2 * MARGIN_M, resolution)
-    grid = north_up_grid(np.stack([low - MARGIN_M, high + MARGIN_M]), resolution)
+    grid = make_north_up_grid(np.stack([low - MARGIN_M, high + MARGIN_M]), resolution)
     cell = resolution / SUPERSAMPLING
     transform = Affine(*grid.world_from_grid[:2].ravel()) * Affine.scale(1 / SUPERSAMPLING)
     shape = grid.height * SUPERSAMPLING, grid.width * SUPERSAMPLING

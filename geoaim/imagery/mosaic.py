@@ -17,15 +17,15 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
-from geoaim.grid import north_up_grid
+from geoaim.grid import make_north_up_grid
 from geoaim.imagery.blocks import split_into_blocks
 from geoaim.imagery.rasters import intersects_bounds
 from geoaim.imagery.region import (
     Region,
     describe_extent,
     enclose_outlines,
-    ground_resolution,
     make_region,
+    measure_resolution,
 )
 from geoaim.imagery.resampling import (
     MIN_ALPHA,
@@ -111,7 +111,7 @@ def read_imagery(
     measured = [
         _Source(
             layer,
-            min(ground_resolution(raster, region) for raster in layer.rasters),
+            min(measure_resolution(raster, region) for raster in layer.rasters),
             estimate_stretch(layer.rasters, points),
         )
         for layer in layers
@@ -149,7 +149,7 @@ def _select_layers(layers: Sequence[Layer], region: Region) -> list[Layer]:
     """The layers that reach the region, with those of their rasters that do."""
     selected, elsewhere = [], []
     for layer in layers:
-        points = {crs: _points_in(region, crs) for crs in {r.crs for r in layer.rasters}}
+        points = {crs: _project_region(region, crs) for crs in {r.crs for r in layer.rasters}}
         rasters = tuple(r for r in layer.rasters if intersects_bounds(r, points[r.crs]))
         if rasters:
             selected.append(replace(layer, rasters=rasters))
@@ -167,7 +167,7 @@ def _select_layers(layers: Sequence[Layer], region: Region) -> list[Layer]:
     return selected
 
 
-def _points_in(region: Region, crs: str) -> Float[Array, "m 2"]:
+def _project_region(region: Region, crs: str) -> Float[Array, "m 2"]:
     try:
         return region.to_crs(crs)
     except GeoreferenceError:  # the region is beyond what the CRS can express
@@ -187,7 +187,7 @@ def _warn_of_upsampling(sources: Sequence[_Source], resolution: float) -> None:
 
 def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> AIM:
     """Resample the sources block by block, each below the ones before it."""
-    grid = north_up_grid(region.points, resolution, region.world)
+    grid = make_north_up_grid(region.points, resolution, region.world)
     image, covered = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     counts = np.zeros(len(sources))
     crses = {raster.crs: None for source in sources for raster in source.layer.rasters}
@@ -200,7 +200,7 @@ def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> A
         covered[block] = total[3] >= MIN_ALPHA
         image[block] = unpremultiply(total)
     _check_coverage(sources, covered)
-    report = _report(sources, resolution, counts / covered.size)
+    report = _make_report(sources, resolution, counts / covered.size)
     contested, matrix = np.zeros(grid.shape, bool), grid.world_from_grid
     return AIM(image, matrix, region.world, covered.astype(np.uint16), contested, report)
 
@@ -243,7 +243,7 @@ def _check_coverage(sources: Sequence[_Source], covered: Bool[Array, "H W"]) -> 
         )
 
 
-def _report(
+def _make_report(
     sources: Sequence[_Source], resolution: float, shares: Float[Array, "n"]
 ) -> dict[str, Any]:
     rows = [

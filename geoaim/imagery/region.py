@@ -69,7 +69,7 @@ def describe_extent(outlines: Sequence[Outline]) -> str:
     return f"longitude {west:.6f} to {east:.6f}, latitude {south:.6f} to {north:.6f}"
 
 
-def ground_resolution(raster: Raster, region: Region) -> float:
+def measure_resolution(raster: Raster, region: Region) -> float:
     """Metres a pixel of a raster in the middle of a region: the root of the area of a pixel."""
     middle = (region.points.min(axis=0) + region.points.max(axis=0)) / 2.0
     cross = middle + 5.0 * np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])

@@ -20,11 +20,11 @@ from geoaim.imagery.tiles import (
     MERCATOR,
     Tiles,
     choose_zoom,
+    compute_tile_corners,
     describe_service,
     georeference_tile,
     intersect_tiles,
     number_tiles,
-    tile_corners,
 )
 
 GDAL_STRING = re.compile("<|://|^/vsi|^[A-Z0-9_]{2,}:")  # what GDAL opens that is not a file
@@ -158,7 +158,7 @@ def _describe_tiles(
     if zoom not in levels:
         raise ImageryError(f"{name} has no tile of zoom {zoom} there; it has {levels.tolist()}")
     level = numbers[numbers[:, 0] == zoom, 1:]
-    corners = tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
+    corners = compute_tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
     chosen = [tile for tile, use in zip(numbered, inside, strict=True) if use and tile[0] == zoom]
     files = ((path, georeference_tile(z, x, y)) for z, x, y, path in chosen)
     rasters, unreadable = _describe_all(files, describe, name)

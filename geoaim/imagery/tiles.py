@@ -80,28 +80,46 @@ def intersect_tiles(tiles: Int[Array, "n 3"], region: Region | None) -> Bool[Arr
     """Which tiles (zoom, x, y) show a part of a region; None: all do."""
     if region is None:
         return np.ones(len(tiles), bool)
-    low, high = world_fractions(region)
+    low, high = compute_world_fractions(region)
     size = np.exp2(tiles[:, :1])
     return ((tiles[:, 1:] + 1 > low * size) & (tiles[:, 1:] < high * size)).all(axis=1)
 
 
-def world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Least and greatest x and y of a region: 0 at the north-western corner of the map, 1 beyond.
+def compute_world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Least and greatest x and y of a region, as fractions of the map from its north-west corner.
 
-    Times 2^zoom they are tile numbers.
+    Multiplied by 2^zoom they are tile numbers.
     """
     shares = (region.to_crs(MERCATOR) * [1.0, -1.0] + HALF_WORLD_M) / (2.0 * HALF_WORLD_M)
     return shares.min(axis=0), shares.max(axis=0)
 
 
-def tile_corners(zoom: int, low: Array, high: Array) -> Float[Array, "4 2"]:
-    """Corners in EPSG:3857 of a range of tiles, from `low` up to but without `high`."""
+def compute_tile_corners(zoom: int, low: Array, high: Array) -> Float[Array, "4 2"]:
+    """Compute the corners of a range of tiles.
+
+    Args:
+        zoom: level of the tiles.
+        low: (2,) first x and y.
+        high: (2,) last x and y, plus one.
+
+    Returns:
+        (4, 2) metres in EPSG:3857: top-left, top-right, bottom-right, bottom-left.
+    """
     (left, top), (right, bottom) = (np.stack([low, high]) / 2.0**zoom * 2.0 - 1.0) * HALF_WORLD_M
     return np.array([[left, -top], [right, -top], [right, -bottom], [left, -bottom]])
 
 
 def georeference_tile(zoom: int, x: int, y: int) -> tuple[str, Float[Array, "3 3"]]:
-    """EPSG:3857, and the matrix from the unit square over a tile to coordinates in it."""
+    """Georeference a tile.
+
+    Args:
+        zoom: level of the tile.
+        x: column, from the west.
+        y: row, from the north.
+
+    Returns:
+        EPSG:3857, and the (3, 3) matrix from the unit square over the tile to metres in it.
+    """
     side = 2.0 * HALF_WORLD_M / 2**zoom
     left, top = x * side - HALF_WORLD_M, HALF_WORLD_M - y * side
     return MERCATOR, np.array([[side, 0.0, left], [0.0, -side, top], [0.0, 0.0, 1.0]])
@@ -125,7 +143,7 @@ def choose_zoom(
         return tiles.zoom
     if resolution is None or region is None:
         return int(levels.max())
-    low, high = world_fractions(region)
+    low, high = compute_world_fractions(region)
     latitude = np.arctan(np.sinh(np.pi * (1.0 - low[1] - high[1])))
     pixel = 2.0 * HALF_WORLD_M * np.cos(latitude) / tiles.tile_size  # metres, at zoom 0
     fine = levels[levels >= np.log2(pixel / resolution) - ZOOM_TOLERANCE]
@@ -146,13 +164,13 @@ def describe_service(
     Returns:
         XML that GDAL opens as a raster, and its (4, 2) corners in EPSG:3857.
     """
-    low, high = (limit * 2.0**zoom for limit in world_fractions(region))
+    low, high = (limit * 2.0**zoom for limit in compute_world_fractions(region))
     low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)
     high = np.clip(np.ceil(high) + 1, low + 1, 2**zoom).astype(int)
     tms = tiles.tms or "{-y}" in address
     if tms:
         high[1] = 2**zoom  # GDAL counts from the window's lower edge
-    corners = tile_corners(zoom, low, high)
+    corners = compute_tile_corners(zoom, low, high)
     (left, top), (right, bottom) = corners[[0, 2]].tolist()
     width, height = (high - low) * tiles.tile_size
     xml = SERVICE_XML.format(

@@ -49,7 +49,7 @@ def test_ecc_finds_the_shift_of_a_picture():
     pair = _make_pair(1)
     moved = translation(1.0, -0.5) @ pair.picture.world_from_image
     pair = replace(pair, picture=replace(pair.picture, world_from_image=moved))
-    np.testing.assert_allclose(alignment_real._shift_by_ecc(pair), [-1.0, 0.5], atol=0.25)
+    np.testing.assert_allclose(alignment_real._estimate_shift_by_ecc(pair), [-1.0, 0.5], atol=0.25)
 
 
 def test_tracks_row_counts_errors_and_refusals(monkeypatch):

@@ -71,7 +71,7 @@ def check_position(
     """
     corners = np.clip(imagery.corners, *bounds)  # the evidence says nothing beyond
     offsets = transform_points(alignment.true_from_stated, corners) - corners
-    covariance = _covariance_at(alignment, corners) + _placement_covariance(imagery)
+    covariance = _compute_covariance(alignment, corners) + _read_placement_covariance(imagery)
     squares = np.einsum("mi,mij,mj->m", offsets, np.linalg.inv(covariance), offsets)
     agrees = bool(squares.mean() < 2 * CHI2_2D)
     offset = float(np.linalg.norm(offsets, axis=1).max())
@@ -91,7 +91,7 @@ def check_position(
     return add_report(imagery, name, report_alignment(alignment) | check | distances)
 
 
-def _covariance_at(
+def _compute_covariance(
     alignment: ImageryAlignment, points: Float[Array, "m 2"]
 ) -> Float[Array, "m 2 2"]:
     """Covariance of points by an alignment, with that of its rotation where it is stated."""
@@ -100,7 +100,7 @@ def _covariance_at(
     return alignment.covariance + across[:, :, None] * across[:, None]
 
 
-def _placement_covariance(imagery: AIM) -> Float[Array, "2 2"]:
+def _read_placement_covariance(imagery: AIM) -> Float[Array, "2 2"]:
     """Covariance of a point by what has placed the imagery, from its report."""
     report: Any = imagery.report
     if "georeference" in report:

@@ -73,7 +73,7 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
     rotations = np.arange(-count, count + 1) * ROTATION_STEP_M / half
     posterior = _estimate_posterior(imagery, poses, center, rotations, prior)
     _refuse_weak(posterior.sum(axis=0), len(poses), prior.max_shift)
-    return _average(posterior, rotations, center, len(poses))
+    return _average_posterior(posterior, rotations, center, len(poses))
 
 
 def _estimate_posterior(
@@ -85,7 +85,7 @@ def _estimate_posterior(
 ) -> Float[Array, "t n n"]:
     """Probabilities of rotations and shifts, learning surfaces and places in turn."""
     half = float(np.abs(poses[:, :2] - center).max())
-    grid = _square_grid(center, half * np.sqrt(2) + 2 * TEMPLATE_REACH_M + prior.max_shift)
+    grid = _make_square_grid(center, half * np.sqrt(2) + 2 * TEMPLATE_REACH_M + prior.max_shift)
     edges, classes = classify_ground(imagery, grid)
     steps = round(prior.max_shift / RESOLUTION)
     shifts = np.full((2 * steps + 1,) * 2, (2 * steps + 1.0) ** -2)
@@ -100,7 +100,7 @@ def _estimate_posterior(
     return posterior
 
 
-def _square_grid(center: Float[Array, "2"], reach: float) -> Grid:
+def _make_square_grid(center: Float[Array, "2"], reach: float) -> Grid:
     side = int(np.ceil(2 * reach / RESOLUTION))
     left, top = center[0] - reach, center[1] + reach
     matrix = np.array([[RESOLUTION, 0, left], [0, -RESOLUTION, top], [0, 0, 1.0]])
@@ -128,7 +128,7 @@ def _normalise(scores: Float32[Array, "t n n"], max_shift: float) -> Float[Array
 
 def _refuse_weak(weight: Float[Array, "n n"], poses: int, max_shift: float) -> None:
     """Refuse a posterior that is too wide, or that touches the end of the search."""
-    shift, covariance = _moments(weight)
+    shift, covariance = _compute_moments(weight)
     variances, axes = np.linalg.eigh(covariance)
     best, worst = np.sqrt(variances)
     if best > min(MAX_SIGMA_M, MAX_SIGMA_SHARE * max_shift / 2):
@@ -145,7 +145,7 @@ def _refuse_weak(weight: Float[Array, "n n"], poses: int, max_shift: float) -> N
             )
 
 
-def _average(
+def _average_posterior(
     posterior: Float[Array, "t n n"],
     rotations: Float[Array, "t"],
     center: Float[Array, "2"],
@@ -156,8 +156,8 @@ def _average(
     rotation = float((share * rotations).sum())
     sigma = float(np.sqrt((share * (rotations - rotation) ** 2).sum()))
     straight = abs(rotation) <= 2 * sigma
-    mean, covariance = _moments(posterior.sum(axis=0))
-    shift = _moments(posterior[len(rotations) // 2])[0] if straight else mean
+    mean, covariance = _compute_moments(posterior.sum(axis=0))
+    shift = _compute_moments(posterior[len(rotations) // 2])[0] if straight else mean
     stated_from_true = similarity_about(center, 0.0 if straight else rotation, 1.0)
     stated_from_true[:2, 2] += shift
     return ImageryAlignment(
@@ -169,7 +169,7 @@ def _average(
     )
 
 
-def _moments(weight: Float[Array, "n n"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
+def _compute_moments(weight: Float[Array, "n n"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
     """Mean and covariance of the shift, metres east and north."""
     steps = len(weight) // 2
     weight = weight / weight.sum()

@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.grid import Grid, north_up_grid
+from geoaim.grid import Grid, make_north_up_grid
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.alignment.template_matching import (
     GreyImage,
@@ -89,7 +89,7 @@ def build_pyramid(imagery: AIM, aim: AIM, prior: Prior) -> list[Level]:
     corners = np.stack([low, high])
     levels = []
     for halving in range(max(int(halvings), 1), -1, -1):
-        grid = north_up_grid(corners, finest * 2**halving, aim.world)
+        grid = make_north_up_grid(corners, finest * 2**halving, aim.world)
         grey, valid = resample_grey(reduce_to_grey(aim, grid.resolution), np.eye(3), grid)
         reference = compute_orientation(grey, valid, grid.resolution)
         levels.append(Level(grid, reference, reduce_to_grey(imagery, grid.resolution)))
@@ -99,14 +99,32 @@ def build_pyramid(imagery: AIM, aim: AIM, prior: Prior) -> list[Level]:
 def orient_image(
     image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
 ) -> Float32[Array, "H W 2"]:
-    """Orientation channels of an image on a grid, as if it had been moved."""
+    """Compute the orientation channels of an image on a grid, as if it had been moved.
+
+    Args:
+        image: to be resampled.
+        stated_from_true: (3, 3) metres where ground lies to metres where the image places it.
+        grid: in the world.
+
+    Returns:
+        (H, W, 2) channels.
+    """
     return compute_orientation(*resample_grey(image, stated_from_true, grid), grid.resolution)
 
 
 def search_windows(
     level: Level, stated_from_true: Float[Array, "3 3"], search_px: int
 ) -> WindowShifts:
-    """Find windows of the AIM in the imagery, as if it had been moved, within so many pixels."""
+    """Find windows of the AIM in the imagery, as if it had been moved.
+
+    Args:
+        level: of the pyramid.
+        stated_from_true: (3, 3) metres where ground lies to metres where the imagery places it.
+        search_px: largest shift in x and in y.
+
+    Returns:
+        The shifts of the windows.
+    """
     channels = orient_image(level.image, stated_from_true, level.grid)
     sizes = {"side": level.side, "stride": level.stride}
     return match_windows(level.reference, channels, search=search_px, **sizes)
