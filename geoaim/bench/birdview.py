@@ -27,7 +27,7 @@ from torch import Tensor
 from geoaim.bench.birdview_peers import by_dense_torch, by_opencv, sampling_grid
 from geoaim.bench.birdview_truth import CAR, picture_errors
 from geoaim.bench.report import format_table, measure_peak_megabytes, time_medians, write_rows
-from geoaim.simulation import Boxes, Ground, View, fit_ground, make_ground, render
+from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
 from geoaim.synthetic import draw_place, make_place
 
 SIDE, TEXTURE, AGENTS = 100.0, 1024, 20
@@ -49,7 +49,9 @@ def on_map(texture: Float[Tensor, "3 h w"]) -> Ground:
     return make_ground(texture, matrix)
 
 
-def scene(views: int, seed: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Boxes]:
+def scene(
+    views: int, seed: int, dtype: torch.dtype = torch.float32
+) -> tuple[Tensor, OrientedBoxes]:
     """Cameras on the map, each with agents around it."""
     generator = torch.Generator().manual_seed(seed)
     random = torch.rand(views, AGENTS + 1, 6, generator=generator, dtype=torch.float64).to(dtype)
@@ -57,20 +59,27 @@ def scene(views: int, seed: int, dtype: torch.dtype = torch.float32) -> tuple[Te
     places = cameras[:, None, :2] + (random[:, 1:, :2] - 0.5) * 0.8 * SIDE
     poses = torch.cat([places, random[:, 1:, 2:3] * 6.28], 2)
     sizes = torch.tensor([CAR], dtype=dtype).expand(AGENTS, 2)
-    return cameras, Boxes(poses, sizes, random[:, 1:, 3:], noses=1 - random[:, 1:, 3:])
+    return cameras, OrientedBoxes(
+        poses, sizes, random[:, 1:, 3:], heading_colours=1 - random[:, 1:, 3:]
+    )
 
 
-def scenes_apart(count: int, dtype: torch.dtype) -> list[tuple[Tensor, Boxes]]:
+def scenes_apart(count: int, dtype: torch.dtype) -> list[tuple[Tensor, OrientedBoxes]]:
     """Single views without agents that would stand in others."""
     found = []
     for seed in range(count):
         cameras, boxes = scene(1, seed, dtype)
         gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
         keep = [a for a in range(AGENTS) if not (gaps[a, :a] < APART).any()]
-        assert boxes.noses is not None
-        colours, noses = boxes.colours[:, keep], boxes.noses[:, keep]
+        assert boxes.heading_colours is not None
+        colours, noses = boxes.colours[:, keep], boxes.heading_colours[:, keep]
         found.append(
-            (cameras, Boxes(boxes.poses[:, keep], boxes.sizes[keep], colours, noses=noses))
+            (
+                cameras,
+                OrientedBoxes(
+                    boxes.poses[:, keep], boxes.sizes[keep], colours, heading_colours=noses
+                ),
+            )
         )
     return found
 
@@ -78,7 +87,7 @@ def scenes_apart(count: int, dtype: torch.dtype) -> list[tuple[Tensor, Boxes]]:
 def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
     """Forward and backward, against `grid_sample` alone of the same texture and grid."""
     view = View(pixels, pixels, SIDE / pixels)
-    fitted = fit_ground(ground, view.resolution)
+    fitted = prefilter_ground(ground, view.resolution)
     cameras, boxes = scene(views, 1)
     texture = ground.image[None, :, 1:-1, 1:-1].contiguous()
     grid = sampling_grid(view, cameras, ground).requires_grad_()
@@ -142,26 +151,26 @@ def speed(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, An
 def against_peers(ground: Ground, pixels: int, views: int, repeats: int) -> list[dict[str, Any]]:
     """Speed and error of each way to draw the ground with boxes, none of them with triangles."""
     view = View(pixels, pixels, SIDE / pixels)
-    fitted = fit_ground(ground, view.resolution)
+    fitted = prefilter_ground(ground, view.resolution)
     texture = ground.image[None, :, 1:-1, 1:-1].contiguous()
     image = np.ascontiguousarray(texture[0].permute(1, 2, 0).numpy())
 
-    def opencv(view: View, cameras: Tensor, boxes: Boxes) -> Tensor:
+    def opencv(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
         pictures = by_opencv(view, cameras, ground, boxes, image)
         return torch.tensor(np.stack(pictures)).permute(0, 3, 1, 2)
 
-    def dense(view: View, cameras: Tensor, boxes: Boxes) -> Tensor:
+    def dense(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
         grid = sampling_grid(view, cameras, ground)
         return by_dense_torch(view, cameras, texture, grid, boxes)
 
-    ways: dict[str, Callable[[View, Tensor, Boxes], Tensor]] = {
+    ways: dict[str, Callable[[View, Tensor, OrientedBoxes], Tensor]] = {
         "geoaim": lambda v, c, b: render(v, c, fitted, [b]),
-        "geoaim without fit_ground": lambda v, c, b: render(v, c, ground, [b]),
+        "geoaim without prefilter_ground": lambda v, c, b: render(v, c, ground, [b]),
         "OpenCV: warp, hard polygons": opencv,
         "plain torch: soft boxes everywhere": dense,
     }
     cameras, boxes = scene(views, 1)
-    bare = replace(boxes, noses=None)
+    bare = replace(boxes, heading_colours=None)
     grid = sampling_grid(view, cameras, ground)
     timed: list[Callable[[], Any]] = [
         *(lambda draw=draw: draw(view, cameras, bare) for draw in ways.values()),
@@ -169,7 +178,7 @@ def against_peers(ground: Ground, pixels: int, views: int, repeats: int) -> list
     ]
     with torch.no_grad():
         *seconds, alone = time_medians(timed, repeats)
-    few = [(c, replace(b, noses=None)) for c, b in scenes_apart(4, torch.float32)]
+    few = [(c, replace(b, heading_colours=None)) for c, b in scenes_apart(4, torch.float32)]
     return [
         {"way": name, "times grid_sample": time / alone} | picture_errors(draw, view, ground, few)
         for (name, draw), time in zip(ways.items(), seconds, strict=True)
@@ -179,9 +188,9 @@ def against_peers(ground: Ground, pixels: int, views: int, repeats: int) -> list
 def errors_at(ground: Ground, pixels: int) -> dict[str, Any]:
     """Grey levels between pictures of some scenes and the reference."""
     view = View(pixels, pixels, SIDE / pixels)
-    fitted = fit_ground(ground, view.resolution)
+    fitted = prefilter_ground(ground, view.resolution)
 
-    def draw(view: View, cameras: Tensor, boxes: Boxes) -> Tensor:
+    def draw(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
         return render(view, cameras, fitted, [boxes])
 
     return {"pixels": pixels} | picture_errors(draw, view, ground, scenes_apart(4, torch.float64))
@@ -201,7 +210,7 @@ def _held(pixels: int, views: int) -> float:
     """The most megabytes that this process has held, with one batch forward and backward."""
     torch.set_num_threads(1)
     view = View(pixels, pixels, SIDE / pixels)
-    ground = fit_ground(on_map(torch.rand(3, TEXTURE, TEXTURE)), view.resolution)
+    ground = prefilter_ground(on_map(torch.rand(3, TEXTURE, TEXTURE)), view.resolution)
     cameras, boxes = scene(views, 1)
     given = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
     picture = render(view, given[0], ground, [replace(boxes, poses=given[1])])

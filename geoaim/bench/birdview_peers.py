@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.geometry import to_opencv
-from geoaim.simulation import Boxes, Ground, View
+from geoaim.simulation import Ground, OrientedBoxes, View
 
 
 def sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
@@ -27,7 +27,7 @@ def sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
 
 
 def by_opencv(
-    view: View, cameras: Tensor, ground: Ground, boxes: Boxes, image: np.ndarray
+    view: View, cameras: Tensor, ground: Ground, boxes: OrientedBoxes, image: np.ndarray
 ) -> list[np.ndarray]:
     """What scripts do: a warp for each view and hard-edged polygons."""
     pictures, sizes = [], boxes.sizes.numpy()
@@ -56,7 +56,7 @@ def by_opencv(
 
 
 def by_dense_torch(
-    view: View, cameras: Tensor, image: Float[Tensor, "1 3 h w"], grid: Tensor, boxes: Boxes
+    view: View, cameras: Tensor, image: Float[Tensor, "1 3 h w"], grid: Tensor, boxes: OrientedBoxes
 ) -> Float[Tensor, "B 3 H W"]:
     """What comes to mind first: every box's distance in every pixel, edges a pixel soft."""
     count = len(cameras)

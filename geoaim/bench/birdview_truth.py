@@ -18,21 +18,21 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.bench.report import format_table, write_rows
-from geoaim.simulation import Boxes, Ground, View, fit_ground, make_ground, render
-from geoaim.simulation.birdview import NOSE
+from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
+from geoaim.simulation.rasterization import TRIANGLE_SHARE
 
 COARSE, FINE = (377, 233), (6765, 4181)  # points in a pixel: for pictures, for gradients
 CAR = (4.5, 1.9)  # m
 STEP = 0.05  # px: of the central differences
 POINTS = 2_000_000  # that are looked up at once
-Scenes = Sequence[tuple[Tensor, Boxes]]
+Scenes = Sequence[tuple[Tensor, OrientedBoxes]]
 
 
 def supersampled(
     view: View,
     cameras: Float[Tensor, "B 3"],
     ground: Ground,
-    boxes: Boxes,
+    boxes: OrientedBoxes,
     lattice: tuple[int, int] = COARSE,
 ) -> Float[Tensor, "B C H W"]:
     """Every pixel the mean over the points of a lattice in it, each in a box or not.
@@ -62,7 +62,7 @@ def supersampled(
 
 
 def _painted(
-    picture: Tensor, east: Tensor, north: Tensor, boxes: Boxes, view: int, agent: int
+    picture: Tensor, east: Tensor, north: Tensor, boxes: OrientedBoxes, view: int, agent: int
 ) -> Tensor:
     """Points in a box in its colour, points in its triangle in that one's."""
     x, y, heading = boxes.poses[view, agent]
@@ -70,9 +70,9 @@ def _painted(
     along = (east - x) * heading.cos() + (north - y) * heading.sin()
     aside = ((north - y) * heading.cos() - (east - x) * heading.sin()).abs()
     inside = (along.abs() < length) & (aside < width)
-    tip = inside & (along > (1 - 2 * NOSE) * length)
-    tip &= aside / width < (length - along) / (2 * NOSE * length)
-    for where, colours in ((inside, boxes.colours), (tip, boxes.noses)):
+    tip = inside & (along > (1 - 2 * TRIANGLE_SHARE) * length)
+    tip &= aside / width < (length - along) / (2 * TRIANGLE_SHARE * length)
+    for where, colours in ((inside, boxes.colours), (tip, boxes.heading_colours)):
         if colours is not None:
             colour = colours.expand(*boxes.poses.shape[:2], -1)[view, agent]
             picture = torch.where(where[:, None], colour[:, None, None], picture)
@@ -80,13 +80,16 @@ def _painted(
 
 
 def picture_errors(
-    draw: Callable[[View, Tensor, Boxes], Tensor], view: View, ground: Ground, scenes: Scenes
+    draw: Callable[[View, Tensor, OrientedBoxes], Tensor],
+    view: View,
+    ground: Ground,
+    scenes: Scenes,
 ) -> dict[str, float]:
     """Grey levels between pictures and the reference: everywhere, and where a box's edge passes."""
     apart, edges = [], []
     for cameras, boxes in scenes:
         error = (draw(view, cameras, boxes) - supersampled(view, cameras, ground, boxes)).abs()
-        white = replace(boxes, colours=torch.ones_like(boxes.colours), noses=None)
+        white = replace(boxes, colours=torch.ones_like(boxes.colours), heading_colours=None)
         cover = render(view, cameras, _black(ground), [white])[:, 0]
         apart.append(255 * error)
         edges.append(255 * error.movedim(1, -1)[(cover > 0.02) & (cover < 0.98)])
@@ -134,7 +137,7 @@ def _gradients(seed: int) -> tuple[list[float], list[float]]:
     v, u = torch.meshgrid(torch.arange(80.0), torch.arange(80.0), indexing="ij")
     image = (0.5 + 0.4 * torch.sin(u / 7 + 6 * random[0]) * torch.cos(v / 9)).double()[None]
     ground = make_ground(image, torch.tensor([[2.0, 0, 40], [0, -2.0, 40]]).double())
-    fitted = fit_ground(ground, view.resolution)
+    fitted = prefilter_ground(ground, view.resolution)
     across = torch.linspace(-1, 1, view.width, dtype=torch.float64)
     weight = (
         across[:, None] * torch.cos(3 * across + 6 * random[1]) + torch.sin(5 * across)[:, None]
@@ -143,8 +146,8 @@ def _gradients(seed: int) -> tuple[list[float], list[float]]:
     size = torch.tensor(CAR, dtype=torch.float64)
     values = torch.cat([pose, size, random[5:8] * torch.tensor([2.0, 2.0, 6.28])])
 
-    def boxes(values: Tensor) -> Boxes:
-        return Boxes(values[None, None, :3], values[None, 3:5], torch.ones(1, 1).double())
+    def boxes(values: Tensor) -> OrientedBoxes:
+        return OrientedBoxes(values[None, None, :3], values[None, 3:5], torch.ones(1, 1).double())
 
     def loss(values: Tensor) -> Tensor:
         picture = supersampled(view, values[None, 5:], ground, boxes(values), FINE)
@@ -160,7 +163,7 @@ def _gradients(seed: int) -> tuple[list[float], list[float]]:
 
 def _black(ground: Ground) -> Ground:
     dark = torch.zeros_like(ground.image)
-    return Ground(dark, ground.known, ground.image_from_world)
+    return Ground(dark, ground.coverage, ground.image_from_world)
 
 
 def main(

@@ -30,8 +30,8 @@ from geoaim.prediction import predict, read_pretrained
 from geoaim.prediction.pictures import draw_futures
 from geoaim.quicklook import draw_quicklook
 from geoaim.simulation import View, make_scene
-from geoaim.simulation.pictures import film_agent
-from geoaim.simulation.scene import Scene, agent_number, step_at, step_at_time
+from geoaim.simulation.pictures import render_agent_video
+from geoaim.simulation.scene import Scene, find_agent, find_agent_step, find_step
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.sample import RATE
@@ -104,9 +104,9 @@ def _draw_views(aim: AIM, samples: Path, path: Path) -> None:
     scene = _make_sample_scene(aim, samples, RATE)
     figure, axes = plt.subplots(1, 4, figsize=(16, 4.3), layout="constrained")
     for axis, (name, time) in zip(axes, VIEWS.items(), strict=True):
-        agent = agent_number(scene, name)
-        step = step_at(scene, agent, time)[None]
-        (picture,) = film_agent(scene, agent, View(400, 400, 0.15), step, trail=2.0)
+        agent = find_agent(scene, name)
+        step = find_agent_step(scene, agent, time)[None]
+        (picture,) = render_agent_video(scene, agent, View(400, 400, 0.15), step, trail=2.0)
         _show(axis, picture, f"{scene.types[agent]} {name}, {time:.0f} s")
     figure.savefig(path, dpi=85)
 
@@ -120,7 +120,7 @@ def _draw_futures(aim: AIM, samples: Path, path: Path) -> None:
     ):
         model = read_pretrained(kind)
         scene = _make_sample_scene(aim, samples, 1 / model.config.dt)
-        start = step_at_time(scene, time)
+        start = find_step(scene, time)
         futures = predict(
             model, scene, horizon=steps, start=start, generator=torch.Generator().manual_seed(0)
         )

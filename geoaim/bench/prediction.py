@@ -22,7 +22,7 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.observation import index_controlled, render_observation
 from geoaim.prediction.segments import Segments, pick
-from geoaim.simulation.ground import Ground, fit_ground
+from geoaim.simulation.ground import Ground, prefilter_ground
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_sample, tracks_of, world_from_image
 from geoaim.track_changes import resample_tracks
@@ -60,7 +60,7 @@ def measure_model(kind: str, threads: int) -> dict[str, Any]:
     torch.set_num_threads(threads)
     model = read_pretrained(kind).train()
     scene = make_junction_scene(model.config)
-    ground = fit_ground(scene.ground, model.config.resolution)
+    ground = prefilter_ground(scene.ground, model.config.resolution)
     segments = cut_segments(scene, kind, steps=SEGMENT_STEPS[kind], stride=10)
     batch = pick(segments, slice(0, None, max(1, len(segments) // BATCH_SIZE)))
     batch = pick(batch, slice(0, BATCH_SIZE))

@@ -18,28 +18,28 @@ import typer
 from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.hdmap.drivable import find_drivable_area, sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
-from geoaim.simulation.infractions import offroad_distance
-from geoaim.simulation.overlap import box_corners, box_iou
-from geoaim.simulation.scene import drivable_of
-from geoaim.simulation.simulator import Recording, step
+from geoaim.simulation.infractions import compute_offroad_distance
+from geoaim.simulation.overlap import box_iou, compute_box_corners
+from geoaim.simulation.road_rules import make_drivable
+from geoaim.simulation.simulator import Scenario, step
 
 SCENES, AGENTS, SIDE = 64, 20, 80.0  # m of the square in which agents are
 STATIONS = 12  # points of each side of a lane, in triangles
 
 
-def traffic() -> Recording:
+def traffic() -> Scenario:
     """Two steps of agents at random, as far apart as in traffic."""
     random = torch.rand(SCENES, AGENTS, 4, generator=torch.Generator().manual_seed(0))
     states = random * torch.tensor([SIDE, SIDE, 6.28, 10.0]) - torch.tensor([60.0, 0, 0, 0])
     sizes = torch.tensor([4.5, 1.9]).expand(SCENES, AGENTS, 2)
     there = torch.ones(SCENES, 2, AGENTS, dtype=torch.bool)
     feet = torch.arange(AGENTS).expand(SCENES, AGENTS) % 4 == 0
-    return Recording(torch.stack([states, states], 1), there, sizes, feet, 0.1)
+    return Scenario(torch.stack([states, states], 1), there, sizes, feet, 0.1)
 
 
-def by_shapely(recording: Recording) -> np.ndarray:
+def by_shapely(scenario: Scenario) -> np.ndarray:
     """Intersection over union of all pairs of the first scene."""
-    corners = box_corners(recording.states[0, 0, :, :3], recording.sizes[0]).double().numpy()
+    corners = compute_box_corners(scenario.states[0, 0, :, :3], scenario.sizes[0]).double().numpy()
     polygons = shapely.polygons(corners)
     shared = shapely.area(shapely.intersection(polygons[:, None], polygons))
     area = shapely.area(polygons)
@@ -48,39 +48,39 @@ def by_shapely(recording: Recording) -> np.ndarray:
 
 def timings(repeats: int) -> list[dict[str, Any]]:
     """Milliseconds of each stage."""
-    recording = traffic()
-    states, there = recording.states[:, 0], recording.present[:, 0]
+    scenario = traffic()
+    states, there = scenario.states[:, 0], scenario.present[:, 0]
     actions, everyone = torch.full((SCENES, AGENTS, 2), 0.1), there
     hdmap = read_hdmap("samples/map.osm")
-    drivable = drivable_of(find_drivable_area(hdmap))
+    drivable = make_drivable(find_drivable_area(hdmap))
     few = slice(0, 4)
     parts: dict[str, Callable[[], Any]] = {
         "sines, 4 an agent": lambda: torch.sin(states),
-        "step": lambda: step(recording, 0, states, actions, everyone),
-        "collisions, exact IoU of all pairs": lambda: box_iou(
-            states[..., :3], recording.sizes, there
+        "step": lambda: step(scenario, 0, states, actions, everyone),
+        "compute_collision_iou, exact IoU of all pairs": lambda: box_iou(
+            states[..., :3], scenario.sizes, there
         ),
-        "off-road distance": lambda: offroad_distance(
-            drivable, states[..., :3], recording.sizes, there
+        "off-road distance": lambda: compute_offroad_distance(
+            drivable, states[..., :3], scenario.sizes, there
         ),
-        "off-road distance, 4 scenes": lambda: offroad_distance(
-            drivable, states[few, :, :3], recording.sizes[few], there[few]
+        "off-road distance, 4 scenes": lambda: compute_offroad_distance(
+            drivable, states[few, :, :3], scenario.sizes[few], there[few]
         ),
-        **_peers(recording, hdmap),
+        **_peers(scenario, hdmap),
     }
     with torch.no_grad():
         seconds = time_medians(list(parts.values()), repeats)
     return [{"stage": name, "ms": 1e3 * time} for name, time in zip(parts, seconds, strict=True)]
 
 
-def _peers(recording: Recording, hdmap: HDMap) -> dict[str, Callable[[], Any]]:
+def _peers(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[[], Any]]:
     """What torchdrivesim takes for the same, where it is installed."""
     try:
         from torchdrivesim.infractions import iou_differentiable, offroad_infraction_loss
         from torchdrivesim.mesh import BaseMesh, BirdviewMesh
     except ImportError:
         return {}
-    states, sizes = recording.states[:, 0], recording.sizes
+    states, sizes = scenario.states[:, 0], scenario.sizes
     boxes = torch.cat([states[..., :2], sizes, states[..., 2:3]], dim=-1)
     row, column = torch.triu_indices(AGENTS, AGENTS, offset=1)
     corners, faces = _triangles(hdmap)
@@ -117,9 +117,9 @@ def main(
 ) -> None:
     """Time the stages and compare overlaps with shapely's; print tables, write JSON when asked."""
     torch.set_num_threads(1)
-    recording = traffic()
-    close = Recording(
-        recording.states / 8, recording.present, recording.sizes, recording.on_foot, 0.1
+    scenario = traffic()
+    close = Scenario(
+        scenario.states / 8, scenario.present, scenario.sizes, scenario.pedestrian, 0.1
     )
     found = box_iou(close.states[:, 0, :, :3], close.sizes, close.present[:, 0])[0]
     apart = float(np.abs(found.numpy() - by_shapely(close)).max())

@@ -103,18 +103,18 @@ def _evaluate_on_map(
     from geoaim.prediction.dataset import split_scene
     from geoaim.prediction.evaluation import EvalConfig
     from geoaim.prediction.evaluation import evaluate as evaluate_predictor
-    from geoaim.simulation.episodes import check_place, rules_of
-    from geoaim.simulation.ground import fit_ground
+    from geoaim.simulation.ground import prefilter_ground
+    from geoaim.simulation.road_rules import check_rules, make_road_rules
 
     model = load_model(settings.weights, kind)
     config, horizon = model.config, get_horizon(model)
     whole, hdmap, _ = read_scene(source, rate=1 / config.dt)
-    rules = rules_of(hdmap)
-    check_place(whole, rules)
+    rules = make_road_rules(hdmap)
+    check_rules(whole, rules)
     _, scene = split_scene(whole, fraction)
     steps = MAX_HISTORY_STEPS + horizon
     segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)
-    ground = fit_ground(scene.ground, config.resolution)
+    ground = prefilter_ground(scene.ground, config.resolution)
     evaluation = EvalConfig(MAX_HISTORY_STEPS, settings.samples, seed=settings.seed)
     metrics = {
         name: evaluate_predictor(

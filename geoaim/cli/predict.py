@@ -56,7 +56,7 @@ def predict(
     from geoaim.prediction.cutting import select_kind
     from geoaim.prediction.pictures import write_futures
     from geoaim.prediction.predict import predict as predict_futures
-    from geoaim.simulation.scene import step_at_time
+    from geoaim.simulation.scene import find_step
 
     with show_progress() as progress, report_errors():
         inputs = [aim, tracks, lights, hdmap]
@@ -65,7 +65,7 @@ def predict(
         agents = TracksSource(tracks, tracks_world, tracks_resolution)
         files = SceneSource(aim, agents, lights, hdmap, stop_lines)
         scene, _, world = read_scene(files, rate=1 / model.config.dt)
-        start, horizon = step_at_time(scene, at), get_horizon(model, duration)
+        start, horizon = find_step(scene, at), get_horizon(model, duration)
         progress("predict", 0, 1)
         futures = predict_futures(
             model,
@@ -93,10 +93,9 @@ def _draw_futures(
     """Draw futures as a picture, or step by step as a video."""
     from geoaim.prediction.pictures import draw_futures, film_futures
     from geoaim.simulation.pictures import write_pictures
-    from geoaim.simulation.scene import step_seconds
 
     if output.suffix.lower() == ".png":
-        write_pictures([draw_futures(scene, futures, start)], output, rate=1.0)
+        write_pictures([draw_futures(scene, futures, start)], output, frame_rate=1.0)
     else:
         frames = film_futures(scene, futures, start)
-        write_pictures(frames, output, rate=1 / step_seconds(scene))
+        write_pictures(frames, output, frame_rate=1 / scene.dt)

@@ -48,19 +48,19 @@ def render(
     Example: geoaim render map.tif --tracks samples/tracks.csv --ego 12 -o view.mp4
     """
     from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import film_agent
-    from geoaim.simulation.scene import agent_number, step_at
+    from geoaim.simulation.pictures import render_agent_video
+    from geoaim.simulation.scene import find_agent, find_agent_step
 
     with show_progress() as progress, report_errors():
         check_output(output, (".mp4", ".gif", ".png"))
         agents = TracksSource(tracks, tracks_world, tracks_resolution)
         scene, _, _ = read_scene(SceneSource(aim, agents, lights, hdmap, stop_lines))
-        agent = agent_number(scene, ego)
+        agent = find_agent(scene, ego)
         steps = scene.present[agent].nonzero()[:, 0]
         if output.suffix.lower() == ".png":
-            steps = step_at(scene, agent, time)[None]
+            steps = find_agent_step(scene, agent, time)[None]
         view = View(size, size, extent / size)
-        frames = film_agent(scene, agent, view, steps, trail=trail)
+        frames = render_agent_video(scene, agent, view, steps, trail=trail)
         _write_frames(scene, frames, len(steps), output, progress)
     console.print(f"{output}: {len(steps)} images of {size} x {size} px around agent {ego}")
 
@@ -103,8 +103,9 @@ def simulate(
     --lights samples/lights.csv -o simulated.csv
     """
     from geoaim.hdmap.drivable import read_drivable_area
-    from geoaim.simulation.episodes import rules_of, simulate_scene
-    from geoaim.simulation.scene import tracks_of
+    from geoaim.simulation.episodes import simulate_scene
+    from geoaim.simulation.road_rules import make_road_rules
+    from geoaim.simulation.scene import make_tracks
     from geoaim.track_files import write_tracks
 
     with show_progress() as progress, report_errors():
@@ -117,9 +118,11 @@ def simulate(
         source = SceneSource(aim, agents, lights, hdmap, stop_lines)
         scene, roads, world = read_scene(source)
         area = None if drivable is None else read_drivable_area(drivable, world)
-        rules = rules_of(roads, area)
-        episode = simulate_scene(scene, policy, ego=ego, start=start, seconds=duration, rules=rules)
-        write_tracks(tracks_of(episode.scene, world), output)
+        rules = make_road_rules(roads, area)
+        episode = simulate_scene(
+            scene, policy, ego=ego, start=start, duration=duration, rules=rules
+        )
+        write_tracks(make_tracks(episode.scene, world), output)
         if video is not None and ego is not None:
             _write_video(episode.scene, ego, video, progress)
     rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
@@ -130,13 +133,13 @@ def simulate(
 def _write_video(scene: "Scene", ego: str, path: Path, progress: Progress) -> None:
     """Write the view around an agent at all of its steps."""
     from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import film_agent
-    from geoaim.simulation.scene import agent_number
+    from geoaim.simulation.pictures import render_agent_video
+    from geoaim.simulation.scene import find_agent
 
-    agent = agent_number(scene, ego)
+    agent = find_agent(scene, ego)
     steps = scene.present[agent].nonzero()[:, 0]
     view = View(VIDEO_SIZE_PX, VIDEO_SIZE_PX, VIDEO_EXTENT_M / VIDEO_SIZE_PX)
-    frames = film_agent(scene, agent, view, steps, trail=VIDEO_TRAIL_S)
+    frames = render_agent_video(scene, agent, view, steps, trail=VIDEO_TRAIL_S)
     _write_frames(scene, frames, len(steps), path, progress)
 
 
@@ -149,11 +152,10 @@ def _write_frames(
 ) -> None:
     """Write frames at the scene's frame rate, and report the progress."""
     from geoaim.simulation.pictures import write_pictures
-    from geoaim.simulation.scene import step_seconds
 
     def count_frames() -> Iterator[UInt8[Array, "H W 3"]]:
         for number, frame in enumerate(frames, 1):
             progress("render", number, count)
             yield frame
 
-    write_pictures(count_frames(), path, rate=1 / step_seconds(scene))
+    write_pictures(count_frames(), path, frame_rate=1 / scene.dt)

@@ -14,7 +14,7 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.pictures import draw_futures, fit_camera
 from geoaim.prediction.predict import predict
-from geoaim.simulation.scene import step_at_time
+from geoaim.simulation.scene import find_step
 
 HEIGHT_INCHES = 5.2
 
@@ -34,7 +34,7 @@ def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, 
         spec, kind = MODELS[name], model.config.kind
         aim = read_map(place, spec.map_name)
         scene = make_place_scene(recording, aim, dt=model.config.dt, lights=spec.lights)
-        start = step_at_time(scene, time)
+        start = find_step(scene, time)
         futures = predict(
             model,
             scene,

@@ -18,7 +18,7 @@ from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import Lights, read_lights
 from geoaim.progress import Progress, no_progress
-from geoaim.simulation.episodes import Rules, rules_of
+from geoaim.simulation.road_rules import RoadRules, make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
 from geoaim.synthetic.roads.layouts import PlaceKind
@@ -65,9 +65,9 @@ class PlaceRecording:
     hdmap: HDMap
 
     @cached_property
-    def rules(self) -> Rules:
+    def rules(self) -> RoadRules:
         """Where vehicles may drive."""
-        return rules_of(self.hdmap)
+        return make_road_rules(self.hdmap)
 
 
 def make_places(folder: Path, places: Places, *, progress: Progress = no_progress) -> list[Path]:

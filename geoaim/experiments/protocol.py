@@ -19,8 +19,8 @@ from geoaim.prediction.dataset import VAL_FRACTION, Dataset, make_dataset, split
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.metrics import Metric, concat
 from geoaim.progress import Progress, no_progress
-from geoaim.simulation.episodes import NO_RULES, Rules
-from geoaim.simulation.ground import fit_ground
+from geoaim.simulation.ground import prefilter_ground
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 from geoaim.simulation.scene import Scene
 
 VEHICLES_ON_AIM = DEFAULT_CONFIGS["vehicle"]
@@ -121,7 +121,7 @@ def evaluate_place(
     aim, parts = read_map(place, map_name), []
     for recording in read_recordings(place):
         _, scene = split_scene(make_place_scene(recording, aim, dt=config.dt), fraction)
-        rules = recording.rules if config.kind == "vehicle" else NO_RULES
+        rules = recording.rules if config.kind == "vehicle" else NO_ROAD_RULES
         stride = 2 * SEGMENT_STEPS[config.kind]  # half of the recording is enough
         parts += evaluate_scene(predictor, scene, config, options, stride=stride, rules=rules)
     return parts
@@ -134,7 +134,7 @@ def evaluate_scene(
     options: EvalConfig,
     *,
     stride: int,
-    rules: Rules = NO_RULES,
+    rules: RoadRules = NO_ROAD_RULES,
 ) -> list[dict[str, Metric]]:
     """Evaluate a predictor on joint segments of a scene.
 
@@ -154,5 +154,5 @@ def evaluate_scene(
         segments = cut_segments(scene, config.kind, steps=steps, stride=stride, joint=True)
     except TracksError:
         return []
-    ground = fit_ground(scene.ground, config.resolution)
+    ground = prefilter_ground(scene.ground, config.resolution)
     return [evaluate(predictor, segments, ground, options, rules=rules)]

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.simulation.birdview import render
-from geoaim.simulation.ground import GREY, Ground, View, bounds_of, fit_ground, make_ground
+from geoaim.simulation.ground import GREY, Ground, View, make_ground, prefilter_ground
 
 PIXELS_PER_VIEW_PIXEL = 2  # resolution of the atlas before it is fitted to the view
 
@@ -26,7 +26,7 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
     """
     resolution = view.resolution / PIXELS_PER_VIEW_PIXEL
     margin = math.hypot(view.height, view.width) / 2 * view.resolution
-    bounds = [bounds_of(ground).float() for ground in grounds]
+    bounds = [ground.bounds.float() for ground in grounds]
     sizes = [(high - low + 2 * margin).clamp_min(resolution) for low, high in bounds]
     rows = math.ceil(max(float(size[1]) for size in sizes) / resolution)
     tiles, offsets, left = [], [], 0
@@ -34,13 +34,13 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
         columns = math.ceil(float(size[0]) / resolution)
         centre = (low + high) / 2
         camera = torch.cat([centre, centre.new_tensor([math.pi / 2])])[None]
-        fitted = fit_ground(ground, resolution)
+        fitted = prefilter_ground(ground, resolution)
         tiles.append(render(View(rows, columns, resolution), camera, fitted)[0])
         offsets.append(centre.new_tensor([left + columns / 2, -rows / 2]) * resolution - centre)
         left += columns
     image = torch.cat(tiles, dim=2)
     matrix = image.new_tensor([[1 / resolution, 0.0, 0.0], [0.0, -1 / resolution, 0.0]])
-    return fit_ground(make_ground(image, matrix), view.resolution), torch.stack(offsets)
+    return prefilter_ground(make_ground(image, matrix), view.resolution), torch.stack(offsets)
 
 
 def make_grey_ground() -> Ground:

@@ -12,7 +12,7 @@ from torch import Tensor
 from geoaim.prediction.segments import PEDESTRIAN, Segments, repeat
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
-from geoaim.simulation.simulator import Policy, Recording, rollout
+from geoaim.simulation.simulator import Policy, Scenario, rollout
 
 HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a share of it
 
@@ -93,11 +93,11 @@ BASELINES: Mapping[str, Predictor] = {
 
 
 def _roll_out(policy: Policy, segments: Segments, history: int) -> Float[Tensor, "B T N 4"]:
-    recording = Recording(
+    scenario = Scenario(
         segments.states,
         segments.present,
         segments.sizes,
         segments.layers == PEDESTRIAN,
         segments.dt,
     )
-    return rollout(recording, policy, segments.controlled, observed=history).states
+    return rollout(scenario, policy, segments.controlled, history=history).states

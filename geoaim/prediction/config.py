@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from geoaim.prediction.observation import ObservationView
-from geoaim.simulation.lines import BAR
+from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M
 
 MAX_HISTORY_STEPS = 10  # observed steps that a model gets at most, as in the paper
 SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30}  # of training: 4 s and 12 s, as in the paper
@@ -46,7 +46,7 @@ class Config:
     view_size: int = 64
     resolution: float = 0.8
     surface_contrast: bool = False
-    light_width: float = BAR
+    light_width: float = LIGHT_BAR_WIDTH_M
     view_stride: int = 5
     hidden_size: int = 128
     feature_size: int = 96

@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from geoaim.agent_types import AGENT_GROUPS
 from geoaim.errors import TracksError
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, concat
 from geoaim.simulation.kinematics import step_bicycle
-from geoaim.simulation.layers import KINDS
-from geoaim.simulation.scene import Scene, scene_steps, states_of, step_seconds
+from geoaim.simulation.scene import Scene, slice_scene
 
 MAX_NEIGHBOURS = 24  # other agents that a segment keeps
 MIN_TRAVEL_M = 1.0  # agents that move less in a whole recording are parked
@@ -39,7 +39,7 @@ def cut_segments(
     """
     if len(scene.times) < 2:
         raise TracksError(f"a scene of {len(scene.times)} steps; segments need {steps}")
-    dt = step_seconds(scene)
+    dt = scene.dt
     if (scene.times.diff() - dt).abs().max() > 0.01 * dt:
         raise ValueError("the scene's steps are not at even intervals; resample the tracks")
     complete = _find_complete(scene, kind, steps, stride)
@@ -53,7 +53,7 @@ def cut_segments(
     choose_agents = _choose_all if joint else _choose_neighbours
     parts = []
     for number in complete.any(dim=0).nonzero()[:, 0].tolist():
-        piece = scene_steps(scene, slice(number * stride, number * stride + steps))
+        piece = slice_scene(scene, slice(number * stride, number * stride + steps))
         parts.append(_cut(piece, *choose_agents(piece, complete[:, number]), round(dt, 6)))
     return concat(parts)
 
@@ -80,7 +80,7 @@ def cut_future(scene: Scene, kind: str, dt: float, *, steps: slice, start: int) 
         raise TracksError(f"no {kind} is present at {float(scene.times[start]):g} s")
     extended = _extend(scene, steps.stop - len(scene.times), dt)
     agents = torch.arange(len(scene.ids), device=controlled.device)[None]
-    segment = _cut(scene_steps(extended, steps), agents, controlled[None], dt)
+    segment = _cut(slice_scene(extended, steps), agents, controlled[None], dt)
     present = segment.present.clone()
     present[:, start + 1 - steps.start :, controlled] = True
     return replace(segment, present=present)
@@ -88,7 +88,9 @@ def cut_future(scene: Scene, kind: str, dt: float, *, steps: slice, start: int) 
 
 def select_kind(scene: Scene, kind: str) -> Bool[Tensor, "N"]:
     """Mask of the agents of a kind, by their types."""
-    return torch.tensor([name in KINDS[kind] for name in scene.types]).to(scene.present.device)
+    return torch.tensor([name in AGENT_GROUPS[kind] for name in scene.types]).to(
+        scene.present.device
+    )
 
 
 def _find_complete(scene: Scene, kind: str, steps: int, stride: int) -> Bool[Tensor, "N _"]:
@@ -127,7 +129,7 @@ def _cut(
     piece: Scene, agents: Int[Tensor, "B n"], controlled: Bool[Tensor, "B n"], dt: float
 ) -> Segments:
     """Segments of all steps of a piece of a scene, each with its own agents."""
-    states = torch.where(piece.present[..., None], states_of(piece), 0.0)
+    states = torch.where(piece.present[..., None], piece.states, 0.0)
     count = len(agents)
     return Segments(
         states=states[agents].transpose(1, 2),
@@ -145,7 +147,7 @@ def _extend(scene: Scene, steps: int, dt: float) -> Scene:
     """Extend a scene beyond its end: agents keep speed and heading, and lights stay."""
     if steps <= 0:
         return scene
-    states, no_action = [states_of(scene)[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
+    states, no_action = [scene.states[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
     for _ in range(steps):
         states.append(step_bicycle(states[-1], no_action, scene.sizes[:, 0], dt))
     later = torch.stack(states[1:], dim=1)

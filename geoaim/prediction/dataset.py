@@ -11,7 +11,7 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.segments import Segments, concat, shift
 from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import Ground
-from geoaim.simulation.scene import Scene, scene_steps
+from geoaim.simulation.scene import Scene, slice_scene
 
 VAL_FRACTION = 0.05  # share of each recording, at its end, as in the paper
 
@@ -82,7 +82,7 @@ def make_dataset(
 def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:
     """Split a scene into its beginning and its end, which is a share of its steps."""
     first = round(len(scene.times) * (1 - val_fraction))
-    return scene_steps(scene, slice(0, first)), scene_steps(scene, slice(first, None))
+    return slice_scene(scene, slice(0, first)), slice_scene(scene, slice(first, None))
 
 
 def _report_problems(parts: dict[str, list[Segments]], problems: dict[str, list[str]]) -> None:

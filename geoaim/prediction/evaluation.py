@@ -12,8 +12,8 @@ from geoaim.prediction.metrics import Metric, compute_metrics, concat
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.progress import Progress, no_progress
-from geoaim.simulation.episodes import NO_RULES, Rules
 from geoaim.simulation.ground import Ground
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
 MAX_VIEWS = 4000  # of all samples and agents, that are rendered at once
 
@@ -41,7 +41,7 @@ def evaluate(
     ground: Ground,
     config: EvalConfig,
     *,
-    rules: Rules = NO_RULES,
+    rules: RoadRules = NO_ROAD_RULES,
     progress: Progress = no_progress,
 ) -> dict[str, Metric]:
     """Compute all metrics of a predictor on segments of one place.

@@ -14,8 +14,12 @@ from torch import Tensor
 
 from geoaim.lights import UNKNOWN
 from geoaim.prediction.segments import VEHICLE, Segments
-from geoaim.simulation.episodes import NO_RULES, Rules
-from geoaim.simulation.infractions import collisions, offroad_distance, ran_red
+from geoaim.simulation.infractions import (
+    compute_collision_iou,
+    compute_offroad_distance,
+    detect_red_light_running,
+)
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
 BOOTSTRAP_DRAWS = 1000
 CONFIDENCE = 0.95
@@ -44,7 +48,7 @@ def compute_metrics(
     futures: Float[Tensor, "B K T N 4"],
     segments: Segments,
     history: int,
-    rules: Rules = NO_RULES,
+    rules: RoadRules = NO_ROAD_RULES,
 ) -> dict[str, Metric]:
     """Compute all metrics of controlled agents.
 
@@ -175,7 +179,7 @@ def _compute_mfd(futures: Float[Tensor, "B K T N 4"]) -> Float[Tensor, "B N"]:
 
 
 def _compute_infraction_rates(
-    futures: Float[Tensor, "B K T N 4"], segments: Segments, history: int, rules: Rules
+    futures: Float[Tensor, "B K T N 4"], segments: Segments, history: int, rules: RoadRules
 ) -> dict[str, Metric]:
     """Shares of agents, samples and steps that collide, are off the road or run a red light."""
     poses = futures[:, :, history - 1 :, :, :3]  # (B, K, 1 + t, N, 3)
@@ -183,11 +187,11 @@ def _compute_infraction_rates(
     present = segments.present[:, None, history:].expand(*after.shape[:4])
     controlled = present & segments.controlled[:, None, None]
     sizes = segments.sizes[:, None, None].expand(*present.shape, 2)
-    overlap = collisions(after.flatten(0, 2), sizes.flatten(0, 2), present.flatten(0, 2))
+    overlap = compute_collision_iou(after.flatten(0, 2), sizes.flatten(0, 2), present.flatten(0, 2))
     rates = {"collision rate": _make_rate((overlap > 0).view(present.shape), controlled)}
     vehicles = controlled & (segments.layers == VEHICLE)[:, None, None]
     if rules.drivable is not None and vehicles.any():
-        offroad = offroad_distance(rules.drivable, after, sizes, vehicles) > 0
+        offroad = compute_offroad_distance(rules.drivable, after, sizes, vehicles) > 0
         rates["off-road rate"] = _make_rate(offroad, vehicles)
     states = segments.light_states[:, history - 1 : -1]  # (B, t, L)
     known = (states != UNKNOWN).any(dim=2)[:, None, :, None]
@@ -214,7 +218,7 @@ def _find_red_light_violations(
         light_states[:, None],
     )
     flat = (x.expand(*leading, *x.shape[3:]).flatten(0, 2) for x in arguments)
-    return ran_red(*flat).view(vehicles.shape)
+    return detect_red_light_running(*flat).view(vehicles.shape)
 
 
 def _average_draws(metric: Metric, draws: Int[Array, "D B"]) -> Float[Array, "D"]:

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
-from geoaim.simulation.birdview import Boxes, render_layers
+from geoaim.simulation.birdview import OrientedBoxes, render_layers
 from geoaim.simulation.ground import Ground, View
-from geoaim.simulation.lines import BAR, light_layers
+from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M, make_stop_line_layers
 
 MAX_COLOUR_DISTANCE = 0.4  # of channels from 0 to 1: beyond it, the surface is another one
 CHANNELS = 7  # ground (3), vehicles, pedestrians, red and yellow lights, green lights
@@ -24,7 +24,7 @@ class ObservationView(View):
         light_width: width of a light's bar on its stop line, metres.
     """
 
-    light_width: float = BAR
+    light_width: float = LIGHT_BAR_WIDTH_M
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +73,13 @@ def render_observation(
     layers, sizes = segments.layers[controlled.segment], segments.sizes[controlled.segment]
     white = sizes.new_ones(1, 3).expand(states.shape[1], 3)
     boxes = [
-        Boxes(poses, sizes, white, visible & (layers == layer), white)
+        OrientedBoxes(poses, sizes, white, visible & (layers == layer), white)
         for layer in (VEHICLE, PEDESTRIAN)
     ]
     stop_lines = segments.stop_lines[controlled.segment]
     light_states = segments.light_states[controlled.segment, step]
     groups = [(RED, YELLOW), (GREEN,)]
-    boxes += light_layers(stop_lines, light_states, groups, width=view.light_width)
+    boxes += make_stop_line_layers(stop_lines, light_states, groups, width=view.light_width)
     return render_layers(view, cameras, ground, boxes)
 
 

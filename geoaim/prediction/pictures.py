@@ -13,11 +13,11 @@ from numpy import ndarray as Array
 from torch import Tensor
 
 from geoaim.files import atomic_write
-from geoaim.simulation.birdview import Boxes, render
-from geoaim.simulation.ground import Ground, View, bounds_of, fit_ground
-from geoaim.simulation.layers import lights_at, usual_colours
-from geoaim.simulation.lines import path_boxes
-from geoaim.simulation.pictures import pixels_of
+from geoaim.simulation.birdview import OrientedBoxes, render
+from geoaim.simulation.ground import Ground, View, prefilter_ground
+from geoaim.simulation.layers import get_agent_colours, make_light_boxes
+from geoaim.simulation.lines import make_path_boxes
+from geoaim.simulation.pictures import convert_to_uint8
 from geoaim.simulation.scene import Scene
 from geoaim.track_files import format_world
 from geoaim.world import World
@@ -67,10 +67,10 @@ def draw_futures(
         _make_path_boxes(
             torch.cat([current, paths], dim=2).flatten(0, 1)[None], FUTURE_COLOUR, PATH_WIDTH_M / 2
         ),
-        lights_at(scene, torch.tensor([start])),
+        make_light_boxes(scene, torch.tensor([start])),
         _make_agent_boxes(scene, scene.poses[:, start]),
     ]
-    return _draw(camera, fit_ground(scene.ground, camera.view.resolution), layers)
+    return _draw(camera, prefilter_ground(scene.ground, camera.view.resolution), layers)
 
 
 def fit_camera(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> Camera:
@@ -86,7 +86,7 @@ def fit_camera(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> C
     """
     positions = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
     positions = positions[torch.isfinite(positions).all(dim=1)]
-    first, last = bounds_of(scene.ground).to(positions)
+    first, last = scene.ground.bounds.to(positions)
     low = (positions.amin(dim=0) - MARGIN_M).clamp(first, last - MARGIN_M)
     high = (positions.amax(dim=0) + MARGIN_M).clamp(low + MARGIN_M, last)
     width, height = (high - low).tolist()
@@ -111,7 +111,10 @@ def film_futures(
         An RGB picture for each step.
     """
     camera = fit_camera(scene, futures, start)
-    ground, paths = fit_ground(scene.ground, camera.view.resolution), _select_predicted(futures)
+    ground, paths = (
+        prefilter_ground(scene.ground, camera.view.resolution),
+        _select_predicted(futures),
+    )
     for step in range(futures.shape[2]):
         layers = [_make_agent_boxes(scene, future[:, step, :3]) for future in futures]
         if step:
@@ -169,20 +172,20 @@ def _select_predicted(futures: Float[Tensor, "K N T 4"]) -> Float[Tensor, "K N T
 
 def _make_path_boxes(
     points: Float[Tensor, "1 P S 2"], colour: tuple[float, float, float], width: float
-) -> Boxes:
+) -> OrientedBoxes:
     present = torch.isfinite(points).all(dim=-1)
     safe = torch.where(present[..., None], points, 0.0)
     colours = points.new_tensor([colour]).expand(points.shape[1], 3)
-    return path_boxes(safe, colours, width=width, present=present)
+    return make_path_boxes(safe, colours, width=width, present=present)
 
 
-def _make_agent_boxes(scene: Scene, poses: Float[Tensor, "N 3"]) -> Boxes:
+def _make_agent_boxes(scene: Scene, poses: Float[Tensor, "N 3"]) -> OrientedBoxes:
     present = torch.isfinite(poses).all(dim=1)
-    colours = usual_colours(scene)
+    colours = get_agent_colours(scene)
     safe = torch.where(present[:, None], poses, 0.0)
-    return Boxes(safe[None], scene.sizes, colours, present[None], torch.ones_like(colours))
+    return OrientedBoxes(safe[None], scene.sizes, colours, present[None], torch.ones_like(colours))
 
 
 @torch.no_grad()
-def _draw(camera: Camera, ground: Ground, layers: list[Boxes]) -> UInt8[Array, "H W 3"]:
-    return pixels_of(render(camera.view, camera.pose, ground, layers))[0]
+def _draw(camera: Camera, ground: Ground, layers: list[OrientedBoxes]) -> UInt8[Array, "H W 3"]:
+    return convert_to_uint8(render(camera.view, camera.pose, ground, layers))[0]

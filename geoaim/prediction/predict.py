@@ -7,8 +7,8 @@ from torch import Tensor
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.itra import DT_TOLERANCE_S, ITRA
-from geoaim.simulation.ground import fit_ground
-from geoaim.simulation.scene import Scene, step_seconds
+from geoaim.simulation.ground import prefilter_ground
+from geoaim.simulation.scene import Scene
 
 
 def predict(
@@ -44,10 +44,9 @@ def predict(
     start = total - 1 if start is None else start
     if not 0 <= start < total:
         raise ValueError(f"step {start} is not among the scene's {total}")
-    if total > 1 and abs(step_seconds(scene) - config.dt) > DT_TOLERANCE_S:
+    if total > 1 and abs(scene.dt - config.dt) > DT_TOLERANCE_S:
         raise ValueError(
-            f"the scene's dt is {step_seconds(scene):g} s and the model's {config.dt:g} s; "
-            "resample the tracks"
+            f"the scene's dt is {scene.dt:g} s and the model's {config.dt:g} s; resample the tracks"
         )
     first = max(0, start + 1 - (config.history or MAX_HISTORY_STEPS))
     steps = slice(first, start + 1 + horizon)
@@ -55,7 +54,7 @@ def predict(
     history = start + 1 - first
     futures = model.sample(
         segment,
-        fit_ground(scene.ground, config.resolution),
+        prefilter_ground(scene.ground, config.resolution),
         history=history,
         samples=samples,
         generator=generator,

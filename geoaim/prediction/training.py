@@ -30,7 +30,7 @@ from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.progress import Progress, no_progress
-from geoaim.simulation.ground import Ground, on_device
+from geoaim.simulation.ground import Ground, move_ground
 
 MAX_VAL_SEGMENTS = 256  # that are predicted for the log
 VAL_SAMPLES = 6
@@ -101,7 +101,7 @@ def train(
     with join_processes(dataset.ground.image.device) as process:
         parts = _make_parts(copy.deepcopy(model).to(process.device).train(), config)
         log = _resume(path, parts, identity)
-        ground = on_device(dataset.ground, process.device)
+        ground = move_ground(dataset.ground, process.device)
         alone = process.world_size == 1
         network: nn.Module = parts.model if alone else DistributedDataParallel(parts.model)
         if config.log_start and not log:

@@ -1,31 +1,36 @@
-"""Pictures of a map as models see it, from tensors to tensors, and a simulator around them.
+"""Bird's-eye pictures of a map as models see it, from tensors to tensors, and a simulator.
 
 view = View(256, 256, 0.4)
-pictures = render(view, cameras, fit_ground(ground, view.resolution), [boxes])
+pictures = render(view, cameras, prefilter_ground(ground, view.resolution), [boxes])
 """
 
-from geoaim.simulation.birdview import Boxes, render, render_layers
-from geoaim.simulation.ground import Ground, View, fit_ground, ground_share, make_ground
-from geoaim.simulation.layers import agents_at, layers_at, lights_at, trails_at
-from geoaim.simulation.lines import light_boxes, line_boxes, path_boxes
+from geoaim.simulation.birdview import OrientedBoxes, render, render_layers
+from geoaim.simulation.ground import Ground, View, make_ground, prefilter_ground, render_coverage
+from geoaim.simulation.layers import (
+    make_agent_boxes,
+    make_layers,
+    make_light_boxes,
+    make_trail_boxes,
+)
+from geoaim.simulation.lines import make_line_boxes, make_path_boxes, make_stop_line_boxes
 from geoaim.simulation.scene import Scene, make_scene
 
 __all__ = [
-    "Boxes",
     "Ground",
+    "OrientedBoxes",
     "Scene",
     "View",
-    "agents_at",
-    "fit_ground",
-    "ground_share",
-    "layers_at",
-    "light_boxes",
-    "lights_at",
-    "line_boxes",
+    "make_agent_boxes",
     "make_ground",
+    "make_layers",
+    "make_light_boxes",
+    "make_line_boxes",
+    "make_path_boxes",
     "make_scene",
-    "path_boxes",
+    "make_stop_line_boxes",
+    "make_trail_boxes",
+    "prefilter_ground",
     "render",
+    "render_coverage",
     "render_layers",
-    "trails_at",
 ]

@@ -1,26 +1,29 @@
-"""How much of a pixel a polygon covers: the exact area, and its exact gradient."""
+"""Pixel coverage: the exact area of a polygon in a pixel, and its exact gradient."""
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-STEEP = 1e-3  # px: an edge that runs less far to the side is taken as straight down
+MIN_RUN_PX = 1e-3  # an edge that runs less far to the side counts as vertical
+MIN_EDGE_PX = 1e-9  # avoids divisions by zero
 
 
-def pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
-    """The area that each polygon shares with the unit square, where both have that corner origin.
+def compute_pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
+    """Compute the area that polygons share with the unit square.
 
-    By Green's theorem, edge by edge: the area is the integral of x dy along the polygon, with x and
-    y held to the square. The gradient by an end of an edge is the integral, over the part of the
-    edge in the square, of how far each point moves along with it.
+    By Green's theorem, the area is the integral of x dy along the polygon, with x and y clamped to
+    the square. Its gradient by an end of an edge is the integral, over the part of the edge in the
+    square, of how far each point moves along with that end.
 
     Args:
-        corners: of convex polygons, in the order that turns +x towards +y; in the other one the
-            area is negative.
+        corners: (n, K, 2) of convex polygons, in the order that turns +x towards +y.
+
+    Returns:
+        (n,) areas; negative of polygons in the opposite order.
 
     >>> square = torch.tensor([[[0.5, 0.5], [9.0, 0.5], [9.0, 9.0], [0.5, 9.0]]])
-    >>> pixel_coverage(square).tolist()
+    >>> compute_pixel_coverage(square).tolist()
     [0.25]
     """
     return _Coverage.apply(corners)  # type: ignore[no-untyped-call]
@@ -30,45 +33,46 @@ class _Coverage(torch.autograd.Function):
     @staticmethod
     def forward(ctx, corners):  # type: ignore[no-untyped-def]
         ctx.save_for_backward(corners)
-        return _area(corners)
+        return _compute_area(corners)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, *grads):  # type: ignore[no-untyped-def]
-        return _area_gradient(*ctx.saved_tensors) * grads[0][:, None, None]
+        return _compute_area_gradient(*ctx.saved_tensors) * grads[0][:, None, None]
 
 
-def _area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
-    """The integral of x dy around each polygon, with both held to [0, 1]."""
+def _compute_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
+    """Integrate x dy around each polygon, with both clamped to [0, 1]."""
     x, y = corners.unbind(-1)
-    below = y.roll(-1, 1)
-    run, rise = x.roll(-1, 1) - x, below - y
+    next_y = y.roll(-1, 1)
+    run, rise = x.roll(-1, 1) - x, next_y - y
     slope = run / torch.where(rise == 0, 1.0, rise)
-    start, end = y.clamp(0, 1), below.clamp(0, 1)
-    left = x + (start - y) * slope
-    right = x + (end - y) * slope
-    across = right - left
-    flat = across.abs() < STEEP
-    mean = (_held(right) - _held(left)) / torch.where(flat, 1.0, across)
-    mean = torch.where(flat, ((left + right) / 2).clamp(0, 1), mean)
-    return ((end - start) * mean).sum(1)
+    start, end = y.clamp(0, 1), next_y.clamp(0, 1)  # of the part of the edge in the square's rows
+    first_x = x + (start - y) * slope
+    last_x = x + (end - y) * slope
+    width = last_x - first_x
+    vertical = width.abs() < MIN_RUN_PX
+    mean_x = _integrate_clamped(last_x) - _integrate_clamped(first_x)
+    mean_x = mean_x / torch.where(vertical, 1.0, width)
+    mean_x = torch.where(vertical, ((first_x + last_x) / 2).clamp(0, 1), mean_x)
+    return ((end - start) * mean_x).sum(1)
 
 
-def _held(x: Tensor) -> Tensor:
-    """The integral from 0 of x held to [0, 1]."""
-    held = x.clamp(0, 1)
-    return held * (x - held / 2)
+def _integrate_clamped(x: Tensor) -> Tensor:
+    """Integrate from 0 to x its value clamped to [0, 1]."""
+    clamped = x.clamp(0, 1)
+    return clamped * (x - clamped / 2)
 
 
-def _area_gradient(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n K 2"]:
-    """The gradient of the area by each corner."""
+def _compute_area_gradient(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n K 2"]:
+    """Compute the gradient of the area by each corner."""
     edge = corners.roll(-1, 1) - corners
-    safe = torch.where(edge.abs() < 1e-9, 1e-9, edge)
+    safe = torch.where(edge.abs() < MIN_EDGE_PX, MIN_EDGE_PX, edge)
     enter, leave = -corners / safe, (1 - corners) / safe
     start = torch.minimum(enter, leave).amax(-1).clamp_min(0)
     end = torch.maximum(torch.maximum(enter, leave).amin(-1).clamp_max(1), start)
-    later = (end * end - start * start) / 2
+    by_end = (end * end - start * start) / 2  # integral of the share of the end's motion
     normal = torch.stack([edge[..., 1], -edge[..., 0]], dim=-1)
-    of_start = normal * (end - start - later)[..., None]
-    of_end = normal * later[..., None]
-    return of_start + of_end.roll(1, 1)
+    grad_start = normal * (end - start - by_end)[..., None]
+    grad_end = normal * by_end[..., None]
+    return grad_start + grad_end.roll(1, 1)

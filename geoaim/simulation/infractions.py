@@ -1,7 +1,6 @@
-"""What went wrong: off the road, collisions, red lights, the wrong way. All batched.
+"""Infractions: off-road distance, collisions, running red lights, driving the wrong way.
 
-States are (..., A, 4) x, y, heading and speed of A agents in some scenes and steps, sizes
-(..., A, 2), and `present` says who is there: absent agents do nothing wrong.
+All functions are batched. Absent agents commit no infraction.
 """
 
 import math
@@ -13,146 +12,184 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from geoaim.lights import RED
-from geoaim.simulation.ground import applied
-from geoaim.simulation.overlap import box_corners, box_iou, cross
+from geoaim.simulation.ground import apply_matrix
+from geoaim.simulation.overlap import box_iou, compute_box_corners, cross
 
-WRONG = 2.0  # radians: a heading further from every lane's direction is the wrong way
+WRONG_WAY_ANGLE_RAD = 2.0  # at which a heading differs too much from a lane's direction
 
 
 @dataclass(frozen=True, eq=False)
 class Drivable:
-    """How far points are from the edge of where vehicles may drive.
+    """Signed distances from the edge of the drivable area, as a raster.
 
     Attributes:
-        metres: (H, W) at the middles of cells: positive outside, negative inside.
-        image_from_world: (2, 3) metres to cells (corner origin).
+        distance: (H, W) metres at the centres of the pixels: positive outside, negative inside.
+        grid_from_world: (2, 3) metres to pixels (corner origin).
     """
 
-    metres: Float[Tensor, "H W"]
-    image_from_world: Float[Tensor, "2 3"]
+    distance: Float[Tensor, "H W"]
+    grid_from_world: Float[Tensor, "2 3"]
 
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """Places along the middles of one-way lanes: (M, 2) metres, (M,) directions, (M,) half widths.
+    """Directions of one-way lanes, sampled at M points along their centre lines.
 
     Attributes:
-        places: metres.
-        directions: radians.
-        reaches: metres within which a place speaks for its lane.
+        points: (M, 2) metres.
+        directions: (M,) radians.
+        radii: (M,) metres around a point within which an agent is on its lane.
     """
 
-    places: Float[Tensor, "M 2"]
+    points: Float[Tensor, "M 2"]
     directions: Float[Tensor, "M"]
-    reaches: Float[Tensor, "M"]
+    radii: Float[Tensor, "M"]
 
 
-def offroad_distance(
+def compute_offroad_distance(
     drivable: Drivable,
     poses: Float[Tensor, "... 3"],
     sizes: Float[Tensor, "... 2"],
     present: Bool[Tensor, "..."],
 ) -> Float[Tensor, "..."]:
-    """Metres by which the corner furthest out is off the road; 0 on it. Differentiable.
+    """Compute how far the furthest corner of each agent is off the road; differentiable.
 
-    Beyond the raster the way to it is added. An agent is off the road when any corner is, as in
-    the paper (Liu et al. 2023): where this is positive.
+    An agent is off the road where this is positive, as in Liu et al. 2023.
+
+    Args:
+        drivable: signed distances; beyond the raster, the distance to the raster is added.
+        poses: (..., 3) x, y, heading.
+        sizes: (..., 2) length and width, metres.
+        present: (...).
+
+    Returns:
+        (...) metres, 0 on the road.
     """
     safe = torch.where(present[..., None], poses, 0.0)
-    corners = box_corners(safe, sizes)
-    outside = distance_at(drivable, corners).amax(dim=-1).clamp_min(0)
+    corners = compute_box_corners(safe, sizes)
+    outside = sample_distance(drivable, corners).amax(dim=-1).clamp_min(0)
     return torch.where(present, outside, 0.0)
 
 
-def distance_at(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
-    """The signed distance at points, linear between the cells."""
-    height, width = drivable.metres.shape
-    matrix = drivable.image_from_world
-    pixels = applied(matrix[:, :2].to(points), points) + matrix[:, 2].to(points)
+def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
+    """Interpolate the signed distance at points; beyond the raster, add the distance to it."""
+    height, width = drivable.distance.shape
+    matrix = drivable.grid_from_world
+    pixels = apply_matrix(matrix[:, :2].to(points), points) + matrix[:, 2].to(points)
     size = pixels.new_tensor([width, height])
-    grid = (pixels * (2 / size) - 1).reshape(1, 1, -1, 2)
-    raster = drivable.metres[None, None]
-    found = F.grid_sample(raster, grid.to(raster), padding_mode="border", align_corners=False)
-    held = torch.minimum(pixels.clamp_min(0), size)
+    grid = (pixels * (2 / size) - 1).reshape(1, 1, -1, 2)  # grid_sample: -1 to 1
+    raster = drivable.distance[None, None]
+    distance = F.grid_sample(raster, grid.to(raster), padding_mode="border", align_corners=False)
+    offset = pixels - torch.minimum(pixels.clamp_min(0), size)
+    beyond = offset.abs().sum(-1) > 0
     scale = torch.linalg.det(matrix[:, :2].double()).abs().sqrt().to(points)
-    beyond = (pixels - held).abs().sum(-1) > 0
-    away = torch.where(beyond[..., None], pixels - held, 1.0).norm(dim=-1) / scale
-    return found.to(points).view(points.shape[:-1]) + torch.where(beyond, away, 0.0)
+    extra = torch.where(beyond[..., None], offset, 1.0).norm(dim=-1) / scale
+    return distance.to(points).view(points.shape[:-1]) + torch.where(beyond, extra, 0.0)
 
 
-def collisions(
+def compute_collision_iou(
     poses: Float[Tensor, "B A 3"], sizes: Float[Tensor, "B A 2"], present: Bool[Tensor, "B A"]
 ) -> Float[Tensor, "B A"]:
-    """The largest intersection over union of each agent's box with another's; 0: it hits nobody."""
+    """Compute the largest intersection over union of each agent's box with another agent's.
+
+    Args:
+        poses: (B, A, 3) x, y, heading.
+        sizes: (B, A, 2) length and width, metres.
+        present: (B, A).
+
+    Returns:
+        (B, A); an agent collides where it is positive.
+    """
     if poses.shape[1] == 0:
         return poses.new_zeros(poses.shape[:2])
     return box_iou(poses, sizes, present).amax(dim=-1)
 
 
-def ran_red(
-    before: Float[Tensor, "B A 3"],
-    after: Float[Tensor, "B A 3"],
+def detect_red_light_running(
+    last_poses: Float[Tensor, "B A 3"],
+    poses: Float[Tensor, "B A 3"],
     lengths: Float[Tensor, "B A"],
     present: Bool[Tensor, "B A"],
     stop_lines: Float[Tensor, "... L 2 2"],
     states: Int[Tensor, "B L"],
 ) -> Bool[Tensor, "B A"]:
-    """Whose front crossed a stop line in the step while its light was red.
+    """Mark agents whose front crosses a stop line in a step while its light is red.
 
     Args:
-        before: poses at the step's start.
-        after: poses at its end.
-        lengths: of the agents, metres.
-        present: who is there at both.
-        stop_lines: both ends of each line; the same in all scenes, or each scene's own.
-        states: of each light, as in `geoaim.lights`.
+        last_poses: (B, A, 3) x, y, heading at the start of the step.
+        poses: (B, A, 3) at its end.
+        lengths: (B, A) of the agents, metres.
+        present: (B, A) agents present at both.
+        stop_lines: (L, 2, 2) both ends of each line, metres; or (B, L, 2, 2).
+        states: (B, L) of the lights, as in `geoaim.lights`.
+
+    Returns:
+        (B, A).
     """
-    start, end = _front(before, lengths)[:, :, None], _front(after, lengths)[:, :, None]
+    start = _locate_fronts(last_poses, lengths)[:, :, None]  # (B, A, 1, 2)
+    end = _locate_fronts(poses, lengths)[:, :, None]
     lines = stop_lines.expand(len(states), *stop_lines.shape[-3:])[:, None]
-    one, two = lines[..., 0, :], lines[..., 1, :]
-    was, now = cross(two - one, start - one), cross(two - one, end - one)
-    crossed = (was * now <= 0) & (was != now)
-    between = cross(end - start, one - start) * cross(end - start, two - start) <= 0
+    first, second = lines[..., 0, :], lines[..., 1, :]  # (B, 1, L, 2)
+    side, next_side = cross(second - first, start - first), cross(second - first, end - first)
+    crosses_line = (side * next_side <= 0) & (side != next_side)
+    path = end - start
+    between_ends = cross(path, first - start) * cross(path, second - start) <= 0
     red = (states == RED)[:, None]
-    return (crossed & between & red).any(-1) & present
+    return (crosses_line & between_ends & red).any(-1) & present
 
 
-def wrong_way(
+def detect_wrong_way(
     lanes: Lanes, poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
 ) -> Bool[Tensor, "..."]:
-    """Who is on one-way lanes and heads along none of them."""
-    safe = torch.where(present[..., None], poses, 0.0)
-    flat = safe.reshape(-1, 3)
-    on = _on_lanes(lanes, flat[:, :2])
-    apart = flat[:, 2:] - lanes.directions
-    along = torch.cos(apart) > math.cos(WRONG)
-    wrong = on.any(dim=1) & ~(on & along).any(dim=1)
+    """Mark agents on one-way lanes whose heading follows none of these lanes.
+
+    Args:
+        lanes: directions of one-way lanes.
+        poses: (..., 3) x, y, heading.
+        present: (...).
+
+    Returns:
+        (...).
+    """
+    safe = torch.where(present[..., None], poses, 0.0).reshape(-1, 3)
+    on_lane = _match_lanes(lanes, safe[:, :2])  # (n, M)
+    follows = torch.cos(safe[:, 2:] - lanes.directions) > math.cos(WRONG_WAY_ANGLE_RAD)
+    wrong = on_lane.any(dim=1) & ~(on_lane & follows).any(dim=1)
     return wrong.view(present.shape) & present
 
 
-def on_lanes(
+def detect_on_lanes(
     lanes: Lanes, poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
 ) -> Bool[Tensor, "..."]:
-    """Who is on one-way lanes, and can go the wrong way."""
-    safe = torch.where(present[..., None], poses, 0.0)
-    on = _on_lanes(lanes, safe.reshape(-1, 3)[:, :2]).any(dim=1)
-    return on.view(present.shape) & present
+    """Mark agents on one-way lanes: those that could drive the wrong way.
 
+    Args:
+        lanes: directions of one-way lanes.
+        poses: (..., 3) x, y, heading.
+        present: (...).
 
-def rate(wrong: Bool[Tensor, "..."], present: Bool[Tensor, "..."]) -> Float[Tensor, ""]:
-    """The share of agents, samples and steps in which something was wrong, of those present.
-
-    Where nobody is present it is 0, and says nothing.
+    Returns:
+        (...).
     """
-    return (wrong & present).sum() / present.sum().clamp_min(1)
+    safe = torch.where(present[..., None], poses, 0.0).reshape(-1, 3)
+    return _match_lanes(lanes, safe[:, :2]).any(dim=1).view(present.shape) & present
 
 
-def _on_lanes(lanes: Lanes, points: Float[Tensor, "n 2"]) -> Bool[Tensor, "n M"]:
-    """Which places of lanes speak for each point; not by products, which are inexact far away."""
-    exact = "donot_use_mm_for_euclid_dist"
-    return torch.cdist(points, lanes.places.to(points), compute_mode=exact) < lanes.reaches
+def compute_rate(
+    infractions: Bool[Tensor, "..."], present: Bool[Tensor, "..."]
+) -> Float[Tensor, ""]:
+    """Compute the share of present agents and steps with an infraction; 0 without any."""
+    return (infractions & present).sum() / present.sum().clamp_min(1)
 
 
-def _front(poses: Float[Tensor, "... 3"], lengths: Float[Tensor, "..."]) -> Float[Tensor, "... 2"]:
-    ahead = torch.stack([poses[..., 2].cos(), poses[..., 2].sin()], dim=-1)
-    return poses[..., :2] + ahead * lengths[..., None] / 2
+def _match_lanes(lanes: Lanes, points: Float[Tensor, "n 2"]) -> Bool[Tensor, "n M"]:
+    """Mark the lane points within whose radius each point lies."""
+    exact = "donot_use_mm_for_euclid_dist"  # matrix products are inexact far from the origin
+    return torch.cdist(points, lanes.points.to(points), compute_mode=exact) < lanes.radii
+
+
+def _locate_fronts(
+    poses: Float[Tensor, "... 3"], lengths: Float[Tensor, "..."]
+) -> Float[Tensor, "... 2"]:
+    forward = torch.stack([poses[..., 2].cos(), poses[..., 2].sin()], dim=-1)
+    return poses[..., :2] + forward * lengths[..., None] / 2

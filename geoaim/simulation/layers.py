@@ -1,4 +1,4 @@
-"""What is on a scene's map at some steps, as boxes that the renderer paints."""
+"""A scene's agents, trails and lights at some steps, as boxes that the renderer paints."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -7,15 +7,16 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from geoaim.agent_types import AGENT_GROUPS, OTHER, find_group
 from geoaim.lights import STATES
-from geoaim.simulation.birdview import Boxes
-from geoaim.simulation.lines import light_boxes, light_layers, path_boxes
-from geoaim.simulation.scene import Scene, step_seconds
+from geoaim.simulation.birdview import OrientedBoxes
+from geoaim.simulation.lines import make_path_boxes, make_stop_line_boxes, make_stop_line_layers
+from geoaim.simulation.scene import Scene
 
-EGO = (1.0, 0.35, 0.0)
-POINTER = (1.0, 1.0, 1.0)
-OTHER = (0.55, 0.2, 0.75)
-COLOURS: Mapping[str, tuple[float, float, float]] = {
+EGO_COLOUR = (1.0, 0.35, 0.0)
+HEADING_COLOUR = (1.0, 1.0, 1.0)
+OTHER_COLOUR = (0.55, 0.2, 0.75)
+TYPE_COLOURS: Mapping[str, tuple[float, float, float]] = {
     "car": (0.1, 0.35, 0.9),
     "van": (0.1, 0.35, 0.9),
     "truck": (0.05, 0.2, 0.6),
@@ -23,64 +24,89 @@ COLOURS: Mapping[str, tuple[float, float, float]] = {
     "pedestrian": (1.0, 0.85, 0.0),
     "cyclist": (0.0, 0.85, 0.85),
 }
-KINDS: Mapping[str, tuple[str, ...]] = {
-    "vehicle": ("car", "van", "truck", "bus"),
-    "pedestrian": ("pedestrian",),
-    "cyclist": ("cyclist",),
-}
-TRAIL = 0.4  # m that a trail is wide
+TRAIL_WIDTH_M = 0.4
 
 
-def agents_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> Boxes:
-    """All agents at each of B steps in their types' colours, one of them in the ego's."""
-    colours = usual_colours(scene).repeat(len(steps), 1, 1)
-    colours[torch.arange(len(steps)), egos] = colours.new_tensor(EGO)
-    noses = colours.new_tensor(POINTER).expand_as(colours)
-    poses, present = _there(scene, steps)
-    return Boxes(poses, scene.sizes, colours, present, noses)
+def make_agent_boxes(scene: Scene, steps: Int[Tensor, "B"], ego: Int[Tensor, "B"]) -> OrientedBoxes:
+    """Make boxes of all agents, coloured by type.
+
+    Args:
+        scene: whose agents.
+        steps: (B,) of the views.
+        ego: (B,) row of the agent in each view that has the ego's colour.
+
+    Returns:
+        (B, N) boxes.
+    """
+    colours = get_agent_colours(scene).repeat(len(steps), 1, 1)
+    colours[torch.arange(len(steps)), ego] = colours.new_tensor(EGO_COLOUR)
+    heading_colours = colours.new_tensor(HEADING_COLOUR).expand_as(colours)
+    poses, present = _get_poses(scene, steps)
+    return OrientedBoxes(poses, scene.sizes, colours, present, heading_colours)
 
 
-def lights_at(scene: Scene, steps: Int[Tensor, "B"]) -> Boxes:
-    """A bar on each stop line in the colour of its light at each of B steps."""
-    return light_boxes(scene.stop_lines, scene.light_states[steps])
+def make_light_boxes(scene: Scene, steps: Int[Tensor, "B"]) -> OrientedBoxes:
+    """Make a bar on each stop line in the colour of its light at each of B steps."""
+    return make_stop_line_boxes(scene.stop_lines, scene.light_states[steps])
 
 
-def trails_at(scene: Scene, steps: Int[Tensor, "B"], *, seconds: float) -> Boxes:
-    """Where the agents of each of B steps have been within so many seconds before."""
-    count = round(seconds / step_seconds(scene))
-    back = torch.arange(-count, 1, device=scene.poses.device)
-    before = steps[:, None].to(scene.poses.device) + back
-    poses, present = _there(scene, before.clamp_min(0).flatten())
-    shape = len(steps), len(back), len(scene.ids)
+def make_trail_boxes(scene: Scene, steps: Int[Tensor, "B"], *, duration: float) -> OrientedBoxes:
+    """Make the trails of the agents that are present at each step.
+
+    Args:
+        scene: whose agents.
+        steps: (B,) at which trails end.
+        duration: of the trails, seconds.
+
+    Returns:
+        Boxes of the trails' segments.
+    """
+    count = round(duration / scene.dt)
+    offsets = torch.arange(-count, 1, device=scene.poses.device)
+    trail_steps = steps[:, None].to(scene.poses.device) + offsets  # (B, S)
+    poses, present = _get_poses(scene, trail_steps.clamp_min(0).flatten())
+    shape = len(steps), len(offsets), len(scene.ids)
     present = present.view(shape)
-    present = present & present[:, -1:] & (before >= 0)[..., None]
-    points = poses[..., :2].reshape(*shape, 2).transpose(1, 2)
-    return path_boxes(points, usual_colours(scene), width=TRAIL, present=present.transpose(1, 2))
+    present = present & present[:, -1:] & (trail_steps >= 0)[..., None]
+    points = poses[..., :2].reshape(*shape, 2).transpose(1, 2)  # (B, N, S, 2)
+    colours, present = get_agent_colours(scene), present.transpose(1, 2)
+    return make_path_boxes(points, colours, width=TRAIL_WIDTH_M, present=present)
 
 
-def layers_at(scene: Scene, steps: Int[Tensor, "B"], egos: Int[Tensor, "B"]) -> dict[str, Boxes]:
-    """For `render_layers`: the ego, each of `KINDS`, all others, and lights of each state."""
-    everyone, states = agents_at(scene, steps, egos), scene.light_states[steps]
-    present = _there(scene, steps)[1]
-    ego = torch.zeros_like(present)
-    ego[torch.arange(len(steps)), egos] = True
-    kind_of = {kind: name for name, kinds in KINDS.items() for kind in kinds}
-    names = [kind_of.get(kind, "other") for kind in scene.types]
-    masks = {"ego": ego}
-    for name in (*KINDS, "other"):
-        masks[name] = ~ego & ego.new_tensor([other == name for other in names])
-    layers = {name: replace(everyone, present=present & mask) for name, mask in masks.items()}
-    groups = [(number,) for number in range(len(STATES))]
-    return layers | dict(zip(STATES, light_layers(scene.stop_lines, states, groups), strict=True))
+def make_layers(
+    scene: Scene, steps: Int[Tensor, "B"], ego: Int[Tensor, "B"]
+) -> dict[str, OrientedBoxes]:
+    """Make named layers for `render_layers`.
+
+    Args:
+        scene: whose agents and lights.
+        steps: (B,) of the views.
+        ego: (B,) row of the ego in each view.
+
+    Returns:
+        The ego, each of `AGENT_GROUPS`, all other agents, and lights of each state.
+    """
+    boxes = make_agent_boxes(scene, steps, ego)
+    present = _get_poses(scene, steps)[1]
+    is_ego = torch.zeros_like(present)
+    is_ego[torch.arange(len(steps)), ego] = True
+    groups = [find_group(agent_type) for agent_type in scene.types]
+    masks = {"ego": is_ego}
+    for name in (*AGENT_GROUPS, OTHER):
+        masks[name] = ~is_ego & is_ego.new_tensor([group == name for group in groups])
+    layers = {name: replace(boxes, present=present & mask) for name, mask in masks.items()}
+    states = [(state,) for state in range(len(STATES))]
+    bars = make_stop_line_layers(scene.stop_lines, scene.light_states[steps], states)
+    return layers | dict(zip(STATES, bars, strict=True))
 
 
-def usual_colours(scene: Scene) -> Float[Tensor, "N 3"]:
-    """The colour of each agent by its type."""
-    return scene.sizes.new_tensor([COLOURS.get(kind, OTHER) for kind in scene.types])
+def get_agent_colours(scene: Scene) -> Float[Tensor, "N 3"]:
+    """Get the colour of each agent's type."""
+    return scene.sizes.new_tensor([TYPE_COLOURS.get(kind, OTHER_COLOUR) for kind in scene.types])
 
 
-def _there(
+def _get_poses(
     scene: Scene, steps: Int[Tensor, "B"]
 ) -> tuple[Float[Tensor, "B N 3"], Bool[Tensor, "B N"]]:
-    """Where agents are at steps, and whether they are there."""
+    """Get the agents' poses and presence at steps."""
     return scene.poses[:, steps].transpose(0, 1), scene.present[:, steps].t()

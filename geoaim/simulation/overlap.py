@@ -1,102 +1,123 @@
-"""How much oriented boxes overlap: the exact shared area, batched and differentiable."""
+"""Overlap of oriented boxes: exact intersection areas, batched and differentiable."""
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-SHRINK = 2e-6  # share by which the second box is smaller, so that edges never lie on each other
-CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))  # ahead and left, counter-clockwise
+SHRINKAGE = 2e-6  # share by which one box of a pair is smaller, so that edges never coincide
+MIN_ADVANCE_M = 1e-9  # an edge that advances less along an axis is parallel to it
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))  # forward, left; counter-clockwise
 
 
-def box_corners(
+def compute_box_corners(
     poses: Float[Tensor, "... 3"], sizes: Float[Tensor, "... 2"]
 ) -> Float[Tensor, "... 4 2"]:
-    """Corners of boxes, counter-clockwise from the front left, metres.
+    """Compute the corners of boxes, counter-clockwise from the front left.
 
     Args:
-        poses: x, y and heading of their middles.
-        sizes: length and width.
+        poses: (..., 3) x, y, heading of their centres.
+        sizes: (..., 2) length and width, metres.
 
-    >>> box_corners(torch.zeros(3), torch.tensor([4.0, 2.0])).tolist()
+    Returns:
+        (..., 4, 2) metres.
+
+    >>> compute_box_corners(torch.zeros(3), torch.tensor([4.0, 2.0])).tolist()
     [[2.0, 1.0], [-2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
     """
-    ahead, left = (poses.new_tensor(CORNERS) * sizes[..., None, :] / 2).unbind(-1)
+    forward, left = (poses.new_tensor(CORNERS) * sizes[..., None, :] / 2).unbind(-1)
     cosine, sine = poses[..., 2:3].cos(), poses[..., 2:3].sin()
-    corners = torch.stack([ahead * cosine - left * sine, ahead * sine + left * cosine], dim=-1)
+    corners = torch.stack([forward * cosine - left * sine, forward * sine + left * cosine], dim=-1)
     return corners + poses[..., None, :2]
 
 
-def shared_area(poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]) -> Float[Tensor, "n"]:
-    """The area that both boxes of each pair share, m².
+def compute_intersection_area(
+    poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]
+) -> Float[Tensor, "n"]:
+    """Compute the area of the intersection of each pair of boxes.
 
-    Its outline is what of either box's edges lies in the other, so that the area is half the sum
-    of the cross products of these pieces' ends (Green's theorem). Edges that nearly lie on each
-    other cancel only in float64, in which it is computed.
+    The outline of the intersection consists of the pieces of either box's edges inside the other
+    box. Half the sum of the cross products of these pieces' ends is the area (Green's theorem).
+    It is computed in float64, in which edges that nearly coincide cancel.
+
+    Args:
+        poses: (n, 2, 3) x, y, heading.
+        sizes: (n, 2, 2) length and width, metres.
+
+    Returns:
+        (n,) m².
 
     >>> poses = torch.tensor([[[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]])
-    >>> round(float(shared_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)
+    >>> round(float(compute_intersection_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)
     1.5
     """
     dtype, poses, sizes = poses.dtype, poses.double(), sizes.double()
-    sizes = sizes * sizes.new_tensor([[1.0], [1.0 - SHRINK]])
-    middle = poses[:, :1, :2]  # near the origin, where cross products are small
-    near = torch.cat([poses[..., :2] - middle, poses[..., 2:]], dim=-1)
-    corners = box_corners(near, sizes)
-    other = near.flip(1), sizes.flip(1)
-    start, end = corners, corners.roll(-1, dims=2)
-    first, last = _inside(start, end, *other)
-    twice = cross(start, end - start) * (last - first)
+    sizes = sizes * sizes.new_tensor([[1.0], [1.0 - SHRINKAGE]])
+    origin = poses[:, :1, :2]  # cross products are small, and so exact, near the origin
+    local = torch.cat([poses[..., :2] - origin, poses[..., 2:]], dim=-1)
+    start = compute_box_corners(local, sizes)  # (n, 2, 4, 2)
+    end = start.roll(-1, dims=2)
+    enter, leave = _clip_edges(start, end, local.flip(1), sizes.flip(1))
+    twice = cross(start, end - start) * (leave - enter)
     return (twice.sum((1, 2)).clamp_min(0) / 2).to(dtype)
 
 
 def box_iou(
     poses: Float[Tensor, "B A 3"], sizes: Float[Tensor, "B A 2"], present: Bool[Tensor, "B A"]
 ) -> Float[Tensor, "B A A"]:
-    """Shared over joint area of all boxes of each scene with each other; 0 with oneself and absent.
+    """Compute the intersection over union of all pairs of boxes in each scene.
 
-    Only pairs whose circles meet are looked at.
+    Only pairs whose circumscribed circles intersect are evaluated.
+
+    Args:
+        poses: (B, A, 3) x, y, heading.
+        sizes: (B, A, 2) length and width, metres.
+        present: (B, A).
+
+    Returns:
+        (B, A, A); 0 of a box with itself and with absent ones.
     """
     count = poses.shape[1]
     safe = torch.where(present[..., None], poses, 0.0)
-    reach = torch.where(present, sizes.norm(dim=-1), -torch.inf) / 2
+    radius = torch.where(present, sizes.norm(dim=-1), -torch.inf) / 2
     with torch.no_grad():
         row, column = torch.triu_indices(count, count, offset=1, device=poses.device)
-        apart = safe[:, row, :2] - safe[:, column, :2]
-        meet = apart.square().sum(-1) < (reach[:, row] + reach[:, column]).clamp_min(0).square()
-        scene, pair = meet.nonzero().unbind(1)
-    both = torch.stack([row[pair], column[pair]], dim=1)
+        offset = safe[:, row, :2] - safe[:, column, :2]
+        reach = (radius[:, row] + radius[:, column]).clamp_min(0)
+        scene, pair = (offset.square().sum(-1) < reach.square()).nonzero().unbind(1)
+    both = torch.stack([row[pair], column[pair]], dim=1)  # (n, 2)
     boxes = sizes[scene[:, None], both]
-    shared = shared_area(safe[scene[:, None], both], boxes)
-    joint = boxes.prod(dim=-1).sum(dim=1) - shared
+    intersection = compute_intersection_area(safe[scene[:, None], both], boxes)
+    union = boxes.prod(dim=-1).sum(dim=1) - intersection
     iou = poses.new_zeros(len(poses), count, count)
-    iou[scene, both[:, 0], both[:, 1]] = shared / joint
+    iou[scene, both[:, 0], both[:, 1]] = intersection / union
     return iou + iou.transpose(1, 2)
 
 
 def cross(a: Float[Tensor, "... 2"], b: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
-    """The cross product in the plane: positive where b points to the left of a."""
+    """Compute the cross product in the plane: positive where b points to the left of a."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-def _inside(
+def _clip_edges(
     start: Float[Tensor, "n 2 4 2"],
     end: Float[Tensor, "n 2 4 2"],
     poses: Float[Tensor, "n 2 3"],
     sizes: Float[Tensor, "n 2 2"],
 ) -> tuple[Float[Tensor, "n 2 4"], Float[Tensor, "n 2 4"]]:
-    """From which to which share of itself each edge lies in a box (Liang and Barsky 1984)."""
-    ahead = torch.stack([poses[..., 2:].cos(), poses[..., 2:].sin()], dim=-1)
-    apart, way = start - poses[..., None, :2], end - start
-    begin, edge = (
-        torch.stack([(ahead * line).sum(-1), cross(ahead, line)], dim=-1) for line in (apart, way)
+    """Clip edges at boxes: the shares of each edge at which it enters and leaves its box.
+
+    Liang and Barsky 1984.
+    """
+    forward = torch.stack([poses[..., 2:].cos(), poses[..., 2:].sin()], dim=-1)
+    origin, direction = (  # in the box's frame: forward, left
+        torch.stack([(forward * vector).sum(-1), cross(forward, vector)], dim=-1)
+        for vector in (start - poses[..., None, :2], end - start)
     )
     half = sizes[..., None, :] / 2
-    still = edge.abs() < 1e-9
-    safe = torch.where(still, 1.0, edge)
-    one, two = (-half - begin) / safe, (half - begin) / safe
-    within = begin.abs() < half
-    enter = torch.where(still, torch.where(within, -torch.inf, torch.inf), torch.minimum(one, two))
-    leave = torch.where(still, torch.where(within, torch.inf, -torch.inf), torch.maximum(one, two))
-    first = enter.amax(-1).clamp(0, 1)
-    last = torch.maximum(leave.amin(-1).clamp(0, 1), first)
-    return first, last
+    parallel = direction.abs() < MIN_ADVANCE_M
+    safe = torch.where(parallel, 1.0, direction)
+    low, high = (-half - origin) / safe, (half - origin) / safe
+    always = torch.where(origin.abs() < half, torch.inf, -torch.inf)  # inside, or outside
+    enter = torch.where(parallel, -always, torch.minimum(low, high)).amax(-1).clamp(0, 1)
+    leave = torch.where(parallel, always, torch.maximum(low, high)).amin(-1).clamp(0, 1)
+    return enter, torch.maximum(leave, enter)

@@ -1,4 +1,4 @@
-"""Pictures that people look at: what an agent has around it, as a film or a single picture."""
+"""Videos and pictures of an agent's surroundings, for people to look at."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -15,58 +15,73 @@ from torch import Tensor
 from geoaim.encode import write_video
 from geoaim.files import atomic_write
 from geoaim.simulation.birdview import render
-from geoaim.simulation.ground import View, fit_ground
-from geoaim.simulation.layers import agents_at, lights_at, trails_at
+from geoaim.simulation.ground import View, prefilter_ground
+from geoaim.simulation.layers import make_agent_boxes, make_light_boxes, make_trail_boxes
 from geoaim.simulation.scene import Scene
 
-ENDINGS = (".mp4", ".gif", ".png")
-BATCH = 16  # pictures that are rendered at once
+SUFFIXES = (".mp4", ".gif", ".png")
+BATCH_SIZE = 16  # pictures that are rendered at once
 
 
-def film_agent(
+def render_agent_video(
     scene: Scene, agent: int, view: View, steps: Int[Tensor, "S"], *, trail: float = 0.0
 ) -> Iterator[UInt8[Array, "H W 3"]]:
-    """What an agent has around it at some steps at which it is there, for people's eyes.
+    """Render what surrounds an agent.
 
-    Trails show where agents were for so many seconds.
+    Args:
+        scene: with its map and lights.
+        agent: row of the agent in the centre.
+        view: size and resolution of the pictures.
+        steps: (S,) at which the agent is present.
+        trail: duration of the agents' trails, seconds; 0: none.
+
+    Yields:
+        (H, W, 3) a picture of each step.
     """
-    ground = fit_ground(scene.ground, view.resolution)
-    for some in torch.split(steps, BATCH):
-        layers = [lights_at(scene, some), agents_at(scene, some, torch.full_like(some, agent))]
+    ground = prefilter_ground(scene.ground, view.resolution)
+    for batch in torch.split(steps, BATCH_SIZE):
+        ego = torch.full_like(batch, agent)
+        layers = [make_light_boxes(scene, batch), make_agent_boxes(scene, batch, ego)]
         if trail > 0:
-            layers.insert(1, trails_at(scene, some, seconds=trail))
+            layers.insert(1, make_trail_boxes(scene, batch, duration=trail))
         with torch.no_grad():
-            pictures = render(view, scene.poses[agent, some], ground, layers)
-        yield from pixels_of(pictures)
+            pictures = render(view, scene.poses[agent, batch], ground, layers)
+        yield from convert_to_uint8(pictures)
 
 
-def pixels_of(pictures: Float[Tensor, "B 3 H W"]) -> UInt8[Array, "B H W 3"]:
-    """Rendered pictures as images are kept."""
+def convert_to_uint8(pictures: Float[Tensor, "B 3 H W"]) -> UInt8[Array, "B H W 3"]:
+    """Convert rendered pictures, 0 to 1, to 8-bit images."""
     pixels = (pictures.clamp(0, 1) * 255).round().to(torch.uint8)
     return np.ascontiguousarray(pixels.permute(0, 2, 3, 1).cpu().numpy())
 
 
 def write_pictures(
-    pictures: Iterable[UInt8[Array, "H W 3"]], path: str | os.PathLike[str], *, rate: float
+    pictures: Iterable[UInt8[Array, "H W 3"]], path: str | os.PathLike[str], *, frame_rate: float
 ) -> None:
-    """Write .mp4 (even sides), .gif or .png (the first picture), so many pictures a second.
+    """Write a video, an animation, or a single picture.
+
+    Args:
+        pictures: (H, W, 3) each; with even sides for .mp4.
+        path: .mp4, .gif or .png, which holds the first picture.
+        frame_rate: pictures per second.
 
     Raises:
-        ValueError: the name ends otherwise, or there are no pictures.
+        ValueError: the path has another suffix, or there are no pictures.
     """
-    path, every = Path(path), iter(pictures)
-    if path.suffix.lower() not in ENDINGS:
-        raise ValueError(f"{path}: the name must end in {', '.join(ENDINGS)}")
-    first = next(every, None)
+    path, rest = Path(path), iter(pictures)
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: the name must end in {', '.join(SUFFIXES)}")
+    first = next(rest, None)
     if first is None:
         raise ValueError(f"no pictures to write to {path}")
     if path.suffix.lower() == ".mp4":
-        write_video(chain([first], every), path, frame_rate=rate)
+        write_video(chain([first], rest), path, frame_rate=frame_rate)
         return
     with atomic_write(path) as temporary:
+        image = Image.fromarray(first)
         if path.suffix.lower() == ".gif":
-            rest = [Image.fromarray(picture) for picture in every]
-            start = Image.fromarray(first)
-            start.save(temporary, save_all=True, append_images=rest, duration=1000 / rate, loop=0)
+            more = [Image.fromarray(picture) for picture in rest]
+            duration = 1000 / frame_rate
+            image.save(temporary, save_all=True, append_images=more, duration=duration, loop=0)
         else:
-            Image.fromarray(first).save(temporary)
+            image.save(temporary)

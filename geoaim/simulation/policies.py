@@ -1,4 +1,4 @@
-"""Policies that need no training: as it was, straight on, on the same curve, along a path."""
+"""Policies without training: constant velocity, constant turn rate, replay, intelligent driver."""
 
 import torch
 from jaxtyping import Float, Int
@@ -8,161 +8,180 @@ from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
 from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, invert_agents
 from geoaim.simulation.overlap import cross
-from geoaim.simulation.simulator import Policy, Recording
+from geoaim.simulation.simulator import Policy, Scenario
 
-# calmer than `geoaim.synthetic.traffic`, where brisk drivers empty short green phases
+# calmer than in `geoaim.synthetic.traffic`, where brisk drivers empty short green phases
 DRIVER = DriverParameters(acceleration=1.5, deceleration=2.0, standstill_gap=2.0, headway=1.5)
-LANE = 2.0  # m from a path within which somebody is in the way
-AHEAD = 4.0  # m along the path that is steered at, at least
-SHORT = 0.5  # m before its line that one stops
-HARD = 4.0  # m/s² of braking that one can still do for a light
-BRAKES = 8.0  # m/s² of braking at most
-TOUCH = 1e-4  # share by which ways of a route overlap, lest a line slips between two
-LOOK = 0.8  # s of the way ahead that is steered at
+MAX_LEADER_OFFSET_M = 2.0  # from the route, within which another agent is in the way
+STOP_GAP_M = 0.5  # before a stop line
+MAX_STOP_DECELERATION_MPS2 = 4.0  # who would have to brake harder for a light passes it
+MAX_DECELERATION_MPS2 = 8.0
+CROSSING_OVERLAP = 1e-4  # by which segments are longer, so that no stop line slips in between
+MIN_LOOKAHEAD_M, LOOKAHEAD_S = 4.0, 0.8  # to the point of the route that is steered at
+MAX_STEERING_RAD = 0.6
+MIN_SEGMENT_M = 1e-6
+MIN_DESIRED_SPEED_MPS = 0.1  # a slower vehicle is parked
 
 
-def constant_velocity(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """No acceleration and no turn."""
+def constant_velocity(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
+    """Neither accelerate nor turn."""
     return torch.zeros_like(path[:, -1, :, :2])
 
 
-def constant_turn_rate(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """No acceleration, and the curve of the last step; straight on for whom there is none."""
+def constant_turn_rate(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
+    """Keep speed and the turn of the last step; go straight on at an agent's first step."""
     if path.shape[1] < 2:
-        return constant_velocity(recording, path)
-    number = path.shape[1] - 1
-    there = recording.present[:, number - 1] & recording.present[:, number]
-    before = torch.where(there[..., None], path[:, -2], path[:, -1])
-    actions = invert_agents(
-        before, path[:, -1], recording.sizes[..., 0], recording.on_foot, recording.seconds
-    )
+        return constant_velocity(scenario, path)
+    now = path.shape[1] - 1
+    present = scenario.present[:, now - 1] & scenario.present[:, now]
+    last = torch.where(present[..., None], path[:, -2], path[:, -1])
+    lengths = scenario.sizes[..., 0]
+    actions = invert_agents(last, path[:, -1], lengths, scenario.pedestrian, scenario.dt)
     return torch.stack([torch.zeros_like(actions[..., 0]), actions[..., 1]], dim=-1)
 
 
-def replay(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """The actions that give each one the recorded speed and heading of the next step."""
-    number = path.shape[1]
-    lengths, feet = recording.sizes[..., 0], recording.on_foot
-    return invert_agents(path[:, -1], recording.states[:, number], lengths, feet, recording.seconds)
+def replay(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
+    """Reach the recorded speed and heading of the next step."""
+    recorded, lengths = scenario.states[:, path.shape[1]], scenario.sizes[..., 0]
+    return invert_agents(path[:, -1], recorded, lengths, scenario.pedestrian, scenario.dt)
 
 
-def intelligent_driver(
+def make_idm_policy(
     routes: Float[Tensor, "B A P 2"],
-    speeds: Float[Tensor, "B A"],
+    desired_speeds: Float[Tensor, "B A"],
     stop_lines: Float[Tensor, "L 2 2"] | None = None,
     light_states: Int[Tensor, "B T L"] | None = None,
 ) -> Policy:
-    """Along routes at the wanted speeds, keeping distance: the intelligent driver model.
+    """Make a policy that follows routes by the intelligent driver model and pure pursuit.
 
-    Treiber et al. 2000; steered at a point of the route ahead (pure pursuit, Coulter 1992).
-    Somebody is in the way whose middle is near the route, further along it; so is a line that
-    crosses the route and whose light is not green, for vehicles whose front can still stop there.
-    Nobody brakes harder than `BRAKES`.
+    The leader is the nearest agent ahead whose centre is near the route. A red or yellow light
+    counts as a standing leader for vehicles that can still stop at its line. Sources: Treiber et
+    al. 2000 (acceleration), Coulter 1992 (steering).
 
     Args:
-        routes: points along each agent's way, metres; its last way goes on beyond them.
-        speeds: wanted, m/s; who wants none stays where it is.
-        stop_lines: both ends of each light's line.
-        light_states: at all steps of the recording, as in `geoaim.lights`.
+        routes: (B, A, P, 2) points, metres; the last segment extends beyond them.
+        desired_speeds: (B, A) m/s; agents with 0 stay where they are.
+        stop_lines: (L, 2, 2) both ends of each light's line, metres.
+        light_states: (B, T, L) at all steps of the scenario, as in `geoaim.lights`.
+
+    Returns:
+        The policy.
     """
+    lines = None
+    if stop_lines is not None and light_states is not None and len(stop_lines):
+        lines = _intersect_stop_lines(routes, stop_lines)  # (B, A, P-1, L)
 
-    lines = None if stop_lines is None or light_states is None else _crossings(routes, stop_lines)
+    def act(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
+        now = path.shape[1] - 1
+        states, length = path[:, -1], scenario.sizes[..., 0]
+        speed = states[..., 3]
+        along, off = _project(routes, states[..., :2])  # (B, A, A): of column agents on row routes
+        own = along.diagonal(dim1=1, dim2=2)
+        gap, closing = _find_leaders(along, off, states, length, scenario.present[:, now])
+        acceleration = _accelerate(speed, desired_speeds, gap, closing)
+        if lines is not None and light_states is not None:
+            room = _find_red_lights(lines, own + length / 2, speed, light_states[:, now])
+            room = torch.where(scenario.pedestrian, torch.inf, room)
+            room = room + DRIVER.standstill_gap - STOP_GAP_M
+            stop = _accelerate(speed, desired_speeds, room, speed)
+            acceleration = torch.minimum(acceleration, stop)
+        to_standstill = -speed.clamp_min(0) / scenario.dt
+        braked = acceleration.clamp_min(-MAX_DECELERATION_MPS2)
+        curvature = _pursue(routes, own, states, length)
+        steering = torch.atan(WHEELBASE_PER_LENGTH * length * curvature)
+        steering = steering.clamp(-MAX_STEERING_RAD, MAX_STEERING_RAD)
+        turn = torch.where(scenario.pedestrian, curvature * speed, steering)
+        return torch.stack([torch.maximum(braked, to_standstill), turn], dim=-1)
 
-    def policy(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
-        number = path.shape[1] - 1
-        states, present, sizes = path[:, -1], recording.present[:, number], recording.sizes
-        speed, long = states[..., 3], sizes[..., 0]
-        along, off = _on_routes(routes, states[..., :2])
-        mine = along.diagonal(dim1=1, dim2=2)
-        gap = along - mine[..., None] - (long[:, :, None] + long[:, None]) / 2
-        ahead = (along > mine[..., None]) & (off < LANE) & present[:, None]
-        ahead &= ~torch.eye(ahead.shape[1], dtype=torch.bool, device=ahead.device)
-        gap, leader = torch.where(ahead, gap, torch.inf).min(dim=-1)
-        closing = torch.where(torch.isfinite(gap), speed - speed.gather(1, leader), 0.0)
-        push = _acceleration(speed, speeds, gap, closing)
-        if lines is not None and light_states is not None and lines.shape[-1]:
-            way = _way_to_lights(lines, mine + long / 2, speed, light_states[:, number])
-            way = torch.where(recording.on_foot, torch.inf, way)
-            push = torch.minimum(
-                push, _acceleration(speed, speeds, way + DRIVER.standstill_gap - SHORT, speed)
-            )
-        push = torch.maximum(push.clamp_min(-BRAKES), -speed.clamp_min(0) / recording.seconds)
-        curve = _curve(routes, mine, states, long)
-        wheel = torch.atan(WHEELBASE_PER_LENGTH * long * curve).clamp(-0.6, 0.6)
-        return torch.stack([push, torch.where(recording.on_foot, curve * speed, wheel)], dim=-1)
-
-    return policy
-
-
-def _crossings(
-    routes: Float[Tensor, "B A P 2"], lines: Float[Tensor, "L 2 2"]
-) -> Float[Tensor, "B A P-1 L"]:
-    """How far along a route each of its straight ways crosses each line; infinite where not."""
-    start, way = routes[:, :, :-1, None], routes.diff(dim=2)[:, :, :, None]
-    long, side = way.norm(dim=-1), lines[:, 1] - lines[:, 0]
-    apart, across = lines[:, 0] - start, cross(way, side)
-    safe = torch.where(across == 0, torch.nan, across)
-    share, aside = cross(apart, side) / safe, cross(apart, way) / safe
-    crosses = (share >= -TOUCH) & (share <= _shares(routes)[:, None] + TOUCH)
-    crosses &= (aside >= 0) & (aside <= 1)
-    before = long.cumsum(2) - long
-    return torch.where(crosses, before + share * long, torch.inf)
+    return act
 
 
-def _way_to_lights(
-    lines: Tensor, fronts: Tensor, speed: Tensor, states: Tensor
-) -> Float[Tensor, "B A"]:
-    """The way of each front to the next line at which it must and can stop; infinite for none."""
-    way = lines - fronts[..., None, None]
-    needed = speed[..., None, None].square() / (2 * HARD)
-    stops = ((states == RED) | (states == YELLOW))[:, None, None] & (way > needed)
-    return torch.where(stops, way, torch.inf).amin(dim=(2, 3))
+def _find_leaders(
+    along: Float[Tensor, "B A A"],
+    off: Float[Tensor, "B A A"],
+    states: Float[Tensor, "B A 4"],
+    length: Float[Tensor, "B A"],
+    present: Tensor,
+) -> tuple[Float[Tensor, "B A"], Float[Tensor, "B A"]]:
+    """Find the gaps to the leaders, infinite without one, and the speeds at which they close."""
+    own, speed = along.diagonal(dim1=1, dim2=2), states[..., 3]
+    gap = along - own[..., None] - (length[:, :, None] + length[:, None]) / 2
+    ahead = (along > own[..., None]) & (off < MAX_LEADER_OFFSET_M) & present[:, None]
+    ahead &= ~torch.eye(ahead.shape[1], dtype=torch.bool, device=ahead.device)
+    gap, leader = torch.where(ahead, gap, torch.inf).min(dim=-1)
+    return gap, torch.where(torch.isfinite(gap), speed - speed.gather(1, leader), 0.0)
 
 
-def _acceleration(speed: Tensor, wanted: Tensor, gap: Tensor, closing: Tensor) -> Tensor:
-    ratio = compute_gap_ratio(DRIVER, speed, closing, gap)
-    free = torch.where(wanted > 0.1, 1 - (speed / wanted.clamp_min(0.1)) ** 4, -1.0)  # or parked
+def _accelerate(speed: Tensor, desired_speed: Tensor, gap: Tensor, closing_speed: Tensor) -> Tensor:
+    """Compute the accelerations (B, A) of the intelligent driver model, m/s²."""
+    ratio = compute_gap_ratio(DRIVER, speed, closing_speed, gap)
+    free = 1 - (speed / desired_speed.clamp_min(MIN_DESIRED_SPEED_MPS)) ** 4
+    free = torch.where(desired_speed > MIN_DESIRED_SPEED_MPS, free, -1.0)
     return DRIVER.acceleration * (free - ratio.square())
 
 
-def _on_routes(
-    routes: Float[Tensor, "B A P 2"], places: Float[Tensor, "B N 2"]
+def _intersect_stop_lines(
+    routes: Float[Tensor, "B A P 2"], lines: Float[Tensor, "L 2 2"]
+) -> Float[Tensor, "B A P-1 L"]:
+    """Find how far along a route each of its segments crosses each line; infinite where not."""
+    start, segment = routes[:, :, :-1, None], routes.diff(dim=2)[:, :, :, None]
+    length, line = segment.norm(dim=-1), lines[:, 1] - lines[:, 0]
+    offset, denominator = lines[:, 0] - start, cross(segment, line)
+    safe = torch.where(denominator == 0, torch.nan, denominator)
+    share, line_share = cross(offset, line) / safe, cross(offset, segment) / safe
+    crosses = share >= -CROSSING_OVERLAP
+    crosses &= share <= _limit_shares(routes)[:, None] + CROSSING_OVERLAP
+    crosses &= (line_share >= 0) & (line_share <= 1)
+    return torch.where(crosses, length.cumsum(2) - length + share * length, torch.inf)
+
+
+def _find_red_lights(
+    lines: Tensor, fronts: Tensor, speed: Tensor, states: Tensor
+) -> Float[Tensor, "B A"]:
+    """Find the distance to the next line at which a vehicle must and can stop; infinite if none."""
+    distance = lines - fronts[..., None, None]
+    braking_distance = speed[..., None, None].square() / (2 * MAX_STOP_DECELERATION_MPS2)
+    stops = ((states == RED) | (states == YELLOW))[:, None, None] & (distance > braking_distance)
+    return torch.where(stops, distance, torch.inf).amin(dim=(2, 3))
+
+
+def _project(
+    routes: Float[Tensor, "B A P 2"], points: Float[Tensor, "B N 2"]
 ) -> tuple[Float[Tensor, "B A N"], Float[Tensor, "B A N"]]:
-    """How far along each route everybody is, beyond its end too, and how far off it."""
-    start, way = routes[:, :, None, :-1], routes.diff(dim=2)[:, :, None]
-    long = way.norm(dim=-1).clamp_min(1e-6)
-    apart = places[:, None, :, None] - start
-    share = ((apart * way).sum(-1) / long.square()).clamp_min(0).minimum(_shares(routes))
-    off = (apart - share[..., None] * way).norm(dim=-1)
-    off, which = off.min(dim=-1)
-    before = long.cumsum(-1) - long
-    along = before + share * long
-    return along.gather(-1, which[..., None])[..., 0], off
+    """Project points on routes: how far along each one they lie, and how far off it, metres."""
+    start, segment = routes[:, :, None, :-1], routes.diff(dim=2)[:, :, None]
+    length = segment.norm(dim=-1).clamp_min(MIN_SEGMENT_M)
+    offset = points[:, None, :, None] - start  # (B, A, N, P-1, 2)
+    share = ((offset * segment).sum(-1) / length.square()).clamp_min(0)
+    share = share.minimum(_limit_shares(routes))
+    off, nearest = (offset - share[..., None] * segment).norm(dim=-1).min(dim=-1)
+    along = length.cumsum(-1) - length + share * length
+    return along.gather(-1, nearest[..., None])[..., 0], off
 
 
-def _shares(routes: Float[Tensor, "B A P 2"]) -> Float[Tensor, "P-1"]:
-    """How much of each straight way belongs to a route: all, and of the last one what follows."""
-    shares = routes.new_ones(routes.shape[2] - 1)
-    shares[-1] = torch.inf
-    return shares
+def _limit_shares(routes: Float[Tensor, "B A P 2"]) -> Float[Tensor, "P-1"]:
+    """Limit how much of each segment's line belongs to the route: 1; of the last one, no limit."""
+    limits = routes.new_ones(routes.shape[2] - 1)
+    limits[-1] = torch.inf
+    return limits
 
 
-def _curve(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
-    """One over the radius of the arc from the rear axle through a point of the route ahead."""
+def _pursue(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
+    """Compute the curvature (B, A) of the arc from the rear axle through a point of the route."""
     heading = torch.stack([states[..., 2].cos(), states[..., 2].sin()], dim=-1)
-    rear = states[..., :2] - heading * WHEELBASE_PER_LENGTH * lengths[..., None] / 2
-    look = torch.maximum(LOOK * states[..., 3].abs(), torch.full_like(along, AHEAD))
-    target = _point_at(routes, along + look) - rear
+    rear_axle = states[..., :2] - heading * WHEELBASE_PER_LENGTH * lengths[..., None] / 2
+    lookahead = (LOOKAHEAD_S * states[..., 3].abs()).clamp_min(MIN_LOOKAHEAD_M)
+    target = _interpolate(routes, along + lookahead) - rear_axle
     return 2 * cross(heading, target) / target.square().sum(-1).clamp_min(1.0)
 
 
-def _point_at(routes: Tensor, along: Tensor) -> Tensor:
-    """The point of each route at a way along it; beyond its end straight on."""
-    ways = routes.diff(dim=2)
-    long = ways.norm(dim=-1).clamp_min(1e-6)
-    ends = long.cumsum(-1)
-    which = (ends < along[..., None]).sum(-1).clamp_max(long.shape[-1] - 1)[..., None]
-    rest = along[..., None] - (ends - long).gather(-1, which)
-    pick = which[..., None].expand(*which.shape, 2)
-    start, way = (x.gather(2, pick)[:, :, 0] for x in (routes[:, :, :-1], ways))
-    return start + way * (rest / long.gather(-1, which))
+def _interpolate(routes: Float[Tensor, "B A P 2"], along: Float[Tensor, "B A"]) -> Tensor:
+    """Find the points (B, A, 2) so many metres along the routes; beyond their ends straight on."""
+    segments = routes.diff(dim=2)
+    length = segments.norm(dim=-1).clamp_min(MIN_SEGMENT_M)
+    ends = length.cumsum(-1)
+    index = (ends < along[..., None]).sum(-1).clamp_max(length.shape[-1] - 1)[..., None]
+    rest = along[..., None] - (ends - length).gather(-1, index)
+    pick = index[..., None].expand(*index.shape, 2)
+    start, segment = (x.gather(2, pick)[:, :, 0] for x in (routes[:, :, :-1], segments))
+    return start + segment * (rest / length.gather(-1, index))

@@ -1,4 +1,4 @@
-"""A scene: a map, agents and lights as tensors; the one crossing from files to tensors."""
+"""A scene: a map, its agents and its lights as tensors, made of an AIM, tracks and lights."""
 
 from dataclasses import dataclass, replace
 
@@ -6,37 +6,34 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
-from shapely import MultiPolygon
 from torch import Tensor
 
 from geoaim.aim import AIM
 from geoaim.errors import MapError, TracksError
-from geoaim.hdmap.drivable import sample_lane_directions
-from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.hdmap.signed_distance import compute_signed_distance
 from geoaim.lights import UNKNOWN, Lights, find_light_states
 from geoaim.rectification import rectify
-from geoaim.simulation.ground import Ground, make_ground, on_device
-from geoaim.simulation.infractions import Drivable, Lanes
+from geoaim.simulation.ground import Ground, make_ground
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world, world_from_crs
 
-FURTHEST = 10_000.0  # m from the world's origin at which float32 still tells millimetres
+MAX_ORIGIN_DISTANCE_M = 10_000.0  # from the world's origin; float32 still resolves millimetres
+MAX_TIME_OFFSET_S = 1.0  # between a wanted time and the nearest one at which an agent is present
+MAX_LISTED_AGENTS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A map, the agents and the lights on it.
+    """A map, and the agents and lights on it (N agents, T steps, L lights).
 
     Attributes:
         ground: the map.
         times: (T,) seconds.
-        poses: (N, T, 3) x, y and heading in the map's world; NaN while absent.
+        poses: (N, T, 3) x, y, heading in the map's world; NaN while absent.
         speeds: (N, T) m/s, negative in reverse; NaN while absent.
-        present: (N, T) whether the agent is there.
+        present: (N, T) whether the agent is present.
         sizes: (N, 2) length and width, metres.
-        types: what each agent is.
+        types: agent types, as in `geoaim.agent_types`.
         ids: a name for each agent.
         stop_lines: (L, 2, 2) both ends of the stop line of each light, metres.
         light_states: (T, L) as in `geoaim.lights`.
@@ -53,23 +50,26 @@ class Scene:
     stop_lines: Float[Tensor, "L 2 2"]
     light_states: Int[Tensor, "T L"]
 
+    @property
+    def states(self) -> Float[Tensor, "N T 4"]:
+        """x, y, heading, speed."""
+        return torch.cat([self.poses, self.speeds[..., None]], dim=-1)
 
-def scene_on(scene: Scene, device: torch.device | str) -> Scene:
-    """The same scene on another device."""
-    names = ("times", "poses", "speeds", "present", "sizes", "stop_lines", "light_states")
-    moved = {name: getattr(scene, name).to(device) for name in names}
-    return replace(scene, ground=on_device(scene.ground, device), **moved)
+    @property
+    def dt(self) -> float:
+        """Median time between two steps, seconds; 1 in a scene of one step."""
+        return float(self.times.diff().median()) if len(self.times) > 1 else 1.0
 
 
-def scene_steps(scene: Scene, some: slice) -> Scene:
-    """Some of a scene's steps."""
+def slice_scene(scene: Scene, steps: slice) -> Scene:
+    """Cut some steps out of a scene."""
     return replace(
         scene,
-        times=scene.times[some],
-        poses=scene.poses[:, some],
-        speeds=scene.speeds[:, some],
-        present=scene.present[:, some],
-        light_states=scene.light_states[some],
+        times=scene.times[steps],
+        poses=scene.poses[:, steps],
+        speeds=scene.speeds[:, steps],
+        present=scene.present[:, steps],
+        light_states=scene.light_states[steps],
     )
 
 
@@ -91,28 +91,18 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     """
     tracks = to_world(tracks, aim.world)
     poses = tracks.states[..., :3]
-    _check_near("map", aim.corners)
-    low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
+    check_near_origin("map", aim.corners)
     if not tracks.present.any():
-        raise TracksError("nobody is present in the tracks")
-    check_touches("track", poses[tracks.present][:, :2], low, high)
+        raise TracksError("the tracks have no agent that is present")
+    bounds = np.stack([aim.corners.min(axis=0), aim.corners.max(axis=0)])
+    check_touches_map("track", poses[tracks.present][:, :2], bounds)
     lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
     if lights is not None:
-        if (lights.world.crs is None) != (aim.world.crs is None):
-            raise TracksError(
-                f"the map lies in {aim.world.crs or 'a plane of its own'} and the lights in "
-                f"{lights.world.crs or 'a plane of their own'}; give both a place on the Earth"
-            )
-        lines = _moved(lights.lines.reshape(-1, 2), lights.world, aim.world).reshape(-1, 2, 2)
-        states = find_light_states(lights, tracks.times)
-        check_touches("stop line", lines.reshape(-1, 2), low, high)
-        if (states == UNKNOWN).all():
-            raise TracksError(
-                f"the lights' states are told from {lights.times[0]:g} s on, the tracks end at "
-                f"{tracks.times[-1]:g} s. Are both of one recording?"
-            )
+        lines = _transform_stop_lines(lights, aim.world)
+        check_touches_map("stop line", lines.reshape(-1, 2), bounds)
+        states = _sample_light_states(lights, tracks)
     return Scene(
-        ground=ground_of(aim),
+        ground=make_ground_from_aim(aim),
         times=torch.tensor(tracks.times),
         poses=torch.tensor(poses, dtype=torch.float32),
         speeds=torch.tensor(tracks.states[..., 3], dtype=torch.float32),
@@ -125,98 +115,81 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     )
 
 
-def ground_of(aim: AIM) -> Ground:
-    """The map's image as a texture; north up where a tilted camera saw it."""
+def make_ground_from_aim(aim: AIM) -> Ground:
+    """Make the ground of an AIM; a tilted view is rectified to north up first."""
     if not aim.is_affine:
         aim = rectify(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
     image_from_world = torch.tensor(np.linalg.inv(aim.world_from_image)[:2], dtype=torch.float32)
-    return make_ground(image, image_from_world, known=torch.tensor(aim.coverage > 0))
+    return make_ground(image, image_from_world, coverage=torch.tensor(aim.coverage > 0))
 
 
-def drivable_of(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
-    """How far points of the world are from the edge of where vehicles may drive.
+def make_tracks(scene: Scene, world: World) -> Tracks:
+    """Write a scene's agents back to tracks, without those that are never present.
 
-    Raises:
-        MapError: the area lies too far from the world's origin.
+    Args:
+        scene: whose agents.
+        world: of its map.
+
+    Returns:
+        The tracks, with times to the microsecond.
     """
-    _check_near("drivable area", np.array(area.bounds).reshape(2, 2))
-    distance, grid = compute_signed_distance(area, resolution=resolution)
-    matrix = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
-    return Drivable(torch.tensor(distance), matrix)
-
-
-def lanes_of(hdmap: HDMap) -> Lanes:
-    """The directions of a map's one-way lanes, at places along their middles.
-
-    Raises:
-        MapError: the lanes lie too far from the world's origin.
-    """
-    found = sample_lane_directions(hdmap)
-    _check_near("HD map", found[0])
-    places, directions, reaches = (torch.tensor(x, dtype=torch.float32) for x in found)
-    return Lanes(places, directions, reaches)
-
-
-def states_of(scene: Scene) -> Float[Tensor, "N T 4"]:
-    """x, y, heading and speed of all agents at all steps."""
-    return torch.cat([scene.poses, scene.speeds[..., None]], dim=-1)
-
-
-def step_seconds(scene: Scene) -> float:
-    """The usual time between two steps; a second where there is but one."""
-    return float(scene.times.diff().median()) if len(scene.times) > 1 else 1.0
-
-
-def tracks_of(scene: Scene, world: World) -> Tracks:
-    """What happens in a scene, back as tracks; agents that are never there are left out."""
-    seen = scene.present.any(dim=1).nonzero()[:, 0]
-    states = states_of(scene)[seen].double()
-    present = scene.present[seen]
+    agents = scene.present.any(dim=1).nonzero()[:, 0]
+    states = scene.states[agents].double()
+    present = scene.present[agents]
     return Tracks(
         times=np.round(scene.times.double().cpu().numpy(), 6),
         states=torch.where(present[..., None], states, torch.nan).cpu().numpy(),
         present=present.cpu().numpy(),
-        sizes=scene.sizes[seen].double().cpu().numpy(),
-        types=tuple(scene.types[k] for k in seen.tolist()),
-        ids=tuple(scene.ids[k] for k in seen.tolist()),
+        sizes=scene.sizes[agents].double().cpu().numpy(),
+        types=tuple(scene.types[k] for k in agents.tolist()),
+        ids=tuple(scene.ids[k] for k in agents.tolist()),
         world=world,
     )
 
 
-def agent_number(scene: Scene, name: str) -> int:
-    """The row of an agent.
+def find_agent(scene: Scene, name: str) -> int:
+    """Find the row of an agent.
 
     Raises:
-        TracksError: there is none of that name.
+        TracksError: no agent has that name.
     """
     if name not in scene.ids:
-        some = ", ".join(scene.ids[:8]) + (", ..." if len(scene.ids) > 8 else "")
+        more = ", ..." if len(scene.ids) > MAX_LISTED_AGENTS else ""
+        some = ", ".join(scene.ids[:MAX_LISTED_AGENTS]) + more
         raise TracksError(f"there is no agent {name!r} among {len(scene.ids)}: {some}")
     return scene.ids.index(name)
 
 
-def step_at(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
-    """The step at which an agent is there, nearest to a time in seconds; its first one for None.
+def find_agent_step(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
+    """Find the step nearest to a time at which an agent is present.
+
+    Args:
+        scene: to search.
+        agent: row of the agent.
+        time: seconds; None for its first step.
+
+    Returns:
+        The step.
 
     Raises:
-        TracksError: it is not there within a second of that time.
+        TracksError: the agent is not present within `MAX_TIME_OFFSET_S` of that time.
     """
     steps = scene.present[agent].nonzero()[:, 0]
     if len(steps) == 0:
-        raise TracksError(f"agent {scene.ids[agent]} is never there")
+        raise TracksError(f"agent {scene.ids[agent]} is never present")
     times = scene.times[steps]
     nearest = 0 if time is None else int((times - time).abs().argmin())
-    if time is not None and abs(float(times[nearest]) - time) > 1:
+    if time is not None and abs(float(times[nearest]) - time) > MAX_TIME_OFFSET_S:
         raise TracksError(
-            f"agent {scene.ids[agent]} is there from {float(times[0]):g} to {float(times[-1]):g} s,"
-            f" not at {time:g} s"
+            f"agent {scene.ids[agent]} is present from {float(times[0]):g} to "
+            f"{float(times[-1]):g} s, not at {time:g} s"
         )
     return steps[nearest]
 
 
-def step_at_time(scene: Scene, time: float | None) -> int:
-    """The step nearest to a time in seconds; the last one for None.
+def find_step(scene: Scene, time: float | None) -> int:
+    """Find the step nearest to a time in seconds; the last one for None.
 
     Raises:
         ValueError: the time is not within the scene's.
@@ -229,35 +202,62 @@ def step_at_time(scene: Scene, time: float | None) -> int:
     return int((scene.times - time).abs().argmin())
 
 
-def check_touches(
-    what: str, places: Float[Array, "n 2"], low: Float[Array, "2"], high: Float[Array, "2"]
-) -> None:
-    """Refuse what is of another place than the map, which lies between two corners.
+def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Array, "2 2"]) -> None:
+    """Refuse data of another place than the map's.
+
+    Args:
+        name: of the data, for the message.
+        points: (n, 2) metres.
+        bounds: (2, 2) lowest and highest x and y of the map.
 
     Raises:
-        TracksError: none of the places is on the map.
+        TracksError: no point lies on the map.
     """
-    if not ((places > low) & (places < high)).all(axis=1).any():
+    low, high = bounds
+    if not ((points > low) & (points < high)).all(axis=1).any():
         raise TracksError(
-            f"no {what} touches the map: they lie between {_said(places.min(axis=0))} and "
-            f"{_said(places.max(axis=0))} m, the map between {_said(low)} and {_said(high)} m. "
-            "Are both of one place?"
+            f"no {name} touches the map: they lie between {_format_point(points.min(axis=0))} and "
+            f"{_format_point(points.max(axis=0))} m, the map between {_format_point(low)} and "
+            f"{_format_point(high)} m. Are both of one place?"
         )
 
 
-def _check_near(what: str, places: Float[Array, "n 2"]) -> None:
-    away = np.abs(places).max(initial=0)
-    if away > FURTHEST:
+def check_near_origin(name: str, points: Float[Array, "n 2"]) -> None:
+    """Refuse data too far from its world's origin for tensors of float32.
+
+    Raises:
+        MapError: a point lies more than `MAX_ORIGIN_DISTANCE_M` away.
+    """
+    distance = np.abs(points).max(initial=0)
+    if distance > MAX_ORIGIN_DISTANCE_M:
         raise MapError(
-            f"the {what} lies {away / 1000:,.0f} km from its world's origin, where tensors are "
-            f"inexact; at most {FURTHEST / 1000:g} km will do. Give a World whose origin is near, "
-            "as geoaim.world.choose_world does"
+            f"the {name} lies {distance / 1000:,.0f} km from its world's origin, where tensors are "
+            f"inexact; at most {MAX_ORIGIN_DISTANCE_M / 1000:g} km will do. Give a World whose "
+            "origin is near, as geoaim.world.choose_world does"
         )
 
 
-def _moved(points: Float[Array, "m 2"], before: World, after: World) -> Float[Array, "m 2"]:
-    return world_from_crs(after, crs_from_world(before, points), before.crs)
+def _transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]:
+    """Transform the stop lines of lights into another world."""
+    if (lights.world.crs is None) != (world.crs is None):
+        raise TracksError(
+            f"the map lies in {world.crs or 'a plane of its own'} and the lights in "
+            f"{lights.world.crs or 'a plane of their own'}; georeference both"
+        )
+    points = crs_from_world(lights.world, lights.lines.reshape(-1, 2))
+    return world_from_crs(world, points, lights.world.crs).reshape(-1, 2, 2)
 
 
-def _said(place: Float[Array, "2"]) -> str:
-    return f"({place[0]:.0f}, {place[1]:.0f})"
+def _sample_light_states(lights: Lights, tracks: Tracks) -> Int[Array, "T L"]:
+    """Look up the states of lights at the times of tracks."""
+    states = find_light_states(lights, tracks.times)
+    if (states == UNKNOWN).all():
+        raise TracksError(
+            f"the lights' states begin at {lights.times[0]:g} s, the tracks end at "
+            f"{tracks.times[-1]:g} s. Are both of one recording?"
+        )
+    return states
+
+
+def _format_point(point: Float[Array, "2"]) -> str:
+    return f"({point[0]:.0f}, {point[1]:.0f})"

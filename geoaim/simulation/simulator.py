@@ -1,8 +1,7 @@
-"""A simulator: states go in, states come out, for a batch of scenes at once, with gradients.
+"""A differentiable simulator: states in, states out, for a batch of recorded pieces of a scene.
 
-Agents that are controlled move by the actions of a policy; all others replay what was recorded.
-Presence follows the recording: an agent enters where it was recorded to enter, and leaves when it
-was recorded to leave.
+Controlled agents move by the actions of a policy; all others replay the recording. Every agent
+enters and leaves at the recorded times, and enters in the recorded state.
 """
 
 from collections.abc import Callable
@@ -13,73 +12,97 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from geoaim.agent_types import select_group
 from geoaim.simulation.kinematics import step_agents
-from geoaim.simulation.scene import Scene, states_of, step_seconds
+from geoaim.simulation.scene import Scene
 
-ON_FOOT = ("pedestrian",)
-APART = 1.0  # m between points of a route at least: who waits shakes by less
-SAME = 1e-3  # by which actions may differ when they are computed again
+ROUTE_SPACING_M = 1.0  # above the jitter in the recorded positions of waiting agents
+RECOMPUTATION_TOLERANCE = 1e-3  # between an action and the same action computed again
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """What happened in a batch of scenes, T steps of them.
+class Scenario:
+    """What was recorded in B pieces of a scene, T steps each.
 
     Attributes:
         states: (B, T, A, 4) x, y, heading, speed; 0 while absent.
         present: (B, T, A).
         sizes: (B, A, 2) length and width, metres.
-        on_foot: (B, A) who moves as a unicycle instead of a bicycle.
-        seconds: of a step.
+        pedestrian: (B, A) agents that move by the unicycle instead of the bicycle model.
+        dt: time between two steps, seconds.
     """
 
     states: Float[Tensor, "B T A 4"]
     present: Bool[Tensor, "B T A"]
     sizes: Float[Tensor, "B A 2"]
-    on_foot: Bool[Tensor, "B A"]
-    seconds: float
+    pedestrian: Bool[Tensor, "B A"]
+    dt: float
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """What happened in a simulation: states, who was present, and the actions of all steps."""
+    """What happened in a simulation.
+
+    Attributes:
+        states: (B, T, A, 4) x, y, heading, speed.
+        present: (B, T, A).
+        actions: (B, S, A, 2) of the S simulated steps, the last of the T.
+    """
 
     states: Float[Tensor, "B T A 4"]
     present: Bool[Tensor, "B T A"]
     actions: Float[Tensor, "B S A 2"]
 
 
-Policy = Callable[[Recording, Float[Tensor, "B t A 4"]], Float[Tensor, "B A 2"]]
+# from a scenario and the states so far to the actions of all agents
+Policy = Callable[[Scenario, Float[Tensor, "B t A 4"]], Float[Tensor, "B A 2"]]
 
 
-def record(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Recording:
-    """Cut as many steps out of a scene from each start on.
+def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenario:
+    """Cut pieces of equal length out of a scene.
+
+    Args:
+        scene: evenly sampled.
+        starts: (B,) first step of each piece.
+        steps: of each piece.
+
+    Returns:
+        The B pieces as a batch.
 
     Raises:
-        ValueError: a start leaves too few steps, or the steps are not evenly spaced.
+        ValueError: a piece reaches beyond the scene, or the steps are not evenly spaced.
     """
     if len(starts) == 0 or int(starts.min()) < 0 or int(starts.max()) + steps > len(scene.times):
         raise ValueError(
             f"{steps} steps from {starts.tolist()} are not all among the scene's {len(scene.times)}"
         )
-    seconds = step_seconds(scene)
-    if steps < 2 or (scene.times.diff() - seconds).abs().max() > 0.01 * seconds:
+    if steps < 2 or (scene.times.diff() - scene.dt).abs().max() > 0.01 * scene.dt:
         raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
-    when = starts[:, None] + torch.arange(steps, device=starts.device)
-    present = scene.present[:, when].permute(1, 2, 0)
-    states = states_of(scene)[:, when].permute(1, 2, 0, 3)
+    index = starts[:, None] + torch.arange(steps, device=starts.device)  # (B, T)
+    present = scene.present[:, index].permute(1, 2, 0)  # (B, T, A)
+    states = scene.states[:, index].permute(1, 2, 0, 3)  # (B, T, A, 4)
     states = torch.where(present[..., None], states, 0.0)
-    feet = torch.tensor([kind in ON_FOOT for kind in scene.types], device=starts.device)
+    pedestrian = torch.from_numpy(select_group(scene.types, "pedestrian")).to(starts.device)
     count = len(starts)
     sizes = scene.sizes.expand(count, -1, -1)
-    return Recording(states, present, sizes, feet.expand(count, -1), seconds)
+    return Scenario(states, present, sizes, pedestrian.expand(count, -1), scene.dt)
 
 
-def simulated(scene: Scene, found: Rollout, start: int, number: int = 0) -> Scene:
-    """One of the simulations as a scene, to be drawn or written; it began at that step."""
-    steps = slice(start, start + found.states.shape[1])
-    present = found.present[number].t()
-    states = found.states[number].detach().transpose(0, 1)
+def apply_rollout(scene: Scene, rollout: Rollout, start: int, index: int = 0) -> Scene:
+    """Make a scene of a simulation, to render it or to write its tracks.
+
+    Args:
+        scene: in which it was simulated.
+        rollout: a batch of simulations.
+        start: step of the scene at which the simulation begins.
+        index: of the simulation in the batch.
+
+    Returns:
+        The scene of the simulated steps, with agents as simulated.
+    """
+    steps = slice(start, start + rollout.states.shape[1])
+    present = rollout.present[index].t()
+    states = rollout.states[index].detach().transpose(0, 1)
     states = torch.where(present[..., None], states, torch.nan)
     return replace(
         scene,
@@ -91,125 +114,144 @@ def simulated(scene: Scene, found: Rollout, start: int, number: int = 0) -> Scen
     )
 
 
-def routes_of(recording: Recording) -> Float[Tensor, "B A P 2"]:
-    """The ways that agents were recorded to go, points of `APART` or more; then straight on.
+def extract_routes(scenario: Scenario) -> Float[Tensor, "B A P 2"]:
+    """Extract the recorded routes of agents, as points at least `ROUTE_SPACING_M` apart.
 
-    Who never goes as far has a way straight ahead.
+    Shorter routes are extended straight on to the length of the longest. The route of an agent that
+    hardly moves leads straight ahead.
     """
-    states = recording.states.transpose(1, 2)
-    keep = _apart(states[..., :2], recording.present.transpose(1, 2))
+    states = scenario.states.transpose(1, 2)  # (B, A, T, 4)
+    keep = _select_spaced(states[..., :2], scenario.present.transpose(1, 2))
     order = keep.int().argsort(dim=2, descending=True, stable=True)
-    count = keep.sum(dim=2, keepdim=True)
+    count = keep.sum(dim=2, keepdim=True)  # (B, A, 1)
     slot = torch.arange(int(count.max()) + 1, device=keep.device)
-    kept = order.gather(2, slot.minimum(count - 1))
-    route = states.gather(2, kept[..., None].expand(*kept.shape, 4))
-    before = route.gather(2, (count - 2).clamp_min(0)[..., None].expand(-1, -1, 1, 4))
-    way = route[:, :, -1:, :2] - before[..., :2]
-    heading = torch.stack([before[..., 2].cos(), before[..., 2].sin()], dim=-1)
-    ahead = torch.where(count[..., None] > 1, way, heading)
-    ahead = ahead / ahead.norm(dim=-1, keepdim=True)
-    return route[..., :2] + ahead * APART * (slot - count + 1).clamp_min(0)[..., None]
+    step = order.gather(2, slot.minimum(count - 1))  # (B, A, P), the last one repeated
+    route = states.gather(2, step[..., None].expand(*step.shape, 4))
+    second_last = route.gather(2, (count - 2).clamp_min(0)[..., None].expand(-1, -1, 1, 4))
+    last_segment = route[:, :, -1:, :2] - second_last[..., :2]
+    heading = torch.stack([second_last[..., 2].cos(), second_last[..., 2].sin()], dim=-1)
+    forward = torch.where(count[..., None] > 1, last_segment, heading)
+    forward = forward / forward.norm(dim=-1, keepdim=True)
+    return route[..., :2] + forward * ROUTE_SPACING_M * (slot - count + 1).clamp_min(0)[..., None]
 
 
-def _apart(places: Float[Tensor, "B A T 2"], there: Bool[Tensor, "B A T"]) -> Bool[Tensor, "B A T"]:
-    """The first place of each one, and then every one that is `APART` from the last one."""
-    first = there.int().argmax(dim=2, keepdim=True)
-    last = places.gather(2, first[..., None].expand(-1, -1, 1, 2))[:, :, 0]
-    keep = torch.zeros_like(there).scatter(2, first, True)
-    for number, here in enumerate(places.unbind(2)):
-        far = there[..., number] & ((here - last).norm(dim=-1) >= APART)
-        last = torch.where(far[..., None], here, last)
-        keep[..., number] |= far
+def _select_spaced(
+    points: Float[Tensor, "B A T 2"], present: Bool[Tensor, "B A T"]
+) -> Bool[Tensor, "B A T"]:
+    """Mark each agent's first point, and each one far enough from the last marked one."""
+    first = present.int().argmax(dim=2, keepdim=True)
+    last = points.gather(2, first[..., None].expand(-1, -1, 1, 2))[:, :, 0]
+    keep = torch.zeros_like(present).scatter(2, first, True)
+    for step, point in enumerate(points.unbind(2)):
+        far = present[..., step] & ((point - last).norm(dim=-1) >= ROUTE_SPACING_M)
+        last = torch.where(far[..., None], point, last)
+        keep[..., step] |= far
     return keep
 
 
 def step(
-    recording: Recording,
-    number: int,
+    scenario: Scenario,
+    index: int,
     states: Float[Tensor, "B A 4"],
     actions: Float[Tensor, "B A 2"],
     controlled: Bool[Tensor, "B A"],
 ) -> Float[Tensor, "B A 4"]:
-    """The states after a step: controlled agents by their actions, others as recorded."""
-    both = recording.present[:, number] & recording.present[:, number + 1]
-    mine = (controlled & both)[..., None]
-    safe = torch.where(mine, actions, 0.0)
-    lengths = torch.where(mine[..., 0], recording.sizes[..., 0], 1.0)  # padding may have none
-    moved = step_agents(states, safe, lengths, recording.on_foot, recording.seconds)
-    return torch.where(mine, moved, recording.states[:, number + 1])
+    """Simulate one step: controlled agents act, others replay.
+
+    Args:
+        scenario: the recording.
+        index: of the step from which it leads to the next.
+        states: (B, A, 4) at that step.
+        actions: (B, A, 2) accelerations, and steering angles or turn rates.
+        controlled: (B, A) agents that the actions move.
+
+    Returns:
+        (B, A, 4) states at the next step.
+    """
+    moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
+    safe_actions = torch.where(moved[..., None], actions, 0.0)
+    lengths = torch.where(moved, scenario.sizes[..., 0], 1.0)  # of padded agents it may be 0
+    acted = step_agents(states, safe_actions, lengths, scenario.pedestrian, scenario.dt)
+    return torch.where(moved[..., None], acted, scenario.states[:, index + 1])
 
 
 def rollout(
-    recording: Recording,
+    scenario: Scenario,
     policy: Policy,
     controlled: Bool[Tensor, "B A"],
     *,
-    observed: int = 1,
-    lean: bool = False,
+    history: int = 1,
+    checkpointing: bool = False,
     generator: torch.Generator | None = None,
 ) -> Rollout:
-    """Simulate the steps of a recording.
+    """Simulate a scenario to its end.
 
     Args:
-        recording: whom to replay, and where everybody starts.
-        policy: from the recording's constants and the states so far, (B, t, A, 4), to the actions
-            of all agents; it must not look at later steps of the recording.
-        controlled: whom the policy moves.
-        observed: so many first steps are replayed by all.
-        lean: keep states alone for the gradient and compute each step again on the way back.
-        generator: from which the policy draws its noise; a lean way back draws the same again.
+        scenario: the recording.
+        policy: from the scenario and the states so far, (B, t, A, 4), to the actions of all agents,
+            (B, A, 2); it must not read later steps of the scenario.
+        controlled: (B, A) agents that the policy moves.
+        history: first steps, in which all agents replay.
+        checkpointing: store states only and compute each step again in the backward pass, as
+            `torch.utils.checkpoint` does.
+        generator: of the policy's noise; with checkpointing, the backward pass draws it again.
+
+    Returns:
+        States, presence and actions.
 
     Raises:
-        ValueError: nothing is left to simulate, or an action is not finite; on a lean way back,
-            that the policy acts otherwise than before.
+        ValueError: no step is left to simulate, or an action is not finite; in the backward pass
+            with checkpointing, the policy gives another action than before.
     """
-    total = recording.states.shape[1]
-    if not 1 <= observed < total:
-        raise ValueError(f"{observed} of {total} steps are observed; from 1 to {total - 1} can be")
-    path = list(recording.states[:, :observed].unbind(1))
+    total = scenario.states.shape[1]
+    if not 1 <= history < total:
+        raise ValueError(f"{history} of {total} steps are history; from 1 to {total - 1} can be")
+    path = list(scenario.states[:, :history].unbind(1))
     actions = []
 
-    def one(act: Policy, number: int, *path: Tensor) -> tuple[Tensor, Tensor]:
-        action = act(recording, torch.stack(path, dim=1))
-        return step(recording, number, path[-1], action, controlled), action
+    def advance(act: Policy, index: int, *path: Tensor) -> tuple[Tensor, Tensor]:
+        action = act(scenario, torch.stack(path, dim=1))
+        return step(scenario, index, path[-1], action, controlled), action
 
-    for number in range(observed - 1, total - 1):
-        if lean:
-            same = _same_again(policy, generator or torch.default_generator)
-            after, action = checkpoint(one, same, number, *path, use_reentrant=False)
+    for index in range(history - 1, total - 1):
+        if checkpointing:
+            repeatable = _make_repeatable(policy, generator or torch.default_generator)
+            states, action = checkpoint(advance, repeatable, index, *path, use_reentrant=False)
         else:
-            after, action = one(policy, number, *path)
-        moved = controlled & recording.present[:, number] & recording.present[:, number + 1]
+            states, action = advance(policy, index, *path)
+        moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
         if not torch.isfinite(action[moved]).all():
-            raise ValueError(f"at step {number} the policy gives an action that is not finite")
-        path.append(after)
+            raise ValueError(f"at step {index} the policy gives an action that is not finite")
+        path.append(states)
         actions.append(action)
-    return Rollout(torch.stack(path, dim=1), recording.present, torch.stack(actions, dim=1))
+    return Rollout(torch.stack(path, dim=1), scenario.present, torch.stack(actions, dim=1))
 
 
-def _same_again(policy: Policy, generator: torch.Generator) -> Policy:
-    """The policy in one step: when it is asked again, its noise is the same.
+def _make_repeatable(policy: Policy, generator: torch.Generator) -> Policy:
+    """Wrap a policy for one step: later calls draw the noise of the first one.
 
-    The generator is left as it was, also where torch breaks off because it has all that it needs.
+    Later calls leave the generator as it was, even where torch interrupts them because it has
+    recomputed all it needs.
     """
-    start, told = generator.get_state(), list[Tensor]()
+    first_state, first_action = generator.get_state(), list[Tensor]()
 
-    def again(recording: Recording, path: Float[Tensor, "B t A 4"]) -> Tensor:
-        if not told:
-            action = policy(recording, path)
-            told.append(action.detach())
+    def act(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
+        if not first_action:
+            action = policy(scenario, path)
+            first_action.append(action.detach())
             return action
-        now = generator.get_state()
-        generator.set_state(start)
+        state = generator.get_state()
+        generator.set_state(first_state)
         try:
-            action = policy(recording, path)
+            action = policy(scenario, path)
         finally:
-            generator.set_state(now)
-        if not torch.allclose(action, told[0], rtol=SAME, atol=SAME, equal_nan=True):
+            generator.set_state(state)
+        tolerance = RECOMPUTATION_TOLERANCE
+        if not torch.allclose(action, first_action[0], tolerance, tolerance, equal_nan=True):
             raise ValueError(
-                f"asked again at step {path.shape[1] - 1} the policy acts otherwise: give rollout "
-                "its generator, or draw its noise beforehand, or let lean be"
+                f"computed again at step {path.shape[1] - 1}, the policy gives another action: "
+                "give rollout its generator, draw its noise beforehand, or disable checkpointing"
             )
         return action
 
-    return again
+    return act

@@ -17,8 +17,8 @@ from torch import Tensor
 from torchdrivesim.rendering.base import BirdviewRenderer, RendererConfig
 from torchdrivesim.utils import Resolution
 
-from geoaim.simulation.birdview import Boxes, render
-from geoaim.simulation.ground import Ground, View, fit_ground, on_device
+from geoaim.simulation.birdview import OrientedBoxes, render
+from geoaim.simulation.ground import Ground, View, move_ground, prefilter_ground
 
 WAYPOINT = 2.0 * math.sqrt(math.pi)  # m: side of the square as large as torchdrivesim's disc
 
@@ -102,7 +102,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     def to(self, device: torch.device) -> "ImageMapRenderer":
         """Move the renderer to another device in place."""
         super().to(device)
-        self.ground, self.fitted = on_device(self.ground, device), {}
+        self.ground, self.fitted = move_ground(self.ground, device), {}
         return self
 
     def expand(self, n: int) -> "ImageMapRenderer":
@@ -126,12 +126,16 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         )
 
     def _pictures(
-        self, cameras: Tensor, layers: list[Boxes], res: Resolution | None, fov: float | None
+        self,
+        cameras: Tensor,
+        layers: list[OrientedBoxes],
+        res: Resolution | None,
+        fov: float | None,
     ) -> Float[Tensor, "V 3 H W"]:
         size = res or self.res
         view = View(size.height, size.width, (fov or 2.0 / self.scale) / min(size))
         if view.resolution not in self.fitted or self.ground.image.requires_grad:
-            self.fitted = {view.resolution: fit_ground(self.ground, view.resolution)}
+            self.fitted = {view.resolution: prefilter_ground(self.ground, view.resolution)}
         pictures = 255 * render(view, cameras, self.fitted[view.resolution], layers)
         return pictures.flip(-1) if self.cfg.left_handed_coordinates else pictures
 
@@ -141,7 +145,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         sizes: dict[str, Tensor],
         masks: dict[str, Tensor] | None,
         cameras: Tensor,
-    ) -> Iterator[tuple[str, Boxes]]:
+    ) -> Iterator[tuple[str, OrientedBoxes]]:
         for name, state in states.items():
             whole = slice(None)
             parts = [(name, whole)]
@@ -155,7 +159,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
                 views = cameras.shape[1]
                 yield (
                     kind,
-                    Boxes(
+                    OrientedBoxes(
                         state[:, some, :3].repeat_interleave(views, dim=0),
                         sizes[name][:, some, :2].repeat_interleave(views, dim=0),
                         self._colours([kind]).expand(state[:, some].shape[1], 3),
@@ -166,7 +170,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
 
     def _controls(
         self, controls: Mapping[str, Any], cameras: Tensor
-    ) -> Iterator[tuple[str, Boxes]]:
+    ) -> Iterator[tuple[str, OrientedBoxes]]:
         views = cameras.shape[1]
         for name, control in controls.items():
             lights = name == "traffic_light"
@@ -176,15 +180,15 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
             there = control.mask.repeat_interleave(views, dim=0)
             colours = self._colours(kinds)[state if lights else torch.zeros_like(state)]
             poses = where[..., [0, 1, 4]]
-            yield kinds[0], Boxes(poses, where[..., 2:4], colours, there)
+            yield kinds[0], OrientedBoxes(poses, where[..., 2:4], colours, there)
 
-    def _waypoints(self, waypoints: Tensor, mask: Tensor | None) -> Boxes:
+    def _waypoints(self, waypoints: Tensor, mask: Tensor | None) -> OrientedBoxes:
         points = waypoints.flatten(0, 1)[..., :2]
         poses = torch.cat([points, torch.zeros_like(points[..., :1])], dim=-1)
         count = points.shape[1]
         there = None if mask is None else mask.flatten(0, 1).bool()
         sizes = points.new_full((count, 2), WAYPOINT)
-        return Boxes(poses, sizes, self._colours(["goal_waypoint"]).expand(count, 3), there)
+        return OrientedBoxes(poses, sizes, self._colours(["goal_waypoint"]).expand(count, 3), there)
 
     def _colours(self, names: list[str]) -> Float[Tensor, "n 3"]:
         table = [self.color_map[name] for name in names]

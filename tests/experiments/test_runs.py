@@ -26,7 +26,7 @@ from geoaim.experiments.protocol import make_places_dataset
 from geoaim.experiments.resnet import build_resnet18
 from geoaim.experiments.results import Workspace
 from geoaim.prediction.windows import WINDOW_STEPS
-from geoaim.simulation.scene import scene_steps
+from geoaim.simulation.scene import slice_scene
 
 SMALL = {"view_size": 16, "hidden_size": 16, "feature_size": 12}
 WITH_MORE_VALIDATION = partial(make_places_dataset, val_fraction=0.4)
@@ -100,7 +100,7 @@ def test_resnet18_is_that_of_the_paper():
 
 def test_songdo_splits_its_vehicles(place, workspace, monkeypatch):
     recording, aim = read_recordings(place)[0], read_map(place, "aim")
-    scene = scene_steps(make_place_scene(recording, aim, dt=0.1), slice(100, 150))
+    scene = slice_scene(make_place_scene(recording, aim, dt=0.1), slice(100, 150))
     monkeypatch.setattr(songdo, "read_scene", lambda: scene)
     tuning = replace(songdo.FINE_TUNING, steps=1, batch_size=2)
     monkeypatch.setattr(songdo, "FINE_TUNING", tuning)

@@ -6,8 +6,8 @@ import torch
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.prediction import dataset
 from geoaim.prediction.dataset import make_dataset
-from geoaim.simulation.ground import in_world
-from geoaim.simulation.scene import scene_steps
+from geoaim.simulation.ground import world_from_pixels
+from geoaim.simulation.scene import slice_scene
 from tests.prediction.test_segments import scene
 from tests.prediction.tiny import TINY, hill
 
@@ -36,7 +36,9 @@ def test_scenes_of_one_place_share_its_ground():
     assert len(apart.train) == len(shared.train) == 10
     for found in (shared, apart):
         height, width = found.ground.image.shape[1:]
-        low, high = in_world(found.ground.image_from_world, torch.tensor([[0, height], [width, 0]]))
+        low, high = world_from_pixels(
+            found.ground.image_from_world, torch.tensor([[0, height], [width, 0]])
+        )
         places = found.train.states[:, :, 0, :2].double()
         assert ((low < places) & (places < high)).all()
 
@@ -47,5 +49,5 @@ def test_recordings_that_are_too_short_are_reported():
     with pytest.raises(TracksError, match="no training segments in recording 1 of 1"):
         make_dataset([scene()], TINY, val_fraction=0.9)
     with pytest.warns(GeoaimWarning, match="no training segments in recording 2 of 2"):
-        found = make_dataset([scene(), scene_steps(scene(), slice(0, 8))], TINY, val_fraction=0.7)
+        found = make_dataset([scene(), slice_scene(scene(), slice(0, 8))], TINY, val_fraction=0.7)
     assert len(found.train) == len(make_dataset([scene()], TINY, val_fraction=0.7).train)

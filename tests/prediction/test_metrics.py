@@ -18,8 +18,8 @@ from geoaim.prediction.metrics import (
 )
 from geoaim.prediction.report import format_markdown
 from geoaim.prediction.segments import pick
-from geoaim.simulation.episodes import Rules
 from geoaim.simulation.infractions import Drivable
+from geoaim.simulation.road_rules import RoadRules
 from tests.prediction.tiny import TINY, drive, hill
 
 NOISY = "constant velocity with noise"
@@ -55,7 +55,7 @@ def test_rates_count_agents_samples_and_steps():
     segments = drive(10, 1, curve=0.0)
     off = Drivable(torch.tensor([[-1.0, 3.0]]), torch.tensor([[0.0, 0.1, 0.5], [0.0, 0.0, 0.5]]))
     # the drivable half ends a few metres to the left: a shift by 30 m leaves it
-    found = compute_metrics(futures(segments, [0.0, 30.0]), segments, 4, Rules(drivable=off))
+    found = compute_metrics(futures(segments, [0.0, 30.0]), segments, 4, RoadRules(drivable=off))
     assert found["off-road rate"].mean == pytest.approx(0.5)
     assert "red-light rate" in found
     assert found["red-light rate"].mean == 0

@@ -19,8 +19,8 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import predict
-from geoaim.simulation.ground import fit_ground
-from geoaim.simulation.scene import make_scene, scene_steps
+from geoaim.simulation.ground import prefilter_ground
+from geoaim.simulation.scene import make_scene, slice_scene
 from geoaim.track_changes import resample_tracks
 from tests.prediction.tiny import TINY
 
@@ -71,7 +71,7 @@ def test_pretrained_models_beat_constant_velocity_on_the_sample(hdmap, kind):
     scene = sample_scene(hdmap, 1 / model.config.dt)
     steps = 40 if kind == "vehicle" else 30
     segments = cut_segments(scene, kind, steps=steps, stride=20, joint=True)
-    ground, options = fit_ground(scene.ground, model.config.resolution), EvalConfig(10, 6)
+    ground, options = prefilter_ground(scene.ground, model.config.resolution), EvalConfig(10, 6)
     errors = [
         evaluate(predictor, segments, ground, options)["minADE"].mean
         for predictor in (model.sample, BASELINES["constant velocity"])
@@ -94,7 +94,7 @@ def test_predictions_extend_beyond_the_recording(scene):
 
 def test_one_step_is_enough_to_predict_from(scene):
     model = read_pretrained("vehicle")
-    one = predict(model, scene_steps(scene, slice(12, 13)), samples=1, horizon=4, generator=noise())
+    one = predict(model, slice_scene(scene, slice(12, 13)), samples=1, horizon=4, generator=noise())
     here = scene.present[:, 12]
     way = (one[0, :, 0, :2] - scene.poses[:, 12, :2]).norm(dim=1)[here]
     assert way.max() < 2.5  # of a tenth of a second, not of a second

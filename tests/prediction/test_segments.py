@@ -14,7 +14,7 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.segments import concat, repeat, scale, shift
-from geoaim.simulation.ground import fit_ground, make_ground
+from geoaim.simulation.ground import make_ground, prefilter_ground
 from geoaim.simulation.scene import Scene
 from tests.prediction.tiny import drive, hill
 
@@ -113,7 +113,7 @@ def test_a_view_of_the_atlas_is_that_of_the_place():
         )
         there = shift(here, offset)
         controlled = index_controlled(here)
-        fitted = fit_ground(place, VIEW.resolution)
+        fitted = prefilter_ground(place, VIEW.resolution)
         one = render_observation(VIEW, fitted, here, controlled, here.states[:, 0], 0)
         two = render_observation(VIEW, atlas, there, controlled, there.states[:, 0], 0)
         assert (one - two).abs().mean() < 0.01

@@ -9,16 +9,16 @@ from torch.nn.functional import avg_pool2d, interpolate
 
 from geoaim.bench.birdview_truth import supersampled
 from geoaim.simulation import (
-    Boxes,
+    OrientedBoxes,
     View,
-    fit_ground,
-    ground_share,
     make_ground,
-    path_boxes,
+    make_path_boxes,
+    prefilter_ground,
     render,
+    render_coverage,
     render_layers,
 )
-from geoaim.simulation.birdview import _touched
+from geoaim.simulation.rasterization import find_pixels
 
 NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float64)
 
@@ -48,7 +48,7 @@ def _scene(seed=0, views=2, count=4):
     )
     sizes = torch.tensor([[4.5, 1.9], [0.6, 0.5], [8.0, 2.5], [1.8, 0.7]]).double()[:count]
     colours = torch.rand(count, 3, generator=generator, dtype=torch.float64)
-    return cameras, Boxes(poses, sizes, colours, noses=1 - colours)
+    return cameras, OrientedBoxes(poses, sizes, colours, heading_colours=1 - colours)
 
 
 @pytest.mark.parametrize("resolution", [0.25, 0.5, 1.0])
@@ -65,7 +65,7 @@ def test_picture_is_that_of_many_points_a_pixel(resolution):
 def test_ahead_is_up_and_left_is_left():
     camera = torch.tensor([[3.0, -2.0, np.pi / 2]])
     spots = torch.tensor([[[3.0, 4.0, 0.0], [-1.0, -2.0, 0.0]]])  # 6 m ahead, 4 m to the left
-    boxes = Boxes(spots, torch.tensor([1.0, 1.0]).expand(2, 2), torch.eye(3)[:2])
+    boxes = OrientedBoxes(spots, torch.tensor([1.0, 1.0]).expand(2, 2), torch.eye(3)[:2])
     picture = render(View(20, 20, 1.0), camera, _single(0.0), [boxes])[0]
     assert picture[0, 3:5, 9:11].sum() == pytest.approx(1, abs=1e-5)
     assert picture[1, 9:11, 5:7].sum() == pytest.approx(1, abs=1e-5)
@@ -89,8 +89,8 @@ def test_pixel_of_the_ground_is_where_its_transform_says():
 
 def test_later_boxes_and_layers_lie_above():
     pose = torch.zeros(1, 2, 3)
-    two = Boxes(pose, torch.full((2, 2), 4.0), torch.eye(3)[:2])
-    top = Boxes(pose[:, :1], torch.full((1, 2), 2.0), torch.eye(3)[2:])
+    two = OrientedBoxes(pose, torch.full((2, 2), 4.0), torch.eye(3)[:2])
+    top = OrientedBoxes(pose[:, :1], torch.full((1, 2), 2.0), torch.eye(3)[2:])
     picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.0), [two, top])[0]
     assert picture[:, 4, 4].tolist() == [0, 0, 1]
     assert picture[:, 2, 2].tolist() == [0, 1, 0]
@@ -102,7 +102,12 @@ def test_absent_boxes_are_not_drawn_and_may_be_nan():
     poses[0, 1] = torch.nan
     some = replace(boxes, poses=poses, present=torch.tensor([[True, False, True, False]]))
     rest = [0, 2]
-    only = Boxes(poses[:, rest], boxes.sizes[rest], boxes.colours[rest], noses=boxes.noses[rest])
+    only = OrientedBoxes(
+        poses[:, rest],
+        boxes.sizes[rest],
+        boxes.colours[rest],
+        heading_colours=boxes.heading_colours[rest],
+    )
     view, camera = View(32, 32, 0.7), torch.zeros(1, 3).double()
     found = render(view, camera, _ground(), [some])
     torch.testing.assert_close(found, render(view, camera, _ground(), [only]))
@@ -114,7 +119,7 @@ def test_gradients_are_those_of_the_picture():
     view = View(12, 14, 1.3)
 
     def loss(cameras, poses, sizes, colours):
-        layer = Boxes(poses, sizes, colours, noses=boxes.noses)
+        layer = OrientedBoxes(poses, sizes, colours, heading_colours=boxes.heading_colours)
         return (weight * render(view, cameras, _ground(), [layer])).sum()
 
     given = [x.clone().requires_grad_() for x in (cameras, boxes.poses, boxes.sizes, boxes.colours)]
@@ -123,7 +128,7 @@ def test_gradients_are_those_of_the_picture():
 
 def test_gradient_by_the_texture_reaches_what_is_seen():
     image = _ground().image[:, 1:-1, 1:-1].clone().requires_grad_()
-    ground = fit_ground(make_ground(image, NORTH_UP), 1.5)
+    ground = prefilter_ground(make_ground(image, NORTH_UP), 1.5)
     render(View(8, 8, 1.5), torch.zeros(1, 3).double(), ground).sum().backward()
     assert image.grad[:, 24:40, 24:40].min() > 0
     assert not image.grad[:, :8].any()
@@ -137,7 +142,10 @@ def test_overlapping_boxes_have_right_gradients():
 
     def loss(poses):
         picture = render(
-            View(10, 10, 0.7), torch.zeros(1, 3).double(), _ground(), [Boxes(poses, sizes, colours)]
+            View(10, 10, 0.7),
+            torch.zeros(1, 3).double(),
+            _ground(),
+            [OrientedBoxes(poses, sizes, colours)],
         )
         return (weight * picture).sum()
 
@@ -148,8 +156,8 @@ def test_outside_of_the_ground_is_grey_and_said():
     far = torch.tensor([[500.0, 0.0, 0.0]])
     view = View(8, 8, 1.0)
     assert (render(view, far, _single(0.0)) == 0.5).all()
-    assert (ground_share(view, far, _single(0.0)) == 0).all()
-    assert (ground_share(view, torch.zeros(1, 3), _single(0.0)) == 1).all()
+    assert (render_coverage(view, far, _single(0.0)) == 0).all()
+    assert (render_coverage(view, torch.zeros(1, 3), _single(0.0)) == 1).all()
 
 
 @pytest.mark.parametrize("resolution", [0.7, 1.5, 4.0])
@@ -157,7 +165,7 @@ def test_fitted_ground_does_not_shimmer(resolution):
     """A fine checkerboard stays grey wherever the camera is."""
     board = ((torch.arange(512)[:, None] + torch.arange(512)) % 2).float().expand(1, 512, 512)
     ground = make_ground(board, torch.tensor([[4.0, 0, 256], [0, -4.0, 256]]))  # 0.25 m
-    fitted = fit_ground(ground, resolution)
+    fitted = prefilter_ground(ground, resolution)
     cameras = torch.rand(8, 3, generator=torch.Generator().manual_seed(1))
     pictures = render(View(8, 8, resolution), cameras, fitted)
     assert (pictures - 0.5).abs().max() < 0.25 / resolution
@@ -168,7 +176,7 @@ def test_fitted_ground_stays_in_place():
     ground, camera = _ground(), torch.tensor([[1.0, 2.0, 0.5]]).double()
     view = View(10, 10, 2.0)
     fine = avg_pool2d(render(View(160, 160, 0.125), camera, ground), 16)
-    found = render(view, camera, fit_ground(ground, 2.0))
+    found = render(view, camera, prefilter_ground(ground, 2.0))
     assert (found - fine).abs().max() < 0.06
 
 
@@ -179,7 +187,7 @@ def test_absent_boxes_have_no_gradient_whatever_they_hold():
     poses.requires_grad_()
     cameras.requires_grad_()
     present = torch.tensor([[True, False, True, False]])
-    some = Boxes(poses, sizes, colours, present, 1 - colours)
+    some = OrientedBoxes(poses, sizes, colours, present, 1 - colours)
     picture = render(View(16, 16, 1.0), cameras, _ground(), [some])
     picture.square().sum().backward()
     assert torch.isfinite(picture).all()
@@ -196,7 +204,7 @@ def test_edges_on_the_borders_of_pixels_have_gradients(size):
     box = torch.tensor([size], dtype=torch.float64).requires_grad_()
     place = pose[:, None].clone().requires_grad_()
     dark = make_ground(torch.zeros(1, 1, 1).double(), NORTH_UP, outside=torch.zeros(1).double())
-    boxes = Boxes(place, box, torch.ones(1, 1).double())
+    boxes = OrientedBoxes(place, box, torch.ones(1, 1).double())
     area = render(View(64, 64, 0.5), pose, dark, [boxes]).sum() * 0.25
     of_place, of_size = torch.autograd.grad(area, (place, box))
     assert float(area.detach()) == pytest.approx(size[0] * size[1])
@@ -208,14 +216,14 @@ def test_long_thin_box_costs_its_own_pixels_only():
     with torch.no_grad():
         axis = torch.tensor([[0.8, -0.6]])
         view, middle = View(512, 512, 1.0), torch.tensor([[256.0, 256.0]])
-        owner, place = _touched(view, middle, axis, torch.tensor([[400.0, 1.0]]))
+        owner, place = find_pixels(view, middle, axis, torch.tensor([[400.0, 1.0]]))
     assert 400 < len(owner) < 400 * 3.5
     assert len(torch.unique(place, dim=0)) == len(place)
 
 
 def test_path_has_no_gaps_where_its_lines_meet():
     points = torch.tensor([[-9.0, 0.3], [-2.4, 0.3], [3.7, 0.3], [3.7, 6.9]])[None, None]
-    paths = path_boxes(points, torch.ones(1, 1), width=1.0)
+    paths = make_path_boxes(points, torch.ones(1, 1), width=1.0)
     dark = make_ground(torch.zeros(1, 1, 1), NORTH_UP.float(), outside=torch.zeros(1))
     camera = torch.tensor([[0.2, 0.8, np.pi / 2]])  # so that the lines fill whole pixels
     picture = render(View(16, 16, 1.0), camera, dark, [paths])[0, 0]
@@ -233,10 +241,10 @@ def test_rim_of_a_fitted_ground_is_as_soft_as_a_pixel(ratio):
     view, camera = View(24, 24, ratio), torch.tensor([[1.0, 2.0, 0.4]]).double()
     fine = View(24 * 24, 24 * 24, ratio / 24)
     wanted = avg_pool2d(render(fine, camera, white), 24)
-    fitted = fit_ground(white, ratio)
+    fitted = prefilter_ground(white, ratio)
     assert (render(view, camera, fitted) - wanted).abs().max() < 0.16
     assert float(render(view, camera, fitted).sum()) == pytest.approx(float(wanted.sum()), rel=0.03)
-    assert (ground_share(view, camera, fitted) - wanted).abs().max() < 0.16
+    assert (render_coverage(view, camera, fitted) - wanted).abs().max() < 0.16
 
 
 def test_no_map_is_a_plain_colour():
@@ -257,7 +265,7 @@ def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
     view, camera = View(10, 10, ratio), torch.tensor([[0.3, -0.4, 0.6]]).double()
     fine = View(160, 160, ratio / 16)
     wanted = avg_pool2d(render(fine, camera, ground), 16)
-    apart = (render(view, camera, fit_ground(ground, ratio)) - wanted).abs() * 255
+    apart = (render(view, camera, prefilter_ground(ground, ratio)) - wanted).abs() * 255
     plain = (render(view, camera, ground) - wanted).abs() * 255
     assert apart.mean() < 2 * math.sqrt(ratio)
     assert apart.mean() < 0.8 * plain.mean()
@@ -274,7 +282,7 @@ def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
             r"sizes for \(3,\) boxes, where 2 views have 4 each",
         ),
         ({"colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
-        ({"noses": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
+        ({"heading_colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
         ({"sizes": torch.full((4, 2), torch.inf).double()}, "a size that is not"),
         ({"sizes": torch.ones(4, 2)}, "numbers of torch.float32, torch.float64 in one picture"),
         ({"present": torch.ones(4).bool()}, r"present for \(4,\) boxes"),
@@ -310,9 +318,9 @@ def test_pictures_do_not_depend_on_autocast():
     cameras = _scene(views=1)[0].float()
     waves = _ground()
     ground = make_ground(waves.image[:, 1:-1, 1:-1].float(), NORTH_UP.float())
-    plain = render(View(16, 16, 1.0), cameras, fit_ground(ground, 1.0))
+    plain = render(View(16, 16, 1.0), cameras, prefilter_ground(ground, 1.0))
     with torch.autocast("cpu", torch.bfloat16):
-        half = render(View(16, 16, 1.0), cameras, fit_ground(ground, 1.0))
+        half = render(View(16, 16, 1.0), cameras, prefilter_ground(ground, 1.0))
     assert torch.equal(half, plain)
 
 
@@ -327,11 +335,11 @@ def test_texture_that_is_none_is_refused(without_shape_checks):
     with pytest.raises(ValueError, match="pixels that are not finite"):
         make_ground(torch.full((1, 4, 4), torch.nan), NORTH_UP)
     with pytest.raises(ValueError, match=r"mask of \(4, 5\)"):
-        make_ground(torch.zeros(1, 4, 4), NORTH_UP, known=torch.ones(4, 5).bool())
+        make_ground(torch.zeros(1, 4, 4), NORTH_UP, coverage=torch.ones(4, 5).bool())
 
 
 def test_no_boxes_are_a_picture_of_the_ground():
-    none = Boxes(torch.empty(1, 0, 3), torch.empty(0, 2), torch.empty(0, 3))
+    none = OrientedBoxes(torch.empty(1, 0, 3), torch.empty(0, 2), torch.empty(0, 3))
     picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.3), [none])
     torch.testing.assert_close(picture, torch.full_like(picture, 0.3))
 
@@ -341,14 +349,18 @@ def test_layers_painted_at_once_are_those_painted_alone():
     ground, view, cameras = _ground(), View(24, 24, 0.7), torch.tensor([[0.0, 0.0, 0.3]] * 3)
     cameras = cameras.to(ground.image)
 
-    def some(count, noses, present=None):
+    def some(count, triangles, present=None):
         poses = torch.randn(3, count, 3, generator=generator).double() * 3
         sizes = 1 + torch.rand(count, 2, generator=generator).double() * 3
         colours = torch.rand(count, 3, generator=generator).double()
-        return Boxes(poses, sizes, colours, present, colours.flip(0) if noses else None)
+        return OrientedBoxes(poses, sizes, colours, present, colours.flip(0) if triangles else None)
 
     there = torch.tensor([[True, False, True, True]] * 2 + [[False] * 4])
-    layers = [some(5, noses=True), some(4, noses=False, present=there), some(2, noses=True)]
+    layers = [
+        some(5, triangles=True),
+        some(4, triangles=False, present=there),
+        some(2, triangles=True),
+    ]
     planes = render_layers(view, cameras, ground, layers)
     for number, layer in enumerate(layers):
         alone = render_layers(view, cameras, ground, [layer])

@@ -3,7 +3,7 @@ import pytest
 import shapely
 import torch
 
-from geoaim.simulation.coverage import pixel_coverage
+from geoaim.simulation.coverage import compute_pixel_coverage
 
 
 def _boxes(count, seed=0):
@@ -18,8 +18,8 @@ def _boxes(count, seed=0):
 def test_coverage_is_the_area_in_the_pixel():
     corners, square = _boxes(500), shapely.box(0, 0, 1, 1)
     wanted = [shapely.Polygon(box).intersection(square).area for box in corners]
-    np.testing.assert_allclose(pixel_coverage(torch.tensor(corners)), wanted, atol=1e-12)
-    found = pixel_coverage(torch.tensor(corners, dtype=torch.float32))
+    np.testing.assert_allclose(compute_pixel_coverage(torch.tensor(corners)), wanted, atol=1e-12)
+    found = compute_pixel_coverage(torch.tensor(corners, dtype=torch.float32))
     np.testing.assert_allclose(found, wanted, atol=3e-4)
 
 
@@ -28,12 +28,12 @@ def test_coverage_is_the_area_in_the_pixel():
     [([[0, 0], [0, 1], [1, 1], [1, 0]], -1), ([[0, 0], [1, 0], [1, 1], [0, 1]], 1)],
 )
 def test_the_sense_is_the_sign_and_edges_may_lie_on_the_rim(corners, area):
-    assert pixel_coverage(torch.tensor([corners], dtype=torch.float64)).item() == area
+    assert compute_pixel_coverage(torch.tensor([corners], dtype=torch.float64)).item() == area
 
 
 def test_gradient_is_that_of_the_area():
     corners = torch.tensor(_boxes(300, seed=1))
-    share = pixel_coverage(corners)
+    share = compute_pixel_coverage(corners)
     some = corners[(share > 0.01) & (share < 0.99)].requires_grad_()
     assert len(some) > 50
-    assert torch.autograd.gradcheck(pixel_coverage, some, eps=1e-6, atol=1e-4)
+    assert torch.autograd.gradcheck(compute_pixel_coverage, some, eps=1e-6, atol=1e-4)

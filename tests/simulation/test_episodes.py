@@ -8,9 +8,10 @@ from geoaim.errors import TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.lights import UNKNOWN, read_lights
-from geoaim.simulation.episodes import OBSERVED, POLICIES, Rules, rules_of, simulate_scene
+from geoaim.simulation.episodes import HISTORY_STEPS, POLICY_NAMES, simulate_scene
 from geoaim.simulation.infractions import Lanes
-from geoaim.simulation.scene import make_scene, tracks_of
+from geoaim.simulation.road_rules import RoadRules, make_road_rules
+from geoaim.simulation.scene import make_scene, make_tracks
 from geoaim.track_files import read_tracks, write_tracks
 
 
@@ -28,16 +29,16 @@ def scene(hdmap):
 
 
 def test_replayed_traffic_breaks_no_rules(scene, hdmap):
-    episode = simulate_scene(scene, "replay", start=5.0, seconds=8.0, rules=rules_of(hdmap))
+    episode = simulate_scene(scene, "replay", start=5.0, duration=8.0, rules=make_road_rules(hdmap))
     assert episode.rates["red light"] < 0.001
     assert episode.rates["wrong way"] < 0.01
     assert episode.rates["collision"] < 0.02  # a step of replayed actions may touch in a queue
 
 
 def test_ego_stays_the_only_one_that_departs_from_the_recording(scene):
-    episode = simulate_scene(scene, "constant-velocity", ego="12", start=4.0, seconds=6.0)
+    episode = simulate_scene(scene, "constant-velocity", ego="12", start=4.0, duration=6.0)
     agent = scene.ids.index("12")
-    recorded = episode.recording.states[0].transpose(0, 1)
+    recorded = episode.scenario.states[0].transpose(0, 1)
     apart = (episode.scene.poses - recorded[..., :3]).abs().nan_to_num().amax(dim=(1, 2))
     assert apart[agent] > 1
     assert apart.sum() == apart[agent]
@@ -45,11 +46,11 @@ def test_ego_stays_the_only_one_that_departs_from_the_recording(scene):
     assert "off road" not in episode.rates
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", POLICY_NAMES)
 def test_simulation_is_written_as_tracks(scene, hdmap, policy, tmp_path):
-    episode = simulate_scene(scene, policy, start=2.0, seconds=3.0)
+    episode = simulate_scene(scene, policy, start=2.0, duration=3.0)
     assert torch.isfinite(episode.scene.poses[episode.scene.present]).all()
-    write_tracks(tracks_of(episode.scene, hdmap.world), tmp_path / "a.csv")
+    write_tracks(make_tracks(episode.scene, hdmap.world), tmp_path / "a.csv")
     again = read_tracks(tmp_path / "a.csv")
     assert len(again.times) == 31
     assert again.times[0] == pytest.approx(2.0)
@@ -58,38 +59,38 @@ def test_simulation_is_written_as_tracks(scene, hdmap, policy, tmp_path):
 def test_what_cannot_be_simulated_is_refused(scene):
     with pytest.raises(ValueError, match="no policy 'best'"):
         simulate_scene(scene, "best")
-    with pytest.raises(TracksError, match="agent 29 is not there at 2 s"):
+    with pytest.raises(TracksError, match="agent 29 is not present at 2 s"):
         simulate_scene(scene, "replay", ego="29", start=2.0)
     with pytest.raises(ValueError, match="9 seconds from start 58 s on are not all in the scene"):
-        simulate_scene(scene, "replay", start=58.0, seconds=9.0)
+        simulate_scene(scene, "replay", start=58.0, duration=9.0)
     for start in (-3.0, 61.0, torch.nan, torch.inf):
         with pytest.raises(ValueError, match="is not in the scene, from 0 to 60 s"):
             simulate_scene(scene, "replay", start=start)
-    with pytest.raises(ValueError, match=r"give seconds of 0\.5 or more"):
-        simulate_scene(scene, "replay", seconds=0.4)
+    with pytest.raises(ValueError, match=r"simulate 0\.5 seconds or more"):
+        simulate_scene(scene, "replay", duration=0.4)
 
 
 def test_rules_of_another_place_are_refused(scene):
     far = MultiPolygon([box(3000, 3000, 3100, 3100)])
     with pytest.raises(TracksError, match="no drivable area touches the map: they lie between"):
-        simulate_scene(scene, "replay", rules=rules_of(None, far))
+        simulate_scene(scene, "replay", rules=make_road_rules(None, far))
     lanes = Lanes(torch.tensor([[3000.0, 0.0]]), torch.zeros(1), torch.ones(1))
     with pytest.raises(TracksError, match="no lane touches the map"):
-        simulate_scene(scene, "replay", rules=Rules(lanes=lanes))
+        simulate_scene(scene, "replay", rules=RoadRules(lanes=lanes))
 
 
 def test_what_cannot_be_counted_has_no_rate(scene):
     unknown = replace(scene, light_states=torch.full_like(scene.light_states, UNKNOWN))
     aside = Lanes(scene.stop_lines[:1, 0] + 15, torch.zeros(1), torch.full((1,), 0.01))
-    episode = simulate_scene(unknown, "replay", start=5.0, rules=Rules(lanes=aside))
+    episode = simulate_scene(unknown, "replay", start=5.0, rules=RoadRules(lanes=aside))
     assert list(episode.rates) == ["collision"]
 
 
 def test_controlled_are_those_who_are_moved(scene):
-    episode = simulate_scene(scene, "replay", start=5.0, seconds=2.0)
-    there = episode.recording.present[0, OBSERVED - 1 :]
+    episode = simulate_scene(scene, "replay", start=5.0, duration=2.0)
+    there = episode.scenario.present[0, HISTORY_STEPS - 1 :]
     assert not there.any(dim=0).all()
     assert there[:, episode.controlled].any(dim=0).all()
     nobody = replace(scene, speeds=torch.full_like(scene.speeds, -2.0))
-    with pytest.raises(TracksError, match="nobody is there who never reverses"):
+    with pytest.raises(TracksError, match="none that never reverses is present"):
         simulate_scene(nobody, "replay")

@@ -8,12 +8,12 @@ from geoaim.lights import GREEN, RED, UNKNOWN
 from geoaim.simulation.infractions import (
     Drivable,
     Lanes,
-    collisions,
-    distance_at,
-    offroad_distance,
-    ran_red,
-    rate,
-    wrong_way,
+    compute_collision_iou,
+    compute_offroad_distance,
+    compute_rate,
+    detect_red_light_running,
+    detect_wrong_way,
+    sample_distance,
 )
 
 AREA = MultiPolygon([Polygon(box(-40, -5, 40, 5).exterior, [box(-2, -2, 2, 2).exterior.coords])])
@@ -31,26 +31,26 @@ def test_distance_is_that_of_the_polygon():
     points = generator.uniform([-55, -20], [55, 20], (500, 2))
     outline = AREA.boundary
     wanted = [(-1) ** AREA.contains(Point(p)) * outline.distance(Point(p)) for p in points]
-    found = distance_at(_drivable(), torch.tensor(points, dtype=torch.float32))
+    found = sample_distance(_drivable(), torch.tensor(points, dtype=torch.float32))
     assert np.abs(found.numpy() - wanted).max() < 0.15  # at the bends of the distance
     assert np.abs(found.numpy() - wanted).mean() < 0.02
 
 
 def test_distance_goes_on_beyond_the_raster():
-    near, far = distance_at(_drivable(), torch.tensor([[0.0, 24.0], [0.0, 124.0]]))
+    near, far = sample_distance(_drivable(), torch.tensor([[0.0, 24.0], [0.0, 124.0]]))
     assert float(far - near) == pytest.approx(100, abs=0.2)
 
 
 def test_corner_furthest_out_counts():
     poses = torch.tensor([[20.0, 3.5, 0.0], [20.0, 4.5, 0.0], [torch.nan] * 3])
     present = torch.tensor([True, True, False])
-    metres = offroad_distance(_drivable(), poses, CAR.expand(3, 2), present)
+    metres = compute_offroad_distance(_drivable(), poses, CAR.expand(3, 2), present)
     np.testing.assert_allclose(metres.numpy(), [0, 0.5, 0], atol=0.05)
 
 
 def test_gradient_leads_back_to_the_road():
     poses = torch.tensor([[20.0, 8.0, 0.0], [200.0, 0.0, 0.0]], requires_grad=True)
-    metres = offroad_distance(_drivable(), poses, CAR.expand(2, 2), torch.ones(2).bool())
+    metres = compute_offroad_distance(_drivable(), poses, CAR.expand(2, 2), torch.ones(2).bool())
     (gradient,) = torch.autograd.grad(metres.sum(), poses)
     torch.testing.assert_close(gradient[0, :2], torch.tensor([0.0, 1.0]), atol=0.05, rtol=0)
     torch.testing.assert_close(gradient[1, :2], torch.tensor([1.0, 0.0]), atol=0.05, rtol=0)
@@ -58,7 +58,7 @@ def test_gradient_leads_back_to_the_road():
 
 def test_collision_is_the_largest_overlap():
     poses = torch.tensor([[[0.0, 0, 0], [3.0, 0, 0], [3.5, 0, 0], [0.0, 30, 0]]])
-    found = collisions(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())[0]
+    found = compute_collision_iou(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())[0]
     wanted = torch.tensor([1 / 7, 3.5 / 4.5, 3.5 / 4.5, 0])
     torch.testing.assert_close(found, wanted, atol=1e-4, rtol=0)
 
@@ -78,9 +78,11 @@ def test_red_light_counts_when_the_front_crosses_its_line(start, end, state, ran
     before, after = torch.tensor([[[start, 0.0, 0.0]]]), torch.tensor([[[end, 0.0, 0.0]]])
     lengths, there = torch.full((1, 1), 4.0), torch.ones(1, 1).bool()
     states = torch.tensor([[state]])
-    assert bool(ran_red(before, after, lengths, there, line, states)) is ran
+    assert bool(detect_red_light_running(before, after, lengths, there, line, states)) is ran
     beside = torch.tensor([0.0, 4.0, 0.0])
-    assert not ran_red(before + beside, after + beside, lengths, there, line, states)
+    assert not detect_red_light_running(
+        before + beside, after + beside, lengths, there, line, states
+    )
 
 
 def test_wrong_way_is_against_every_lane_below():
@@ -93,8 +95,8 @@ def test_wrong_way_is_against_every_lane_below():
         [[0.5, 0, 0.2], [0.5, 0, np.pi], [0, 3, np.pi], [0, 1.5, np.pi], [30, 0, np.pi]]
     )
     there = torch.ones(5, dtype=torch.bool)
-    assert wrong_way(lanes, poses, there).tolist() == [False, True, False, False, False]
-    assert not wrong_way(lanes, poses, ~there).any()
+    assert detect_wrong_way(lanes, poses, there).tolist() == [False, True, False, False, False]
+    assert not detect_wrong_way(lanes, poses, ~there).any()
 
 
 def test_half_floats_around_it_change_nothing():
@@ -103,7 +105,9 @@ def test_half_floats_around_it_change_nothing():
     drivable = _drivable()
 
     def both():
-        return offroad_distance(drivable, poses, sizes, there), collisions(poses, sizes, there)
+        return compute_offroad_distance(drivable, poses, sizes, there), compute_collision_iou(
+            poses, sizes, there
+        )
 
     plain = both()
     with torch.autocast("cpu", torch.bfloat16):
@@ -118,25 +122,25 @@ def test_rate_is_the_share_of_those_present():
         torch.tensor([True, True, False, False]),
         torch.tensor([True, False, True, True]),
     )
-    assert float(rate(wrong, present)) == pytest.approx(1 / 3)
-    assert float(rate(wrong, torch.zeros(4).bool())) == 0
+    assert float(compute_rate(wrong, present)) == pytest.approx(1 / 3)
+    assert float(compute_rate(wrong, torch.zeros(4).bool())) == 0
 
 
 def test_double_floats_give_the_same():
     poses, there = torch.tensor([[20.0, 4.5, 0.0]]), torch.ones(1, dtype=torch.bool)
     single, double = (
-        offroad_distance(_drivable(), poses.to(kind), CAR[None].to(kind), there)
+        compute_offroad_distance(_drivable(), poses.to(kind), CAR[None].to(kind), there)
         for kind in (torch.float32, torch.float64)
     )
     assert double.dtype == torch.float64
     torch.testing.assert_close(double.float(), single, atol=1e-4, rtol=0)
     lanes = Lanes(torch.tensor([[20.0, 4.5]]), torch.tensor([np.pi]), torch.tensor([1.8]))
-    assert wrong_way(lanes, poses.double(), there).all()
+    assert detect_wrong_way(lanes, poses.double(), there).all()
 
 
 def test_scenes_of_nobody_have_no_collisions():
     nobody = torch.zeros(3, 0, 3), torch.zeros(3, 0, 2), torch.zeros(3, 0, dtype=torch.bool)
-    assert collisions(*nobody).shape == (3, 0)
+    assert compute_collision_iou(*nobody).shape == (3, 0)
 
 
 def test_lanes_far_from_the_origin_are_as_wide_as_near():
@@ -144,5 +148,5 @@ def test_lanes_far_from_the_origin_are_as_wide_as_near():
     far = torch.tensor([9000.0, -9000.0])
     lanes = Lanes(far + torch.zeros(30, 2), torch.full((30,), np.pi), torch.full((30,), 1.8))
     poses = torch.cat([far + apart, torch.zeros(40, 1)], dim=1)
-    wrong = wrong_way(lanes, poses, torch.ones(40, dtype=torch.bool))
+    wrong = detect_wrong_way(lanes, poses, torch.ones(40, dtype=torch.bool))
     assert wrong.tolist() == [True, False] * 20

@@ -2,7 +2,7 @@ import numpy as np
 import shapely
 import torch
 
-from geoaim.simulation.overlap import box_corners, box_iou, shared_area
+from geoaim.simulation.overlap import box_iou, compute_box_corners, compute_intersection_area
 
 
 def _pairs(count=4000):
@@ -18,7 +18,7 @@ def _pairs(count=4000):
 
 
 def _by_shapely(poses, sizes):
-    polygons = shapely.polygons(box_corners(poses, sizes).numpy())
+    polygons = shapely.polygons(compute_box_corners(poses, sizes).numpy())
     shared = shapely.area(shapely.intersection(polygons[:, 0], polygons[:, 1]))
     return shared, shared / (sizes.prod(-1).sum(1).numpy() - shared)
 
@@ -34,13 +34,13 @@ def test_overlap_is_shapelys():
 def test_overlap_does_not_depend_on_where_it_is():
     poses, sizes = (x.float() for x in _pairs())
     far = poses + torch.tensor([4000.0, -3000.0, 0.0])
-    apart = shared_area(far, sizes) - shared_area(poses, sizes)
+    apart = compute_intersection_area(far, sizes) - compute_intersection_area(poses, sizes)
     assert apart.abs().max() < 0.01  # float32 places are half a millimetre apart there
 
 
 def test_overlap_has_right_gradients():
     poses, sizes = (x[2000:2020].clone().requires_grad_() for x in _pairs())
-    assert torch.autograd.gradcheck(shared_area, (poses, sizes))
+    assert torch.autograd.gradcheck(compute_intersection_area, (poses, sizes))
 
 
 def test_absent_and_distant_agents_hit_nobody():

@@ -8,7 +8,7 @@ from geoaim.simulation.pictures import write_pictures
 @pytest.mark.parametrize(("name", "count"), [("a.mp4", 5), ("a.gif", 5), ("a.png", 1)])
 def test_pictures_are_read_back(tmp_path, name, count):
     pictures = [np.full((64, 48, 3), 40 * k, np.uint8) for k in range(count)]
-    write_pictures(pictures, tmp_path / name, rate=10)
+    write_pictures(pictures, tmp_path / name, frame_rate=10)
     with av.open(str(tmp_path / name)) as container:
         found = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(found) == count
@@ -19,7 +19,7 @@ def test_pictures_are_read_back(tmp_path, name, count):
 
 def test_other_endings_and_no_pictures_are_refused(tmp_path):
     with pytest.raises(ValueError, match="must end in"):
-        write_pictures([], tmp_path / "a.webm", rate=10)
+        write_pictures([], tmp_path / "a.webm", frame_rate=10)
     with pytest.raises(ValueError, match="no pictures"):
-        write_pictures([], tmp_path / "a.mp4", rate=10)
+        write_pictures([], tmp_path / "a.mp4", frame_rate=10)
     assert list(tmp_path.iterdir()) == []

@@ -13,19 +13,20 @@ from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
 from geoaim.simulation import (
     View,
-    agents_at,
-    fit_ground,
-    ground_share,
-    layers_at,
-    lights_at,
+    make_agent_boxes,
+    make_layers,
+    make_light_boxes,
     make_scene,
+    make_trail_boxes,
+    prefilter_ground,
     render,
+    render_coverage,
     render_layers,
-    trails_at,
 )
-from geoaim.simulation.layers import EGO
-from geoaim.simulation.pictures import film_agent
-from geoaim.simulation.scene import agent_number, drivable_of, ground_of, lanes_of, step_at
+from geoaim.simulation.layers import EGO_COLOUR
+from geoaim.simulation.pictures import render_agent_video
+from geoaim.simulation.road_rules import make_drivable, make_lanes
+from geoaim.simulation.scene import find_agent, find_agent_step, make_ground_from_aim
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world
 
@@ -79,8 +80,10 @@ def test_tracks_in_another_crs_lie_at_the_same_place():
 def test_ego_is_in_the_middle_and_heads_up():
     scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
     step, ego = torch.tensor([1]), torch.tensor([0])
-    picture = render(view, scene.poses[0, step], scene.ground, [agents_at(scene, step, ego)])[0]
-    torch.testing.assert_close(picture[:, 33, 30], torch.tensor(EGO))
+    picture = render(
+        view, scene.poses[0, step], scene.ground, [make_agent_boxes(scene, step, ego)]
+    )[0]
+    torch.testing.assert_close(picture[:, 33, 30], torch.tensor(EGO_COLOUR))
     assert picture[:, 25, 30].min() > 0.99  # the nose, before the middle
     torch.testing.assert_close(picture[:, 5, 5], torch.full((3,), 60 / 255))
 
@@ -90,15 +93,15 @@ def test_pixels_without_coverage_are_grey():
     camera = torch.tensor([[2.0, 20.0, 0.0]])
     view = View(4, 4, 0.5)
     assert (render(view, camera, scene.ground) == 0.5).all()
-    assert (ground_share(view, camera, scene.ground) == 0).all()
-    assert (ground_share(view, camera + torch.tensor([20.0, 0, 0]), scene.ground) == 1).all()
+    assert (render_coverage(view, camera, scene.ground) == 0).all()
+    assert (render_coverage(view, camera + torch.tensor([20.0, 0, 0]), scene.ground) == 1).all()
 
 
 def test_light_is_a_bar_of_its_states_colour():
     scene, view = make_scene(_aim(), _tracks(), _lights()), View(60, 60, 0.25)
     steps = torch.tensor([0, 1])
     cameras = scene.poses[0, 1].expand(2, 3)
-    found = render(view, cameras, scene.ground, [lights_at(scene, steps)])
+    found = render(view, cameras, scene.ground, [make_light_boxes(scene, steps)])
     before, after = found[:, :, 16, 30]  # 3.5 m ahead
     torch.testing.assert_close(before, torch.full((3,), 60 / 255))
     torch.testing.assert_close(after, torch.tensor([0.9, 0.1, 0.1]))
@@ -108,7 +111,7 @@ def test_trail_shows_where_agents_of_the_step_have_been():
     scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
     steps = torch.tensor([0, 2])
     cameras = scene.poses[0, 2].expand(2, 3)
-    found = render(view, cameras, scene.ground, [trails_at(scene, steps, seconds=0.2)])
+    found = render(view, cameras, scene.ground, [make_trail_boxes(scene, steps, duration=0.2)])
     ground = torch.full((3,), 60 / 255)
     torch.testing.assert_close(found[0, :, 37, 30], ground)  # nothing before the first step
     assert found[1, 2, 37, 30] > 0.7
@@ -118,7 +121,7 @@ def test_trail_shows_where_agents_of_the_step_have_been():
 def test_layers_hold_one_kind_each():
     scene, view = make_scene(_aim(), _tracks(), _lights()), View(60, 60, 0.25)
     step, ego = torch.tensor([1]), torch.tensor([0])
-    layers = layers_at(scene, step, ego)
+    layers = make_layers(scene, step, ego)
     names = list(layers)
     planes = render_layers(view, scene.poses[0, step], scene.ground, list(layers.values()))[0]
     areas = dict(zip(names, planes[3:].sum((1, 2)) * view.resolution**2, strict=True))
@@ -133,20 +136,20 @@ def test_layers_hold_one_kind_each():
 
 def test_film_has_a_picture_for_each_step():
     scene = make_scene(_aim(), _tracks())
-    agent = agent_number(scene, "b")
-    pictures = list(film_agent(scene, agent, View(32, 40, 0.5), torch.tensor([1, 2])))
+    agent = find_agent(scene, "b")
+    pictures = list(render_agent_video(scene, agent, View(32, 40, 0.5), torch.tensor([1, 2])))
     assert [picture.shape for picture in pictures] == [(32, 40, 3)] * 2
     assert pictures[0].dtype == np.uint8
-    assert int(step_at(scene, agent, None)) == 1
-    assert int(step_at(scene, agent, 0.19)) == 2
+    assert int(find_agent_step(scene, agent, None)) == 1
+    assert int(find_agent_step(scene, agent, 0.19)) == 2
 
 
 def test_agent_that_is_not_there_is_named():
     scene = make_scene(_aim(), _tracks())
     with pytest.raises(TracksError, match="no agent 'c' among 2: 7, b"):
-        agent_number(scene, "c")
+        find_agent(scene, "c")
     with pytest.raises(TracksError, match=r"from 0 to 0\.2 s, not at 9 s"):
-        step_at(scene, 0, 9.0)
+        find_agent_step(scene, 0, 9.0)
 
 
 def test_tracks_of_another_place_are_refused():
@@ -163,7 +166,7 @@ def test_lights_of_another_place_or_time_are_refused():
     with pytest.raises(TracksError, match="no stop line touches the map"):
         make_scene(_aim(), _tracks(), far)
     late = replace(_lights(), times=np.array([100.0, 101.0]))
-    with pytest.raises(TracksError, match=r"told from 100 s on, the tracks end at 0\.2 s"):
+    with pytest.raises(TracksError, match=r"begin at 100 s, the tracks end at 0\.2 s"):
         make_scene(_aim(), _tracks(), late)
 
 
@@ -175,10 +178,10 @@ def test_maps_far_from_their_worlds_origin_are_refused():
     with pytest.raises(MapError, match=r"6,062 km from its world's origin.*choose_world"):
         make_scene(aim, _tracks())
     with pytest.raises(MapError, match="the drivable area lies 6,062 km"):
-        drivable_of(MultiPolygon([box(583200, 6062200, 583230, 6062206)]))
+        make_drivable(MultiPolygon([box(583200, 6062200, 583230, 6062206)]))
     lane = Lanelet("road", True, *(np.array([[0, y], [30, y]]) + MAP.origin for y in (3.0, 0)))
     with pytest.raises(MapError, match="the HD map lies 6,062 km"):
-        lanes_of(HDMap((), (lane,), (), (), World(MAP.crs)))
+        make_lanes(HDMap((), (lane,), (), (), World(MAP.crs)))
 
 
 def test_tilted_map_shows_the_same_place():
@@ -190,6 +193,8 @@ def test_tilted_map_shows_the_same_place():
     warped = cv2.warpPerspective(image, to_opencv(np.linalg.inv(tilt)), (300, 200))
     tilted = replace(aim, image=warped, world_from_image=aim.world_from_image @ tilt)
     view, camera = View(40, 40, 0.3), torch.tensor([[35.0, 22.0, 0.4]])
-    grounds = [fit_ground(ground_of(a), view.resolution) for a in (straight, tilted)]
+    grounds = [
+        prefilter_ground(make_ground_from_aim(a), view.resolution) for a in (straight, tilted)
+    ]
     one, two = (render(view, camera, ground) for ground in grounds)
     assert (one - two).abs().mean() < 0.1 * one.std()

@@ -5,15 +5,15 @@ import pytest
 import torch
 
 from geoaim.lights import GREEN, RED
-from geoaim.simulation import Boxes, Scene, View, make_ground, render
+from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, render
 from geoaim.simulation.kinematics import step_bicycle
 from geoaim.simulation.policies import (
     constant_turn_rate,
     constant_velocity,
-    intelligent_driver,
+    make_idm_policy,
     replay,
 )
-from geoaim.simulation.simulator import Recording, rollout, routes_of, simulated
+from geoaim.simulation.simulator import Scenario, apply_rollout, extract_routes, rollout
 
 DT = 0.1
 
@@ -33,48 +33,48 @@ def _recording(steps=21, dtype=torch.float64):
     present[0, :5, 2] = present[0, 15:, 2] = False
     sizes = torch.tensor([[[4.5, 1.9], [4.5, 1.9], [0.5, 0.5]]], dtype=dtype)
     states = torch.where(present[..., None], states, 0.0)
-    return Recording(states, present, sizes, torch.tensor([[False, False, True]]), DT)
+    return Scenario(states, present, sizes, torch.tensor([[False, False, True]]), DT)
 
 
 EVERYBODY = torch.ones(1, 3, dtype=torch.bool)
 
 
 def test_replayed_actions_are_the_recording():
-    recording = _recording()
-    found = rollout(recording, replay, EVERYBODY)
-    apart = (found.states - recording.states)[..., :2].norm(dim=-1)
-    assert apart[recording.present].max() < 1e-6
-    assert torch.equal(found.present, recording.present)
+    scenario = _recording()
+    found = rollout(scenario, replay, EVERYBODY)
+    apart = (found.states - scenario.states)[..., :2].norm(dim=-1)
+    assert apart[scenario.present].max() < 1e-6
+    assert torch.equal(found.present, scenario.present)
     assert found.actions.shape == (1, 20, 3, 2)
 
 
 def test_uncontrolled_agents_do_what_was_recorded():
-    recording = _recording()
+    scenario = _recording()
 
-    def wild(recording, path):
+    def wild(scenario, path):
         return torch.full_like(path[:, -1, :, :2], 0.5)
 
     controlled = torch.tensor([[True, False, False]])
-    found = rollout(recording, wild, controlled)
-    torch.testing.assert_close(found.states[:, :, 1:], recording.states[:, :, 1:])
-    assert (found.states[0, -1, 0] - recording.states[0, -1, 0]).norm() > 1
+    found = rollout(scenario, wild, controlled)
+    torch.testing.assert_close(found.states[:, :, 1:], scenario.states[:, :, 1:])
+    assert (found.states[0, -1, 0] - scenario.states[0, -1, 0]).norm() > 1
 
 
 def test_agents_enter_where_they_were_recorded_to():
-    recording = _recording()
-    found = rollout(recording, constant_velocity, EVERYBODY)
-    torch.testing.assert_close(found.states[0, 5, 2], recording.states[0, 5, 2])
-    torch.testing.assert_close(found.states[0, 14, 2], recording.states[0, 14, 2])
+    scenario = _recording()
+    found = rollout(scenario, constant_velocity, EVERYBODY)
+    torch.testing.assert_close(found.states[0, 5, 2], scenario.states[0, 5, 2])
+    torch.testing.assert_close(found.states[0, 14, 2], scenario.states[0, 14, 2])
     assert not found.states[0, 15:, 2].any()
 
 
 def test_simple_policies_go_straight_on_and_round():
-    recording = _recording()
-    straight = rollout(recording, constant_velocity, EVERYBODY, observed=5)
-    round_on = rollout(recording, constant_turn_rate, EVERYBODY, observed=5)
-    torch.testing.assert_close(straight.states[:, :, 0], recording.states[:, :, 0])
-    assert (straight.states - recording.states)[0, -1, 1, :2].norm() > 0.5
-    assert (round_on.states - recording.states)[0, -1, 1, :2].norm() < 1e-6
+    scenario = _recording()
+    straight = rollout(scenario, constant_velocity, EVERYBODY, history=5)
+    round_on = rollout(scenario, constant_turn_rate, EVERYBODY, history=5)
+    torch.testing.assert_close(straight.states[:, :, 0], scenario.states[:, :, 0])
+    assert (straight.states - scenario.states)[0, -1, 1, :2].norm() > 0.5
+    assert (round_on.states - scenario.states)[0, -1, 1, :2].norm() < 1e-6
 
 
 def test_intelligent_driver_follows_its_route_and_stops_behind_others():
@@ -83,11 +83,11 @@ def test_intelligent_driver_follows_its_route_and_stops_behind_others():
     still[:, :, 0, 3], still[:, :, 1, 0] = 8.0, 80.0
     sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
     there = torch.ones(1, steps, 2, dtype=torch.bool)
-    recording = Recording(still, there, sizes, torch.zeros(1, 2).bool(), DT)
+    scenario = Scenario(still, there, sizes, torch.zeros(1, 2).bool(), DT)
     bend = torch.linspace(0, 80, 81).double()
     route = torch.stack([bend, 6 * torch.sin(bend / 80 * np.pi)], -1).expand(1, 2, 81, 2)
-    policy = intelligent_driver(route, torch.full((1, 2), 12.0).double())
-    found = rollout(recording, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    policy = make_idm_policy(route, torch.full((1, 2), 12.0).double())
+    found = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
     assert found[:, 3].max() > 9
     assert found[-1, 3].abs() < 0.1
     gap = 80 - float(found[-1, 0]) - 4.5
@@ -103,15 +103,15 @@ def test_intelligent_driver_waits_for_green():
     states[:, :, 1, 1] = 20.0  # the other one has no light
     sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
     there = torch.ones(1, steps, 2, dtype=torch.bool)
-    recording = Recording(states, there, sizes, torch.zeros(1, 2).bool(), DT)
+    scenario = Scenario(states, there, sizes, torch.zeros(1, 2).bool(), DT)
     x = torch.linspace(0, 90, 91).double()
     route = torch.stack([x, torch.zeros_like(x)], -1).expand(1, 2, 91, 2)
     route = torch.stack([route[:, 0], route[:, 1] + torch.tensor([0.0, 20.0])], 1)
     line = torch.tensor([[[40.0, -2.0], [40.0, 2.0]]]).double()
     light = torch.full((1, steps, 1), RED)
     light[:, 120:] = GREEN
-    policy = intelligent_driver(route, torch.full((1, 2), 8.0).double(), line, light)
-    found = rollout(recording, policy, torch.ones(1, 2).bool()).states[0]
+    policy = make_idm_policy(route, torch.full((1, 2), 8.0).double(), line, light)
+    found = rollout(scenario, policy, torch.ones(1, 2).bool()).states[0]
     front = found[:, 0, 0] + 4.5 / 2
     assert front[:120].max() < 40
     assert front[119] > 37
@@ -121,7 +121,7 @@ def test_intelligent_driver_waits_for_green():
 
 def test_gradients_through_ten_steps_of_looking_and_driving():
     """Render, policy, kinematics, closed loop, against central differences."""
-    recording = _recording(steps=11)
+    scenario = _recording(steps=11)
     v, u = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
     image = (0.5 + 0.3 * torch.sin(u / 6) * torch.cos(v / 8)).double()[None]
     ground = make_ground(image, torch.tensor([[1.0, 0, 32], [0, -1.0, 32]]).double())
@@ -129,14 +129,14 @@ def test_gradients_through_ten_steps_of_looking_and_driving():
     weights = torch.randn(64, 2, generator=torch.Generator().manual_seed(0)).double() * 0.05
 
     def last(weights):
-        def policy(recording, path):
+        def policy(scenario, path):
             now = path[:, -1]
-            here = recording.present[:, path.shape[1] - 1]
-            everyone = Boxes(now[..., :3], recording.sizes[0], colours, here)
+            here = scenario.present[:, path.shape[1] - 1]
+            everyone = OrientedBoxes(now[..., :3], scenario.sizes[0], colours, here)
             pictures = [render(view, now[:, a, :3], ground, [everyone]) for a in range(3)]
             return torch.stack([picture.flatten(1) @ weights for picture in pictures], 1)
 
-        return rollout(recording, policy, EVERYBODY).states[:, -1, :2]
+        return rollout(scenario, policy, EVERYBODY).states[:, -1, :2]
 
     given = weights.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(last(given).sum(), given)
@@ -148,60 +148,62 @@ def test_gradients_through_ten_steps_of_looking_and_driving():
 
 
 def test_lean_rollout_has_the_same_gradients():
-    recording = _recording()
+    scenario = _recording()
     push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
 
-    def policy(recording, path):
+    def policy(scenario, path):
         return push * torch.ones_like(path[:, -1, :, :2])
 
     full, lean = (
-        torch.autograd.grad(rollout(recording, policy, EVERYBODY, lean=lean).states.sum(), push)[0]
+        torch.autograd.grad(
+            rollout(scenario, policy, EVERYBODY, checkpointing=lean).states.sum(), push
+        )[0]
         for lean in (False, True)
     )
     torch.testing.assert_close(full, lean)
 
 
 def test_what_cannot_be_simulated_is_refused():
-    recording = _recording()
+    scenario = _recording()
     with pytest.raises(ValueError, match="from 1 to 20 can be"):
-        rollout(recording, constant_velocity, EVERYBODY, observed=21)
+        rollout(scenario, constant_velocity, EVERYBODY, history=21)
 
-    def lost(recording, path):
+    def lost(scenario, path):
         return torch.full_like(path[:, -1, :, :2], torch.nan)
 
     with pytest.raises(ValueError, match="at step 0 the policy gives an action"):
-        rollout(recording, lost, EVERYBODY)
+        rollout(scenario, lost, EVERYBODY)
 
 
 def test_lean_rollout_draws_the_same_noise_again():
-    recording, generator = _recording(), torch.Generator().manual_seed(0)
+    scenario, generator = _recording(), torch.Generator().manual_seed(0)
     push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
 
-    def policy(recording, path):
+    def policy(scenario, path):
         now = path[:, -1, :, :2]
         return push * torch.randn(now.shape, generator=generator, dtype=now.dtype)
 
     def gradient(**given):
         generator.manual_seed(1)
-        found = rollout(recording, policy, EVERYBODY, **given)
+        found = rollout(scenario, policy, EVERYBODY, **given)
         (gradient,) = torch.autograd.grad(found.states.sum(), push)
         return gradient, torch.rand(1, generator=generator)
 
     full, after = gradient()
-    lean, same = gradient(lean=True, generator=generator)
+    lean, same = gradient(checkpointing=True, generator=generator)
     torch.testing.assert_close(full, lean)
     assert torch.equal(after, same)  # the way back leaves the generator where it was
     with pytest.raises(ValueError, match="give rollout its generator"):
-        gradient(lean=True)
+        gradient(checkpointing=True)
 
 
 def test_padding_without_sizes_has_gradients():
-    recording = _recording()
-    present = recording.present.clone()
+    scenario = _recording()
+    present = scenario.present.clone()
     present[..., 2] = False
-    sizes = recording.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
-    states = recording.states.clone().requires_grad_()
-    padded = Recording(states, present, sizes, torch.zeros_like(recording.on_foot), DT)
+    sizes = scenario.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
+    states = scenario.states.clone().requires_grad_()
+    padded = Scenario(states, present, sizes, torch.zeros_like(scenario.pedestrian), DT)
     found = rollout(padded, constant_velocity, EVERYBODY).states
     (gradient,) = torch.autograd.grad(found.sum(), states)
     assert torch.isfinite(gradient).all()
@@ -218,16 +220,16 @@ def _waiting(far):
     states[0, :, 1, 0] = 30 + far
     sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
     there = torch.ones(1, steps, 2, dtype=torch.bool)
-    return Recording(states, there, sizes, torch.zeros(1, 2).bool(), DT)
+    return Scenario(states, there, sizes, torch.zeros(1, 2).bool(), DT)
 
 
 @pytest.mark.parametrize("far", [20.0, 500.0])
 def test_routes_go_straight_on_where_recordings_wait(far):
-    recording = _waiting(far)
-    route = routes_of(recording)
+    scenario = _waiting(far)
+    route = extract_routes(scenario)
     assert route.diff(dim=2).norm(dim=-1).min() > 0.99
-    policy = intelligent_driver(route, torch.full((1, 2), 8.0).double())
-    found = rollout(recording, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    policy = make_idm_policy(route, torch.full((1, 2), 8.0).double())
+    found = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
     assert found[:, 1].abs().max() < 0.2
     if far < 100:
         assert 1.5 < 30 + far - float(found[-1, 0]) - 4.5 < 4
@@ -240,11 +242,11 @@ def _at_a_light(x, line, speed=8.0):
     states = torch.tensor([[x, 0.0, 0.0, speed]]).double().expand(1, 2, 1, 4)
     sizes = torch.tensor([[[4.5, 1.9]]]).double()
     there = torch.ones(1, 2, 1, dtype=torch.bool)
-    recording = Recording(states, there, sizes, torch.zeros(1, 1).bool(), DT)
+    scenario = Scenario(states, there, sizes, torch.zeros(1, 1).bool(), DT)
     route = torch.stack([torch.arange(100.0), torch.zeros(100)], -1).double()[None, None]
     lights = torch.tensor(line)[None].double(), torch.full((1, 2, 1), RED)
-    policy = intelligent_driver(route, torch.full((1, 1), 8.0).double(), *lights)
-    return float(policy(recording, recording.states[:, :1])[0, 0, 0])
+    policy = make_idm_policy(route, torch.full((1, 1), 8.0).double(), *lights)
+    return float(policy(scenario, scenario.states[:, :1])[0, 0, 0])
 
 
 def test_only_lines_before_the_front_and_across_the_way_stop():
@@ -257,21 +259,21 @@ def test_only_lines_before_the_front_and_across_the_way_stop():
 
 
 def test_absent_agents_of_a_simulated_scene_are_nan():
-    recording = _recording()
-    found = rollout(recording, constant_velocity, EVERYBODY)
+    scenario = _recording()
+    found = rollout(scenario, constant_velocity, EVERYBODY)
     empty = torch.zeros(3, 21)
     scene = Scene(
         make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2]),
         torch.arange(21).double() * DT,
         empty[..., None].expand(3, 21, 3),
         empty,
-        recording.present[0].t(),
-        recording.sizes[0].float(),
+        scenario.present[0].t(),
+        scenario.sizes[0].float(),
         ("car", "car", "pedestrian"),
         ("1", "2", "3"),
         torch.zeros(0, 2, 2),
         torch.zeros(21, 0, dtype=torch.int8),
     )
-    after = simulated(scene, replace(found, states=found.states.float()), 0)
+    after = apply_rollout(scene, replace(found, states=found.states.float()), 0)
     assert torch.equal(torch.isfinite(after.speeds), after.present)
     assert torch.equal(torch.isfinite(after.poses).all(dim=2), after.present)

@@ -1,0 +1,94 @@
+"""Road rules as tensors: where vehicles may drive, and in which direction."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from shapely import MultiPolygon
+
+from geoaim.hdmap.drivable import find_drivable_area, sample_lane_directions
+from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.hdmap.signed_distance import compute_signed_distance
+from geoaim.simulation.ground import world_from_pixels
+from geoaim.simulation.infractions import Drivable, Lanes
+from geoaim.simulation.scene import Scene, check_near_origin, check_touches_map
+
+
+@dataclass(frozen=True, eq=False)
+class RoadRules:
+    """What is off the road and the wrong way; None where the map does not say.
+
+    Attributes:
+        drivable: distances from the drivable area.
+        lanes: directions of one-way lanes.
+    """
+
+    drivable: Drivable | None = None
+    lanes: Lanes | None = None
+
+
+NO_ROAD_RULES = RoadRules()
+
+
+def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> RoadRules:
+    """Make road rules of an HD map, of a drivable area drawn by hand, or of both.
+
+    Args:
+        hdmap: its lanes, and its drivable area unless one is given; None: no rules of lanes.
+        area: drivable area, metres in the map's world.
+
+    Returns:
+        The rules.
+
+    Raises:
+        MapError: the map or the area lies too far from the world's origin.
+    """
+    if area is None and hdmap is not None:
+        area = find_drivable_area(hdmap)
+    drivable = None if area is None else make_drivable(area)
+    return RoadRules(drivable, None if hdmap is None else make_lanes(hdmap))
+
+
+def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
+    """Rasterize the signed distance from the edge of the drivable area.
+
+    Args:
+        area: metres in the map's world.
+        resolution: metres a pixel.
+
+    Returns:
+        The raster.
+
+    Raises:
+        MapError: the area lies too far from the world's origin.
+    """
+    check_near_origin("drivable area", np.array(area.bounds).reshape(2, 2))
+    distance, grid = compute_signed_distance(area, resolution=resolution)
+    grid_from_world = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
+    return Drivable(torch.tensor(distance), grid_from_world)
+
+
+def make_lanes(hdmap: HDMap) -> Lanes:
+    """Sample the directions of a map's one-way lanes along their centre lines.
+
+    Raises:
+        MapError: the lanes lie too far from the world's origin.
+    """
+    arrays = sample_lane_directions(hdmap)
+    check_near_origin("HD map", arrays[0])
+    return Lanes(*(torch.tensor(array, dtype=torch.float32) for array in arrays))
+
+
+def check_rules(scene: Scene, rules: RoadRules) -> None:
+    """Refuse rules of another place than the scene's map.
+
+    Raises:
+        TracksError: no lane, or no part of the drivable area, lies on the map.
+    """
+    bounds = scene.ground.bounds.cpu().numpy()
+    if rules.lanes is not None and len(rules.lanes.points):
+        check_touches_map("lane", rules.lanes.points.double().cpu().numpy(), bounds)
+    if rules.drivable is not None:
+        pixels = (rules.drivable.distance < 0).nonzero().flip(1) + 0.5
+        points = world_from_pixels(rules.drivable.grid_from_world, pixels).cpu().numpy()
+        check_touches_map("drivable area", points, bounds)
