@@ -20,26 +20,23 @@ from torchdrivesim.utils import Resolution
 from geoaim.simulation.birdview import OrientedBoxes, render
 from geoaim.simulation.ground import Ground, View, move_ground, prefilter_ground
 
-WAYPOINT = 2.0 * math.sqrt(math.pi)  # m: side of the square as large as torchdrivesim's disc
+WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # of a square as large as torchdrivesim's disc
 
 
 class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
-    """A renderer of torchdrivesim over one image map, with gradients by poses and cameras.
+    """A torchdrivesim renderer of an image map, with gradients by poses and cameras.
 
     Args:
         ground: the map, in the simulator's coordinates, with three channels from 0 to 1.
-        cfg: torchdrivesim's own configuration; the direction's triangle, the ego's colour and
-            left-handed coordinates are heeded.
-        more: what `BirdviewRenderer` takes besides: batch_size, res, fov, color_map, ...
-
-    Raises:
-        ValueError: for meshes to be drawn; the map is an image.
+        cfg: torchdrivesim's own configuration, of which render_agent_direction,
+            highlight_ego_vehicle and left_handed_coordinates are used.
+        base: arguments of `BirdviewRenderer`: batch_size, res, fov, color_map, ...
     """
 
-    def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **more: Any) -> None:
-        super().__init__(cfg or RendererConfig(), **{"device": ground.image.device, **more})
+    def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
+        super().__init__(cfg or RendererConfig(), **{"device": ground.image.device, **base})
         self.ground = ground
-        self.fitted: dict[float, Ground] = {}  # by resolution
+        self.prefiltered: dict[float, Ground] = {}  # by resolution
 
     def render_frame(
         self,
@@ -54,24 +51,23 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         waypoints: Tensor | None = None,
         waypoints_rendering_mask: Tensor | None = None,
     ) -> Tensor:
-        """As torchdrivesim documents it: colours from 0 to 255, one camera an agent by default."""
-        _check_cameras(camera_xy, camera_sc)
-        egocentric = camera_xy is None
-        if camera_xy is None or camera_sc is None:
-            poses = torch.cat([state[..., :3] for state in agent_state.values()], dim=-2)
-            camera_xy, turn = poses[..., :2], poses[..., 2]
-        else:
-            turn = torch.atan2(camera_sc[..., 0], camera_sc[..., 1])
-        cameras = torch.cat([camera_xy, turn[..., None]], dim=-1)
-        layers = dict(self._agents(agent_state, agent_attributes, rendering_mask, cameras))
+        """Render agents, traffic controls and waypoints; see torchdrivesim for the arguments.
+
+        Returns:
+            (B, N, 3, H, W) around each agent, or (B N, 3, H, W) of given cameras; 0 to 255.
+        """
+        egocentric = camera_xy is None and camera_sc is None
+        poses = torch.cat([state[..., :3] for state in agent_state.values()], dim=-2)
+        cameras = poses if egocentric else _make_cameras(camera_xy, camera_sc)
+        layers = dict(self._make_agents(agent_state, agent_attributes, rendering_mask, cameras))
         if traffic_controls is not None:
-            layers |= dict(self._controls(traffic_controls, cameras))
+            layers |= dict(self._make_controls(traffic_controls, cameras))
         if waypoints is not None:
-            layers["goal_waypoint"] = self._waypoints(waypoints, waypoints_rendering_mask)
+            layers["goal_waypoint"] = self._make_waypoints(waypoints, waypoints_rendering_mask)
         levels = self.rendering_levels
         shown = [name for name in layers if levels[name] >= 0]
-        order = sorted(shown, key=lambda name: -levels[name])
-        pictures = self._pictures(cameras.flatten(0, 1), [layers[n] for n in order], res, fov)
+        boxes = [layers[name] for name in sorted(shown, key=lambda name: -levels[name])]
+        pictures = self._render(cameras.flatten(0, 1), boxes, res, fov)
         return pictures.view(*cameras.shape[:2], *pictures.shape[1:]) if egocentric else pictures
 
     def render_static_meshes(
@@ -81,39 +77,36 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         res: Resolution | None = None,
         fov: float | None = None,
     ) -> Tensor:
-        """The map alone, (Nc, H, W, C); north up around the world's centre by default."""
-        _check_cameras(camera_xy, camera_sc)
-        if camera_xy is None or camera_sc is None:
-            camera_xy = self.world_center
-            turn = torch.full_like(camera_xy[..., 0], math.pi / 2)
-        else:
-            turn = torch.atan2(camera_sc[..., 0], camera_sc[..., 1])
-        cameras = torch.cat([camera_xy, turn[..., None]], dim=-1).reshape(-1, 3)
-        return self._pictures(cameras, [], res, fov).permute(0, 2, 3, 1)
+        """Render the map alone, by default north up around the world's centre: (N, H, W, 3)."""
+        if camera_xy is None and camera_sc is None:
+            one = torch.ones_like(self.world_center[..., 0])
+            camera_xy, camera_sc = self.world_center, torch.stack([one, torch.zeros_like(one)], -1)
+        cameras = _make_cameras(camera_xy, camera_sc).reshape(-1, 3)
+        return self._render(cameras, [], res, fov).permute(0, 2, 3, 1)
 
     def render_mesh(self, mesh: Any, res: Resolution, cameras: Any) -> Tensor:
-        """Refused: there is no mesh in an image map."""
+        """Raise ValueError: the map is an image and has no meshes."""
         raise ValueError("an image map draws no meshes; use render_frame or render_static_meshes")
 
     def add_static_meshes(self, meshes: list[Any]) -> None:
-        """Refused: there is no mesh in an image map."""
+        """Raise ValueError: the map is an image and has no meshes."""
         raise ValueError("an image map draws no meshes; paint them into its image")
 
     def to(self, device: torch.device) -> "ImageMapRenderer":
         """Move the renderer to another device in place."""
         super().to(device)
-        self.ground, self.fitted = move_ground(self.ground, device), {}
+        self.ground, self.prefiltered = move_ground(self.ground, device), {}
         return self
 
     def expand(self, n: int) -> "ImageMapRenderer":
-        """A renderer for so many times the batch."""
-        return self._of_centres(self.world_center.repeat_interleave(n, dim=0))
+        """Make a renderer of `n` times the batch."""
+        return self._copy(self.world_center.repeat_interleave(n, dim=0))
 
     def select_batch_elements(self, idx: Tensor) -> "ImageMapRenderer":
-        """A renderer for some of the batch."""
-        return self._of_centres(self.world_center[idx])
+        """Make a renderer of some elements of the batch."""
+        return self._copy(self.world_center[idx])
 
-    def _of_centres(self, centres: Tensor) -> "ImageMapRenderer":
+    def _copy(self, centres: Tensor) -> "ImageMapRenderer":
         return ImageMapRenderer(
             self.ground,
             self.cfg,
@@ -125,76 +118,76 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
             fov=2.0 / self.scale,
         )
 
-    def _pictures(
+    def _render(
         self,
-        cameras: Tensor,
+        cameras: Float[Tensor, "V 3"],
         layers: list[OrientedBoxes],
         res: Resolution | None,
         fov: float | None,
     ) -> Float[Tensor, "V 3 H W"]:
         size = res or self.res
         view = View(size.height, size.width, (fov or 2.0 / self.scale) / min(size))
-        if view.resolution not in self.fitted or self.ground.image.requires_grad:
-            self.fitted = {view.resolution: prefilter_ground(self.ground, view.resolution)}
-        pictures = 255 * render(view, cameras, self.fitted[view.resolution], layers)
+        if view.resolution not in self.prefiltered or self.ground.image.requires_grad:
+            self.prefiltered = {view.resolution: prefilter_ground(self.ground, view.resolution)}
+        pictures = 255 * render(view, cameras, self.prefiltered[view.resolution], layers)
         return pictures.flip(-1) if self.cfg.left_handed_coordinates else pictures
 
-    def _agents(
+    def _make_agents(
         self,
         states: dict[str, Tensor],
         sizes: dict[str, Tensor],
         masks: dict[str, Tensor] | None,
         cameras: Tensor,
     ) -> Iterator[tuple[str, OrientedBoxes]]:
+        """Make a layer of boxes of each agent type, and one of the ego if it is highlighted."""
+        views = cameras.shape[1]
         for name, state in states.items():
-            whole = slice(None)
-            parts = [(name, whole)]
+            parts = [(name, slice(None))]
             if name == "vehicle" and self.cfg.highlight_ego_vehicle:
                 parts = [("ego", slice(0, 1)), (name, slice(1, None))]
-            for kind, some in parts:
-                mask = None if masks is None else masks[name][:, :, some].flatten(0, 1).bool()
-                noses = None
+            for colour, part in parts:
+                count = state[:, part].shape[1]
+                mask = None if masks is None else masks[name][:, :, part].flatten(0, 1).bool()
+                triangles = None
                 if self.cfg.render_agent_direction and self.rendering_levels["direction"] >= 0:
-                    noses = self._colours(["direction"]).expand(state[:, some].shape[1], 3)
-                views = cameras.shape[1]
-                yield (
-                    kind,
-                    OrientedBoxes(
-                        state[:, some, :3].repeat_interleave(views, dim=0),
-                        sizes[name][:, some, :2].repeat_interleave(views, dim=0),
-                        self._colours([kind]).expand(state[:, some].shape[1], 3),
-                        mask,
-                        noses,
-                    ),
-                )
+                    triangles = self._get_colours(["direction"]).expand(count, 3)
+                poses = state[:, part, :3].repeat_interleave(views, dim=0)
+                part_sizes = sizes[name][:, part, :2].repeat_interleave(views, dim=0)
+                colours = self._get_colours([colour]).expand(count, 3)
+                yield colour, OrientedBoxes(poses, part_sizes, colours, mask, triangles)
 
-    def _controls(
+    def _make_controls(
         self, controls: Mapping[str, Any], cameras: Tensor
     ) -> Iterator[tuple[str, OrientedBoxes]]:
+        """Make a layer of boxes of each kind of traffic control; lights have colours of states."""
         views = cameras.shape[1]
         for name, control in controls.items():
             lights = name == "traffic_light"
-            kinds = [f"{name}_{state}" for state in control.allowed_states] if lights else [name]
-            where = control.pos.repeat_interleave(views, dim=0)
-            state = control.state.repeat_interleave(views, dim=0)
-            there = control.mask.repeat_interleave(views, dim=0)
-            colours = self._colours(kinds)[state if lights else torch.zeros_like(state)]
-            poses = where[..., [0, 1, 4]]
-            yield kinds[0], OrientedBoxes(poses, where[..., 2:4], colours, there)
+            names = [f"{name}_{state}" for state in control.allowed_states] if lights else [name]
+            box, state, mask = (
+                value.repeat_interleave(views, dim=0)
+                for value in (control.pos, control.state, control.mask)
+            )
+            colours = self._get_colours(names)[state if lights else torch.zeros_like(state)]
+            yield names[0], OrientedBoxes(box[..., [0, 1, 4]], box[..., 2:4], colours, mask)
 
-    def _waypoints(self, waypoints: Tensor, mask: Tensor | None) -> OrientedBoxes:
+    def _make_waypoints(self, waypoints: Tensor, mask: Tensor | None) -> OrientedBoxes:
         points = waypoints.flatten(0, 1)[..., :2]
         poses = torch.cat([points, torch.zeros_like(points[..., :1])], dim=-1)
         count = points.shape[1]
-        there = None if mask is None else mask.flatten(0, 1).bool()
-        sizes = points.new_full((count, 2), WAYPOINT)
-        return OrientedBoxes(poses, sizes, self._colours(["goal_waypoint"]).expand(count, 3), there)
+        present = None if mask is None else mask.flatten(0, 1).bool()
+        sizes = points.new_full((count, 2), WAYPOINT_SIDE_M)
+        colours = self._get_colours(["goal_waypoint"]).expand(count, 3)
+        return OrientedBoxes(poses, sizes, colours, present)
 
-    def _colours(self, names: list[str]) -> Float[Tensor, "n 3"]:
+    def _get_colours(self, names: list[str]) -> Float[Tensor, "n 3"]:
         table = [self.color_map[name] for name in names]
         return self.ground.image.new_tensor(table) / 255
 
 
-def _check_cameras(xy: Tensor | None, sc: Tensor | None) -> None:
-    if (xy is None) != (sc is None):
+def _make_cameras(xy: Tensor | None, sine_cosine: Tensor | None) -> Float[Tensor, "... 3"]:
+    """Join positions and headings, which torchdrivesim gives by sine and cosine."""
+    if xy is None or sine_cosine is None:
         raise ValueError("camera_xy and camera_sc go together; one of them is None")
+    heading = torch.atan2(sine_cosine[..., 0], sine_cosine[..., 1])
+    return torch.cat([xy, heading[..., None]], dim=-1)
