@@ -25,10 +25,12 @@ from geoaim.experiments.places import TEST, TRAIN, make_place_scene, read_map, r
 from geoaim.experiments.protocol import make_places_dataset
 from geoaim.experiments.resnet import build_resnet18
 from geoaim.experiments.results import Workspace
+from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
+from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.windows import WINDOW_STEPS
 from geoaim.simulation.scene import slice_scene
 
-SMALL = {"view_size": 16, "hidden_size": 16, "feature_size": 12}
+SMALL = {"view_size": 16, "view_stride": 50, "hidden_size": 16, "feature_size": 12}
 WITH_MORE_VALIDATION = partial(make_places_dataset, val_fraction=0.4)
 
 
@@ -36,7 +38,9 @@ WITH_MORE_VALIDATION = partial(make_places_dataset, val_fraction=0.4)
 def workspace(place, monkeypatch, tmp_path):
     """A workspace with one place, in which all trainings are tiny."""
     (tmp_path / "places").symlink_to(place.parent)
-    for kind in ("vehicle", "pedestrian"):
+    for kind, steps in {"vehicle": 20, "pedestrian": 14}.items():
+        monkeypatch.setitem(SEGMENT_STEPS, kind, steps)
+        monkeypatch.setitem(SEGMENT_STRIDES, kind, 50)
         monkeypatch.setitem(TRAIN, kind, ((5, "t"),))
         monkeypatch.setitem(TEST, kind, ((5, "t"),))
         training = replace(models.TRAININGS[kind], steps=1, batch_size=2)
@@ -46,6 +50,7 @@ def workspace(place, monkeypatch, tmp_path):
         monkeypatch.setitem(models.MODELS, name, small)
     monkeypatch.setattr(models, "make_places_dataset", WITH_MORE_VALIDATION)
     monkeypatch.setattr(protocol, "SAMPLES", 2)
+    monkeypatch.setattr(protocol, "split_scene", lambda scene, share: split_scene(scene, share / 5))
     monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 2)
     return Workspace(tmp_path, tmp_path / "results")
 
@@ -86,7 +91,7 @@ def test_ablations_differ_in_one_choice(workspace, monkeypatch):
         "STEPS": 1,
         "BATCH_SIZE": 2,
         "SAMPLES": 2,
-        "VAL_STRIDE": 50,
+        "VAL_STRIDE": 10,
         "make_places_dataset": WITH_MORE_VALIDATION,
     }.items():
         monkeypatch.setattr(ablations, name, value)
@@ -117,7 +122,6 @@ def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
         "_make_scene": lambda name, aim: make_place_scene(recording, aim, dt=0.4),
         "FINE_TUNING": replace(sind.FINE_TUNING, steps=1, batch_size=2),
         "SAMPLES": 2,
-        "PEDESTRIANS": models.MODELS["pedestrian_aim"].config,
     }.items():
         monkeypatch.setattr(sind, name, value)
     assert {"aim, fine-tuned", "hdm, zero-shot"} < set(read_methods(sind.run(workspace)))
