@@ -45,7 +45,7 @@ class Predictor(Protocol):
         ...
 
 
-def predict_with_policy(
+def _predict_with_policy(
     policy: Policy,
     segments: Segments,
     ground: Ground,
@@ -54,12 +54,12 @@ def predict_with_policy(
     samples: int,
     generator: torch.Generator,
 ) -> Float[Tensor, "B K T N 4"]:
-    """Roll agents out by a policy of the simulator; all samples are the same. See `Predictor`."""
+    """Roll agents out by a policy of the simulator; all samples are the same."""
     states = _roll_out(policy, segments, history)
     return states[:, None].expand(-1, samples, -1, -1, -1)
 
 
-def predict_with_noise(
+def _predict_with_noise(
     segments: Segments,
     ground: Ground,
     *,
@@ -69,7 +69,7 @@ def predict_with_noise(
 ) -> Float[Tensor, "B K T N 4"]:
     """Continue at constant velocity after noise on heading and speed at the last observed step.
 
-    Schöller et al. 2020. See `Predictor`.
+    Schöller et al. 2020.
     """
     repeated = repeat(segments, samples)
     states = repeated.states
@@ -86,9 +86,9 @@ def predict_with_noise(
 
 
 BASELINES: Mapping[str, Predictor] = {
-    "constant velocity": partial(predict_with_policy, constant_velocity),
-    "constant velocity with noise": predict_with_noise,
-    "constant turn rate": partial(predict_with_policy, constant_turn_rate),
+    "constant velocity": partial(_predict_with_policy, constant_velocity),
+    "constant velocity with noise": _predict_with_noise,
+    "constant turn rate": partial(_predict_with_policy, constant_turn_rate),
 }
 
 

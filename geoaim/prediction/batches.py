@@ -110,13 +110,22 @@ def draw_batch(
 
 
 def compute_kl_weight(config: TrainConfig, step: int) -> float:
-    """Weight of the KL term at a step."""
+    """Compute the weight of the KL term at a step."""
     warmup_steps = config.kl_warmup * config.steps
     return config.kl_weight * min(1.0, (step + 1) / max(warmup_steps, 1.0))
 
 
 def compute_top_k(config: TrainConfig, step: int, num_anchors: int) -> int:
-    """Proposals of each agent that are trained at a step; see `compute_anchor_loss`."""
+    """Compute how many proposals of each agent are trained; see `compute_anchor_loss`.
+
+    Args:
+        config: annealing and number of steps.
+        step: of the training.
+        num_anchors: proposals of the model.
+
+    Returns:
+        A number between `num_anchors` and 1.
+    """
     annealing_steps = config.anchor_annealing * config.steps
     if step >= annealing_steps:
         return 1

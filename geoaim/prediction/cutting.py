@@ -116,13 +116,13 @@ def _choose_neighbours(
 
     Nearest at any step: neighbours replay, and those that come near later have to be drawn too.
     """
-    egos = complete.nonzero()[:, 0]
+    controlled = complete.nonzero()[:, 0]
     positions = piece.poses[..., :2]
-    distances = (positions[egos, None] - positions).norm(dim=-1)  # (B, N, T)
+    distances = (positions[controlled, None] - positions).norm(dim=-1)  # (B, N, T)
     distances = torch.where(piece.present, distances, torch.inf).amin(dim=2)
-    distances[torch.arange(len(egos), device=egos.device), egos] = -1.0
+    distances[torch.arange(len(controlled), device=controlled.device), controlled] = -1.0
     agents = distances.argsort(dim=1)[:, : MAX_NEIGHBOURS + 1]
-    return agents, agents == egos[:, None]
+    return agents, agents == controlled[:, None]
 
 
 def _cut(
