@@ -166,13 +166,13 @@ _KINDS = {bool: "flag", float: "number", int: "whole number", Path: "path"}
 def _default(parameter: Parameter) -> str:
     if parameter.default is inspect.Parameter.empty:
         return "required"
-    if parameter.default in (None, False, ()):
+    if parameter.default is None or parameter.default is False:
         return ""
     return f"`{getattr(parameter.default, 'value', parameter.default)}`"
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split()).replace("|", "\\|").replace("{", "&#123;")
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("{", "&#123;")
 
 
 @cache

@@ -73,14 +73,12 @@ def test_relative_links_lead_to_files(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_command_lines_use_options_that_exist(page: Path, hooks: ModuleType) -> None:
-    commands = hooks.list_commands()
-    for line in _command_lines(page.read_text("utf-8")):
-        name = line.split()[1]
-        assert name in commands or name == "COMMAND" or name.startswith("--"), line
-        if name in commands:
-            known = {option for p in hooks.list_parameters(name) for option in p.names}
-            used = re.findall(r"(?<=\s)(--?[a-z][\w-]*)", line)
-            assert set(used) <= known | {"--help"}, line
+    blocks = [code for kind, code in FENCE.findall(page.read_text("utf-8")) if kind in ("", "sh")]
+    _check_command_lines("\n".join(blocks), hooks)
+
+
+def test_makefile_uses_options_that_exist(hooks: ModuleType) -> None:
+    _check_command_lines(_read("Makefile").replace("\t$(BIN)/", ""), hooks)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -141,11 +139,17 @@ def _exists(path: Path) -> bool:
     return made or path.exists()
 
 
-def _command_lines(text: str) -> list[str]:
-    """Calls of geoaim in code blocks, their continuation lines joined."""
-    blocks = [code for kind, code in FENCE.findall(text) if kind in ("", "sh")]
-    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    return [line.split(" #")[0] for line in lines if line.startswith("geoaim ")]
+def _check_command_lines(text: str, hooks: ModuleType) -> None:
+    """Compare calls of geoaim, continuation lines joined, with the commands' options."""
+    commands = hooks.list_commands()
+    lines = text.replace("\\\n", " ").splitlines()
+    for line in [line.split(" #")[0] for line in lines if line.startswith("geoaim ")]:
+        name = line.split()[1]
+        assert name in commands or name == "COMMAND" or name.startswith("--"), line
+        if name in commands:
+            known = {option for p in hooks.list_parameters(name) for option in p.names}
+            used = re.findall(r"(?<=\s)(--?[a-z][\w-]*)", line)
+            assert set(used) <= known | {"--help"}, line
 
 
 def _find_attribute(dotted: str) -> None:
