@@ -1,4 +1,4 @@
-"""Video and imagery to AIM: numpy, OpenCV, rasterio; never torch. `pipeline` is the contents."""
+"""From video to AIM: registration, background and georeference, in the order of `pipeline`."""
 
 from geoaim.geometry import transform_boxes, transform_points
 from geoaim.mapping.background.estimate import average_frames, remove_traffic

@@ -1,4 +1,4 @@
-"""What an AIM says of itself: plain numbers from each stage, kept in the file."""
+"""The report of an AIM: the results of each stage as JSON values, stored in its file."""
 
 from typing import Any
 
@@ -14,16 +14,16 @@ from geoaim.mapping.georeference.georeference import (
 )
 from geoaim.mapping.registration.register import Registration, count_reasons
 
-MOST_OF_PATH = 1000  # points of the drift that are kept
+MAX_PATH_POINTS = 1000  # of the camera's drift
 
 
 def report_registration(registration: Registration) -> dict[str, Any]:
-    """Model, share of frames that could be laid, reasons for the others, and the drift."""
+    """Motion model, number of registered frames, reasons for the others, and the camera's drift."""
     reference, valid = registration.reference, registration.valid
     middle = np.array([[reference.width / 2, reference.height / 2]])
     path = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
     path = np.column_stack([registration.time[valid], path])
-    thinned = path[:: len(path) // MOST_OF_PATH + 1]
+    thinned = path[:: len(path) // MAX_PATH_POINTS + 1]
     return {
         "model": reference.model,
         "predicted_error_px": dict(reference.choice.predicted_error) if reference.choice else {},
@@ -31,7 +31,7 @@ def report_registration(registration: Registration) -> dict[str, Any]:
         "reference_time_s": float(reference.time),
         "frames": len(valid),
         "valid": int(valid.sum()),
-        "refused": count_reasons(registration.reason),
+        "rejected": count_reasons(registration.reason),
         "uncertainty_px": float(np.median(registration.uncertainty[valid])),
         "inlier_share": float(np.median(registration.inlier_share[valid])),
         "path": thinned.round(3).tolist(),
@@ -39,7 +39,7 @@ def report_registration(registration: Registration) -> dict[str, Any]:
 
 
 def report_georeference(georeference: Georeference, points: ControlPoints | None) -> dict[str, Any]:
-    """Model, residuals by point, and how far the corners may be off."""
+    """Transform model, residuals of each control point, and the uncertainty of the corners."""
     corners = image_corners(georeference.height, georeference.width)
     sigma, bound = predict_uncertainty(georeference, corners)
     rows = []
@@ -73,7 +73,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
 
 
 def report_background(background: Background, method: str) -> dict[str, Any]:
-    """How many frames it took, what they left in doubt, and whether more would change it."""
+    """Number of frames in the mean, contested pixels, and how far it has converged."""
     seen = background.coverage > 0
     return {
         "method": method,

@@ -1,4 +1,4 @@
-"""Which frames of a video make a map, and in what order they are read."""
+"""Choose the frames of a video from which a map is built, and their order."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,22 +18,21 @@ FrameCount = int | Literal["auto", "all"]
 
 FIRST_BATCH_FRAMES = 16  # of "auto"; doubled until the background has converged
 MAX_AUTO_FRAMES = 64
-CONVERGED_GREY_LEVELS = 3.0  # by which the latter half of the frames may still change the ground
-MIN_FRAMES_PER_BAND = 50  # of "all"; with more, bands of rows share the frames: twice as fast
+CONVERGED_GREY_LEVELS = 3.0  # by which the second half of the frames may change the background
+MIN_FRAMES_PER_BAND = 50  # of "all"; bands of rows share the frames, which doubles the speed
 MAX_BANDS = 12
 
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """Which frames are read, and how they are averaged.
+    """A choice of frames, and how they are averaged.
 
     Attributes:
-        read: reads the frames from the first on, each time that it is called, in batches of which
-            each goes once through the video in order of time.
-        frame_count: the largest number of frames that `read` yields; None when it is unknown.
-        tolerance: grey levels of change at which the background has converged; 0 reads all frames.
-        bands: stripes of rows that share the frames of the mean.
-        plain_mean: whether traffic is averaged too, where no detections mask it.
+        read: yields batches of frames, each batch in order of time; each call starts anew.
+        frame_count: maximum number of frames that `read` yields; None when it is unknown.
+        tolerance: change at which the background has converged, grey levels; 0 reads all frames.
+        bands: bands of rows that the frames fill in turn.
+        plain_mean: whether the mean includes traffic that no detections mask.
     """
 
     read: Callable[[], Iterator[Iterator[Frame]]]
@@ -44,9 +43,10 @@ class Sampling:
 
 
 def sample_video(video: Video, frames: FrameCount) -> Sampling:
-    """Choose frames of a video: "auto" until the background converges, "all", or a number of them.
+    """Choose frames of a video: "auto", "all", or a number of them.
 
-    Batches of "auto" are each spread over the whole video, and as large as all before them.
+    "auto" reads until the background converges: batches that are each spread over the whole video,
+    and as large as all before them together.
 
     Raises:
         ValueError: `frames` is none of these.
@@ -69,7 +69,16 @@ def sample_video(video: Video, frames: FrameCount) -> Sampling:
 def read_registered(
     sampling: Sampling, registration: Registration, progress: Progress
 ) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-    """Read the frames of a registration again: each valid one with its reference_from_frame."""
+    """Read the frames of a registration again.
+
+    Args:
+        sampling: with which they were read.
+        registration: of these frames.
+        progress: called with "average", the frames read and the frames in all.
+
+    Yields:
+        Each valid frame with its reference_from_frame.
+    """
     rows = {time: row for row, time in enumerate(registration.time.tolist())}
     valid = registration.valid
     registered = (frame for frame in chain.from_iterable(sampling.read()) if frame.time in rows)
@@ -81,23 +90,23 @@ def read_registered(
 
 
 def _read_batches(video: Video) -> Iterator[Iterator[Frame]]:
-    """Batches of frames, each frame once."""
+    """Yield batches of frames, each frame once."""
     read: set[float] = set()
-    for times, spacing in _batch_times(video.duration):
-        # a keyframe within half a step is taken in place of the wanted frame
+    for times, spacing in _list_batch_times(video.duration):
+        # a keyframe within half a step replaces a frame
         yield _skip_read(video.read_at(times, spacing / 2), read)
 
 
 def _skip_read(frames: Iterator[Frame], read: set[float]) -> Iterator[Frame]:
-    """Frames whose times are not yet in `read`, to which they are added."""
+    """Yield the frames whose times are not yet in `read`, and add these."""
     for frame in frames:
         if frame.time not in read:
             read.add(frame.time)
             yield frame
 
 
-def _batch_times(duration: float) -> Iterator[tuple[Float[Array, " n"], float]]:
-    """Times of each batch, seconds, and the spacing between all that were read so far."""
+def _list_batch_times(duration: float) -> Iterator[tuple[Float[Array, " n"], float]]:
+    """Yield the times of each batch (s), and the spacing of all times so far (s)."""
     end = duration * (1 - 1e-6)
     count = FIRST_BATCH_FRAMES
     yield np.linspace(0, end, count, endpoint=False), end / count

@@ -1,4 +1,4 @@
-"""The AIM as a renderer consumes it: a texture and its corner frame."""
+"""Export an AIM as a texture and its corner frame, for a renderer."""
 
 import json
 import os
@@ -18,18 +18,18 @@ CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 def export_texture(
     aim: AIM, folder: str | os.PathLike[str], *, resolution: float | None = None
 ) -> None:
-    """Write texture.png (RGBA) and texture.json, its corner frame in world metres.
+    """Write texture.png (RGBA) and texture.json with its corner frame in world metres.
 
-    Alpha is 255 where a frame saw the ground and 0 elsewhere. The JSON holds the version of the
+    Alpha is 255 where the AIM has coverage and 0 elsewhere. The JSON holds the version of the
     format, the picture's name, height and width (pixels), pixel_height and pixel_width (metres),
     the four corners in the order top-left, top-right, bottom-right, bottom-left, and the world
     (CRS and origin).
 
     Args:
-        aim: what to export. It is rectified first when its transform is not affine, so that the
-            corner frame says where every pixel lies, or when a resolution is given.
-        folder: made when it is missing; files of the same names are replaced.
-        resolution: metres a pixel of the texture; the image's own when None.
+        aim: the map. It is rectified first if a resolution is given, or if its transform is not
+            affine, since four corners then do not determine the position of every pixel.
+        folder: created if it is missing; files of the same names are replaced.
+        resolution: metres per pixel of the texture; None keeps that of the image.
 
     Raises:
         AimError: the texture would be too large.

@@ -58,7 +58,7 @@ def test_points_picked_on_a_later_frame_give_the_same_place(frames, clip, aim):
     )
 
 
-def test_the_report_tells_of_every_stage(aim):
+def test_the_report_describes_every_stage(aim):
     report = aim.report
     assert report["registration"]["valid"] == 12
     assert report["background"]["frames_used"] == 12
@@ -66,7 +66,7 @@ def test_the_report_tells_of_every_stage(aim):
     assert len(report["georeference"]["corner_uncertainty_m"]) == 4
 
 
-def test_points_on_a_frame_that_cannot_be_laid_are_refused_by_name(frames):
+def test_points_on_a_frame_that_cannot_be_registered_are_refused_by_name(frames):
     spoilt = [*frames[:5], np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)]
     with pytest.raises(GeoreferenceError, match=r"p0, p1, .*frame 5, which cannot be registered"):
         build_aim(spoilt, points_on(5))
@@ -90,14 +90,14 @@ def test_a_pixel_size_gives_a_local_map_marked_as_approximate(frames):
     np.testing.assert_allclose(aim.corners[0], [-32, 18], atol=1e-6)
 
 
-def test_progress_is_told_stage_by_stage(frames):
+def test_progress_reports_each_stage(frames):
     calls = []
     build_aim(frames, points_on(0), progress=lambda *call: calls.append(call))
     assert {stage for stage, _, _ in calls} == {"register", "average"}
     assert calls[-1] == ("average", 12, 12)
 
 
-def test_a_flight_past_the_reference_is_said():
+def test_a_flight_past_the_reference_is_warned_of():
     ground = textured(np.random.default_rng(8), 360, 1400)
     frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]
     with pytest.warns(GeoaimWarning, match="the view leaves the reference"):
@@ -132,7 +132,7 @@ def test_frames_that_fit_nothing_are_counted_in_the_refusal(frames):
         build_aim([frames[0], *noise], points_on(0))
 
 
-def test_boxes_of_few_frames_are_said(frames):
+def test_detections_of_few_frames_are_warned_of(frames):
     none = np.empty((0, 4))
     with pytest.warns(GeoaimWarning, match="detections are known of 3 of 12 frames"):
         build_aim(frames, points_on(0), detections=lambda f: none if f.index < 3 else None)

@@ -1,1 +1,1 @@
-"""Where each frame lies on the reference frame."""
+"""Registration of the frames to a reference frame."""

@@ -167,7 +167,16 @@ def select_keyframe(
 def compute_overlap(
     keyframe: Keyframe, reference_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> float:
-    """Share of a keyframe's patches that lie inside a frame of (height, width) pixels."""
+    """Share of a keyframe's patches that lie inside a frame.
+
+    Args:
+        keyframe: the keyframe.
+        reference_from_frame: transform of the frame, pixels.
+        size: (height, width) of the frame, pixels.
+
+    Returns:
+        The share, 0 to 1.
+    """
     frame_from_keyframe = np.linalg.inv(reference_from_frame) @ keyframe.reference_from_keyframe
     points = transform_points(frame_from_keyframe, keyframe.fine.points)
     return float(((points > 0) & (points < np.array(size[::-1]))).all(1).mean())

@@ -1,1 +1,1 @@
-"""Frames with their times, telemetry and detections."""
+"""Video: frames with their times, telemetry and detections."""

@@ -137,7 +137,7 @@ def test_an_image_too_small_for_patches_is_refused():
 
 
 @pytest.mark.parametrize(("height", "width"), [(60, 900), (100, 1900), (90, 100)])
-def test_narrow_and_small_images_are_laid(height, width):
+def test_narrow_and_small_images_are_registered(height, width):
     image = textured(np.random.default_rng(1), height, width)
     assert register([image] * 3).valid.all()
 

@@ -1,4 +1,4 @@
-"""Frames: times, order, pixels, sampling, and what is said of files that are not whole."""
+"""Frames: times, order, pixels, sampling, and messages about damaged files."""
 
 import gc
 import os
@@ -299,7 +299,9 @@ def test_truncated_mp4_without_index_says_so(tmp_path: Path) -> None:
         open_video(path)
 
 
-def test_damage_in_the_middle_is_left_out_and_told(clips: dict[str, Path], tmp_path: Path) -> None:
+def test_damage_in_the_middle_is_left_out_with_a_warning(
+    clips: dict[str, Path], tmp_path: Path
+) -> None:
     broken = bytearray(clips["mkv"].read_bytes())
     middle = len(broken) // 2
     broken[middle : middle + 400] = np.random.default_rng(0).bytes(400)
@@ -319,7 +321,7 @@ def test_whole_files_give_no_warning(clips: dict[str, Path]) -> None:
             assert len(list(open_video(path).sample(9))) == 9
 
 
-def test_what_is_no_video_is_refused_at_once(tmp_path: Path) -> None:
+def test_files_that_are_no_video_are_refused_at_once(tmp_path: Path) -> None:
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "text.mp4").write_text("not a video" * 50)
     (tmp_path / "folder").mkdir()
