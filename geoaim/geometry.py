@@ -64,7 +64,7 @@ def translation(x: float, y: float) -> Float[Array, "3 3"]:
     return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
 
-def similarity_about(centre: Float[Array, "2"], angle: float, scale: float) -> Float[Array, "3 3"]:
+def make_similarity(centre: Float[Array, "2"], angle: float, scale: float) -> Float[Array, "3 3"]:
     """The matrix of a rotation and scaling about a point.
 
     Args:

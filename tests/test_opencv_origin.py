@@ -14,7 +14,7 @@ import pytest
 
 import geoaim
 from geoaim.aim import AIM
-from geoaim.geometry import image_corners, similarity_about, transform_points, translation
+from geoaim.geometry import image_corners, make_similarity, transform_points, translation
 from geoaim.grid import Grid
 from geoaim.imagery.alignment import surfaces
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
@@ -125,7 +125,7 @@ def test_background_without_distortion_follows_the_lens():
 @pytest.fixture(scope="module")
 def aim() -> AIM:
     coverage = np.ones((100, 120), np.uint16)
-    place = similarity_about(np.array([30.0, -20.0]), 0.1, 1.0) @ np.diag([0.5, -0.5, 1.0])
+    place = make_similarity(np.array([30.0, -20.0]), 0.1, 1.0) @ np.diag([0.5, -0.5, 1.0])
     return AIM(ramp(), place, World(None), coverage, np.zeros((100, 120), bool))
 
 
@@ -178,7 +178,7 @@ def pattern(places: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("factor", [1, 2])
 def test_patches_find_a_known_transform_without_bias(factor):
-    truth = translation(7.3, -4.6) @ similarity_about(np.array([200.0, 200.0]), 2.9, 1.04)
+    truth = translation(7.3, -4.6) @ make_similarity(np.array([200.0, 200.0]), 2.9, 1.04)
     reference = pattern(coordinates(400, 400))
     frame = pattern(transform_points(truth, coordinates(400, 400)))
     template = make_template(reference, factor=factor)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.geometry import similarity_about, transform_points
+from geoaim.geometry import make_similarity, transform_points
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
@@ -45,7 +45,7 @@ def misplace_picture(pair: Pair, generator: np.random.Generator) -> Pair:
     angle, shift = generator.uniform(0, 2 * np.pi), generator.uniform(0, MAX_SHIFT_M)
     rotation = np.radians(generator.uniform(-MAX_ROTATION_DEGREES, MAX_ROTATION_DEGREES))
     scale = 1 + generator.uniform(-MAX_SCALING, MAX_SCALING)
-    matrix = similarity_about(pair.aim.corners.mean(axis=0), rotation, scale)
+    matrix = make_similarity(pair.aim.corners.mean(axis=0), rotation, scale)
     matrix[:2, 2] += shift * np.array([np.cos(angle), np.sin(angle)])
     moved = replace(pair.picture, world_from_image=matrix @ pair.picture.world_from_image)
     return replace(pair, picture=moved, stated_from_true=matrix)

@@ -11,7 +11,7 @@ import numpy as np
 from geoaim.aim import AIM
 from geoaim.bench.alignment_pairs import Pair
 from geoaim.errors import AlignmentError
-from geoaim.geometry import similarity_about, transform_points
+from geoaim.geometry import make_similarity, transform_points
 from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.result import CHI2_2D
 from geoaim.imagery.mosaic import read_imagery
@@ -84,7 +84,7 @@ def measure_tracks(
     for _ in range(trials):
         angle, shift = generator.uniform(0, 2 * np.pi), generator.uniform(0, MAX_SHIFT_M)
         rotation = np.radians(generator.uniform(-MAX_ROTATION_DEGREES, MAX_ROTATION_DEGREES))
-        matrix = similarity_about(center, rotation, 1.0)
+        matrix = make_similarity(center, rotation, 1.0)
         matrix[:2, 2] += shift * np.array([np.cos(angle), np.sin(angle)])
         moved = replace(picture, world_from_image=matrix @ picture.world_from_image)
         start = time.perf_counter()

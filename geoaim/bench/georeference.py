@@ -20,7 +20,7 @@ from numpy import ndarray as Array
 
 from geoaim.bench.report import write_json
 from geoaim.errors import GeoaimWarning, GeoreferenceError
-from geoaim.geometry import image_corners, similarity_about, transform_points
+from geoaim.geometry import image_corners, make_similarity, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import (
@@ -130,7 +130,7 @@ def draw_points(
     pixels = generator.uniform(box[0], box[1], size=(cell.count, 2))
     angle = generator.uniform(0.0, 2.0 * np.pi)
     unit = RESOLUTION * half_diagonal(HEIGHT, WIDTH)
-    world_from_plane = similarity_about(np.zeros(2), angle, unit)
+    world_from_plane = make_similarity(np.zeros(2), angle, unit)
     world_from_image = compose_world_from_image(world_from_plane, terms, (HEIGHT, WIDTH))
     coordinates = _apply_truth(world_from_image, terms, pixels)
     picked = pixels + generator.normal(scale=cell.noise, size=pixels.shape)

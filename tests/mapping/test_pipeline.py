@@ -82,7 +82,7 @@ def test_without_points_and_telemetry_the_message_says_what_to_give(frames):
         build_aim(frames)
 
 
-def test_a_pixel_size_gives_a_local_map_marked_as_approximate(frames):
+def test_a_resolution_gives_a_local_map_marked_as_approximate(frames):
     place = make_local_georeference(resolution=0.1, size=(360, 640))
     aim = build_aim(frames, place)
     assert aim.world.crs is None

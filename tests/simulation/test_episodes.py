@@ -91,6 +91,6 @@ def test_controlled_are_those_who_are_moved(scene):
     there = episode.scenario.present[0, HISTORY_STEPS - 1 :]
     assert not there.any(dim=0).all()
     assert there[:, episode.controlled].any(dim=0).all()
-    nobody = replace(scene, speeds=torch.full_like(scene.speeds, -2.0))
+    reversing = replace(scene, speeds=torch.full_like(scene.speeds, -2.0))
     with pytest.raises(TracksError, match="none that never reverses is present"):
-        simulate_scene(nobody, "replay")
+        simulate_scene(reversing, "replay")

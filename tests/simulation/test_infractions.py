@@ -138,9 +138,9 @@ def test_double_floats_give_the_same():
     assert detect_wrong_way(lanes, poses.double(), there).all()
 
 
-def test_scenes_of_nobody_have_no_collisions():
-    nobody = torch.zeros(3, 0, 3), torch.zeros(3, 0, 2), torch.zeros(3, 0, dtype=torch.bool)
-    assert compute_collision_iou(*nobody).shape == (3, 0)
+def test_scenes_without_agents_have_no_collisions():
+    no_agents = torch.zeros(3, 0, 3), torch.zeros(3, 0, 2), torch.zeros(3, 0, dtype=torch.bool)
+    assert compute_collision_iou(*no_agents).shape == (3, 0)
 
 
 def test_lanes_far_from_the_origin_are_as_wide_as_near():

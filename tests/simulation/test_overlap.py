@@ -43,7 +43,7 @@ def test_overlap_has_right_gradients():
     assert torch.autograd.gradcheck(compute_intersection_area, (poses, sizes))
 
 
-def test_absent_and_distant_agents_hit_nobody():
+def test_absent_and_distant_agents_hit_no_other():
     poses = torch.tensor([[[0.0, 0, 0], [1.0, 0, 0], [torch.nan] * 3, [50.0, 0, 0]]])
     sizes = torch.tensor([4.0, 2.0]).expand(1, 4, 2)
     present = torch.tensor([[True, True, False, True]])

@@ -43,7 +43,7 @@ def _aim(world=MAP):
 
 
 def _tracks(world=OTHER, first=(230.0, 220.0)):
-    """A car that drives north-east, and somebody who comes later."""
+    """A car that drives north-east, and an agent that appears later."""
     states = np.full((2, 3, 4), np.nan)
     states[0] = [[first[0] + k, first[1] + k, np.pi / 4, 14.1] for k in range(3)]
     states[1, 1:] = [first[0] - 5, first[1], 0.0, 1.0]

@@ -19,7 +19,7 @@ DT = 0.1
 
 
 def _recording(steps=21, dtype=torch.float64):
-    """A car straight on, one on a circle, somebody on foot who comes late and goes early."""
+    """A car straight on, one on a circle, and a pedestrian that is present in between only."""
     time = torch.arange(steps, dtype=dtype) * DT
     zero = torch.zeros_like(time)
     straight = torch.stack([10 * time, zero, zero, zero + 10], -1)
@@ -27,8 +27,8 @@ def _recording(steps=21, dtype=torch.float64):
     for _ in time[1:]:
         turn = torch.tensor([0.0, 0.3], dtype=dtype)
         circle.append(step_bicycle(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
-    walker = torch.stack([zero + 5, time - 6, zero + np.pi / 2, zero + 1], -1)
-    states = torch.stack([straight, torch.stack(circle), walker], 1)[None]
+    pedestrian = torch.stack([zero + 5, time - 6, zero + np.pi / 2, zero + 1], -1)
+    states = torch.stack([straight, torch.stack(circle), pedestrian], 1)[None]
     present = torch.ones(1, steps, 3, dtype=torch.bool)
     present[0, :5, 2] = present[0, 15:, 2] = False
     sizes = torch.tensor([[[4.5, 1.9], [4.5, 1.9], [0.5, 0.5]]], dtype=dtype)
@@ -36,12 +36,12 @@ def _recording(steps=21, dtype=torch.float64):
     return Scenario(states, present, sizes, torch.tensor([[False, False, True]]), DT)
 
 
-EVERYBODY = torch.ones(1, 3, dtype=torch.bool)
+ALL_AGENTS = torch.ones(1, 3, dtype=torch.bool)
 
 
 def test_replayed_actions_are_the_recording():
     scenario = _recording()
-    found = rollout(scenario, replay, EVERYBODY)
+    found = rollout(scenario, replay, ALL_AGENTS)
     apart = (found.states - scenario.states)[..., :2].norm(dim=-1)
     assert apart[scenario.present].max() < 1e-6
     assert torch.equal(found.present, scenario.present)
@@ -62,7 +62,7 @@ def test_uncontrolled_agents_do_what_was_recorded():
 
 def test_agents_enter_where_they_were_recorded_to():
     scenario = _recording()
-    found = rollout(scenario, constant_velocity, EVERYBODY)
+    found = rollout(scenario, constant_velocity, ALL_AGENTS)
     torch.testing.assert_close(found.states[0, 5, 2], scenario.states[0, 5, 2])
     torch.testing.assert_close(found.states[0, 14, 2], scenario.states[0, 14, 2])
     assert not found.states[0, 15:, 2].any()
@@ -70,8 +70,8 @@ def test_agents_enter_where_they_were_recorded_to():
 
 def test_simple_policies_go_straight_on_and_round():
     scenario = _recording()
-    straight = rollout(scenario, constant_velocity, EVERYBODY, history=5)
-    round_on = rollout(scenario, constant_turn_rate, EVERYBODY, history=5)
+    straight = rollout(scenario, constant_velocity, ALL_AGENTS, history=5)
+    round_on = rollout(scenario, constant_turn_rate, ALL_AGENTS, history=5)
     torch.testing.assert_close(straight.states[:, :, 0], scenario.states[:, :, 0])
     assert (straight.states - scenario.states)[0, -1, 1, :2].norm() > 0.5
     assert (round_on.states - scenario.states)[0, -1, 1, :2].norm() < 1e-6
@@ -136,7 +136,7 @@ def test_gradients_through_ten_steps_of_looking_and_driving():
             pictures = [render(view, now[:, a, :3], ground, [everyone]) for a in range(3)]
             return torch.stack([picture.flatten(1) @ weights for picture in pictures], 1)
 
-        return rollout(scenario, policy, EVERYBODY).states[:, -1, :2]
+        return rollout(scenario, policy, ALL_AGENTS).states[:, -1, :2]
 
     given = weights.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(last(given).sum(), given)
@@ -156,7 +156,7 @@ def test_lean_rollout_has_the_same_gradients():
 
     full, lean = (
         torch.autograd.grad(
-            rollout(scenario, policy, EVERYBODY, checkpointing=lean).states.sum(), push
+            rollout(scenario, policy, ALL_AGENTS, checkpointing=lean).states.sum(), push
         )[0]
         for lean in (False, True)
     )
@@ -166,13 +166,13 @@ def test_lean_rollout_has_the_same_gradients():
 def test_what_cannot_be_simulated_is_refused():
     scenario = _recording()
     with pytest.raises(ValueError, match="from 1 to 20 can be"):
-        rollout(scenario, constant_velocity, EVERYBODY, history=21)
+        rollout(scenario, constant_velocity, ALL_AGENTS, history=21)
 
     def lost(scenario, path):
         return torch.full_like(path[:, -1, :, :2], torch.nan)
 
     with pytest.raises(ValueError, match="at step 0 the policy gives an action"):
-        rollout(scenario, lost, EVERYBODY)
+        rollout(scenario, lost, ALL_AGENTS)
 
 
 def test_lean_rollout_draws_the_same_noise_again():
@@ -185,7 +185,7 @@ def test_lean_rollout_draws_the_same_noise_again():
 
     def gradient(**given):
         generator.manual_seed(1)
-        found = rollout(scenario, policy, EVERYBODY, **given)
+        found = rollout(scenario, policy, ALL_AGENTS, **given)
         (gradient,) = torch.autograd.grad(found.states.sum(), push)
         return gradient, torch.rand(1, generator=generator)
 
@@ -204,7 +204,7 @@ def test_padding_without_sizes_has_gradients():
     sizes = scenario.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
     states = scenario.states.clone().requires_grad_()
     padded = Scenario(states, present, sizes, torch.zeros_like(scenario.pedestrian), DT)
-    found = rollout(padded, constant_velocity, EVERYBODY).states
+    found = rollout(padded, constant_velocity, ALL_AGENTS).states
     (gradient,) = torch.autograd.grad(found.sum(), states)
     assert torch.isfinite(gradient).all()
 
@@ -260,7 +260,7 @@ def test_only_lines_before_the_front_and_across_the_way_stop():
 
 def test_absent_agents_of_a_simulated_scene_are_nan():
     scenario = _recording()
-    found = rollout(scenario, constant_velocity, EVERYBODY)
+    found = rollout(scenario, constant_velocity, ALL_AGENTS)
     empty = torch.zeros(3, 21)
     scene = Scene(
         make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2]),

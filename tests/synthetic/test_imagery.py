@@ -24,7 +24,7 @@ def place():
 
 @pytest.fixture(scope="module")
 def photo(place):
-    nobody = Tracks(
+    no_agents = Tracks(
         np.zeros(1),
         np.empty((0, 1, 4)),
         np.empty((0, 1), bool),
@@ -33,7 +33,7 @@ def photo(place):
         (),
         place.world,
     )
-    return photograph(place, make_other_day(place), nobody, Sensor(0.4), resolution=0.2)
+    return photograph(place, make_other_day(place), no_agents, Sensor(0.4), resolution=0.2)
 
 
 def _middle_in(place, crs):

@@ -18,7 +18,7 @@ from geoaim.imagery.alignment.candidates import (
     count_agreements,
     find_repetitions,
     refine_candidates,
-    search_exhaustively,
+    search_grid,
 )
 from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
@@ -57,7 +57,7 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
     if imagery.world != aim.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
     coarsest, *between, finest = build_pyramid(imagery, aim, prior)
-    places = search_exhaustively(coarsest, prior)
+    places = search_grid(coarsest, prior)
     for level in (*between, *[finest] * REFINEMENTS):
         places = refine_candidates(level, places)
     candidates = [count_agreements(finest, place) for place in places]

@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
-from geoaim.geometry import similarity_about
+from geoaim.geometry import make_similarity
 from geoaim.grid import Grid
 from geoaim.imagery.alignment.path_template import (
     TEMPLATE_REACH_M,
@@ -158,7 +158,7 @@ def _average_posterior(
     straight = abs(rotation) <= 2 * sigma
     mean, covariance = _compute_moments(posterior.sum(axis=0))
     shift = _compute_moments(posterior[len(rotations) // 2])[0] if straight else mean
-    stated_from_true = similarity_about(center, 0.0 if straight else rotation, 1.0)
+    stated_from_true = make_similarity(center, 0.0 if straight else rotation, 1.0)
     stated_from_true[:2, 2] += shift
     return ImageryAlignment(
         true_from_stated=np.linalg.inv(stated_from_true),

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.geometry import similarity_about, transform_points, translation
+from geoaim.geometry import make_similarity, transform_points, translation
 from geoaim.grid import pad_grid
 from geoaim.imagery.alignment.pyramid import Level, match_near_windows, orient_image, search_windows
 from geoaim.imagery.alignment.result import Prior
@@ -44,7 +44,7 @@ class AlignmentCandidate(NamedTuple):
         return len(self.matches.source)
 
 
-def search_exhaustively(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
+def search_grid(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     """The best places among all rotations, scales and shifts of the prior, on a coarse grid."""
     grid = level.grid
     reach = int(np.ceil(prior.max_shift / grid.resolution))
@@ -54,7 +54,7 @@ def search_exhaustively(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]
     scored = []
     for rotation in _list_steps(prior.max_rotation, step):
         for log_scale in _list_steps(float(np.log1p(prior.max_scaling)), step):
-            similarity = similarity_about(center, rotation, float(np.exp(log_scale)))
+            similarity = make_similarity(center, rotation, float(np.exp(log_scale)))
             scores = correlate(level.reference, orient_image(level.image, similarity, padded))
             row, column = np.unravel_index(scores.argmax(), scores.shape)
             shift = translation((column - reach) * grid.resolution, (reach - row) * grid.resolution)

@@ -7,7 +7,7 @@ from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
 from geoaim.agent_types import AGENT_GROUPS
-from geoaim.geometry import similarity_about, transform_points
+from geoaim.geometry import make_similarity, transform_points
 from geoaim.grid import Grid
 from geoaim.tracks import Tracks
 
@@ -59,7 +59,7 @@ def rotate_poses(
     Returns:
         The rotated poses.
     """
-    places = transform_points(similarity_about(center, angle, 1.0), poses[:, :2])
+    places = transform_points(make_similarity(center, angle, 1.0), poses[:, :2])
     return np.column_stack([places, poses[:, 2] + angle])
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoreferenceError
-from geoaim.geometry import similarity_about
+from geoaim.geometry import make_similarity
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.normalised_plane import half_diagonal
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
@@ -61,7 +61,7 @@ def approximate_georeference(
     turn = yaw + np.arctan2(*(north - centre)[::-1]) - np.pi / 2.0  # true north to grid north
     resolution = 2.0 * height_above_ground * np.tan(field_of_view / 2.0) / size[1]
     unit = resolution * half_diagonal(*size)
-    world_from_plane = similarity_about(np.zeros(2), turn - np.pi / 2.0, unit)
+    world_from_plane = make_similarity(np.zeros(2), turn - np.pi / 2.0, unit)
     world_from_plane[:2, 2] = centre
     shift = float(np.hypot(GPS_SIGMA_M, height_above_ground * np.tan(TILT_SIGMA))) / unit
     sigmas = np.array([shift, shift, SCALE_SIGMA, COMPASS_SIGMA])

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 from geoaim.aim import AIM
-from geoaim.geometry import similarity_about
+from geoaim.geometry import make_similarity
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
 from geoaim.world import World
@@ -34,6 +34,6 @@ def made(seed=2, kind="junction"):
 
 def misplaced(picture, *, shift=(0.0, 0.0), turn=0.0, zoom=1.0):
     """The picture misplaced about its middle, and stated_from_true."""
-    matrix = similarity_about(picture.corners.mean(axis=0), turn, zoom)
+    matrix = make_similarity(picture.corners.mean(axis=0), turn, zoom)
     matrix[:2, 2] += shift
     return replace(picture, world_from_image=matrix @ picture.world_from_image), matrix

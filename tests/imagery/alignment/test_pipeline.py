@@ -17,7 +17,7 @@ from geoaim.errors import (
     ImageryError,
     TracksError,
 )
-from geoaim.geometry import similarity_about, transform_points
+from geoaim.geometry import make_similarity, transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
@@ -83,27 +83,27 @@ def _picked(tmp_path, world_from_image, world, wrong=0.0):
 
 @pytest.fixture(scope="module")
 def picture(aim, tmp_path_factory):
-    """A screenshot: an orthophoto that does not say where it lies, but laid by us."""
-    laid = align_tiles("samples/ortho.tif", aim=aim, resolution=0.5)
+    """A screenshot: an orthophoto that does not say where it lies, but aligned by us."""
+    aligned = align_tiles("samples/ortho.tif", aim=aim, resolution=0.5)
     path = tmp_path_factory.mktemp("shot") / "shot.png"
-    Image.fromarray(laid.image).save(path)
-    return path, laid
+    Image.fromarray(aligned.image).save(path)
+    return path, aligned
 
 
 def test_control_points_place_a_picture_and_an_aim_checks_them(picture, aim, tmp_path):
-    path, laid = picture
-    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    path, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
     found = align_tiles(str(path), gcps=gcps, aim=aim)
-    np.testing.assert_allclose(found.corners, laid.corners, atol=0.1)
+    np.testing.assert_allclose(found.corners, aligned.corners, atol=0.1)
     assert found.report["alignment"]["aim"]["agrees"]
     assert summarize_aim(found)["check by aim"].startswith("agrees: corners 0.0")
     assert found.report["georeference"]["points"]
-    wrong = _picked(tmp_path, laid.world_from_image, laid.world, wrong=6.0)
+    wrong = _picked(tmp_path, aligned.world_from_image, aligned.world, wrong=6.0)
     with pytest.warns(GeoaimWarning, match="its middle -6.0. m east"):
         found = align_tiles(str(path), gcps=wrong, aim=aim)
     assert not found.report["alignment"]["aim"]["agrees"]
     assert summarize_aim(found)["check by aim"].startswith("DISAGREES: corners 6.")
-    np.testing.assert_allclose(found.corners, laid.corners + np.array([6.0, 0.0]), atol=0.1)
+    np.testing.assert_allclose(found.corners, aligned.corners + np.array([6.0, 0.0]), atol=0.1)
 
 
 @pytest.mark.parametrize(("name", "zoom"), [("aim", 1.03), ("tracks", 1.0)])
@@ -111,9 +111,9 @@ def test_control_points_that_rotate_or_scale_the_picture_are_doubted(
     picture, aim, tmp_path, name, zoom
 ):
     """The middle stays where it is; only the corners tell."""
-    path, laid = picture
-    turned = similarity_about(laid.corners.mean(axis=0), np.radians(2.0), zoom)
-    gcps = _picked(tmp_path, turned @ laid.world_from_image, laid.world)
+    path, aligned = picture
+    turned = make_similarity(aligned.corners.mean(axis=0), np.radians(2.0), zoom)
+    gcps = _picked(tmp_path, turned @ aligned.world_from_image, aligned.world)
     given = {"aim": aim, "tracks": geoaim.read_tracks(TRACKS)}
     with pytest.warns(GeoaimWarning, match=f"by the {name} the imagery's corners"):
         found = align_tiles(str(path), gcps=gcps, **{name: given[name]})
@@ -125,15 +125,15 @@ def test_control_points_that_rotate_or_scale_the_picture_are_doubted(
 
 
 def test_tracks_do_not_doubt_right_control_points(picture, tmp_path):
-    path, laid = picture
-    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    path, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
     found = align_tiles(str(path), gcps=gcps, tracks=geoaim.read_tracks(TRACKS))
     assert found.report["alignment"]["tracks"]["agrees"]
 
 
 def test_failed_check_is_reported(picture, aim, tmp_path):
-    path, laid = picture
-    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    path, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
     noise = np.random.default_rng(0).integers(0, 255, aim.image.shape, np.uint8)
     with pytest.warns(GeoaimWarning, match="could not check the place"):
         found = align_tiles(str(path), gcps=gcps, aim=replace(aim, image=noise))
@@ -166,37 +166,37 @@ def test_control_points_need_one_picture():
 
 
 def test_control_points_respect_resolution_and_crs(picture, tmp_path):
-    path, laid = picture
-    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
+    path, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
     found = align_tiles(str(path), gcps=gcps, resolution=1.0)
     np.testing.assert_allclose(found.world_from_image[:2, :2], [[1, 0], [0, -1]], atol=1e-9)
     pixels = np.array([[40, 50], [330, 60], [310, 290], [60, 300], [180, 170], [250, 120.0]])
-    places = transform_points(laid.world_from_image, pixels) + laid.world.origin
+    places = transform_points(aligned.world_from_image, pixels) + aligned.world.origin
     rows = np.column_stack([pixels, places])
     np.savetxt(gcps, rows, "%.4f", ",", header="u,v,x,y", comments="")
     with pytest.raises(GeoreferenceError, match="no coordinate reference system"):
         align_tiles(str(path), gcps=gcps)
-    found = align_tiles(str(path), gcps=gcps, crs=laid.world.crs)
-    assert found.world.crs == laid.world.crs
-    np.testing.assert_array_equal(found.image, laid.image)
+    found = align_tiles(str(path), gcps=gcps, crs=aligned.world.crs)
+    assert found.world.crs == aligned.world.crs
+    np.testing.assert_array_equal(found.image, aligned.image)
 
 
 def test_masked_pixels_are_not_covered_and_16_bits_are_stretched(picture, tmp_path):
-    _, laid = picture
-    gcps = _picked(tmp_path, laid.world_from_image, laid.world)
-    alpha = np.full(laid.image.shape[:2], 255, np.uint8)
+    _, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
+    alpha = np.full(aligned.image.shape[:2], 255, np.uint8)
     alpha[:50] = 0
-    Image.fromarray(np.dstack([laid.image, alpha])).save(tmp_path / "holes.png")
+    Image.fromarray(np.dstack([aligned.image, alpha])).save(tmp_path / "holes.png")
     found = align_tiles(str(tmp_path / "holes.png"), gcps=gcps)
     np.testing.assert_array_equal(found.coverage > 0, alpha > 0)
-    np.testing.assert_array_equal(found.image[60:], laid.image[60:])
-    deep = laid.image[..., 1].astype(np.uint16) * 16
+    np.testing.assert_array_equal(found.image[60:], aligned.image[60:])
+    deep = aligned.image[..., 1].astype(np.uint16) * 16
     Image.fromarray(deep).save(tmp_path / "deep.png")
     found = align_tiles(str(tmp_path / "deep.png"), gcps=gcps)
     low, high = np.percentile(deep, [1, 99])
     stretched = np.clip((deep - low) * 255 / (high - low), 0, 255)
     np.testing.assert_allclose(found.image[..., 0], stretched, atol=1)
-    Image.fromarray(np.dstack([laid.image, alpha * 0])).save(tmp_path / "nothing.png")
+    Image.fromarray(np.dstack([aligned.image, alpha * 0])).save(tmp_path / "nothing.png")
     with pytest.raises(ImageryError, match="nothing but nodata or transparency"):
         align_tiles(str(tmp_path / "nothing.png"), gcps=gcps)
 
@@ -214,6 +214,6 @@ def test_at_most_two_frames_of_a_video_are_read(tmp_path, monkeypatch):
 
 def test_tracks_without_agents_are_refused():
     tracks = geoaim.read_tracks(TRACKS)
-    nobody = replace(tracks, present=np.zeros_like(tracks.present))
+    no_agents = replace(tracks, present=np.zeros_like(tracks.present))
     with pytest.raises(TracksError, match="no agent is present"):
-        align_tiles("samples/ortho.tif", tracks=nobody)
+        align_tiles("samples/ortho.tif", tracks=no_agents)

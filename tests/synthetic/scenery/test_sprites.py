@@ -20,7 +20,7 @@ def test_vehicle_has_its_size(length, width):
     assert np.ptp(v) + 1 == pytest.approx(width / 0.05, abs=5)
 
 
-def test_cyclist_is_longer_than_somebody_on_foot():
+def test_cyclist_is_longer_than_a_pedestrian():
     long, short = (
         draw_pedestrian((60, 60, 90), 0.05, cycle=c)[..., 3] > 127 for c in (True, False)
     )
