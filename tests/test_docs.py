@@ -17,6 +17,7 @@ import pytest
 
 import geoaim
 from geoaim.aim import AIM
+from geoaim.experiments import EXPERIMENTS
 from geoaim.world import World
 
 ROOT = Path(__file__).parents[1]
@@ -32,6 +33,13 @@ def hooks() -> ModuleType:
         return import_module("hooks")
     finally:
         sys.path.remove(str(ROOT / "docs"))
+
+
+@pytest.fixture(scope="module")
+def words_of_code() -> set[str]:
+    """All words with an underscore in the package, its tests and its schemas."""
+    files = [*ROOT.glob("geoaim/**/*.py"), *ROOT.glob("tests/**/*.py"), *ROOT.glob("docs/*/*.json")]
+    return {word for file in files for word in re.findall(r"\w+_\w+", file.read_text("utf-8"))}
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +107,19 @@ def test_names_in_text_exist(page: Path) -> None:
     for dotted in set(re.findall(r"\b(geoaim(?:\.[a-z]\w*)+)", re.sub(FENCE, "", text))):
         if not (ROOT / f"{dotted.replace('.', '/')}.py").exists():
             _find_attribute(dotted)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_identifiers_in_text_occur_in_the_package(page: Path, words_of_code: set[str]) -> None:
+    text = re.sub(FENCE, "", page.read_text("utf-8"))
+    names = set(re.findall(r"`([a-z]+(?:_[a-z0-9]+)+)`", text))
+    assert sorted(names - words_of_code) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_experiments_in_text_exist(page: Path) -> None:
+    used = set(re.findall(r"geoaim experiment ([a-z]+)", page.read_text("utf-8")))
+    assert used <= {*EXPERIMENTS, "list"}
 
 
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
