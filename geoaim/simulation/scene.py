@@ -241,8 +241,8 @@ def _transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]
     """Transform the stop lines of lights into another world."""
     if (lights.world.crs is None) != (world.crs is None):
         raise TracksError(
-            f"the map lies in {world.crs or 'a plane of its own'} and the lights in "
-            f"{lights.world.crs or 'a plane of their own'}; georeference both"
+            f"the map lies in {world.crs or 'a local plane'} and the lights in "
+            f"{lights.world.crs or 'a local plane'}; georeference both"
         )
     points = crs_from_world(lights.world, lights.lines.reshape(-1, 2))
     return world_from_crs(world, points, lights.world.crs).reshape(-1, 2, 2)

@@ -155,9 +155,9 @@ def test_agent_that_is_not_there_is_named():
 def test_tracks_of_another_place_are_refused():
     with pytest.raises(TracksError, match="no track touches the map"):
         make_scene(_aim(), _tracks(first=(900.0, 0.0)))
-    with pytest.raises(TracksError, match="plane of their own"):
+    with pytest.raises(TracksError, match="in a local plane without a CRS"):
         make_scene(_aim(), _tracks(world=World(None)))
-    with pytest.raises(TracksError, match="the lights in a plane of their own"):
+    with pytest.raises(TracksError, match="the lights in a local plane"):
         make_scene(_aim(), _tracks(), _lights(World(None)))
 
 
