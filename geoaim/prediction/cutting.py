@@ -9,7 +9,7 @@ from torch import Tensor
 from geoaim.agent_types import AGENT_GROUPS
 from geoaim.errors import TracksError
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, concat
-from geoaim.simulation.kinematics import step_bicycle
+from geoaim.simulation.kinematics import bicycle
 from geoaim.simulation.scene import Scene, slice_scene
 
 MAX_NEIGHBOURS = 24  # other agents that a segment keeps
@@ -149,7 +149,7 @@ def _extend(scene: Scene, steps: int, dt: float) -> Scene:
         return scene
     states, no_action = [scene.states[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
     for _ in range(steps):
-        states.append(step_bicycle(states[-1], no_action, scene.sizes[:, 0], dt))
+        states.append(bicycle.step(states[-1], no_action, scene.sizes[:, 0], dt))
     later = torch.stack(states[1:], dim=1)
     times = scene.times[-1] + torch.arange(1, steps + 1).to(scene.times) * dt
     lights = scene.light_states[-1:].expand(steps, -1)

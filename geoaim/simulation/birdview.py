@@ -74,7 +74,7 @@ def render(
     pixels = sample_ground(view, cameras, ground.image, ground.image_from_world)
     if boxes:
         pixels = composite(pixels, rasterize(view, _collect_boxes(view, cameras, boxes)))
-    return unflatten_views(pixels, view, cameras)
+    return unflatten_views(pixels, view)
 
 
 def render_layers(
@@ -106,7 +106,7 @@ def render_layers(
         planes = [_set_plane_colours(layer) for layer in boxes]
         collected = _collect_boxes(view, cameras, planes, separate=True)
         pixels = composite(pixels, rasterize(view, collected), len(boxes))
-    return unflatten_views(pixels, view, cameras)
+    return unflatten_views(pixels, view)
 
 
 def _set_plane_colours(layer: OrientedBoxes) -> OrientedBoxes:

@@ -116,14 +116,7 @@ def prefilter_ground(ground: Ground, resolution: float) -> Ground:
     a square of one of the view's pixels. One bilinear lookup for each pixel is then close to the
     mean over it, however the view is turned. Where the texture is much finer than the view, it is
     subsampled to four pixels for each of the view's, and the square is made smaller by the blur of
-    looking up among fewer pixels.
-
-    Args:
-        ground: whose pixels are about square.
-        resolution: of the view, metres a pixel.
-
-    Returns:
-        The ground for views of that resolution.
+    looking up among fewer pixels. The texture's pixels must be about square.
     """
     ratio = resolution / _compute_resolution(ground.image_from_world)
     stride = max(1, int(ratio / 4 + 1e-3))
@@ -151,7 +144,7 @@ def render_coverage(
     """
     with torch.no_grad():
         share = sample_ground(view, cameras, ground.coverage, ground.image_from_world)
-    return unflatten_views(share.clamp(0, 1), view, cameras)
+    return unflatten_views(share.clamp(0, 1), view)
 
 
 def sample_ground(
@@ -205,11 +198,9 @@ def apply_matrix(
     return (matrix * vectors[..., None, :]).sum(-1)
 
 
-def unflatten_views(
-    flat: Float[Tensor, "C P"], view: View, cameras: Float[Tensor, "B 3"]
-) -> Float[Tensor, "B C H W"]:
+def unflatten_views(flat: Float[Tensor, "C P"], view: View) -> Float[Tensor, "B C H W"]:
     """Reshape the pixels of `sample_ground` to pictures."""
-    return flat.view(len(flat), len(cameras), view.height, view.width).transpose(0, 1)
+    return flat.view(len(flat), -1, view.height, view.width).transpose(0, 1)
 
 
 def _filter(

@@ -23,9 +23,14 @@ class MotionModel(NamedTuple):
     """How agents of one kind move.
 
     Attributes:
-        step: from state, action, the agents' lengths (metres) and `dt` (seconds) to the next state.
-        inverse: from state, next state, lengths and `dt` to the action.
+        step: from states (..., 4), actions (..., 2), lengths of the agents (...), metres, and `dt`,
+            seconds, to the next states.
+        inverse: from states, next states, lengths and `dt` to the actions.
         scale: typical magnitudes of both components of an action, by which networks normalise them.
+
+    >>> state = torch.tensor([0.0, 0.0, 0.0, 10.0])
+    >>> bicycle.step(state, torch.zeros(2), torch.tensor(4.5), 0.1).tolist()
+    [1.0, 0.0, 0.0, 10.0]
     """
 
     step: Callable[[State, Action, Float[Tensor, "..."], float], State]
@@ -33,45 +38,16 @@ class MotionModel(NamedTuple):
     scale: tuple[float, float]
 
 
-def step_bicycle(state: State, action: Action, length: Float[Tensor, "..."], dt: float) -> State:
-    """Move vehicles by the kinematic bicycle model about their centre (Kong et al. 2015).
-
-    Args:
-        state: (..., 4) x, y, heading, speed before the step.
-        action: (..., 2) acceleration, m/s², and steering angle of the front wheel, radians.
-        length: (...) of the vehicles, metres.
-        dt: of the step, seconds.
-
-    Returns:
-        (..., 4) states after the step.
-
-    >>> state = torch.tensor([0.0, 0.0, 0.0, 10.0])
-    >>> step_bicycle(state, torch.zeros(2), torch.tensor(4.5), 0.1).tolist()
-    [1.0, 0.0, 0.0, 10.0]
-    """
+def _step_bicycle(state: State, action: Action, length: Float[Tensor, "..."], dt: float) -> State:
     slip = torch.atan(torch.tan(action[..., 1]) / 2)
     curvature = torch.sin(slip) / (WHEELBASE_PER_LENGTH / 2 * length)
     speed, distance = _accelerate(state, action, dt)
     return _follow_arc(state, distance, state[..., 2] + slip, curvature * distance, speed)
 
 
-def invert_bicycle(
+def _invert_bicycle(
     state: State, next_state: State, length: Float[Tensor, "..."], dt: float
 ) -> Action:
-    """Find the action whose bicycle step reaches the next state's speed and heading.
-
-    The steering angle of a standing vehicle is zero, and that of an impossible turn is a right
-    angle. Turns are assumed to be less than half a revolution.
-
-    Args:
-        state: (..., 4) before the step.
-        next_state: (..., 4) after it.
-        length: (...) of the vehicles, metres.
-        dt: of the step, seconds.
-
-    Returns:
-        (..., 2) acceleration and steering angle.
-    """
     distance = (state[..., 3] + next_state[..., 3]) / 2 * dt
     moves = distance.abs() > MIN_DISTANCE_M
     turn = wrap_angle(next_state[..., 2] - state[..., 2])
@@ -81,39 +57,42 @@ def invert_bicycle(
     return torch.stack([(next_state[..., 3] - state[..., 3]) / dt, steering], dim=-1)
 
 
-def step_unicycle(state: State, action: Action, length: Float[Tensor, "..."], dt: float) -> State:
-    """Move pedestrians by acceleration, m/s², and turn rate, rad/s; see `step_bicycle`."""
+def _step_unicycle(state: State, action: Action, length: Float[Tensor, "..."], dt: float) -> State:
     speed, distance = _accelerate(state, action, dt)
     return _follow_arc(state, distance, state[..., 2], action[..., 1] * dt, speed)
 
 
-def invert_unicycle(
+def _invert_unicycle(
     state: State, next_state: State, length: Float[Tensor, "..."], dt: float
 ) -> Action:
-    """Find the action whose unicycle step reaches the next state's speed and heading."""
     turn = wrap_angle(next_state[..., 2] - state[..., 2])
     return torch.stack([next_state[..., 3] - state[..., 3], turn], dim=-1) / dt
 
 
-def step_displacement(
+def _step_displacement(
     state: State, action: Action, length: Float[Tensor, "..."], dt: float
 ) -> State:
-    """Move agents by metres forward and to the left; the heading stays as it is."""
     speed = torch.sqrt(action.square().sum(dim=-1) + MIN_DISTANCE_M**2) / dt
     position = world_from_agent(state, action)
     return torch.cat([position, torch.stack([state[..., 2], speed], -1)], dim=-1)
 
 
-def invert_displacement(
+def _invert_displacement(
     state: State, next_state: State, length: Float[Tensor, "..."], dt: float
 ) -> Action:
-    """Find the metres forward and to the left between two states."""
     return agent_from_world(state, next_state[..., :2])
 
 
-bicycle = MotionModel(step_bicycle, invert_bicycle, scale=(2.0, 0.2))
-unicycle = MotionModel(step_unicycle, invert_unicycle, scale=(1.0, 1.0))
-displacement = MotionModel(step_displacement, invert_displacement, scale=(0.5, 0.5))
+# The kinematic bicycle about the box's centre (Kong et al. 2015): acceleration, m/s², and steering
+# angle of the front wheel, radians. The inverse reaches the next speed and heading, by a turn of
+# less than half a revolution. A standing vehicle steers straight, an impossible turn gives 90°.
+bicycle = MotionModel(_step_bicycle, _invert_bicycle, scale=(2.0, 0.2))
+
+# Pedestrians: acceleration, m/s², and turn rate, rad/s.
+unicycle = MotionModel(_step_unicycle, _invert_unicycle, scale=(1.0, 1.0))
+
+# Positions without headings: metres forward and to the left; the heading stays as it is.
+displacement = MotionModel(_step_displacement, _invert_displacement, scale=(0.5, 0.5))
 
 # names in the configuration of a model; "slide" is for tracks of positions without headings
 MOTION_MODELS = {"bicycle": bicycle, "unicycle": unicycle, "slide": displacement}

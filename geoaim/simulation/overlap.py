@@ -12,14 +12,7 @@ CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))  # forward, left;
 def compute_box_corners(
     poses: Float[Tensor, "... 3"], sizes: Float[Tensor, "... 2"]
 ) -> Float[Tensor, "... 4 2"]:
-    """Compute the corners of boxes, counter-clockwise from the front left.
-
-    Args:
-        poses: (..., 3) x, y, heading of their centres.
-        sizes: (..., 2) length and width, metres.
-
-    Returns:
-        (..., 4, 2) metres.
+    """Compute the corners of boxes by centre, heading and size, counter-clockwise from front left.
 
     >>> compute_box_corners(torch.zeros(3), torch.tensor([4.0, 2.0])).tolist()
     [[2.0, 1.0], [-2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
@@ -38,13 +31,6 @@ def compute_intersection_area(
     The outline of the intersection consists of the pieces of either box's edges inside the other
     box. Half the sum of the cross products of these pieces' ends is the area (Green's theorem).
     It is computed in float64, in which edges that nearly coincide cancel.
-
-    Args:
-        poses: (n, 2, 3) x, y, heading.
-        sizes: (n, 2, 2) length and width, metres.
-
-    Returns:
-        (n,) m².
 
     >>> poses = torch.tensor([[[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]])
     >>> round(float(compute_intersection_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)

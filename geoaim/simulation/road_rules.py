@@ -31,14 +31,7 @@ NO_ROAD_RULES = RoadRules()
 
 
 def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> RoadRules:
-    """Make road rules of an HD map, of a drivable area drawn by hand, or of both.
-
-    Args:
-        hdmap: its lanes, and its drivable area unless one is given; None: no rules of lanes.
-        area: drivable area, metres in the map's world.
-
-    Returns:
-        The rules.
+    """Make road rules of an HD map, of a drivable area drawn by hand, or of the area and the lanes.
 
     Raises:
         MapError: the map or the area lies too far from the world's origin.
@@ -50,14 +43,7 @@ def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Ro
 
 
 def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
-    """Rasterize the signed distance from the edge of the drivable area.
-
-    Args:
-        area: metres in the map's world.
-        resolution: metres a pixel.
-
-    Returns:
-        The raster.
+    """Rasterize the signed distance from the edge of the drivable area, in metres a pixel.
 
     Raises:
         MapError: the area lies too far from the world's origin.

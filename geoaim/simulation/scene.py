@@ -125,14 +125,9 @@ def make_ground_from_aim(aim: AIM) -> Ground:
 
 
 def make_tracks(scene: Scene, world: World) -> Tracks:
-    """Write a scene's agents back to tracks, without those that are never present.
+    """Make tracks of a scene's agents, without those that are never present.
 
-    Args:
-        scene: whose agents.
-        world: of its map.
-
-    Returns:
-        The tracks, with times to the microsecond.
+    `world` is that of its map. Times are rounded to the microsecond.
     """
     agents = scene.present.any(dim=1).nonzero()[:, 0]
     states = scene.states[agents].double()

@@ -6,7 +6,7 @@ from geoaim.lights import GREEN
 from geoaim.prediction.config import Config
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
 from geoaim.simulation.ground import make_ground
-from geoaim.simulation.kinematics import step_bicycle
+from geoaim.simulation.kinematics import bicycle
 
 TINY = Config(
     "vehicle",
@@ -28,7 +28,7 @@ def drive(steps=12, count=3, curve=0.05, dtype=torch.float32):
     action = torch.tensor([0.5, curve], dtype=dtype).expand(count, 2)
     path = [state]
     for _ in range(steps - 1):
-        path.append(step_bicycle(path[-1], action, torch.full((count,), 4.5, dtype=dtype), 0.1))
+        path.append(bicycle.step(path[-1], action, torch.full((count,), 4.5, dtype=dtype), 0.1))
     cars = torch.stack(path, dim=1)
     pedestrians = torch.zeros_like(cars)
     pedestrians[..., 0] = 6.0

@@ -6,7 +6,6 @@ import torch
 
 from geoaim.lights import GREEN, RED
 from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, render
-from geoaim.simulation.kinematics import step_bicycle
 from geoaim.simulation.policies import (
     constant_turn_rate,
     constant_velocity,
