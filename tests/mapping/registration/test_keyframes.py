@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from geoaim.geometry import translation
+from geoaim.mapping.registration.features import detect_features
+from geoaim.mapping.registration.keyframes import (
+    Keyframe,
+    compute_overlap,
+    make_keyframe,
+    register_frame,
+    select_keyframe,
+)
+from geoaim.mapping.video.frames import Frame
+from tests.conftest import textured
+
+GROUND = textured(np.random.default_rng(2), 240, 700)
+
+
+def view(left: int) -> np.ndarray:
+    return np.ascontiguousarray(GROUND[:, left : left + 400, 1])
+
+
+@pytest.fixture(scope="module")
+def keyframes() -> list[Keyframe]:
+    return [
+        make_keyframe(
+            Frame(left, 0.0, None, view(left)),
+            detect_features(view(left)),
+            None,
+            translation(left, 0),
+            0.0,
+        )
+        for left in (0, 250)
+    ]
+
+
+def test_overlap_falls_with_the_distance_from_the_keyframe(keyframes):
+    shares = [compute_overlap(keyframes[0], translation(x, 0), (240, 400)) for x in (0, 200, 400)]
+    assert shares[0] == 1
+    assert 0.3 < shares[1] < 0.7
+    assert shares[2] == 0
+
+
+def test_earliest_keyframe_with_enough_overlap_is_selected(keyframes):
+    assert select_keyframe(keyframes, translation(100, 0), (240, 400)) is keyframes[0]
+    assert select_keyframe(keyframes, translation(280, 0), (240, 400)) is keyframes[1]
+
+
+def test_frame_is_registered_to_the_reference_through_another_keyframe(keyframes):
+    result, _ = register_frame(
+        view(300), keyframes, keyframes[1], translation(296, 3), "translation"
+    )
+    assert result.valid
+    np.testing.assert_allclose(result.reference_from_frame, translation(300, 0), atol=0.02)
+
+
+def test_frame_far_from_the_prior_is_found_by_its_features(keyframes):
+    result, _ = register_frame(view(60), keyframes, keyframes[1], np.eye(3), "translation")
+    assert result.valid
+    np.testing.assert_allclose(result.reference_from_frame, translation(60, 0), atol=0.02)
