@@ -71,8 +71,8 @@ if TYPE_CHECKING:
     from geoaim.rectification import rectify as rectify
     from geoaim.simulation.scene import Scene as Scene
     from geoaim.simulation.scene import make_scene as make_scene
-    from geoaim.track_files import read_tracks as read_tracks
     from geoaim.track_files import write_tracks as write_tracks
+    from geoaim.track_formats.formats import read_tracks as read_tracks
     from geoaim.tracks import Tracks as Tracks
     from geoaim.world import World as World
 
@@ -101,7 +101,7 @@ _MODULE_OF_NAME = {
     "read_hdmap": "geoaim.hdmap.lanelet2",
     "read_imagery": "geoaim.imagery.mosaic",
     "read_lights": "geoaim.lights",
-    "read_tracks": "geoaim.track_files",
+    "read_tracks": "geoaim.track_formats.formats",
     "rectify": "geoaim.rectification",
     "register": "geoaim.mapping.registration.register",
     "summarize_aim": "geoaim.aim_summary",

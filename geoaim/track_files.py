@@ -59,8 +59,8 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         write(tracks.to_frame(), tracks.world, temporary)
 
 
-def read_tracks(path: str | os.PathLike[str]) -> Tracks:
-    """Read tracks in the plain format.
+def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
+    """Read tracks in the plain format; `geoaim.read_tracks` reads every known format.
 
     Raises:
         FileNotFoundError: there is no such file.

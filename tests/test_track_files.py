@@ -5,8 +5,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from geoaim import GeoaimError, Tracks, World, read_tracks, write_tracks
+from geoaim import GeoaimError, Tracks, World, write_tracks
 from geoaim.errors import TracksError
+from geoaim.track_files import read_plain_tracks
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import COLUMNS
 from tests.test_track_tables import WORLD, make_row
@@ -18,7 +19,7 @@ from tests.test_tracks import two_agents
 def test_written_tracks_read_back(tmp_path, name, world):
     tracks = two_agents(world=world)
     write_tracks(tracks, tmp_path / name)
-    again = read_tracks(tmp_path / name)
+    again = read_plain_tracks(tmp_path / name)
     np.testing.assert_allclose(again.states, tracks.states)
     np.testing.assert_array_equal(again.present, tracks.present)
     np.testing.assert_allclose(again.times, tracks.times, atol=1e-9)
@@ -39,7 +40,7 @@ def test_csv_keeps_millimetres(tmp_path_factory, present, seed):
     )
     path = tmp_path_factory.mktemp("csv") / "tracks.csv"
     write_tracks(moved, path)
-    again = read_tracks(path)
+    again = read_plain_tracks(path)
     seen = moved.present.any(axis=0)
     order = [again.ids.index(name) for name in moved.ids]
     np.testing.assert_allclose(again.states[order], states[:, seen], atol=0.00051)
@@ -73,19 +74,19 @@ def test_a_broken_file_is_refused_with_its_reason(tmp_path, text, message):
     path = tmp_path / "tracks.csv"
     path.write_text(text)
     with pytest.raises(GeoaimError, match=message):
-        read_tracks(path)
+        read_plain_tracks(path)
 
 
 def test_a_missing_file_is_reported_as_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
-        read_tracks(tmp_path / "nowhere.csv")
+        read_plain_tracks(tmp_path / "nowhere.csv")
 
 
 @pytest.mark.parametrize("name", ["a.parquet", "a.csv"])
 def test_a_binary_file_is_refused(tmp_path, name):
     (tmp_path / name).write_bytes(bytes(range(256)))
     with pytest.raises(TracksError, match="is not a table of tracks"):
-        read_tracks(tmp_path / name)
+        read_plain_tracks(tmp_path / name)
 
 
 def test_another_suffix_is_refused_before_anything_is_written(tmp_path):
@@ -97,21 +98,21 @@ def test_another_suffix_is_refused_before_anything_is_written(tmp_path):
 def test_an_agent_may_be_called_na(tmp_path):
     path = tmp_path / "a.csv"
     write_tracks(make_tracks(pd.DataFrame([make_row(id="NA"), make_row(id="null")]), WORLD), path)
-    assert read_tracks(path).ids == ("NA", "null")
+    assert read_plain_tracks(path).ids == ("NA", "null")
 
 
 def test_times_read_back_are_those_written(tmp_path):
     times = np.arange(3000) / 10
     tracks = make_tracks(pd.DataFrame([make_row(time=time) for time in times]), WORLD)
     write_tracks(tracks, tmp_path / "a.csv")
-    np.testing.assert_array_equal(read_tracks(tmp_path / "a.csv").times, times)
+    np.testing.assert_array_equal(read_plain_tracks(tmp_path / "a.csv").times, times)
 
 
 def test_a_row_with_an_extra_field_is_refused(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("# crs: local\n" + ",".join(COLUMNS) + "\n1,2,0,1,2,0,1,4,2,9\n")
     with pytest.raises(TracksError, match="more fields than there are columns"):
-        read_tracks(path)
+        read_plain_tracks(path)
 
 
 def test_tracks_that_could_not_be_read_back_are_not_written(tmp_path):

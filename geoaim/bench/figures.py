@@ -36,7 +36,7 @@ from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from
 from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.sample import RATE
 from geoaim.track_changes import resample_tracks, to_world
-from geoaim.track_files import read_tracks
+from geoaim.track_formats import read_tracks
 
 RESOLUTION = 0.1  # m/px of the drawn places
 FRAME_TIME = 6.0  # s, of the frame shown beside the map

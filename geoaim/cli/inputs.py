@@ -34,10 +34,10 @@ class SceneSource:
 
 def read_tracks_source(source: TracksSource) -> "Tracks":
     """Read tracks in any known format, in the world of --tracks-world if one is given."""
-    from geoaim.track_formats import read_any
+    from geoaim.track_formats import read_tracks
 
     world = None if source.world is None else _parse_world(source.world)
-    return read_any(source.path, world=world, resolution=source.resolution)
+    return read_tracks(source.path, world=world, resolution=source.resolution)
 
 
 def read_scene(

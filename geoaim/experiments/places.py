@@ -23,7 +23,7 @@ from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
 from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.track_changes import resample_tracks
-from geoaim.track_files import read_tracks
+from geoaim.track_formats import read_tracks
 from geoaim.tracks import Tracks
 
 Places = Sequence[tuple[int, PlaceKind]]

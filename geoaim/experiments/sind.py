@@ -38,7 +38,7 @@ from geoaim.prediction.evaluation import EvalConfig
 from geoaim.prediction.metrics import Metric, average_seeds, concat
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
-from geoaim.track_formats import read_any
+from geoaim.track_formats import read_tracks
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
 
 
 def _make_scene(name: str, aim: AIM) -> Scene:
-    tracks = read_any(require_data(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
+    tracks = read_tracks(require_data(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
     return make_scene(aim, resample_tracks(tracks, 1 / PEDESTRIANS.dt))
 
 

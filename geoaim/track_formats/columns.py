@@ -73,6 +73,12 @@ def check_columns(
             raise TracksError(f"{Path(path)}: {name} is {text!r} in a row; a number is needed")
 
 
+def check_resolution(resolution: float) -> None:
+    """Refuse metres per pixel that are not positive and finite."""
+    if not 0 < resolution < np.inf:
+        raise ValueError(f"resolution is {resolution}; a positive number of metres is needed")
+
+
 def fill_sizes(rows: "DataFrame") -> Float[Array, "m 2"]:
     """Length and width in metres; where a size is 0 or missing, the typical one of the type."""
     typical = np.array([TYPICAL_SIZES.get(name, OTHER_SIZE) for name in rows["type"]])

@@ -1,11 +1,12 @@
-"""The known file formats of tracks, and `read_any`, which detects a file's format."""
+"""The known file formats of tracks, and `read_tracks`, which detects a file's format."""
 
 import gzip
 import os
 from pathlib import Path
 
 from geoaim.errors import TracksError
-from geoaim.track_files import read_tracks
+from geoaim.track_files import read_plain_tracks
+from geoaim.track_formats.columns import check_resolution
 from geoaim.track_formats.geotrax import GEOTRAX
 from geoaim.track_formats.interaction import INTERACTION
 from geoaim.track_formats.levelx import HIGHD, IND
@@ -24,7 +25,7 @@ def _is_plain(path: Path, line: str) -> bool:
     return is_parquet or line.startswith("#") or _has_plain_columns(path, line)
 
 
-PLAIN = TrackFormat("plain", _is_plain, read_tracks)
+PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks)
 # the first format that matches a file is used
 FORMATS = (PLAIN, SDD, SIND, INTERACTION, IND, HIGHD, GEOTRAX, TRAJNET)
 OPTION_HELP = {
@@ -33,19 +34,20 @@ OPTION_HELP = {
 }
 
 
-def read_any(
+def read_tracks(
     path: str | os.PathLike[str],
     *,
     world: World | None = None,
     resolution: float | None = None,
 ) -> Tracks:
-    """Read tracks in any of `FORMATS`; the format is detected from the file.
+    """Read tracks from a file in any known format; the format is detected from its first line.
 
     Args:
-        path: a file, or the folder of a SinD recording.
-        world: the plane of x and y, for formats that do not say it: INTERACTION, SinD and
-            geo-trax (of which only the CRS is used, as the file has full coordinates).
-        resolution: metres per pixel, for formats in image pixels: SDD and TrajNet.
+        path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
+            folder of a SinD recording.
+        world: the CRS and origin of x and y, for files that do not state them: INTERACTION, SinD
+            and geo-trax (which takes the CRS only, since its coordinates have no origin).
+        resolution: metres per pixel, for files in image pixels: SDD and TrajNet.
 
     Returns:
         The tracks.
@@ -53,8 +55,8 @@ def read_any(
     Raises:
         FileNotFoundError: there is no such file.
         TracksError: the file has none of the formats, or is broken.
-        ValueError: an option that the format requires is missing, or one that it does not take
-            is given.
+        ValueError: a required option is missing, the format does not take a given option, or
+            the resolution is not positive.
     """
     track_format = detect_format(path)
     options = {"world": world, "resolution": resolution}
@@ -62,8 +64,10 @@ def read_any(
     for name in given:
         if name not in track_format.options:
             raise ValueError(
-                f"{path} is in the {track_format.name} format, which takes no {name}; leave it out"
+                f"{path} is in the {track_format.name} format, which takes no {name}; omit it"
             )
+    if resolution is not None:
+        check_resolution(resolution)
     for name in track_format.required:
         if name not in given:
             raise ValueError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns
+from geoaim.track_formats.columns import check_columns, check_resolution
 from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.track_formats.track_format import TrackFormat, has_columns
 from geoaim.tracks import Tracks
@@ -50,7 +50,7 @@ def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
     """
     import pandas as pd
 
-    _check_resolution(resolution)
+    check_resolution(resolution)
     table = read_table(path, text=(9,), delimiter=" ", header=False)
     if table.shape[1] != len(COLUMNS):
         raise TracksError(
@@ -101,7 +101,7 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
 
     if resolution is None:
         resolution = _look_up_resolution(Path(path))
-    _check_resolution(resolution)
+    check_resolution(resolution)
     table = read_table(path, text=("track",))
     check_columns(path, table, numbers=("frame", "u_px", "v_px"), others=("track",))
     length, width = SIZES["Pedestrian"]
@@ -134,11 +134,6 @@ def _look_up_resolution(path: Path) -> float:
         f"{path} is in pixels, and no scenes.csv beside it has their size for {path.stem!r}; "
         "give resolution, metres per pixel, such as 0.04"
     )
-
-
-def _check_resolution(resolution: float) -> None:
-    if not 0 < resolution < np.inf:
-        raise ValueError(f"resolution is {resolution}; a positive number of metres is needed")
 
 
 SDD = TrackFormat(

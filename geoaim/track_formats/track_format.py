@@ -1,4 +1,4 @@
-"""TrackFormat: what `read_any` must know about one file format."""
+"""TrackFormat: what `read_tracks` must know about one file format."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -7,7 +7,7 @@ from geoaim.cli import app
 from geoaim.geojson import Feature, write_features
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.track_files import read_tracks
+from geoaim.track_formats import read_tracks
 
 run = CliRunner().invoke
 

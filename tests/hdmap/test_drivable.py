@@ -14,7 +14,7 @@ from geoaim.hdmap.drivable import (
     sample_lane_directions,
 )
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine, read_hdmap
-from geoaim.track_files import read_tracks
+from geoaim.track_formats import read_tracks
 from geoaim.world import World
 
 LANE = Lanelet("road", True, np.array([[0.0, 3], [30, 3]]), np.array([[0.0, 0], [30, 0]]))

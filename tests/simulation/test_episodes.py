@@ -12,7 +12,8 @@ from geoaim.simulation.episodes import HISTORY_STEPS, POLICY_NAMES, simulate_sce
 from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.road_rules import RoadRules, make_road_rules
 from geoaim.simulation.scene import make_scene, make_tracks
-from geoaim.track_files import read_tracks, write_tracks
+from geoaim.track_files import write_tracks
+from geoaim.track_formats import read_tracks
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoaimWarning, TracksError
-from geoaim.track_formats import derive_motion, read_any, read_trajnet
+from geoaim.track_formats import derive_motion, read_tracks, read_trajnet
 from geoaim.track_formats.formats import detect_format
 from geoaim.world import World
 from tests.track_formats import test_levelx, test_readers, test_sind
@@ -34,19 +34,19 @@ def test_the_format_is_detected_from_the_first_line(tmp_path, head, name):
 def test_any_format_is_read(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("# crs: local\n" + COLUMNS + "1,car,0,1,2,0,1,4,2\n")
-    assert read_any(path).ids == ("1",)
-    assert len(read_any(test_levelx._write_ind(tmp_path)).ids) == 4
-    assert len(read_any(test_levelx._write_highd(tmp_path)).ids) == 3
+    assert read_tracks(path).ids == ("1",)
+    assert len(read_tracks(test_levelx._write_ind(tmp_path)).ids) == 4
+    assert len(read_tracks(test_levelx._write_highd(tmp_path)).ids) == 3
     test_sind._write(tmp_path)
-    assert len(read_any(tmp_path).ids) == 3
+    assert len(read_tracks(tmp_path).ids) == 3
 
 
 def test_the_given_world_is_used_where_the_file_states_none(tmp_path):
     path, world = tmp_path / "a.csv", World("EPSG:32632", (459000.0, 5428000.0))
     path.write_text(test_readers.SHORT + "1,0,pedestrian,0,0,0,1\n")
-    assert read_any(path, world=world).world == world
+    assert read_tracks(path, world=world).world == world
     path.write_text(test_readers.GEOTRAX + "1,0,0,0,0,459010,5428000,49,8,4,2,0\n")
-    assert read_any(path, world=world).world.crs == "EPSG:32632"
+    assert read_tracks(path, world=world).world.crs == "EPSG:32632"
 
 
 def test_missing_and_superfluous_options_are_refused(tmp_path):
@@ -55,12 +55,14 @@ def test_missing_and_superfluous_options_are_refused(tmp_path):
     with pytest.raises(
         ValueError, match=r"needs a resolution: give metres per pixel, such as 0.04"
     ):
-        read_any(path)
-    assert read_any(path, resolution=0.1).types == ("cyclist",)
+        read_tracks(path)
+    assert read_tracks(path, resolution=0.1).types == ("cyclist",)
+    with pytest.raises(ValueError, match=r"resolution is -0.1; a positive"):
+        read_tracks(path, resolution=-0.1)
     with pytest.raises(ValueError, match="SDD format, which takes no world"):
-        read_any(path, resolution=0.1, world=World(None))
+        read_tracks(path, resolution=0.1, world=World(None))
     with pytest.raises(ValueError, match="inD format, which takes no resolution"):
-        read_any(test_levelx._write_ind(tmp_path), resolution=0.1)
+        read_tracks(test_levelx._write_ind(tmp_path), resolution=0.1)
 
 
 @pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"", bytes(range(128, 256))])
@@ -68,12 +70,12 @@ def test_missing_and_superfluous_options_are_refused(tmp_path):
 def test_a_file_in_no_known_format_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(TracksError, match="is not a table of tracks"):
-        read_any(tmp_path / name)
+        read_tracks(tmp_path / name)
 
 
 def test_a_missing_file_is_reported_as_missing(tmp_path):
     with pytest.raises(FileNotFoundError, match="no such file"):
-        read_any(tmp_path / "nowhere.csv")
+        read_tracks(tmp_path / "nowhere.csv")
 
 
 def _windows(folder):
@@ -99,28 +101,28 @@ def test_trajnet_windows_become_one_recording_in_metres(tmp_path):
 def test_trajnet_resolution_is_looked_up_in_scenes_csv(tmp_path):
     path = _windows(tmp_path)
     with pytest.raises(ValueError, match=r"no scenes.csv beside it has .* give resolution"):
-        read_any(path)
+        read_tracks(path)
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\ngates_0,0.05\n")
-    assert read_any(path).states[0, 0, 0] == pytest.approx(5)
+    assert read_tracks(path).states[0, 0, 0] == pytest.approx(5)
 
 
 def test_real_files_are_read(data_folder):
     tracks = data_folder / "tracks"
-    windows = read_any(tracks / "sdd_trajnet/windows/gates_1.csv")
+    windows = read_tracks(tracks / "sdd_trajnet/windows/gates_1.csv")
     assert (windows.present.sum(axis=1) == 20).all()
     assert 0.8 < np.nanmedian(windows.states[..., 3]) < 1.6
-    assert len(read_any(next((tracks / "sind/Changchun").glob("*/Ped*.csv")).parent).ids) == 49
+    assert len(read_tracks(next((tracks / "sind/Changchun").glob("*/Ped*.csv")).parent).ids) == 49
     world = World("EPSG:5186")
-    assert len(read_any(tracks / "songdo_u/U_video_cut.csv", world=world).ids) == 144
+    assert len(read_tracks(tracks / "songdo_u/U_video_cut.csv", world=world).ids) == 144
     path = next((tracks / "sdd_raw").glob("gates/video4/annotations.txt.gz"))
-    assert "pedestrian" in read_any(path, resolution=0.0441).types
+    assert "pedestrian" in read_tracks(path, resolution=0.0441).types
 
 
 def test_a_real_file_with_reversed_headings_warns_and_derive_motion_corrects_it(data_folder):
     folder = data_folder / "tracks/karlsruhe/tracks"
-    good = read_any(folder / "k729_2022-03-16/vehicle_tracks_003.csv")
+    good = read_tracks(folder / "k729_2022-03-16/vehicle_tracks_003.csv")
     with pytest.warns(GeoaimWarning) as warned:
-        bad = read_any(folder / "k733_2018-05-02/vehicle_tracks_000.csv")
+        bad = read_tracks(folder / "k733_2018-05-02/vehicle_tracks_000.csv")
     assert any("move against their heading" in str(warning.message) for warning in warned)
     for tracks in (good, derive_motion(bad, half_window=0.25)):
         step = np.diff(tracks.states[..., :2], axis=1)
