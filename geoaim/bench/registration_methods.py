@@ -1,4 +1,4 @@
-"""Registration methods to compare: this library, stabilo, features, ECC and KLT.
+"""Registration methods to compare: this library, stabilo, features, ECC, KLT and phase correlation.
 
 stabilo is measured where it is installed: `pip install --no-deps stabilo`.
 """
@@ -11,13 +11,16 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
+from skimage.registration import phase_cross_correlation
 
-from geoaim.geometry import from_opencv
+from geoaim.geometry import from_opencv, translation
 from geoaim.mapping.registration.keyframes import FrameRegistration
 from geoaim.mapping.registration.patches import shrink_image
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
 
+Grey = UInt8[Array, "h w"]
+Matrix = Float[Array, "3 3"]
 Matrices = Float[Array, "T 3 3"]
 # A method takes frames and vehicle boxes, and returns matrices (NaN where it refuses a frame) and
 # the seconds that each frame took.
@@ -78,89 +81,100 @@ def make_feature_method(make_detector: Callable[[], Any], norm: int, shrink: int
 
     def run(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
         detector, matcher = make_detector(), cv2.BFMatcher(norm, crossCheck=True)
-        scale = np.diag([1 / shrink, 1 / shrink, 1.0])
-        first: Any = None
-        matrices: list[Array] = []
-        seconds: list[float] = []
-        for frame in frames:
-            start = time.perf_counter()
-            grey = to_grey(frame, shrink)
+        reference: list[Any] = []
+
+        def register(grey: Grey) -> Matrix | None:
             points, descriptors = detector.detectAndCompute(grey, None)
-            first = first or (points, descriptors)
-            pairs = matcher.match(descriptors, first[1])
+            reference[:] = reference or [points, descriptors]
+            pairs = matcher.match(descriptors, reference[1])
             source = np.array([points[pair.queryIdx].pt for pair in pairs])
-            target = np.array([first[0][pair.trainIdx].pt for pair in pairs])
+            target = np.array([reference[0][pair.trainIdx].pt for pair in pairs])
             homography, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, 2.0)
-            seconds.append(time.perf_counter() - start)
-            matrix = np.full((3, 3), np.nan) if homography is None else from_opencv(homography)
-            matrices.append(np.linalg.inv(scale) @ matrix @ scale)
-        return np.array(matrices), seconds
+            return None if homography is None else from_opencv(homography)
+
+        return _register_each(frames, shrink, register)
 
     return run
 
 
 def register_with_ecc(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
     """Register by ECC at a quarter of the size, starting each frame at the previous result."""
-    small = [
-        cv2.resize(
-            cv2.cvtColor(f, cv2.COLOR_RGB2GRAY),
-            None,
-            fx=1 / 4,
-            fy=1 / 4,
-            interpolation=cv2.INTER_AREA,
-        )
-        for f in frames
-    ]
-    scale = np.diag([1 / 4, 1 / 4, 1.0])
-    warp: Any = np.eye(3, dtype=np.float32)
+    reference: list[Grey] = []
+    warps: list[Any] = [np.eye(3, dtype=np.float32)]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5)
-    matrices: list[Array] = []
-    seconds: list[float] = []
-    for grey in small:
-        start = time.perf_counter()
+
+    def register(grey: Grey) -> Matrix | None:
+        reference[:] = reference or [grey]
         try:
-            _, warp = cv2.findTransformECC(small[0], grey, warp, cv2.MOTION_HOMOGRAPHY, criteria)
-            matrix = np.linalg.inv(from_opencv(warp.astype(np.float64)))
+            _, warps[0] = cv2.findTransformECC(
+                reference[0], grey, warps[0], cv2.MOTION_HOMOGRAPHY, criteria
+            )
         except cv2.error:
-            matrix = np.full((3, 3), np.nan)
-        seconds.append(time.perf_counter() - start)
-        matrices.append(np.linalg.inv(scale) @ matrix @ scale)
-    return np.array(matrices), seconds
+            return None
+        return np.linalg.inv(from_opencv(warps[0].astype(np.float64)))
+
+    return _register_each(frames, 4, register)
+
+
+def register_with_phase_correlation(
+    frames: Any, boxes: list[Array]
+) -> tuple[Matrices, list[float]]:
+    """Register by phase correlation at half size, a translation (Guizar-Sicairos et al. 2008)."""
+    reference: list[Grey] = []
+
+    def register(grey: Grey) -> Matrix | None:
+        reference[:] = reference or [grey]
+        shift, _, _ = phase_cross_correlation(  # type: ignore[no-untyped-call]
+            reference[0], grey, upsample_factor=20
+        )
+        return translation(float(shift[1]), float(shift[0]))
+
+    return _register_each(frames, 2, register)
 
 
 def register_with_klt(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
     """Register by KLT from the reference at half size, checked forward and backward."""
-    scale = np.diag([1 / 2, 1 / 2, 1.0])
-    reference: Any = None
-    corners: Any = None
-    guess: Any = None
-    matrices: list[Array] = []
-    seconds: list[float] = []
-    for frame in frames:
-        start = time.perf_counter()
-        grey = to_grey(frame, 2)
-        if reference is None:
-            reference = grey
-            corners = guess = cv2.goodFeaturesToTrack(grey, 400, 0.005, grey.shape[1] / 32)
+    state: dict[str, Any] = {}
+
+    def register(grey: Grey) -> Matrix | None:
+        if not state:
+            corners = cv2.goodFeaturesToTrack(grey, 400, 0.005, grey.shape[1] / 32)
+            state.update(reference=grey, corners=corners, guess=corners)
+        reference, corners = state["reference"], state["corners"]
         flags = cv2.OPTFLOW_USE_INITIAL_FLOW
         forward, is_forward_found, _ = cv2.calcOpticalFlowPyrLK(
-            reference, grey, corners, guess.copy(), flags=flags
+            reference, grey, corners, state["guess"].copy(), flags=flags
         )
         backward, is_backward_found, _ = cv2.calcOpticalFlowPyrLK(
             grey, reference, forward, corners.copy(), flags=flags
         )
+        state["guess"] = forward
         good = (np.asarray(is_forward_found) & np.asarray(is_backward_found)).ravel().astype(bool)
         good &= np.hypot(*(backward - corners).reshape(-1, 2).T) < 0.5
         homography, _ = cv2.findHomography(forward[good], corners[good], cv2.USAC_MAGSAC, 1.0)
+        return None if homography is None else from_opencv(homography)
+
+    return _register_each(frames, 2, register)
+
+
+def _register_each(
+    frames: Any, shrink: int, register: Callable[[Grey], Matrix | None]
+) -> tuple[Matrices, list[float]]:
+    """Register reduced grey frames one by one: matrices at full size, and seconds each."""
+    scale = np.diag([1 / shrink, 1 / shrink, 1.0])
+    matrices: list[Matrix] = []
+    seconds: list[float] = []
+    for frame in frames:
+        start = time.perf_counter()
+        matrix = register(to_grey(frame, shrink))
         seconds.append(time.perf_counter() - start)
-        guess = forward
-        matrix = np.full((3, 3), np.nan) if homography is None else from_opencv(homography)
+        matrix = np.full((3, 3), np.nan) if matrix is None else matrix
         matrices.append(np.linalg.inv(scale) @ matrix @ scale)
     return np.array(matrices), seconds
 
 
 def to_grey(frame: UInt8[Array, "H W 3"], shrink: int) -> UInt8[Array, "h w"]:
-    """Convert a frame to grey and shrink_image it by an integer factor."""
+    """Convert a frame to grey and reduce it by an integer factor."""
     return shrink_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), shrink)
 
 
@@ -174,6 +188,7 @@ def list_methods() -> dict[str, Method]:
         ),
         "KLT half + MAGSAC": register_with_klt,
         "ECC quarter": register_with_ecc,
+        "phase correlation half": register_with_phase_correlation,
     }
     try:
         methods["stabilo with boxes"] = make_stabilo_method(with_boxes=True)

@@ -36,7 +36,13 @@ def video(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "limit"), [("geoaim", 0.1), ("KLT half + MAGSAC", 1.0), ("ECC quarter", 5.0)]
+    ("name", "limit"),
+    [
+        ("geoaim", 0.1),
+        ("KLT half + MAGSAC", 1.0),
+        ("ECC quarter", 5.0),
+        ("phase correlation half", 25.0),
+    ],
 )
 def test_registration_methods_have_small_errors_on_a_plain_video(video, name, limit):
     method = registration_methods.list_methods()[name]
