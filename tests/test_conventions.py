@@ -1,4 +1,4 @@
-"""One assertion for each row of the conventions in CONTRIBUTING.md that applies so far."""
+"""One assertion for each row of the conventions in docs/conventions.md that applies so far."""
 
 import ast
 import inspect
