@@ -79,7 +79,7 @@ def read_windows(
         files: where they lie.
         view: of the model.
         scenes: names; none: all.
-        transform: apply_matrix to each image (values 0 to 1), with its resolution.
+        transform: applied to each image (values 0 to 1), with its resolution.
 
     Returns:
         The windows, with their scenes side by side in an atlas.

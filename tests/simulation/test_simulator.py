@@ -25,7 +25,7 @@ def _recording(steps=21, dtype=torch.float64):
     circle = [torch.tensor([-30.0, 0, 0, 8], dtype=dtype)]
     for _ in time[1:]:
         turn = torch.tensor([0.0, 0.3], dtype=dtype)
-        circle.append(step_bicycle(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
+        circle.append(bicycle.step(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
     pedestrian = torch.stack([zero + 5, time - 6, zero + np.pi / 2, zero + 1], -1)
     states = torch.stack([straight, torch.stack(circle), pedestrian], 1)[None]
     present = torch.ones(1, steps, 3, dtype=torch.bool)
