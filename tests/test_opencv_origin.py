@@ -19,9 +19,9 @@ from geoaim.grid import Grid
 from geoaim.imagery.alignment import surfaces
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.mapping import pipeline
-from geoaim.mapping.background.background import Background
 from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.background.exposure import estimate_gain, start_exposure
+from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.background.traffic_search import _shrink_frame
 from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features
@@ -101,8 +101,8 @@ def test_exposure_is_compared_at_the_same_places():
     u = coordinates(100, 120)[..., 0]
     large, small = (30 + u).astype(np.uint8), (30 + 2 * u[:50, :60]).astype(np.uint8)
     exposure = start_exposure((100, 120))
-    estimate_gain(exposure, Frame(0, 0.0, None, large), np.eye(3), 1.0)
-    gain = estimate_gain(exposure, Frame(1, 1.0, None, small), np.diag([2.0, 2.0, 1.0]), 1.0)
+    estimate_gain(exposure, Frame(0, 0.0, None, large), np.eye(3))
+    gain = estimate_gain(exposure, Frame(1, 1.0, None, small), np.diag([2.0, 2.0, 1.0]))
     assert abs(gain - 1) < 0.004
 
 

@@ -11,7 +11,7 @@ import json as jsonlib
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -28,14 +28,14 @@ from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.encode import write_video
-from geoaim.mapping.background.background import Background
 from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_indices
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
+from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.background.warping import warp
 from geoaim.mapping.registration.register import register
 from geoaim.mapping.video.detections import Detections, read_detections
 from geoaim.mapping.video.frames import Frame
-from geoaim.mapping.video.video import Video, open_video
+from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import (
     list_boxes,
     measure_traffic_share,
@@ -47,32 +47,20 @@ MARGIN_PX = 100  # left out of the figures: the camera's drift leaves the rim to
 MIN_STANDING_SHARE = 0.3  # of the time, from which traffic counts as standing
 
 
-class DecodedFrames(list[Frame]):
-    """Decoded frames in memory, so that decoding is not timed."""
-
-    @property
-    def height(self) -> int:
-        """Pixels."""
-        return self[0].grey.shape[0]
-
-    @property
-    def width(self) -> int:
-        """Pixels."""
-        return self[0].grey.shape[1]
-
-
 @dataclass(frozen=True, eq=False)
 class RegisteredFrames:
     """Frames of a video with their transforms, in an order that spreads over it; re-iterable.
 
     Attributes:
         video: the frames.
+        size: (height, width) of the frames.
         reference_from_frame: (T, 3, 3) of each frame, by its index.
         detections: boxes of vehicles, or None.
         limit: number of frames to read; None reads all.
     """
 
-    video: Video | DecodedFrames
+    video: Iterable[Frame]
+    size: tuple[int, int]
     reference_from_frame: Float[Array, "T 3 3"]
     detections: Detections | None = None
     limit: int | None = None
@@ -81,34 +69,9 @@ class RegisteredFrames:
         frames = islice(self.video, self.limit)
         return ((frame, self.reference_from_frame[frame.index]) for frame in frames)
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width of the frames."""
-        return self.video.height, self.video.width
 
-
-def average_all(frames: RegisteredFrames) -> Background:
-    """Average all frames."""
-    return average_frames(frames, size=frames.size)
-
-
-def average_outside_boxes(frames: RegisteredFrames) -> Background:
-    """Average what lies outside of the boxes."""
-    return average_frames(frames, size=frames.size, detections=frames.detections)
-
-
-def average_ground(frames: RegisteredFrames) -> Background:
-    """Average what is not ground to be traffic."""
-    return remove_traffic(frames, size=frames.size)
-
-
-def average_ground_of_half(frames: RegisteredFrames) -> Background:
-    """Average the ground of the first 30 frames, which spread over the clip as all 60 do."""
-    return remove_traffic(replace(frames, limit=30), size=frames.size)
-
-
-def compute_median(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
-    """Compute numpy.median of all _warp_frames frames, held in memory, 64 rows at a time."""
+def _compute_median(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+    """numpy.median of all warped frames, held in memory, 64 rows at a time."""
     stack = list(_warp_frames(frames))
     result = np.empty((*frames.size, 3), np.uint8)
     for row in range(0, frames.size[0], 64):
@@ -117,50 +80,41 @@ def compute_median(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
     return result
 
 
-def estimate_by_mog2(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
-    """Estimate the background by OpenCV's mixture of Gaussians."""
-    model = cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False)
+def _apply_subtractor(subtractor: Any, frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+    """The background image of one of OpenCV's models after all frames."""
     for image in _warp_frames(frames):
-        model.apply(image)
-    return np.asarray(model.getBackgroundImage(), np.uint8)
-
-
-def estimate_by_gsoc(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
-    """Estimate the background by OpenCV's GSOC (contrib)."""
-    model = cv2.bgsegm.createBackgroundSubtractorGSOC()
-    for image in _warp_frames(frames):
-        model.apply(image)
-    return np.asarray(model.getBackgroundImage(), np.uint8)
+        subtractor.apply(image)
+    return np.asarray(subtractor.getBackgroundImage(), np.uint8)
 
 
 METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
-    "plain mean": average_all,
-    "mean masked by boxes": average_outside_boxes,
-    "without boxes": average_ground,
-    "without boxes, 30 frames": average_ground_of_half,
-    "numpy median": compute_median,
-    "MOG2": estimate_by_mog2,
-    "GSOC": estimate_by_gsoc,
+    "plain mean": lambda frames: average_frames(frames, size=frames.size),
+    "mean masked by boxes": lambda frames: average_frames(
+        frames, size=frames.size, detections=frames.detections
+    ),
+    "without boxes": lambda frames: remove_traffic(frames, size=frames.size),
+    # the first 30 frames spread over the clip as all 60 do
+    "without boxes, 30 frames": lambda frames: remove_traffic(
+        replace(frames, limit=30), size=frames.size
+    ),
+    "numpy median": _compute_median,
+    "MOG2": lambda frames: _apply_subtractor(
+        cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False), frames
+    ),
+    "GSOC": lambda frames: _apply_subtractor(cv2.bgsegm.createBackgroundSubtractorGSOC(), frames),
 }
 
 
 def _warp_frames(frames: RegisteredFrames) -> Iterator[UInt8[Array, "H W 3"]]:
     """Frames as RGB, warped to the reference at one exposure, for the other methods."""
-    exposure, gain = start_exposure(frames.size), 1.0
+    exposure = start_exposure(frames.size)
     for frame, matrix in frames:
-        gain = estimate_gain(exposure, frame, matrix, gain)
+        gain = estimate_gain(exposure, frame, matrix)
         yield apply_gain(warp(frame.image, matrix, frames.size), gain, 0.0)
 
 
-def write_input(still: str, size: str, count: int, folder: Path) -> None:
-    """Encode frames sampled over a synthetic clip of 20 s, and write the truth beside them.
-
-    Args:
-        still: name of the still that the clip is rendered from.
-        size: "720p", "1080p" or "4k".
-        count: number of frames.
-        folder: to write to.
-    """
+def _write_input(still: str, size: str, count: int, folder: Path) -> None:
+    """Encode frames sampled over a synthetic clip of 20 s, and write the truth beside them."""
     video = make_hover_video(still, size=size, count=600, kind="queue")
     order = np.linspace(0, len(video) - 1, count).round().astype(int)[spread_indices(count)]
     write_video((video[index] for index in order), folder / "frames.mp4", frame_rate=1)
@@ -175,13 +129,14 @@ def write_input(still: str, size: str, count: int, folder: Path) -> None:
     )
 
 
-def read_input(folder: Path) -> tuple[RegisteredFrames, Any]:
-    """Read what `write_input` wrote: the frames, and the arrays of the truth."""
+def _read_input(folder: Path) -> tuple[RegisteredFrames, Any]:
+    """The frames that `_write_input` wrote, and the arrays of the truth."""
     truth = np.load(folder / "truth.npz")
     boxes = truth["boxes"]
     video = open_video(folder / "frames.mp4", threads=cv2.getNumThreads())
-    by_frame = read_detections([boxes[boxes[:, 0] == i, 1:] for i in range(len(truth["boxes"]))])
-    return RegisteredFrames(video, truth["reference_from_frame"], by_frame), truth
+    by_frame = read_detections([boxes[boxes[:, 0] == i, 1:] for i in range(len(boxes))])
+    size = video.height, video.width
+    return RegisteredFrames(video, size, truth["reference_from_frame"], by_frame), truth
 
 
 def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
@@ -189,28 +144,27 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
 
     Args:
         name: key of `METHODS`.
-        folder: that `write_input` filled.
+        folder: the frames and the truth, as `_measure_synthetic` writes them.
         threads: of OpenCV and of the decoder.
 
     Returns:
         A row of the table.
     """
     cv2.setNumThreads(threads)
-    frames, truth = read_input(folder)
+    frames, truth = _read_input(folder)
     start = time.perf_counter()
     result = METHODS[name](frames)
     seconds = time.perf_counter() - start
     peak = measure_peak_megabytes()
     row: dict[str, Any] = {"method": name}
     image = result.image if isinstance(result, Background) else result
-    zones = _divide_zones(truth["share"])
-    error = (image.astype(np.float32) - truth["clean"]) ** 2
+    clean, zones = truth["clean"], _divide_zones(truth["share"])
+    error = (image.astype(np.float32) - clean) ** 2
     row |= {zone: float(np.sqrt(error[where].mean())) for zone, where in zones.items()}
     first = next(iter(frames))[0].image
-    row["gradient energy %"] = 100 * measure_gradient_energy(
-        image, first, truth["clean"], zones["static"]
-    )
-    held = replace(frames, video=DecodedFrames(frames.video))
+    energy = measure_gradient_energy(image, first, clean, zones["static"])
+    row["gradient energy %"] = 100 * energy
+    held = replace(frames, video=list(frames.video))  # so that decoding is not timed
     start = time.perf_counter()
     METHODS[name](held)
     row |= {"seconds": seconds, "decoded beforehand": time.perf_counter() - start, "peak MB": peak}
@@ -239,9 +193,7 @@ def measure_gradient_energy(
         The ratio, 1 for a background as sharp as the frame.
     """
     truth = _compute_gradients(clean)[:, where]
-    mean, single = (
-        (_compute_gradients(picture)[:, where] * truth).sum() for picture in (image, frame)
-    )
+    mean, single = ((_compute_gradients(p)[:, where] * truth).sum() for p in (image, frame))
     return float((mean / single) ** 2)
 
 
@@ -258,24 +210,14 @@ def _divide_zones(share: Float32[Array, "H W"]) -> dict[str, Bool[Array, "H W"]]
     return {"static": inside & (share == 0), "passed": inside & passed, "stood": inside & stood}
 
 
-def measure_synthetic(
+def _measure_synthetic(
     stills: list[str], size: str, count: int, threads: int
 ) -> list[dict[str, Any]]:
-    """Measure all methods on synthetic videos; times also as multiples of the plain mean's.
-
-    Args:
-        stills: names of the stills that the videos are rendered from.
-        size: "720p", "1080p" or "4k".
-        count: number of frames.
-        threads: of OpenCV and of the decoder.
-
-    Returns:
-        A row for each still and method.
-    """
+    """A row for each still and method; times also as multiples of the plain mean's."""
     rows = []
     for still in stills:
         with TemporaryDirectory() as name:
-            write_input(still, size, count, Path(name))
+            _write_input(still, size, count, Path(name))
             command = [sys.executable, "-m", "geoaim.bench.background", "--threads", str(threads)]
             for method in METHODS:
                 call = [*command, "--method", method, "--folder", name]
@@ -288,8 +230,8 @@ def measure_synthetic(
     return rows
 
 
-def measure_real() -> list[dict[str, Any]]:
-    """Compare the methods on real sequences, which have no truth: differences, contested pixels."""
+def _measure_real() -> list[dict[str, Any]]:
+    """Rows of real sequences, which have no truth: differences, contested pixels."""
     data = find_data()
     if data is None:
         return []
@@ -297,18 +239,15 @@ def measure_real() -> list[dict[str, Any]]:
     for place in ("hover/minsk_junction", "hover/munich_mos074", "hover/munich_street02"):
         video = open_video(data / place)
         registration = register(video)
-        valid = registration.valid
-        frames = RegisteredFrames(
-            open_video(sorted((data / place).glob("*.jpg"))),
-            registration.reference_from_frame,
-            read_detections(data / place),
-        )
-        rows.append(_compare_methods(place, frames, valid))
+        detections = read_detections(data / place)
+        size, matrices = (video.height, video.width), registration.reference_from_frame
+        frames = RegisteredFrames(video, size, matrices, detections)
+        rows.append(_compare_methods(place, frames, registration.valid))
     for path in sorted((data / "static").glob("*.mp4")):
-        frames_read = [frame.image for frame in open_video(path).sample(64)]
-        still = np.broadcast_to(np.eye(3), (len(frames_read), 3, 3))
-        frames = RegisteredFrames(open_video(frames_read), still)
-        rows.append(_compare_methods(path.name, frames, np.ones(len(frames_read), bool)))
+        images = [frame.image for frame in open_video(path).sample(64)]
+        still = np.broadcast_to(np.eye(3), (len(images), 3, 3))
+        frames = RegisteredFrames(open_video(images), images[0].shape[:2], still)
+        rows.append(_compare_methods(path.name, frames, np.ones(len(images), bool)))
     return rows
 
 
@@ -318,21 +257,21 @@ def _compare_methods(
     keep = [pair for pair in frames if valid[pair[0].index]]
     start = time.perf_counter()
     ground = remove_traffic(keep, size=frames.size)
-    row: dict[str, Any] = {
+    seconds = time.perf_counter() - start
+    plain = average_frames(keep, size=frames.size)
+    boxed = float("nan")
+    if frames.detections is not None:
+        mean = average_frames(keep, size=frames.size, detections=frames.detections)
+        boxed = _measure_differing_share(mean, ground)
+    return {
         "sequence": name,
         "frames": ground.frames_used,
-        "seconds": time.perf_counter() - start,
+        "seconds": seconds,
         "contested %": 100 * float(ground.contested.mean()),
         "gains": f"{ground.gains.min():.3f} to {ground.gains.max():.3f}",
-        "differs from mean %": _measure_differing_share(
-            average_frames(keep, size=frames.size), ground
-        ),
-        "differs from boxes %": float("nan"),
+        "differs from mean %": _measure_differing_share(plain, ground),
+        "differs from boxes %": boxed,
     }
-    if frames.detections is not None:
-        boxed = average_frames(keep, size=frames.size, detections=frames.detections)
-        row["differs from boxes %"] = _measure_differing_share(boxed, ground)
-    return row
 
 
 def _measure_differing_share(one: Background, other: Background) -> float:
@@ -356,9 +295,9 @@ def main(
         print(jsonlib.dumps(run_method(method, folder, threads)))
         return
     cv2.setNumThreads(threads)
-    synthetic = measure_synthetic(stills.split(","), size, frames, threads)
+    synthetic = _measure_synthetic(stills.split(","), size, frames, threads)
     print(format_table(synthetic), "\n")
-    real = measure_real()
+    real = _measure_real()
     if real:
         print(format_table(real))
     command = " ".join(["python -m geoaim.bench.background", *sys.argv[1:]])

@@ -14,19 +14,17 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
-from geoaim.mapping.background.background import Background
 from geoaim.mapping.background.running_mean import (
+    Background,
     RunningMean,
     add_to_mean,
     finish_mean,
-    start_mean,
 )
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES
 from geoaim.mapping.background.traffic_search import (
     TrafficSearch,
     add_to_search,
     average_ground,
-    start_search,
 )
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
@@ -38,7 +36,6 @@ from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.georeference.reference_frame import (
     choose_reference_time,
     georeference_reference_frame,
-    transform_points_to_reference,
 )
 from geoaim.mapping.registration.register import (
     Reference,
@@ -138,10 +135,7 @@ def _georeference(
                 f"have {video.width} x {video.height}; make it for their size"
             )
         return gcps, None
-    points = gcps
-    if points is not None:
-        points = transform_points_to_reference(points, video, reference, detections)
-    return georeference_reference_frame(points, video, reference, crs), points
+    return georeference_reference_frame(gcps, video, reference, detections, crs)
 
 
 def _register_and_average(
@@ -151,11 +145,10 @@ def _register_and_average(
     size = (reference.height, reference.width)
     register = partial(_register_until_converged, sampling, reference, detections, progress)
     if detections or sampling.plain_mean:
-        tolerance, bands = sampling.tolerance, sampling.bands
-        mean = start_mean(size, detections=detections, tolerance=tolerance, bands=bands)
+        mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
         registration = register(mean, add_to_mean)
         return registration, finish_mean(mean)
-    search = start_search(size, sampling.tolerance)
+    search = TrafficSearch(size, sampling.tolerance)
     registration = register(search, add_to_search)
     _refuse_few_frames(registration)
     frames = read_registered(sampling, registration, progress)

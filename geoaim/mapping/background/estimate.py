@@ -7,26 +7,27 @@ copies. The memory of the means does not grow with the number of frames.
 
 from collections.abc import Iterable
 
-import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.mapping.background.background import Background
-from geoaim.mapping.background.running_mean import add_to_mean, finish_mean, start_mean
-from geoaim.mapping.background.traffic_search import add_to_search, average_ground, start_search
+from geoaim.mapping.background.running_mean import (
+    Background,
+    RunningMean,
+    add_to_mean,
+    finish_mean,
+)
+from geoaim.mapping.background.traffic_search import TrafficSearch, add_to_search, average_ground
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.frames import Frame
 
-Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its reference_from_frame
+Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its image_from_frame
 
 
 def average_frames(
     frames: Iterable[Registered],
     *,
     size: tuple[int, int],
-    image_from_reference: Float[Array, "3 3"] | None = None,
     detections: Detections | None = None,
-    tolerance: float = 0.0,
     bands: int = 1,
 ) -> Background:
     """Average registered frames, without the boxes of detections where these are given.
@@ -35,13 +36,10 @@ def average_frames(
     `bands`-th frame: each frame is warped to one of as many horizontal bands only, in turn.
 
     Args:
-        frames: each with its reference_from_frame, read once.
+        frames: each with its image_from_frame (3, 3), read once.
         size: (height, width) of the image, pixels.
-        image_from_reference: (3, 3) None starts the image at the reference's corner.
         detections: boxes to leave out of a frame, grown by 12 %. A frame of which nothing is
             known (None) is left out as a whole.
-        tolerance: stop when `Background.change` is at most this (grey levels); give the frames in
-            an order that spreads over the video, as `spread_indices` does. 0 takes all frames.
         bands: that the image is divided into.
 
     Returns:
@@ -50,34 +48,20 @@ def average_frames(
     Raises:
         BackgroundError: not one frame.
     """
-    shift = np.eye(3) if image_from_reference is None else image_from_reference
-    mean = start_mean(size, detections=detections, tolerance=tolerance, bands=bands)
-    for frame, reference_from_frame in frames:
-        add_to_mean(mean, frame, shift @ reference_from_frame)
-        if mean.converged:
-            break
+    mean = RunningMean(size, detections=detections, bands=bands)
+    for frame, image_from_frame in frames:
+        add_to_mean(mean, frame, image_from_frame)
     return finish_mean(mean)
 
 
-def remove_traffic(
-    frames: Iterable[Registered],
-    *,
-    size: tuple[int, int],
-    image_from_reference: Float[Array, "3 3"] | None = None,
-    tolerance: float = 0.0,
-) -> Background:
+def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Background:
     """Average what `traffic_removal` takes for ground in registered frames.
 
     Some 30 to 60 frames spread over the video are enough. Memory grows by 5 to 8 MB with each.
 
     Args:
-        frames: each with its reference_from_frame; read twice, so no one-shot iterator.
+        frames: each with its image_from_frame (3, 3); read twice, so no one-shot iterator.
         size: (height, width) of the image, pixels.
-        image_from_reference: (3, 3) None starts the image at the reference's corner.
-        tolerance: as in `average_frames`.
-
-    Returns:
-        The background.
 
     Raises:
         BackgroundError: fewer than 4 frames.
@@ -85,13 +69,10 @@ def remove_traffic(
     """
     if iter(frames) is frames:
         raise TypeError("the frames are read twice: give a list, or make __iter__ start anew")
-    shift = np.eye(3) if image_from_reference is None else image_from_reference
-    search = start_search(size, tolerance)
-    for frame, reference_from_frame in frames:
-        add_to_search(search, frame, shift @ reference_from_frame)
-        if search.converged:
-            break
-    return average_ground(((frame, shift @ matrix) for frame, matrix in frames), search)
+    search = TrafficSearch(size)
+    for frame, image_from_frame in frames:
+        add_to_search(search, frame, image_from_frame)
+    return average_ground(frames, search)
 
 
 def spread_indices(count: int) -> list[int]:

@@ -17,17 +17,19 @@ RATIO_BINS = 350  # of 2 % each, about a ratio of 1
 MODE_HALF_WIDTH = 0.05  # of the logarithm of a ratio
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Exposure:
     """Grey levels above black where frames first showed the points of a grid; filled in place.
 
     Attributes:
         spacing: of the grid, pixels of the image.
         level: (h, w) grey levels, 0 where no frame has shown the point.
+        gain: of the last frame.
     """
 
     spacing: int
     level: Float32[Array, "h w"]
+    gain: float = 1.0
 
 
 def start_exposure(size: tuple[int, int]) -> Exposure:
@@ -36,22 +38,19 @@ def start_exposure(size: tuple[int, int]) -> Exposure:
     return Exposure(spacing, np.zeros((size[0] // spacing, size[1] // spacing), np.float32))
 
 
-def estimate_gain(
-    exposure: Exposure, frame: Frame, image_from_frame: Float[Array, "3 3"], previous: float
-) -> float:
+def estimate_gain(exposure: Exposure, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> float:
     """Estimate the factor that brings a frame to the exposure of those before it.
 
     It is the mode of the ratios of grey levels. One factor serves all colours: a real drone's step
     in exposure was 0.983, 0.984 and 0.986 in red, green and blue.
 
     Args:
-        exposure: grey levels first seen; points that this frame shows first are filled in.
+        exposure: of the frames before; points that this frame shows first are filled in.
         frame: the frame.
         image_from_frame: (3, 3) its registration.
-        previous: gain to return where too few points can be compared.
 
     Returns:
-        The gain.
+        The gain; that of the last frame where too few points can be compared.
     """
     shrink = np.diag([1 / exposure.spacing, 1 / exposure.spacing, 1.0])
     matrix, size = to_opencv(shrink @ image_from_frame), exposure.level.shape[::-1]
@@ -60,11 +59,11 @@ def estimate_gain(
     usable = (sampled > black + 20) & (sampled < 225)
     grey = sampled.astype(np.float32) - np.float32(black)
     common = usable & (exposure.level > 0)
-    gain = previous
     if np.count_nonzero(common) >= MIN_POINTS:
-        gain = _find_common_ratio(np.log(exposure.level[common] / grey[common]))
-    np.copyto(exposure.level, grey * np.float32(gain), where=usable & (exposure.level == 0))
-    return gain
+        exposure.gain = _find_common_ratio(np.log(exposure.level[common] / grey[common]))
+    first_shown = usable & (exposure.level == 0)
+    np.copyto(exposure.level, grey * np.float32(exposure.gain), where=first_shown)
+    return exposure.gain
 
 
 def _find_common_ratio(logarithms: Float32[Array, "n"]) -> float:

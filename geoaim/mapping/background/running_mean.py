@@ -1,53 +1,83 @@
-"""Running mean of registered frames, and whether it has converged."""
+"""Running mean of registered frames, plane by plane, and whether it has converged.
+
+Frames of video are summed as Y, U and V planes, so that only the mean is converted to RGB.
+"""
 
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from numpy import ndarray as Array
 
 from geoaim.errors import BackgroundError
-from geoaim.geometry import transform_boxes
-from geoaim.mapping.background.accumulate import PlaneSums, add_frame, compute_mean, start_sums
-from geoaim.mapping.background.background import Background
-from geoaim.mapping.background.exposure import Exposure, estimate_gain, start_exposure
-from geoaim.mapping.background.warping import fill_polygons
+from geoaim.geometry import transform_boxes, translation
+from geoaim.mapping.background.exposure import (
+    Exposure,
+    apply_gain,
+    black_level,
+    estimate_gain,
+    start_exposure,
+)
+from geoaim.mapping.background.warping import (
+    draw_footprint,
+    draw_polygons,
+    measure_warp_blur,
+    sharpen_mean,
+    warp,
+)
 from geoaim.mapping.video.detections import Detections, grow_boxes
-from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.frames import Frame, image_from_planes
 
+MAX_COUNT = 65_535  # frames that a pixel of uint16 can count
 BLOCK_PX = 8  # change is measured on means of such blocks, which average noise but keep vehicles
 FIRST_CHECK_FRAMES = 16  # frames before change is first measured
 CHANGE_QUANTILE = 0.999  # of the blocks
 
 
+@dataclass(frozen=True, eq=False)
+class Background:
+    """An image of the ground, and how many frames it rests on.
+
+    Attributes:
+        image: (H, W, 3) RGB at the first frame's exposure; 0 where no frame reaches.
+        coverage: (H, W) number of frames averaged at each pixel; 0 where none shows the ground.
+        contested: (H, W) the ground is in doubt: masked in every frame (the image then shows the
+            mean with traffic, and coverage is 0), or two lasting states were seen.
+        frames_used: frames that were read and averaged.
+        change: grey levels by which the latter half of the frames changed the image: the 99.9 %
+            quantile over blocks of 8 x 8 pixels. NaN where it was not measured.
+        gains: (frames_used,) factors that bring each frame to the exposure of the first.
+    """
+
+    image: UInt8[Array, "H W 3"]
+    coverage: UInt16[Array, "H W"]
+    contested: Bool[Array, "H W"]
+    frames_used: int
+    change: float
+    gains: Float[Array, "frames_used"]
+
+
 @dataclass(eq=False)
-class RunningMean:
-    """A mean of the frames that `add_to_mean` has added so far, in place.
+class Accumulation:
+    """What frames have added up to so far, and whether further ones would hardly change it.
 
     Attributes:
         size: (height, width) of the image, pixels.
-        detections: what to leave out of each frame, or None.
-        tolerance: `change` at which the mean has converged, grey levels; 0 takes all frames.
-        bands: horizontal bands of the image that the frames fill in turn.
+        tolerance: `change` at which it has converged, grey levels; 0 takes all frames.
         exposure: of the frames so far.
-        sums: of the image's planes; none before the first frame.
-        gains: factors that bring each frame to the exposure of the first.
         blocks: means of blocks when `change` was last measured.
         change: as in `Background`.
-        frame: the last one added.
     """
 
     size: tuple[int, int]
-    detections: Detections | None
-    tolerance: float
-    bands: int
-    exposure: Exposure
-    sums: tuple[PlaneSums, ...] = ()
-    gains: list[float] = field(default_factory=list)
-    blocks: Float32[Array, "h w c"] | None = None
-    change: float = np.nan
-    frame: Frame | None = None
+    tolerance: float = 0.0
+    exposure: Exposure = field(init=False)
+    blocks: Float32[Array, "h w c"] | None = field(init=False, default=None)
+    change: float = field(init=False, default=np.nan)
+
+    def __post_init__(self) -> None:
+        self.exposure = start_exposure(self.size)
 
     @property
     def converged(self) -> bool:
@@ -55,25 +85,39 @@ class RunningMean:
         return self.tolerance > 0 and self.change <= self.tolerance
 
 
-def start_mean(
-    size: tuple[int, int],
-    *,
-    detections: Detections | None = None,
-    tolerance: float = 0.0,
-    bands: int = 1,
-) -> RunningMean:
-    """Start a mean without frames.
+@dataclass(eq=False)
+class RunningMean(Accumulation):
+    """A mean of the frames that `add_to_mean` has added so far, in place.
 
-    Args:
-        size: (height, width) of the image, pixels.
-        detections: as in `average_frames`, like the others.
-        tolerance: grey levels of change at which the mean has converged.
-        bands: that the image is divided into.
-
-    Returns:
-        The mean, to be filled by `add_to_mean`.
+    Attributes:
+        detections: what to leave out of each frame, or None.
+        bands: horizontal bands of the image that the frames fill in turn.
+        sums: of the image's planes; none before the first frame.
+        gains: factors that bring each frame to the exposure of the first.
+        frame: the last one added.
     """
-    return RunningMean(size, detections, tolerance, bands, start_exposure(size))
+
+    detections: Detections | None = None
+    bands: int = 1
+    sums: tuple["_PlaneSums", ...] = field(init=False, default=())
+    gains: list[float] = field(init=False, default_factory=list)
+    frame: Frame | None = field(init=False, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class _PlaneSums:
+    """Sums over one plane of the image, at 1/scale of its size; filled in place.
+
+    The masked pixels count until a frame shows them unmasked.
+    """
+
+    scale: int  # 2 for the chroma of a video, else 1
+    neutral: float  # the value that a change of exposure leaves as it is
+    total: Float32[Array, "h w c"]
+    count: UInt16[Array, "h w"]
+    masked_total: Float32[Array, "h w c"]
+    masked_count: UInt16[Array, "h w"]
+    blur: Float[Array, "3"]  # sums of the warps' blur along x and y, and their number
 
 
 def add_to_mean(mean: RunningMean, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> None:
@@ -88,8 +132,7 @@ def add_to_mean(mean: RunningMean, frame: Frame, image_from_frame: Float[Array, 
         add_masked(mean, frame, image_from_frame, None)
     elif (boxes := mean.detections(frame)) is not None:
         polygons = transform_boxes(image_from_frame, grow_boxes(boxes))
-        mask = fill_polygons(np.ones(mean.size, np.uint8), polygons, 0)
-        add_masked(mean, frame, image_from_frame, mask)
+        add_masked(mean, frame, image_from_frame, 1 - draw_polygons(polygons, mean.size))
 
 
 def add_masked(
@@ -106,16 +149,35 @@ def add_masked(
         image_from_frame: (3, 3) its registration.
         mask: (H, W) of the image; None masks nothing.
     """
-    gains, bands = mean.gains, mean.bands
-    mean.sums = mean.sums or start_sums(frame, mean.size)
-    gain = estimate_gain(mean.exposure, frame, image_from_frame, gains[-1] if gains else 1.0)
-    rows = _select_band(len(gains) % bands, bands, mean.size[0])
-    add_frame(mean.sums, frame, image_from_frame, mask, gain, rows)
-    gains.append(gain)
+    mean.sums = mean.sums or _start_sums(frame, mean.size)
+    gain = estimate_gain(mean.exposure, frame, image_from_frame)
+    rows = _select_band(len(mean.gains) % mean.bands, mean.bands, mean.size[0])
+    shift = translation(0, -rows.start)
+    size = rows.stop - rows.start, mean.size[1]
+    footprint = draw_footprint(frame.grey.shape, shift @ image_from_frame, size)
+    unmasked = footprint if mask is None else footprint * mask[rows]
+    for plane, pixels in zip(mean.sums, frame.planes or (frame.image,), strict=True):
+        every = slice(None, None, plane.scale)
+        part = slice(rows.start // plane.scale, -(-rows.stop // plane.scale))
+        scale = np.diag([plane.scale, plane.scale, 1.0])
+        matrix = np.linalg.inv(scale) @ shift @ image_from_frame @ scale
+        warped = warp(pixels, matrix, plane.count[part].shape)
+        warped = apply_gain(warped, gain, plane.neutral)
+        plane.blur[:] += [*measure_warp_blur(matrix, plane.count[part].shape), 1.0]
+        shown = unmasked[every, every] * (plane.count[part] < MAX_COUNT)
+        cv2.accumulate(warped, plane.total[part], shown)
+        plane.count[part] += shown
+        if mask is not None:
+            masked = footprint[every, every] * (plane.count[part] == 0)
+            cv2.accumulate(warped, plane.masked_total[part], masked)
+            plane.masked_count[part] += masked
+    mean.gains.append(gain)
     mean.frame = frame
-    if is_time_to_check(len(gains), bands):
-        blocks = _average_sums(mean.sums[0])
-        mean.change, mean.blocks = measure_change(mean.blocks, blocks), blocks
+    if is_time_to_check(len(mean.gains), mean.bands):
+        luma = mean.sums[0]
+        total, count = average_blocks(luma.total), average_blocks(luma.count.astype(np.float32))
+        means = np.where(count > 0, total / np.maximum(count, 1e-6), np.float32(np.nan))
+        measure_change(mean, means)
 
 
 def finish_mean(mean: RunningMean) -> Background:
@@ -129,42 +191,74 @@ def finish_mean(mean: RunningMean) -> Background:
             "there is no frame to average: none is registered, or no detections are known of any; "
             "look at the registration's reasons and at the names of the box files"
         )
-    image = compute_mean(mean.sums, mean.frame)
     first = mean.sums[0]
     always_masked = (first.count == 0) & (first.masked_count > 0)
+    for plane in mean.sums:
+        _replace_total_by_mean(plane)
+    if mean.frame.encoding is not None and len(mean.sums) == 3:
+        y, u, v = (plane.total[..., 0] for plane in mean.sums)
+        image = image_from_planes(y, u, v, mean.frame.encoding)
+    else:
+        image = np.rint(first.total).clip(0, 255).astype(np.uint8)
+    image[(first.count == 0) & (first.masked_count == 0)] = 0
     gains = np.array(mean.gains)
     return Background(image, first.count, always_masked, len(gains), mean.change, gains)
 
 
-def is_time_to_check(count: int, bands: int) -> bool:
+def is_time_to_check(count: int, bands: int = 1) -> bool:
     """Whether change is measured after this number of frames: at 16, 32, 64 ..."""
     return count >= FIRST_CHECK_FRAMES * bands and count.bit_count() == 1
 
 
-def measure_change(before: Float32[Array, "h w c"] | None, after: Float32[Array, "h w c"]) -> float:
+def measure_change(accumulation: Accumulation, blocks: Float32[Array, "h w c"]) -> None:
     """Measure the change of block means as a high quantile; NaN without any common block."""
-    if before is None:
-        return np.nan
-    change = np.abs(after - before)
-    known = change[np.isfinite(change)]
-    return float(np.quantile(known, CHANGE_QUANTILE)) if len(known) else np.nan
+    if accumulation.blocks is not None:
+        change = np.abs(blocks - accumulation.blocks)
+        known = change[np.isfinite(change)]
+        quantile = float(np.quantile(known, CHANGE_QUANTILE)) if len(known) else np.nan
+        accumulation.change = quantile
+    accumulation.blocks = blocks
 
 
-def average_blocks(pixels: Float32[Array, "H W *c"], reduction: int) -> Float32[Array, "h w c"]:
+def average_blocks(pixels: Float32[Array, "H W *c"], reduction: int = 1) -> Float32[Array, "h w c"]:
     """Average blocks of 8 x 8 pixels of the image, whose size is `reduction` times the pixels'."""
     size = [max(extent * reduction // BLOCK_PX, 1) for extent in pixels.shape[1::-1]]
     blocks = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.float32)
     return blocks.reshape(size[1], size[0], -1)
 
 
-def _average_sums(plane: PlaneSums) -> Float32[Array, "h w c"]:
-    """Means of blocks, NaN where no frame has shown one."""
-    total = average_blocks(plane.total, 1)
-    count = average_blocks(plane.count.astype(np.float32), 1)
-    return np.where(count > 0, total / np.maximum(count, 1e-6), np.float32(np.nan))
+def _start_sums(frame: Frame, size: tuple[int, int]) -> tuple[_PlaneSums, ...]:
+    """Empty sums for the Y, U and V planes of a video, or for RGB."""
+    kinds = [(1, 0.0, 3)]
+    if frame.planes is not None:
+        kinds = [(1, black_level(frame), 1), (2, 128.0, 1), (2, 128.0, 1)]
+    sums = []
+    for scale, neutral, channels in kinds:
+        shape = (-(-size[0] // scale), -(-size[1] // scale))
+        total, masked_total = np.zeros((2, *shape, channels), np.float32)
+        count, masked_count = np.zeros((2, *shape), np.uint16)
+        arrays = total, count, masked_total, masked_count, np.zeros(3)
+        sums.append(_PlaneSums(scale, neutral, *arrays))
+    return tuple(sums)
 
 
 def _select_band(number: int, bands: int, height: int) -> slice:
     """Rows of a band; it begins on an even row, where a row of chroma does."""
     first, last = (2 * (height * i // (2 * bands)) for i in (number, number + 1))
     return slice(first, height if number == bands - 1 else last)
+
+
+def _replace_total_by_mean(plane: _PlaneSums) -> None:
+    """Overwrite the total by the sharpened mean, and by the neutral value where there is none."""
+    always_masked = plane.count == 0
+    np.copyto(plane.total, plane.masked_total, where=always_masked[..., None])
+    count = np.where(always_masked, plane.masked_count, plane.count)
+    divisor = np.maximum(count, 1)[..., None]
+    np.divide(plane.total, divisor, out=plane.total, casting="same_kind")
+    empty = count == 0
+    plane.total[empty] = plane.neutral
+    sharp = sharpen_mean(plane.total, plane.blur[:2] / plane.blur[2])
+    if empty.any():  # sharpening would mix in the neutral value of empty neighbours
+        rim = cv2.dilate(empty.view(np.uint8), np.ones((5, 5), np.uint8)).view(bool)
+        sharp[rim] = plane.total[rim]
+    plane.total[:] = sharp

@@ -58,19 +58,6 @@ class Traffic:
     background: UInt8[Array, "h w 3"]
 
 
-@dataclass(frozen=True)
-class _Border:
-    """Border pixels of the foreground regions of one frame.
-
-    Attributes:
-        pixels: (2, m) rows and columns.
-        normal: (2, m) vectors across the border, 1.5 px long.
-    """
-
-    pixels: Int[Array, "2 m"]
-    normal: Float32[Array, "2 m"]
-
-
 def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> Traffic:
     """Separate traffic from ground in small registered frames, about 1000 px wide.
 
@@ -78,9 +65,6 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
         stack: (K, h, w, 3) frames warped to one image, at one exposure, any colour space, any
             order; pixels that a frame does not see are overwritten.
         seen: (K, h, w) where each frame shows the image at all.
-
-    Returns:
-        The traffic.
 
     Raises:
         ValueError: fewer than 4 frames.
@@ -185,12 +169,11 @@ def _vote_by_borders(
     The steps nearby separate a vehicle from the false region that touches it; the mean over the
     region is less noisy.
     """
-    border = _find_border(foreground)
-    if border is None:
-        return np.zeros(foreground.shape, np.float32)
-    of_background, of_frame = (_measure_steps(image, border) for image in (background, frame))
+    border = np.stack(np.nonzero(foreground - cv2.erode(foreground, SQUARE, borderValue=1)))
+    sides = _find_sides(border, foreground)
+    of_background, of_frame = (_measure_steps(image, sides) for image in (background, frame))
     count, labels = cv2.connectedComponents(foreground, connectivity=4)
-    region = labels[tuple(border.pixels)]
+    region = labels[tuple(border)]
     length = np.maximum(np.bincount(region, minlength=count), 1)
     difference, total = (
         _sum_nearby(border, steps, foreground.shape)
@@ -200,39 +183,35 @@ def _vote_by_borders(
     return np.asarray(foreground * difference / np.maximum(total, 1e-3), np.float32)
 
 
-def _find_border(foreground: UInt8[Array, "h w"]) -> _Border | None:
-    """Outermost pixels of the regions, with normals from smoothed gradients; None without any."""
-    found = cv2.findNonZero(foreground - cv2.erode(foreground, SQUARE, borderValue=1))
-    if found is None:
-        return None
-    columns, rows = found.reshape(-1, 2).T
+def _find_sides(
+    border: Int[Array, "2 m"], foreground: UInt8[Array, "h w"]
+) -> list[tuple[Int[Array, "m"], ...]]:
+    """Rows and columns 1.5 px inside and outside of a border, by the smoothed gradient."""
     smooth = cv2.GaussianBlur(foreground * np.uint8(255), (0, 0), 1.5)
-    gradient = [cv2.Sobel(smooth, cv2.CV_16S, *d)[rows, columns] for d in ((0, 1), (1, 0))]
-    normal = np.stack(gradient)
-    normal = normal.astype(np.float32) * np.float32(1.5) / (np.hypot(*normal) + 1e-6)
-    return _Border(np.stack([rows, columns]), normal)
+    gradient = [cv2.Sobel(smooth, cv2.CV_16S, *d)[tuple(border)] for d in ((0, 1), (1, 0))]
+    normal = np.stack(gradient).astype(np.float32) * np.float32(1.5) / (np.hypot(*gradient) + 1e-6)
+    limit = np.array(foreground.shape)[:, None] - 1
+    sides = (np.rint(border + sign * normal).clip(0, limit).astype(np.intp) for sign in (1, -1))
+    return [tuple(side) for side in sides]
 
 
-def _measure_steps(image: UInt8[Array, "h w 3"], border: _Border) -> Float32[Array, "m"]:
+def _measure_steps(
+    image: UInt8[Array, "h w 3"], sides: list[tuple[Int[Array, "m"], ...]]
+) -> Float32[Array, "m"]:
     """Absolute differences across the border, summed over channels: only edges along it count."""
-    limit = np.array(image.shape[:2])[:, None] - 1
-    sides = [
-        np.clip(np.rint(border.pixels + sign * border.normal), 0, limit).astype(np.intp)
-        for sign in (1, -1)
-    ]
-    inner, outer = (image[tuple(side)].astype(np.float32) for side in sides)
+    inner, outer = (image[side].astype(np.float32) for side in sides)
     return np.asarray(np.abs(inner - outer).sum(-1), np.float32)
 
 
 def _sum_nearby(
-    border: _Border, steps: Float32[Array, "m"], shape: tuple[int, ...]
+    border: Int[Array, "2 m"], steps: Float32[Array, "m"], shape: tuple[int, ...]
 ) -> Float32[Array, "h w"]:
     """Sums of the border's steps in a window about each pixel, computed on a grid of cells."""
     height, width = -(-shape[0] // BORDER_CELL_PX), -(-shape[1] // BORDER_CELL_PX)
-    rows, columns = border.pixels // BORDER_CELL_PX
+    rows, columns = border // BORDER_CELL_PX
     sums = np.bincount(rows * width + columns, steps, height * width).reshape(height, width)
-    window = (BORDER_WINDOW_PX // BORDER_CELL_PX, BORDER_WINDOW_PX // BORDER_CELL_PX)
-    near = cv2.boxFilter(sums.astype(np.float32), cv2.CV_32F, window, normalize=False)
+    side = BORDER_WINDOW_PX // BORDER_CELL_PX
+    near = cv2.boxFilter(sums.astype(np.float32), cv2.CV_32F, (side, side), normalize=False)
     large = near.repeat(BORDER_CELL_PX, 0)[: shape[0]].repeat(BORDER_CELL_PX, 1)
     return np.asarray(large[:, : shape[1]], np.float32)
 

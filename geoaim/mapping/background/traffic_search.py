@@ -5,25 +5,20 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.errors import BackgroundError
-from geoaim.mapping.background.background import Background
-from geoaim.mapping.background.exposure import (
-    Exposure,
-    apply_gain,
-    black_level,
-    estimate_gain,
-    start_exposure,
-)
+from geoaim.mapping.background.exposure import apply_gain, black_level, estimate_gain
 from geoaim.mapping.background.running_mean import (
+    Accumulation,
+    Background,
+    RunningMean,
     add_masked,
     average_blocks,
     finish_mean,
     is_time_to_check,
     measure_change,
-    start_mean,
 )
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_traffic
 from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
@@ -33,30 +28,18 @@ MAX_SMALL_SIDE_PX = 1024  # of the frames in which traffic is searched
 
 
 @dataclass(eq=False)
-class TrafficSearch:
+class TrafficSearch(Accumulation):
     """Small copies of the frames that `add_to_search` has added so far, and the traffic in them.
 
     Attributes:
-        size: (height, width) of the image, pixels.
-        tolerance: `change` at which the ground has converged, grey levels; 0 takes all frames.
-        exposure: of the frames so far.
-        gain: factor that brings the last frame to the exposure of the first.
         stack: the small frames, warped to the image.
         seen: where each of them shows the image.
         traffic: in these frames, if it was searched after the last of them.
-        blocks: means of blocks when `change` was last measured.
-        change: as in `Background`, of the small ground.
     """
 
-    size: tuple[int, int]
-    tolerance: float
-    exposure: Exposure
-    gain: float = 1.0
-    stack: list[UInt8[Array, "h w 3"]] = field(default_factory=list)
-    seen: list[Bool[Array, "h w"]] = field(default_factory=list)
-    traffic: Traffic | None = None
-    blocks: Float32[Array, "h w c"] | None = None
-    change: float = np.nan
+    stack: list[UInt8[Array, "h w 3"]] = field(init=False, default_factory=list)
+    seen: list[Bool[Array, "h w"]] = field(init=False, default_factory=list)
+    traffic: Traffic | None = field(init=False, default=None)
 
     @property
     def reduction(self) -> int:
@@ -67,16 +50,6 @@ class TrafficSearch:
     def small_size(self) -> tuple[int, int]:
         """(height, width) of the small frames."""
         return -(-self.size[0] // self.reduction), -(-self.size[1] // self.reduction)
-
-    @property
-    def converged(self) -> bool:
-        """Whether further frames would hardly change the ground."""
-        return self.tolerance > 0 and self.change <= self.tolerance
-
-
-def start_search(size: tuple[int, int], tolerance: float = 0.0) -> TrafficSearch:
-    """Start a search without frames; the arguments are those of `remove_traffic`."""
-    return TrafficSearch(size, tolerance, start_exposure(size))
 
 
 def add_to_search(
@@ -91,17 +64,16 @@ def add_to_search(
     """
     small = search.small_size
     small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])
-    search.gain = estimate_gain(search.exposure, frame, image_from_frame, search.gain)
-    pixels, small_from_frame = _shrink_frame(frame, search.reduction, search.gain)
+    gain = estimate_gain(search.exposure, frame, image_from_frame)
+    pixels, small_from_frame = _shrink_frame(frame, search.reduction, gain)
     matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
     search.stack.append(warp(pixels, matrix, small))
     search.seen.append(draw_footprint(pixels.shape, matrix, small).view(bool))
     search.traffic = None
-    if search.tolerance > 0 and is_time_to_check(len(search.stack), 1):
+    if search.tolerance > 0 and is_time_to_check(len(search.stack)):
         search.traffic = _find_traffic(search)
         ground = search.traffic.background.astype(np.float32)
-        blocks = average_blocks(ground, search.reduction)
-        search.change, search.blocks = measure_change(search.blocks, blocks), blocks
+        measure_change(search, average_blocks(ground, search.reduction))
 
 
 def average_ground(frames: Iterable[tuple[Frame, Array]], search: TrafficSearch) -> Background:
@@ -110,9 +82,6 @@ def average_ground(frames: Iterable[tuple[Frame, Array]], search: TrafficSearch)
     Args:
         frames: those of the search, in the same order, each with its image_from_frame (3, 3).
         search: as filled by `add_to_search`.
-
-    Returns:
-        The background.
 
     Raises:
         BackgroundError: fewer than 4 frames.
@@ -126,7 +95,7 @@ def average_ground(frames: Iterable[tuple[Frame, Array]], search: TrafficSearch)
     traffic = search.traffic or _find_traffic(search)
     search.stack.clear()
     search.seen.clear()
-    mean = start_mean(search.size)
+    mean = RunningMean(search.size)
     # the masks first: when they run out, no further frame is read
     for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
         add_masked(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))

@@ -29,14 +29,9 @@ def warp(
     """
     matrix = to_opencv(matrix)
     matrix = matrix / matrix[2, 2]
-    if np.abs(matrix[2, :2]).max() < 1e-12:  # affine is faster
-        warped = cv2.warpAffine(
-            pixels, matrix[:2], size[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-    else:
-        warped = cv2.warpPerspective(
-            pixels, matrix, size[::-1], flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
+    affine = np.abs(matrix[2, :2]).max() < 1e-12  # faster
+    function, matrix = (cv2.warpAffine, matrix[:2]) if affine else (cv2.warpPerspective, matrix)
+    warped = function(pixels, matrix, size[::-1], borderMode=cv2.BORDER_REPLICATE)  # bilinear
     return np.asarray(warped, np.uint8)
 
 
@@ -84,24 +79,14 @@ def draw_footprint(
     height, width = frame_size[0] - 2 * FRAME_INSET_PX, frame_size[1] - 2 * FRAME_INSET_PX
     corners = image_corners(height, width) + FRAME_INSET_PX
     polygon = transform_points(image_from_frame, corners)
-    return fill_polygons(np.zeros(size, np.uint8), polygon[None], 1)
+    return draw_polygons(polygon[None], size)
 
 
-def fill_polygons(
-    mask: UInt8[Array, "h w"], polygons: Float[Array, "n m 2"], value: int
-) -> UInt8[Array, "h w"]:
-    """Fill convex polygons in a mask, in place.
-
-    Args:
-        mask: (h, w) to draw on.
-        polygons: (n, m, 2) points with the origin at the image's corner, drawn to 1/16 px.
-        value: to draw.
-
-    Returns:
-        The mask.
-    """
+def draw_polygons(polygons: Float[Array, "n m 2"], size: tuple[int, int]) -> UInt8[Array, "h w"]:
+    """Draw convex polygons to 1/16 px: 1 inside, else 0; their origin is the image's corner."""
+    mask = np.zeros(size, np.uint8)
     for polygon in np.rint((polygons - 0.5).clip(-30000, 30000) * 16).astype(np.int32):
-        cv2.fillConvexPoly(mask, polygon, [value], shift=4)
+        cv2.fillConvexPoly(mask, polygon, [1], shift=4)
     return mask
 
 
