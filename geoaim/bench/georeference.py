@@ -171,7 +171,7 @@ def fit_rivals(points: ControlPoints) -> dict[str, Float[Array, "3 3"]]:
 
     Burnham and Anderson 2002 for AICc; Torr 1998 for GRIC, with the true noise.
     """
-    plane = normalise_pixels(points.pixels, HEIGHT, WIDTH)
+    plane = normalise_pixels(points.pixels, (HEIGHT, WIDTH))
     matrix = fit_similarity(plane, points.coordinates)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(matrix), points.coordinates))
     fits, aicc, gric, n = {}, {}, {}, 2 * len(plane)

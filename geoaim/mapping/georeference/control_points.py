@@ -28,7 +28,7 @@ from geoaim.mapping.georeference.point_files import (
     DEGREE_COLUMNS,
     PointRow,
     find_columns,
-    parse_number,
+    make_row,
     read_point_file,
 )
 from geoaim.world import LONLAT, parse_crs
@@ -101,36 +101,22 @@ def _read_objects(items: Iterable[Any], crs: str | None) -> list[PointRow]:
     for index, item in enumerate(items):
         source = f"control point {index}"
         if hasattr(item, "row") and hasattr(item, "col"):
-            rows.append(_read_gcp(item, source))
+            name = getattr(item, "id", None) or ""
+            name = "" if re.fullmatch(r"[0-9a-f-]{36}", name) else name  # rasterio's random one
+            values = {"u": item.col, "v": item.row, "x": item.x, "y": item.y, "name": name}
+            rows.append(make_row(values, source))
         elif isinstance(item, Mapping):
-            rows.append(_read_mapping(item, source))
+            keys, listed = [str(key).lower() for key in item], list(item.values())
+            values = {key: listed[at] for key, at in find_columns(keys, source).items()}
+            lonlat = LONLAT if DEGREE_COLUMNS & set(keys) else None
+            rows.append(make_row({"crs": lonlat, **values}, source))
         else:
             try:
                 (u, v), (x, y) = item
             except (TypeError, ValueError):
                 raise TypeError(f"{source}: {item!r} is no ((u, v), (lon, lat)) pair.") from None
-            rows.append(_make_row((u, v, x, y), source, crs or LONLAT))
+            rows.append(make_row({"u": u, "v": v, "x": x, "y": y}, source, crs or LONLAT))
     return rows
-
-
-def _read_gcp(gcp: Any, source: str) -> PointRow:
-    row = _make_row((gcp.col, gcp.row, gcp.x, gcp.y), source, None)
-    name = getattr(gcp, "id", None) or ""
-    return replace(row, name="" if re.fullmatch(r"[0-9a-f-]{36}", name) else name)
-
-
-def _read_mapping(item: Mapping[Any, Any], source: str) -> PointRow:
-    keys, values = [str(key).lower() for key in item], list(item.values())
-    given = {key: values[at] for key, at in find_columns(keys, source).items()}
-    crs = given.get("crs", LONLAT if DEGREE_COLUMNS & set(keys) else None)
-    row = _make_row(tuple(given[key] for key in "uvxy"), source, crs)
-    name, frame = given.get("name"), given.get("frame")
-    return replace(row, name=str(name or ""), frame="" if frame is None else str(frame))
-
-
-def _make_row(values: tuple[Any, ...], source: str, crs: str | None) -> PointRow:
-    u, v, x, y = (parse_number(value, source) for value in values)
-    return PointRow((u, v), (x, y), source, crs)
 
 
 def _collect_points(rows: list[PointRow], crs: str | None, source: str) -> ControlPoints:
@@ -185,10 +171,15 @@ def merge_observations(points: ControlPoints) -> ControlPoints:
         if repeated or index == same[0]:
             keep.append(index)
             pixels.append(points.pixels[index] if repeated else points.pixels[same].mean(axis=0))
+    return replace(select_points(points, keep), pixels=np.array(pixels))
+
+
+def select_points(points: ControlPoints, indices: Sequence[int]) -> ControlPoints:
+    """Keep the control points with these indices."""
     return replace(
         points,
-        pixels=np.array(pixels),
-        coordinates=points.coordinates[keep],
-        names=tuple(points.names[i] for i in keep),
-        frames=tuple(points.frames[i] for i in keep),
+        pixels=points.pixels[indices],
+        coordinates=points.coordinates[indices],
+        names=tuple(points.names[i] for i in indices),
+        frames=tuple(points.frames[i] for i in indices),
     )

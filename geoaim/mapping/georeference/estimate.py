@@ -1,7 +1,7 @@
 """Estimate a georeference from ground control points."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,7 +10,7 @@ from scipy.special import chdtrc
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.normalised_plane import (
     fit_similarity,
@@ -103,19 +103,14 @@ def estimate_georeference(
     """
     if accuracy is not None and not accuracy > 0.0:
         raise ValueError(f"accuracy is {accuracy}; it is a positive number of pixels.")
-    problem = _set_up_problem(points, world, (height, width), accuracy)
-    return _assemble_georeference(problem, _fit_models(problem, accuracy))
-
-
-def _set_up_problem(
-    points: ControlPoints, world: World | None, size: tuple[int, int], accuracy: float | None
-) -> _Problem:
+    size = (height, width)
     world, targets = _project_points(points, world)
-    _check_layout(points, targets, size, accuracy)
-    plane = normalise_pixels(points.pixels, *size)
+    check_layout(points, targets, size, max(accuracy or DEFAULT_ACCURACY, 1.0))
+    plane = normalise_pixels(points.pixels, size)
     world_from_plane = fit_similarity(plane, targets)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
-    return _Problem(points, world, targets, pairs, world_from_plane, size)
+    problem = _Problem(points, world, targets, pairs, world_from_plane, size)
+    return _assemble_georeference(problem, _fit_models(problem, accuracy))
 
 
 def _project_points(
@@ -139,23 +134,15 @@ def _project_points(
     return world, world_from_crs(world, points.coordinates, points.crs)
 
 
-def _check_layout(
-    points: ControlPoints,
-    targets: Float[Array, "m 2"],
-    size: tuple[int, int],
-    accuracy: float | None,
-) -> None:
-    check_layout(points, targets, size, max(accuracy or DEFAULT_ACCURACY, 1.0))
-
-
 def _fit_models(problem: _Problem, accuracy: float | None) -> _Fit:
     """Leave out a wrong point, decide on the noise, and fit the models to the others."""
     points, pairs, size = problem.points, problem.pairs, problem.size
     prior = _choose_noise_prior(pairs, accuracy, size)
     used = find_used_points(points.names, pairs, prior)
     if not used.all():
-        points, pairs = _select_points(points, used), select_pairs(pairs, used)
-        _check_layout(points, problem.targets[used], size, accuracy)
+        points = select_points(points, np.flatnonzero(used).tolist())
+        pairs = select_pairs(pairs, used)
+        check_layout(points, problem.targets[used], size, max(accuracy or DEFAULT_ACCURACY, 1.0))
         if prior.dof != STATED_ACCURACY_DOF:
             prior = _choose_noise_prior(pairs, accuracy, size)
     if prior.dof != STATED_ACCURACY_DOF:
@@ -190,20 +177,9 @@ def _choose_noise_prior(
     return NoisePrior(sigma, DEFAULT_ACCURACY_DOF) if refuted else stated
 
 
-def _select_points(points: ControlPoints, keep: Bool[Array, "m"]) -> ControlPoints:
-    indices = np.flatnonzero(keep).tolist()
-    return replace(
-        points,
-        pixels=points.pixels[indices],
-        coordinates=points.coordinates[indices],
-        names=tuple(points.names[i] for i in indices),
-        frames=tuple(points.frames[i] for i in indices),
-    )
-
-
 def _check_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int]) -> None:
     """Check that the chosen model and the posterior are regular over the whole image."""
-    corners = normalise_pixels(image_corners(*size), *size)
+    corners = normalise_pixels(image_corners(*size), size)
     for terms in (best.terms, posterior.mean):
         if (1.0 + corners @ terms[6:8]).min() < MIN_DENOMINATOR or abs(terms[8]) > MAX_RADIAL:
             raise GeoreferenceError(
@@ -234,13 +210,12 @@ def _assemble_georeference(problem: _Problem, fit: _Fit) -> Georeference:
     """Convert the fit to world metres."""
     scale, best = problem.world_from_plane[:2, :2], fit.best
     metres = float(np.sqrt(np.linalg.det(scale)))
+    matrix = compose_world_from_image(problem.world_from_plane, best.terms, problem.size)
     residuals = apply_terms(best.terms, problem.pairs.image) - problem.pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)
     leave_one_out[fit.used] = np.linalg.norm(best.leave_one_out, axis=1)
     return Georeference(
-        world_from_image=compose_world_from_image(
-            problem.world_from_plane, best.terms, problem.size
-        ),
+        world_from_image=matrix,
         world=problem.world,
         model=best.model,
         radial=float(best.terms[8]),
@@ -250,7 +225,10 @@ def _assemble_georeference(problem: _Problem, fit: _Fit) -> Georeference:
         leave_one_out=leave_one_out * metres,
         used=fit.used,
         names=problem.points.names,
-        candidates={c.model: _rms_error(c) * metres for c in fit.candidates},
+        candidates={
+            c.model: float(np.sqrt(np.mean(np.sum(c.leave_one_out**2, axis=1)))) * metres
+            for c in fit.candidates
+        },
         noise=fit.posterior.noise * metres,
         dof=fit.posterior.dof,
         terms=best.terms,
@@ -258,7 +236,3 @@ def _assemble_georeference(problem: _Problem, fit: _Fit) -> Georeference:
         posterior_covariance=fit.posterior.covariance,
         world_from_plane=problem.world_from_plane,
     )
-
-
-def _rms_error(candidate: Candidate) -> float:
-    return float(np.sqrt(np.mean(np.sum(candidate.leave_one_out**2, axis=1))))

@@ -77,7 +77,7 @@ def predict_covariance(
     J S J^T with the posterior covariance S of all nine terms (Criminisi, Reid and Zisserman 1997),
     plus the squared difference between that posterior's mean and the chosen model.
     """
-    plane = normalise_pixels(pixels, georeference.height, georeference.width)
+    plane = normalise_pixels(pixels, (georeference.height, georeference.width))
     jacobian = term_jacobian(georeference.posterior_mean, plane)
     covariance = jacobian @ georeference.posterior_covariance @ jacobian.transpose(0, 2, 1)
     bias = apply_terms(georeference.terms, plane) - apply_terms(georeference.posterior_mean, plane)

@@ -16,23 +16,12 @@ def half_diagonal(height: float, width: float) -> float:
 def plane_from_image(height: float, width: float) -> Float[Array, "3 3"]:
     """Transform from pixels to the normalised plane."""
     unit = half_diagonal(height, width)
-    return np.array(
-        [[1.0, 0.0, -width / 2.0], [0.0, -1.0, height / 2.0], [0.0, 0.0, unit]]
-    ) / unit  # fmt: skip
+    return np.array([[1.0, 0.0, -width / 2], [0.0, -1.0, height / 2], [0.0, 0.0, unit]]) / unit
 
 
-def normalise_pixels(pixels: Float[Array, "m 2"], height: int, width: int) -> Float[Array, "m 2"]:
-    """Transform pixels to the normalised plane.
-
-    Args:
-        pixels: (M, 2) u right, v down, origin at the image's corner.
-        height: of the image, pixels.
-        width: of the image, pixels.
-
-    Returns:
-        (M, 2) points of the plane.
-    """
-    matrix = plane_from_image(height, width)
+def normalise_pixels(pixels: Float[Array, "m 2"], size: tuple[int, int]) -> Float[Array, "m 2"]:
+    """Transform pixels of an image of (height, width) to the normalised plane."""
+    matrix = plane_from_image(*size)
     return np.asarray(pixels, np.float64) @ matrix[:2, :2].T + matrix[:2, 2]
 
 

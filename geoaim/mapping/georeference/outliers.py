@@ -39,12 +39,12 @@ def find_used_points(
         GeoreferenceError: a point is wrong and it cannot be told which, or several are.
     """
     used = np.ones(len(names), bool)
-    suspects = find_suspects(pairs, prior)
+    suspects = _find_suspects(pairs, prior)
     if not suspects:
         return used
     if len(suspects) == 1 and len(names) > 4:
         used[suspects[0]] = False
-        more = find_suspects(select_pairs(pairs, used), prior)
+        more = _find_suspects(select_pairs(pairs, used), prior)
         suspects += np.flatnonzero(used)[more].tolist()
     if len(suspects) > 1 or used.all():
         raise GeoreferenceError(
@@ -64,18 +64,11 @@ def find_used_points(
     return used
 
 
-def find_suspects(pairs: PointPairs, prior: NoisePrior) -> list[int]:
-    """Find points of which one must be wrong, the most suspicious first.
+def _find_suspects(pairs: PointPairs, prior: NoisePrior) -> list[int]:
+    """Indices of points of which one must be wrong, the most suspicious first.
 
     Leaving out a point is judged by an F test of the fall in misfit with 2 and n degrees of freedom
     (Cook and Weisberg 1982, 2.2.2), with Bonferroni's correction for the number of points.
-
-    Args:
-        pairs: points in the image and on the ground.
-        prior: expected noise.
-
-    Returns:
-        Indices of the points; empty when the points are consistent.
     """
     count = len(pairs.image)
     posterior = fit_posterior(pairs, prior)

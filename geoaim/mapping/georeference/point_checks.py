@@ -82,7 +82,7 @@ def check_layout(
     _check_spread(points, size, accuracy)
     _check_mirroring(points, targets, size)
     _check_inside(points, size)
-    scale = fit_similarity(normalise_pixels(points.pixels, *size), targets)[0][:2, 0]
+    scale = fit_similarity(normalise_pixels(points.pixels, size), targets)[0][:2, 0]
     resolution = float(np.hypot(*scale)) / half_diagonal(*size)
     low, high = RESOLUTION_RANGE
     if not low <= resolution <= high:
@@ -120,10 +120,10 @@ def _check_distances(
 
 def _check_spread(points: ControlPoints, size: tuple[int, int], accuracy: float) -> None:
     """Check the error at the image's corners by an affine fit without any prior."""
-    plane = normalise_pixels(points.pixels, *size)
+    plane = normalise_pixels(points.pixels, size)
     middle = plane.mean(axis=0)
     _, spread, axes = np.linalg.svd(plane - middle, full_matrices=False)
-    corners = (normalise_pixels(image_corners(*size), *size) - middle) @ axes.T
+    corners = (normalise_pixels(image_corners(*size), size) - middle) @ axes.T
     leverage = 1.0 / len(plane) + np.sum((corners / np.maximum(spread, 1e-12)) ** 2, axis=1)
     error = GAUSSIAN_ELLIPSE * accuracy * np.sqrt(leverage).max()
     if error <= MAX_CORNER_ERROR * half_diagonal(*size):
@@ -140,7 +140,7 @@ def _check_spread(points: ControlPoints, size: tuple[int, int], accuracy: float)
 def _check_mirroring(
     points: ControlPoints, targets: Float[Array, "m 2"], size: tuple[int, int]
 ) -> None:
-    plane = normalise_pixels(points.pixels, *size)
+    plane = normalise_pixels(points.pixels, size)
     plain, mirrored = (fit_similarity(plane, targets, mirrored=m)[1] for m in (False, True))
     if plain <= mirrored:
         return

@@ -2,9 +2,11 @@
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -90,7 +92,7 @@ def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
                 f"{source}: {line!r} has {len(words)} fields; an OpenDroneMap line needs x, y, z,"
                 " pixel x, pixel y and the image. Pick the point in an image first."
             )
-        x, y, u, v = (parse_number(words[i], source) for i in (0, 1, 3, 4))
+        x, y, u, v = (_parse_number(words[i], source) for i in (0, 1, 3, 4))
         pixel = (u + ODM_PIXEL_SHIFT, v + ODM_PIXEL_SHIFT)
         rows.append(PointRow(pixel, (x, y), source, crs, " ".join(words[6:]), words[5]))
     return rows
@@ -108,7 +110,7 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
             raise GeoreferenceError(f"{source}: {line!r} lacks one of the columns {header[:4]}.")
         if fields.get("enable", "1").lower() in ("0", "false"):
             continue
-        x, y, u, up = (parse_number(fields[key], source) for key in QGIS_COLUMNS)
+        x, y, u, up = (_parse_number(fields[key], source) for key in QGIS_COLUMNS)
         if up > 0:
             raise GeoreferenceError(
                 f"{source}: {line!r} has a positive image y; QGIS counts pixels downwards as"
@@ -131,11 +133,28 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
         if len(fields) <= max(columns[key] for key in "uvxy"):
             raise GeoreferenceError(f"{source}: {line!r} has too few fields.")
         values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
-        u, v, x, y = (parse_number(values[key], source) for key in "uvxy")
-        row_crs = values.get("crs") or crs
-        name, frame = values.get("name", ""), values.get("frame", "")
-        rows.append(PointRow((u, v), (x, y), source, row_crs, name, frame))
+        rows.append(make_row(values, source, crs))
     return rows
+
+
+def make_row(values: Mapping[str, Any], source: str, crs: str | None = None) -> PointRow:
+    """Make a row of values by the keys of `COLUMN_NAMES`.
+
+    Args:
+        values: u, v, x, y and, where they are stated, name, frame and CRS.
+        source: file and line, for messages.
+        crs: of the coordinates, unless the values state it.
+
+    Returns:
+        The row.
+
+    Raises:
+        GeoreferenceError: one of the first four is no finite number.
+    """
+    u, v, x, y = (_parse_number(values[key], source) for key in "uvxy")
+    name, frame = str(values.get("name") or ""), values.get("frame")
+    crs = values.get("crs") or crs
+    return PointRow((u, v), (x, y), source, crs, name, "" if frame is None else str(frame))
 
 
 def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
@@ -160,14 +179,9 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
     return columns
 
 
-def parse_number(value: object, source: str) -> float:
+def _parse_number(value: Any, source: str) -> float:
     """Parse a finite number, or raise GeoreferenceError."""
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise GeoreferenceError(
-            f"{source}: {value!r} is not a finite number. Correct or remove it."
-        )
-    return number
+    with suppress(TypeError, ValueError):
+        if np.isfinite(number := float(value)):
+            return number
+    raise GeoreferenceError(f"{source}: {value!r} is not a finite number. Correct or remove it.")

@@ -108,12 +108,12 @@ def _estimate_noise(squares: float, freedom: float, prior: NoisePrior) -> tuple[
     return mean * (dof - 2.0) / dof, dof
 
 
-def ellipse_factor(dof: float, share: float = 0.95) -> float:
-    """Standard deviations to the ellipse that holds a share of errors in the plane.
+def ellipse_factor(dof: float) -> float:
+    """Standard deviations to the ellipse that holds 95 % of errors in the plane.
 
     sqrt(2 F), with F the quantile of the F distribution with 2 and `dof` degrees of freedom.
 
     >>> round(ellipse_factor(np.inf), 3)  # Gaussian: sqrt(-2 ln 0.05)
     2.448
     """
-    return float(np.sqrt(2.0 * fdtri(2.0, min(dof, 1e9), share)))
+    return float(np.sqrt(2.0 * fdtri(2.0, min(dof, 1e9), 0.95)))

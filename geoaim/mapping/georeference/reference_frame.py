@@ -27,49 +27,41 @@ def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | 
 
 
 def georeference_reference_frame(
-    points: ControlPoints | None, video: Video, reference: Reference, crs: str | None
-) -> Georeference:
+    points: ControlPoints | None,
+    video: Video,
+    reference: Reference,
+    detections: Detections | None,
+    crs: str | None,
+) -> tuple[Georeference, ControlPoints | None]:
     """Georeference the reference frame by control points, or without them by telemetry.
 
     Args:
-        points: with pixels of the reference frame.
+        points: picked on any frames of the video.
         video: with its telemetry.
         reference: the reference frame.
+        detections: vehicles that registration leaves out.
         crs: of the world, projected and in metres; None keeps the points' own, or their UTM zone.
 
     Returns:
-        The georeference.
+        The georeference, and one control point for each place, with pixels of the reference frame.
 
     Raises:
-        GeoreferenceError: the control points or the telemetry do not fix a place.
+        GeoreferenceError: the control points or the telemetry do not fix a place, or a frame with
+            control points does not exist or cannot be registered.
     """
     if points is None:
-        return _georeference_by_telemetry(video, reference)
+        return _georeference_by_telemetry(video, reference), None
+    points = _transform_points_to_reference(points, video, reference, detections)
     world = None
     if crs is not None and points.crs is not None:
         world = choose_world(transform_crs(points.crs, LONLAT, points.coordinates), crs=crs)
-    return estimate_georeference(
-        points, height=reference.height, width=reference.width, world=world
-    )
+    height, width = reference.height, reference.width
+    return estimate_georeference(points, height=height, width=width, world=world), points
 
 
-def transform_points_to_reference(
+def _transform_points_to_reference(
     points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
 ) -> ControlPoints:
-    """Transform control points from the frames that they were picked on to the reference frame.
-
-    Args:
-        points: picked on any frames.
-        video: with these frames.
-        reference: the reference frame.
-        detections: vehicles that registration leaves out.
-
-    Returns:
-        One point for each place, with pixels of the reference frame.
-
-    Raises:
-        GeoreferenceError: the video has no such frame, or it cannot be registered.
-    """
     pixels = points.pixels.copy()
     for picked in dict.fromkeys(points.frames):
         index = _find_frame_index(picked, video)

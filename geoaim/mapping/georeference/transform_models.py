@@ -210,9 +210,9 @@ def choose_model(candidates: list[Candidate]) -> Candidate:
     (`geoaim.bench.georeference`).
     """
     first = candidates[0]
-    considered = [first] + [
+    considered = [
         c
-        for c in candidates[1:]
+        for c in candidates
         if first.misfit - c.misfit
         >= MIN_MISFIT_DROP * (TERM_COUNTS[c.model] - TERM_COUNTS[first.model])
     ]

@@ -1,7 +1,5 @@
 """Control points on a grid, with known true transforms."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from geoaim.geometry import transform_points
@@ -28,11 +26,3 @@ def make_points(truth=TRUTH, pixels=GRID, noise=0.0, crs=None, seed=0):
     count = len(pixels)
     names = tuple(f"gcp{i}" for i in range(count))
     return ControlPoints(picked, coordinates, crs, names, (None,) * count)
-
-
-def select_points(points, indices):
-    names = tuple(points.names[i] for i in indices)
-    return replace(
-        points, pixels=points.pixels[indices], coordinates=points.coordinates[indices],
-        names=names, frames=(None,) * len(names),
-    )  # fmt: skip

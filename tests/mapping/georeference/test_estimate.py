@@ -5,6 +5,7 @@ import pytest
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.georeference.normalised_plane import distort_points
@@ -16,7 +17,6 @@ from tests.mapping.georeference.points import (
     TRUTH,
     UTM,
     make_points,
-    select_points,
 )
 
 

@@ -5,9 +5,10 @@ import pytest
 from geoaim.bench.georeference import Cell, run_cell
 from geoaim.errors import GeoaimWarning
 from geoaim.geometry import image_corners
+from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import predict_uncertainty
-from tests.mapping.georeference.points import SIZE, TILTED, make_points, select_points
+from tests.mapping.georeference.points import SIZE, TILTED, make_points
 
 
 def test_exact_points_still_have_an_uncertainty():

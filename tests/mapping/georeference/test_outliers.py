@@ -3,9 +3,10 @@ import pytest
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
-from tests.mapping.georeference.points import GRID, SIZE, TRUTH, make_points, select_points
+from tests.mapping.georeference.points import GRID, SIZE, TRUTH, make_points
 
 
 def test_one_wrong_point_is_left_out_and_named():

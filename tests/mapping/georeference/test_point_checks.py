@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoreferenceError
+from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
-from tests.mapping.georeference.points import GRID, HEIGHT, SIZE, make_points, select_points
+from tests.mapping.georeference.points import GRID, HEIGHT, SIZE, make_points
 
 
 @pytest.mark.parametrize(
