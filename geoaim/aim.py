@@ -59,16 +59,13 @@ class AIM:
         world: World,
         source: str,
     ) -> "AIM":
-        """Make an AIM from one georeferenced image that covers each of its pixels.
+        """Make an AIM from one image; its coverage is 1, and no pixel is contested.
 
         Args:
             image: (H, W, 3) RGB.
             world_from_image: (3, 3) pixels to world metres.
             world: the plane that those metres lie in.
             source: where the image comes from; the only entry of the report.
-
-        Returns:
-            An AIM with a coverage of 1 everywhere and no contested pixels.
         """
         size = np.shape(image)[:2]
         coverage, contested = np.ones(size, np.uint16), np.zeros(size, bool)
@@ -77,8 +74,7 @@ class AIM:
     @property
     def grid(self) -> Grid:
         """The grid of the image's pixels in the world."""
-        height, width = self.image.shape[:2]
-        return Grid((height, width), self.world_from_image, self.world)
+        return Grid(self.coverage.shape, self.world_from_image, self.world)
 
     @property
     def corners(self) -> Float[Array, "4 2"]:
@@ -116,5 +112,4 @@ def _check_transform(world_from_image: Float[Array, "3 3"], height: int, width: 
 
 def _to_plain_json(report: Mapping[str, Any]) -> dict[str, Any]:
     text = json.dumps(dict(report), default=lambda value: value.tolist())
-    plain: dict[str, Any] = json.loads(text, parse_constant=lambda _: None)
-    return plain
+    return json.loads(text, parse_constant=lambda _: None)

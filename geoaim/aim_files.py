@@ -66,7 +66,12 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
             rasterio.open(temporary, "w", **profile) as dataset,
         ):
             _write_bands(dataset, aim)
-            _write_tags(dataset, aim)
+            frame = {
+                "format": FORMAT,
+                "world": {"crs": aim.world.crs, "origin": aim.world.origin},
+                "world_from_image": aim.world_from_image.tolist(),
+            }
+            dataset.update_tags(GEOAIM=json.dumps(frame), GEOAIM_REPORT=json.dumps(aim.report))
     except (RasterioError, CPLE_BaseError) as error:
         raise AimError(f"{path} could not be written: {error}") from error
 
@@ -78,7 +83,6 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
     long as its CRS and bands are the same.
 
     Raises:
-        FileNotFoundError: there is no such file.
         AimError: the file is not an AIM; the message says what it is.
     """
     if not Path(path).exists():
@@ -114,23 +118,14 @@ def _allow_identity_transform() -> Iterator[None]:
 
 def _write_bands(dataset: Any, aim: AIM) -> None:
     dataset.write(np.moveaxis(aim.image, -1, 0), [1, 2, 3])
-    dataset.write(np.where(aim.coverage > 0, np.uint8(255), np.uint8(0)), 4)
-    dataset.write(np.where(aim.contested, np.uint8(255), np.uint8(0)), 5)
+    dataset.write((aim.coverage > 0).astype(np.uint8) * 255, 4)
+    dataset.write(aim.contested.astype(np.uint8) * 255, 5)
     dataset.write((aim.coverage & 255).astype(np.uint8), 6)
     dataset.write((aim.coverage >> 8).astype(np.uint8), 7)
     dataset.write_mask(aim.coverage > 0)  # GDAL reads alpha only from files with four bands
     colours = [ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha]
     dataset.colorinterp = colours + [ColorInterp.undefined] * (len(BANDS) - 4)
     dataset.descriptions = BANDS
-
-
-def _write_tags(dataset: Any, aim: AIM) -> None:
-    frame = {
-        "format": FORMAT,
-        "world": {"crs": aim.world.crs, "origin": list(aim.world.origin)},
-        "world_from_image": aim.world_from_image.tolist(),
-    }
-    dataset.update_tags(GEOAIM=json.dumps(frame), GEOAIM_REPORT=json.dumps(aim.report))
 
 
 def _read_frame(dataset: Any, path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
         tracks: in the same world; drawn on top.
 
     Returns:
-        The figure: as stated on the left, aligned on the right.
+        The figure, with the stated position on the left.
     """
     figure = Figure(figsize=(15, 7.5), layout="constrained")
     stated = _undo_alignment(imagery)

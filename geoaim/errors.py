@@ -1,12 +1,4 @@
-"""Errors about data; a bad call raises ValueError or TypeError.
-
-GeoaimError
-├── VideoError, RegistrationError, BackgroundError, GeoreferenceError: from video to AIM
-├── ImageryError, AlignmentError, MapError: imagery and HD maps
-├── AimError, TracksError, ModelError: files of geoaim
-
-GeoaimWarning: the work went on, with less than was asked for
-"""
+"""Errors about data; a bad call raises ValueError or TypeError."""
 
 
 class GeoaimError(Exception):

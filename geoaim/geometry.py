@@ -4,9 +4,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-ADD_HALF_PX = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-SUBTRACT_HALF_PX = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])
-
 
 def to_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
     """Convert a pixel transform to OpenCV's origin, the centre of the first pixel.
@@ -14,12 +11,12 @@ def to_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
     >>> to_opencv(np.diag([2.0, 2.0, 1.0]))[0, 2]   # resizing by 2 moves pixel centres by 1/2
     np.float64(0.5)
     """
-    return SUBTRACT_HALF_PX @ matrix @ ADD_HALF_PX
+    return translation(-0.5, -0.5) @ matrix @ translation(0.5, 0.5)
 
 
 def from_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"]:
     """Convert a pixel transform from OpenCV's origin: the inverse of `to_opencv`."""
-    return ADD_HALF_PX @ matrix @ SUBTRACT_HALF_PX
+    return translation(0.5, 0.5) @ matrix @ translation(-0.5, -0.5)
 
 
 def transform_points(
@@ -65,18 +62,13 @@ def translation(x: float, y: float) -> Float[Array, "3 3"]:
 
 
 def make_similarity(centre: Float[Array, "2"], angle: float, scale: float) -> Float[Array, "3 3"]:
-    """The matrix of a rotation and scaling about a point.
+    """The (3, 3) matrix of a rotation and scaling about a point.
 
     Args:
         centre: the point that stays where it is.
         angle: radians, counter-clockwise.
         scale: factor of all distances.
-
-    Returns:
-        (3, 3) homogeneous matrix.
     """
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     linear = np.array([[cosine, -sine], [sine, cosine]])
-    matrix = np.eye(3)
-    matrix[:2, :2], matrix[:2, 2] = linear, centre - linear @ centre
-    return matrix
+    return np.vstack([np.column_stack([linear, centre - linear @ centre]), [0.0, 0.0, 1.0]])

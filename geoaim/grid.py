@@ -60,18 +60,17 @@ class Grid:
 def make_north_up_grid(
     points: Float[Array, "n 2"], resolution: float, world: World | None = None
 ) -> Grid:
-    """A north-up grid over points, whose lines lie on whole multiples of its resolution.
+    """Make the smallest north-up grid over points, with lines at multiples of its resolution.
 
     Args:
-        points: (N, 2) metres; the grid covers their bounds.
-        resolution: metres a pixel.
+        points: (N, 2) metres.
+        resolution: metres per pixel.
         world: the plane of the points.
 
     Returns:
-        The smallest such grid.
+        The grid.
 
     Raises:
-        ValueError: the resolution is not a positive number.
         AimError: the grid would have more than 30,000 pixels a side.
     """
     if not (np.isfinite(resolution) and resolution > 0):
@@ -92,6 +91,6 @@ def make_north_up_grid(
 
 
 def pad_grid(grid: Grid, pixels: int) -> Grid:
-    """The grid with so many more pixels on every side."""
+    """Extend a grid by a number of pixels on every side."""
     shape = grid.height + 2 * pixels, grid.width + 2 * pixels
     return Grid(shape, grid.world_from_grid @ translation(-pixels, -pixels), grid.world)

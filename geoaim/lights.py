@@ -40,15 +40,10 @@ SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
 
 @dataclass(frozen=True, eq=False)
 class StopLine:
-    """A line at which a signal stops traffic; a signal may have several.
-
-    Attributes:
-        signal: name of the signal.
-        ends: (2, 2) both ends of the line, metres in the world.
-    """
+    """A line at which a signal stops traffic; a signal may have several."""
 
     signal: str
-    ends: Float[Array, "2 2"]
+    ends: Float[Array, "2 2"]  # both ends, metres in the world
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +77,6 @@ def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLin
     """Read hand-drawn stop lines from GeoJSON: lines with the property `signal`.
 
     Raises:
-        FileNotFoundError: there is no such file.
         MapError: the file is not GeoJSON, has no line with a signal, or one without a length.
     """
     features = read_features(path, world)
@@ -120,7 +114,6 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
         The lights, in the order in which the table first names their signals.
 
     Raises:
-        FileNotFoundError: there is no such file.
         TracksError: the file is not such a table, a state is not one of `STATES`, a signal has
             two states at one time, or no signal has a stop line.
     """
@@ -135,20 +128,16 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
             f"{path}: none of the signals {', '.join(map(str, signals))} has a stop line; there "
             f"are stop lines of {available}"
         )
-    times, step = np.unique(rows["time"].to_numpy(np.float64), return_inverse=True)
-    states = np.full((len(times), len(used)), UNKNOWN, np.int8)
-    for light, line in enumerate(used):
-        mask = (rows["signal"] == line.signal).to_numpy()
-        states[step[mask], light] = [STATES.index(state) for state in rows["state"][mask]]
-        states[:, light] = _hold_states(states[:, light])
-    ends = np.array([line.ends for line in used], np.float64)
-    return Lights(tuple(line.signal for line in used), ends, times, states, world)
-
-
-def _hold_states(states: Int8[Array, "K"]) -> Int8[Array, "K"]:
-    """Fill unknown states of one light with its last known one."""
-    last = np.maximum.accumulate(np.where(states >= 0, np.arange(len(states)), -1))
-    return np.where(last >= 0, states[last], UNKNOWN)
+    rows = rows.drop_duplicates().assign(state=rows["state"].map(STATES.index))
+    states = rows.pivot(index="time", columns="signal", values="state").ffill().fillna(UNKNOWN)
+    names = tuple(line.signal for line in used)
+    return Lights(
+        names=names,
+        lines=np.array([line.ends for line in used], np.float64),
+        times=states.index.to_numpy(np.float64),
+        states=states[list(names)].to_numpy(np.int8),
+        world=world,
+    )
 
 
 def _check_rows(path: Path, rows: "pd.DataFrame") -> None:
@@ -172,15 +161,13 @@ def _read_rows(path: Path) -> "pd.DataFrame":
     """Read the table's `COLUMNS` from either format; a time that is not a number is NaN."""
     import pandas as pd
 
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
     try:
         with warnings.catch_warnings():  # a row may end in a comma, but not in an extra field
             warnings.simplefilter("error", pd.errors.ParserWarning)
             rows = pd.read_csv(  # a signal may be called NA
                 path, dtype=str, index_col=False, keep_default_na=False, na_values=[""]
             )
-    except (ValueError, OSError, pd.errors.ParserWarning) as error:
+    except (ValueError, pd.errors.ParserWarning) as error:
         raise TracksError(f"{path} is not a table of traffic lights: {error}") from error
     lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]
     if SIND_TIME in rows.columns and lights:

@@ -1,6 +1,5 @@
 """A picture of an AIM and its report, to see at a glance how good it is."""
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,7 +9,6 @@ from matplotlib.figure import Figure
 
 from geoaim.aim import AIM
 from geoaim.aim_summary import summarize_aim
-from geoaim.files import write_figure
 from geoaim.geometry import transform_points
 
 RESIDUAL_SCALE = 50  # residuals of control points are drawn so many times longer
@@ -27,11 +25,6 @@ def draw_quicklook(aim: AIM) -> Figure:
     _draw_coverage(figure.add_subplot(grid[1, 1]), aim)
     _draw_summary(figure.add_subplot(grid[2, 1]), aim)
     return figure
-
-
-def write_quicklook(aim: AIM, path: str | os.PathLike[str]) -> None:
-    """Write `draw_quicklook` as a PNG."""
-    write_figure(draw_quicklook(aim), path)
 
 
 def _draw_points(axes: Axes, aim: AIM) -> None:

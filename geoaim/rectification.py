@@ -31,7 +31,6 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
         The resampled AIM, in the same world.
 
     Raises:
-        ValueError: the resolution is not a positive number.
         AimError: the grid would have more than 30,000 pixels per side.
     """
     sides = _measure_pixels(aim)
@@ -70,15 +69,12 @@ def _measure_pixels(aim: AIM) -> Float[Array, "m 2"]:
 def sample_nearest(
     raster: Array, image_from_grid: Float[Array, "3 3"], shape: tuple[int, int]
 ) -> Array:
-    """Sample the nearest pixels of a raster on a grid.
+    """Sample the nearest pixels of a raster on a grid; 0 outside the raster.
 
     Args:
         raster: (H, W) or (H, W, C).
         image_from_grid: (3, 3) pixels of the grid to pixels of the raster.
         shape: (height, width) of the grid.
-
-    Returns:
-        Values on the grid; 0 outside the raster.
     """
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)

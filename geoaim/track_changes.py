@@ -21,9 +21,10 @@ def to_world(tracks: Tracks, world: World) -> Tracks:
     if tracks.world == world:
         return tracks
     if (tracks.world.crs is None) != (world.crs is None):
+        there, here = (w.crs or "a local plane without a CRS" for w in (tracks.world, world))
         raise TracksError(
-            f"the tracks lie in {_name_world(tracks.world)}, and are needed in "
-            f"{_name_world(world)}; give both a place on the Earth, or none"
+            f"the tracks lie in {there}, and are needed in {here}; give both a place on the "
+            "Earth, or none"
         )
     states, present = tracks.states.copy(), tracks.present
     position, heading = states[present, :2], states[present, 2]
@@ -37,10 +38,6 @@ def to_world(tracks: Tracks, world: World) -> Tracks:
     return replace(tracks, states=states, world=world)
 
 
-def _name_world(world: World) -> str:
-    return world.crs or "a local plane without a CRS"
-
-
 def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tracks:
     """Resample tracks at an even rate, from their first time on.
 
@@ -50,8 +47,7 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
     Args:
         tracks: at any times.
         rate: in Hz.
-        max_gap: seconds between two recorded states over which an agent is still taken to be
-            present; it stays absent over a longer gap.
+        max_gap: an agent is absent between recorded states that are more seconds apart.
 
     Returns:
         The same agents, even those that are absent at all of the new times.

@@ -14,6 +14,7 @@ metadata `geoaim_world`.
 import json
 import os
 import warnings
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,11 +39,7 @@ MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
 
-    CSV keeps times to the millisecond, Parquet to the microsecond.
-
-    Raises:
-        ValueError: the name ends otherwise, no agent is present, or times are too close for the
-            format.
+    CSV keeps times to the millisecond, Parquet to the microsecond; ValueError if they are closer.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -63,7 +60,6 @@ def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
     """Read tracks in the plain format; `geoaim.read_tracks` reads every known format.
 
     Raises:
-        FileNotFoundError: there is no such file.
         TracksError: the file is not in the plain format; the message says what was found.
     """
     path = Path(path)
@@ -138,15 +134,9 @@ def read_table(
 
 def _read_csv(path: Path) -> tuple["DataFrame", World]:
     with open(path, encoding="utf-8-sig") as file:
-        lines = []
-        for line in file:
-            if not line.startswith("#"):
-                break
-            lines.append(line[1:])
-    fields = {}
-    for line in lines:
-        name, _, value = line.partition(":")
-        fields[name.strip()] = value.strip()
+        lines = list(takewhile(lambda line: line.startswith("#"), file))
+    pairs = (line[1:].partition(":") for line in lines)
+    fields = {name.strip(): value.strip() for name, _, value in pairs}
     if "crs" not in fields:
         raise ValueError("its first line is not '# crs: EPSG:n' or '# crs: local'")
     origin = [float(word) for word in fields.get("origin", "0 0").split()]

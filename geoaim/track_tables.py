@@ -18,37 +18,32 @@ MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
 def make_tracks(rows: "DataFrame", world: World) -> Tracks:
-    """Make tracks from a table with one row for each agent and time.
+    """Make tracks from a table with the columns `COLUMNS`, one row for each agent and time.
 
-    Args:
-        rows: has the columns `COLUMNS`. An agent's type and size are those of its first row, and
-            agents are in the order of their first rows.
-        world: the plane of x and y.
-
-    Returns:
-        The tracks, with all times of the table.
+    An agent's type and size are those of its first row, and agents are in the order of their first
+    rows.
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in
             radians, a size is not positive, an agent has two rows at one time, or the table is
             too large.
     """
+    import pandas as pd
+
     values = _read_values(rows)
     _check_values(rows, values)
     heading = values[:, 3]
     heading = np.where(np.abs(heading) < np.pi, heading, wrap_angle(heading))
     ticks = np.rint(values[:, 0] * TICKS_PER_S).astype(np.int64)
     ticks, step = np.unique(ticks, return_inverse=True)
-    ids = rows["id"].astype(str).to_numpy()
-    names, first, agent = np.unique(ids, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    agent = np.argsort(order)[agent]
-    if len(names) * len(ticks) > MAX_STATES:
+    agent, ids = pd.factorize(rows["id"].astype(str).to_numpy(object))
+    first = np.unique(agent, return_index=True)[1]
+    if len(ids) * len(ticks) > MAX_STATES:
         raise TracksError(
-            f"{len(names)} agents times {len(ticks)} times exceed {MAX_STATES} states; "
+            f"{len(ids)} agents times {len(ticks)} times exceed {MAX_STATES} states; "
             "cut the recording"
         )
-    present = np.zeros((len(names), len(ticks)), bool)
+    present = np.zeros((len(ids), len(ticks)), bool)
     present[agent, step] = True
     if present.sum() < len(rows):
         raise TracksError(
@@ -61,9 +56,9 @@ def make_tracks(rows: "DataFrame", world: World) -> Tracks:
         times=ticks / TICKS_PER_S,
         states=states,
         present=present,
-        sizes=values[first[order], 5:],
-        types=tuple(rows["type"].astype(str).to_numpy()[first[order]].tolist()),
-        ids=tuple(names[order].tolist()),
+        sizes=values[first, 5:],
+        types=tuple(rows["type"].astype(str).to_numpy()[first].tolist()),
+        ids=tuple(ids.tolist()),
         world=world,
     )
 

@@ -47,9 +47,19 @@ class Tracks:
     world: World
 
     def __post_init__(self) -> None:
-        self._check_shapes()
-        repeated = len(self.ids) - len(set(self.ids))
-        if repeated:
+        agents, steps = len(self.ids), len(self.times)
+        for name, shape in {
+            "states": (agents, steps, 4),
+            "present": (agents, steps),
+            "sizes": (agents, 2),
+            "types": (agents,),
+        }.items():
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
+                raise ValueError(
+                    f"{name} has the shape {actual}; {agents} ids and {steps} times need {shape}"
+                )
+        if repeated := agents - len(set(self.ids)):
             raise ValueError(f"{repeated} agents have the id of another agent; ids must be unique")
         if not (np.isfinite(self.sizes) & (np.asarray(self.sizes) > 0)).all():
             raise ValueError("a length or width is not a positive number of metres")
@@ -58,48 +68,25 @@ class Tracks:
         if not np.isfinite(self.states[self.present]).all():
             raise ValueError("a state is not finite where its agent is present")
 
-    def _check_shapes(self) -> None:
-        agents, steps = len(self.ids), len(self.times)
-        expected = {
-            "states": (agents, steps, 4),
-            "present": (agents, steps),
-            "sizes": (agents, 2),
-            "types": (agents,),
-        }
-        for name, shape in expected.items():
-            actual = np.shape(getattr(self, name))
-            if actual != shape:
-                raise ValueError(
-                    f"{name} has the shape {actual}; {agents} ids and {steps} times need {shape}"
-                )
-
     def to_frame(self) -> "DataFrame":
         """One row for each agent and each time at which it is present; columns are `COLUMNS`."""
         import pandas as pd
 
         agent, step = np.nonzero(self.present)
-        columns = {
-            "id": np.array(self.ids, object)[agent],
-            "type": np.array(self.types, object)[agent],
-            "time": self.times[step],
-        }
-        values = np.column_stack([self.states[agent, step], self.sizes[agent]])
-        columns |= {name: values[:, k] for k, name in enumerate(COLUMNS[3:])}
-        return pd.DataFrame(columns)
+        values = np.column_stack([self.times[step], self.states[agent, step], self.sizes[agent]])
+        frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
+        frame.insert(0, "id", np.array(self.ids, object)[agent])
+        frame.insert(1, "type", np.array(self.types, object)[agent])
+        return frame
 
 
 def estimate_heading(
     velocity: Float[Array, "N T 2"], *, min_speed: float = MIN_HEADING_SPEED
 ) -> Float[Array, "N T"]:
-    """Estimate headings from velocities; a slow agent keeps the direction of its last motion.
+    """Estimate headings from velocities (m/s); below `min_speed` they have no usable direction.
 
-    Args:
-        velocity: (N, T, 2) m/s, NaN where an agent is absent.
-        min_speed: m/s below which a velocity has no usable direction.
-
-    Returns:
-        (N, T) radians. Before its first motion an agent has the direction of that motion; an
-        agent that never moves has 0.
+    A slow agent keeps the direction of its last motion. Before its first motion it has the
+    direction of that motion; an agent that never moves has 0.
 
     >>> estimate_heading(np.array([[[0.0, 2.0], [0.0, 0.0]]])).round(2)
     array([[1.57, 1.57]])

@@ -39,19 +39,13 @@ class World:
             raise GeoreferenceError(
                 f"The origin {self.origin} of a world is not a pair of finite numbers."
             )
-        if self.crs is not None:
-            problem = describe_crs_problem(self.crs, self.origin)
-            if problem:
-                raise GeoreferenceError(problem)
+        if self.crs is not None and (problem := describe_crs_problem(self.crs, self.origin)):
+            raise GeoreferenceError(problem)
 
 
 @lru_cache(maxsize=64)
 def parse_crs(crs: str) -> CRS:
-    """Parse the text of a CRS: "EPSG:n", a PROJ string or WKT.
-
-    Raises:
-        GeoreferenceError: pyproj does not know it.
-    """
+    """Parse a CRS: "EPSG:n", a PROJ string or WKT; GeoreferenceError if pyproj does not know it."""
     try:
         return CRS.from_user_input(crs)
     except CRSError as error:
@@ -129,14 +123,9 @@ def _suggest_crs(crs: CRS) -> str:
 
 
 def choose_world(lonlat: Float[Array, "m 2"], *, crs: str | None = None) -> World:
-    """Choose a world for some points: their UTM zone and an origin at a round coordinate.
+    """Choose a world for points (longitude and latitude, degrees): their UTM zone or another CRS.
 
-    Args:
-        lonlat: (M, 2) longitude and latitude, degrees.
-        crs: a projected CRS in metres to use instead of UTM.
-
-    Returns:
-        The world; its origin is the mean of the points, rounded to 100 m.
+    The origin is the mean of the points, rounded to 100 m.
 
     Raises:
         GeoreferenceError: the points lie in no UTM zone, or the CRS cannot be a world.
@@ -164,9 +153,6 @@ def transform_crs(
         destination: the CRS to transform to.
         points: (M, 2) coordinates.
 
-    Returns:
-        (M, 2) coordinates in the destination.
-
     Raises:
         GeoreferenceError: a point cannot be expressed in the destination.
     """
@@ -187,15 +173,6 @@ def transform_crs(
     return mapped
 
 
-def _require_crs(world: World) -> str:
-    if world.crs is None:
-        raise GeoreferenceError(
-            "This world is a local plane without a place on the Earth. Georeference it with control"
-            " points or telemetry first."
-        )
-    return world.crs
-
-
 def world_from_crs(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
@@ -205,9 +182,6 @@ def world_from_crs(
         world: the world to convert to.
         points: (M, 2), x first whatever the CRS's axis order.
         crs: the CRS of the points; None for that of the world.
-
-    Returns:
-        (M, 2) metres from the world's origin.
 
     Raises:
         GeoreferenceError: a point cannot be expressed there, or the world has no CRS.
@@ -224,19 +198,7 @@ def world_from_crs(
 def crs_from_world(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
-    """Convert world metres to coordinates in a CRS; the inverse of `world_from_crs`.
-
-    Args:
-        world: the world of the points.
-        points: (M, 2) metres from its origin.
-        crs: the CRS to convert to; None for that of the world.
-
-    Returns:
-        (M, 2) coordinates, x first.
-
-    Raises:
-        GeoreferenceError: a point cannot be expressed there, or the world has no CRS.
-    """
+    """Convert world metres to coordinates in a CRS, x first: the inverse of `world_from_crs`."""
     points = np.asarray(points, np.float64) + world.origin
     return points if crs is None else transform_crs(_require_crs(world), crs, points)
 
@@ -249,3 +211,12 @@ def world_from_lonlat(world: World, lonlat: Float[Array, "m 2"]) -> Float[Array,
 def lonlat_from_world(world: World, points: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
     """Convert world metres to longitude and latitude (WGS 84, degrees)."""
     return crs_from_world(world, points, LONLAT)
+
+
+def _require_crs(world: World) -> str:
+    if world.crs is None:
+        raise GeoreferenceError(
+            "This world is a local plane without a place on the Earth. Georeference it with control"
+            " points or telemetry first."
+        )
+    return world.crs

@@ -3,7 +3,7 @@ import pytest
 from shapely import LineString, MultiLineString
 
 from geoaim.errors import MapError, TracksError
-from geoaim.geojson import Feature, write_features
+from geoaim.geojson import Feature
 from geoaim.lights import (
     GREEN,
     RED,
@@ -15,6 +15,7 @@ from geoaim.lights import (
     read_stop_lines,
 )
 from geoaim.world import World
+from tests.geojson_files import write_features
 
 LINES = (
     StopLine("a", np.array([[0.0, 0], [3, 0]])),

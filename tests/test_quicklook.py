@@ -2,8 +2,9 @@ import numpy as np
 
 from geoaim.aim_summary import summarize_aim
 from geoaim.alignment_picture import draw_alignment
+from geoaim.files import write_figure
 from geoaim.geometry import translation
-from geoaim.quicklook import write_quicklook
+from geoaim.quicklook import draw_quicklook
 from tests.test_aim import make_aim
 
 POINT = {"name": "p", "x": 4.0, "y": 20.0, "residual_x": 0.1, "residual_y": 0.0, "used": True}
@@ -34,7 +35,7 @@ def test_summary_has_a_line_for_each_stage():
 
 def test_quicklook_is_written_with_and_without_a_report(tmp_path):
     for report in (REPORT, {}):
-        write_quicklook(make_aim(report=report), tmp_path / "look.png")
+        write_figure(draw_quicklook(make_aim(report=report)), tmp_path / "look.png")
         assert (tmp_path / "look.png").stat().st_size > 10_000
 
 

@@ -8,7 +8,7 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import print_table, report_errors
-from geoaim.cli.inputs import TracksSource, read_tracks_source
+from geoaim.cli.inputs import read_any_tracks
 from geoaim.cli.outputs import check_map_output
 
 
@@ -49,15 +49,12 @@ def align(
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
-    from geoaim.rectification import rectify
     from geoaim.track_changes import to_world
 
     with report_errors():
         look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)
         reference = None if aim is None else read_aim(aim)
-        agents = None
-        if tracks is not None:
-            agents = read_tracks_source(TracksSource(tracks, tracks_world, tracks_resolution))
+        agents = tracks and read_any_tracks(tracks, tracks_world, tracks_resolution)
         aligned = align_tiles(
             imagery[0] if len(imagery) == 1 else imagery,
             tracks=agents,
@@ -67,7 +64,7 @@ def align(
             crs=crs,
             prior=Prior(max_shift, float(np.radians(max_rotation)), max_scaling / 100),
         )
-        write_aim(aligned if aligned.is_affine else rectify(aligned), output)
+        write_aim(aligned, output)
         if agents is not None:
             agents = to_world(agents, aligned.world)
         write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look)

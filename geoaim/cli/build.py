@@ -41,10 +41,11 @@ def build(
     """
     from geoaim.aim_files import write_aim
     from geoaim.aim_summary import summarize_aim
+    from geoaim.files import write_figure
     from geoaim.mapping.georeference.from_telemetry import make_local_georeference
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
-    from geoaim.quicklook import write_quicklook
+    from geoaim.quicklook import draw_quicklook
     from geoaim.rectification import rectify
 
     with show_progress() as progress, report_errors():
@@ -69,7 +70,7 @@ def build(
             aim = rectify(aim, resolution)
         write_aim(aim, output)
         progress("write", 1, 2)
-        write_quicklook(aim, look)
+        write_figure(draw_quicklook(aim), look)
         progress("write", 2, 2)
     print_table(f"{output} and {look}", summarize_aim(aim))
 

@@ -10,8 +10,7 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, TracksSource, read_scene
-from geoaim.cli.models import get_horizon, load_model
+from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
 from geoaim.errors import GeoaimWarning
 from geoaim.progress import Progress
 
@@ -83,8 +82,9 @@ def evaluate(
             raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
         settings = _Settings(weights, samples, seed, progress)
         if aim is not None and tracks is not None:
-            agents = TracksSource(tracks, tracks_world, tracks_resolution)
-            source = SceneSource(aim, agents, lights, hdmap, stop_lines)
+            source = SceneSource(
+                aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+            )
             results = _evaluate_on_map(source, kind, val_fraction, settings)
         elif windows is not None and scenes is not None:
             results = _evaluate_on_windows(windows, images, scenes, settings)

@@ -1,43 +1,40 @@
-"""Reading of the inputs that several commands share: tracks, and scenes from several files."""
+"""Reading of the inputs that several commands share: tracks, scenes and prediction models."""
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geoaim.cli.options import AgentKind
+
 if TYPE_CHECKING:
     from geoaim.hdmap.lanelet2 import HDMap
     from geoaim.lights import Lights
+    from geoaim.prediction.itra import ITRA
     from geoaim.simulation.scene import Scene
     from geoaim.tracks import Tracks
     from geoaim.world import World
 
-
-@dataclass(frozen=True)
-class TracksSource:
-    """A file of tracks, with the values of --tracks-world and --tracks-resolution."""
-
-    path: Path
-    world: str | None = None
-    resolution: float | None = None
+DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0}  # that are predicted
 
 
 @dataclass(frozen=True)
 class SceneSource:
-    """The files of a scene; hand-drawn stop lines replace those of the HD map."""
+    """The files of a scene, by options; hand-drawn stop lines replace those of the HD map."""
 
     aim: Path
-    tracks: TracksSource
+    tracks: Path
+    tracks_world: str | None = None
+    tracks_resolution: float | None = None
     lights: Path | None = None
     hdmap: Path | None = None
     stop_lines: Path | None = None
 
 
-def read_tracks_source(source: TracksSource) -> "Tracks":
-    """Read tracks in any known format, in the world of --tracks-world if one is given."""
+def read_any_tracks(path: Path, world: str | None, resolution: float | None) -> "Tracks":
+    """Read tracks in any known format; world and resolution are the values of their options."""
     from geoaim.track_formats import read_tracks
 
-    world = None if source.world is None else _parse_world(source.world)
-    return read_tracks(source.path, world=world, resolution=source.resolution)
+    return read_tracks(path, world=world and _parse_world(world), resolution=resolution)
 
 
 def read_scene(
@@ -56,10 +53,32 @@ def read_scene(
     aim = read_aim(source.aim)
     hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, aim.world)
     lights = _read_lights(source, hdmap, aim.world)
-    tracks = read_tracks_source(source.tracks)
+    tracks = read_any_tracks(source.tracks, source.tracks_world, source.tracks_resolution)
     if rate is not None:
         tracks = resample_tracks(tracks, rate)
     return make_scene(aim, tracks, lights), hdmap, aim.world
+
+
+def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
+    """Load the model of a file, or the pretrained one; it must predict the given agents."""
+    from geoaim.prediction.checkpoints import read_model, read_pretrained
+
+    if weights is None:
+        return read_pretrained((kind or "vehicles").removesuffix("s"))
+    model = read_model(weights)
+    kinds = f"{model.config.kind}s"
+    if kind not in (None, kinds):
+        raise ValueError(f"{weights} is a model of {kinds}; give --kind {kinds}")
+    return model
+
+
+def get_horizon(model: "ITRA", duration: float | None = None) -> int:
+    """Get the number of predicted steps: of a duration in s, or the default of the model."""
+    config = model.config
+    if duration is None and config.horizon:
+        return config.horizon
+    duration = DEFAULT_DURATIONS_S[config.kind] if duration is None else duration
+    return max(1, round(duration / config.dt))
 
 
 def _read_lights(source: SceneSource, hdmap: "HDMap | None", world: "World") -> "Lights | None":

@@ -1,21 +1,14 @@
 """The command that predicts agents."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, TracksSource, read_scene
-from geoaim.cli.models import get_horizon, load_model
+from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
 from geoaim.cli.outputs import check_output
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
-    from torch import Tensor
-
-    from geoaim.simulation.scene import Scene
 
 
 def predict(
@@ -54,17 +47,19 @@ def predict(
     import torch
 
     from geoaim.prediction.cutting import select_kind
-    from geoaim.prediction.pictures import write_futures
+    from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
+    from geoaim.simulation.pictures import write_pictures
     from geoaim.simulation.scene import find_step
 
     with show_progress() as progress, report_errors():
         inputs = [aim, tracks, lights, hdmap]
         check_output(output, (".csv", ".png", ".mp4", ".gif"), inputs)
         model = load_model(weights, kind)
-        agents = TracksSource(tracks, tracks_world, tracks_resolution)
-        files = SceneSource(aim, agents, lights, hdmap, stop_lines)
-        scene, _, world = read_scene(files, rate=1 / model.config.dt)
+        source = SceneSource(
+            aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+        )
+        scene, _, world = read_scene(source, rate=1 / model.config.dt)
         start, horizon = find_step(scene, at), get_horizon(model, duration)
         progress("predict", 0, 1)
         futures = predict_futures(
@@ -78,24 +73,12 @@ def predict(
         progress("predict", 1, 1)
         if output.suffix.lower() == ".csv":
             write_futures(scene, futures, start, output, world=world, dt=model.config.dt)
+        elif output.suffix.lower() == ".png":
+            write_pictures([draw_futures(scene, futures, start)], output, frame_rate=1.0)
         else:
-            _draw_futures(scene, futures, start, output)
+            write_pictures(film_futures(scene, futures, start), output, frame_rate=1 / scene.dt)
     predicted = int((select_kind(scene, model.config.kind) & scene.present[:, start]).sum())
     console.print(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {predicted} agents"
     )
-
-
-def _draw_futures(
-    scene: "Scene", futures: "Float[Tensor, 'K N T 4']", start: int, output: Path
-) -> None:
-    """Draw futures as a picture, or step by step as a video."""
-    from geoaim.prediction.pictures import draw_futures, film_futures
-    from geoaim.simulation.pictures import write_pictures
-
-    if output.suffix.lower() == ".png":
-        write_pictures([draw_futures(scene, futures, start)], output, frame_rate=1.0)
-    else:
-        frames = film_futures(scene, futures, start)
-        write_pictures(frames, output, frame_rate=1 / scene.dt)

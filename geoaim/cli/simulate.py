@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, TracksSource, read_scene
+from geoaim.cli.inputs import SceneSource, read_scene
 from geoaim.cli.outputs import TRACKS, check_output
 from geoaim.progress import Progress
 
@@ -48,20 +48,22 @@ def render(
     Example: geoaim render map.tif --tracks samples/tracks.csv --ego 12 -o view.mp4
     """
     from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import render_agent_video
+    from geoaim.simulation.pictures import render_agent_video, write_pictures
     from geoaim.simulation.scene import find_agent, find_agent_step
 
     with show_progress() as progress, report_errors():
         check_output(output, (".mp4", ".gif", ".png"))
-        agents = TracksSource(tracks, tracks_world, tracks_resolution)
-        scene, _, _ = read_scene(SceneSource(aim, agents, lights, hdmap, stop_lines))
+        scene, _, _ = read_scene(
+            SceneSource(aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines)
+        )
         agent = find_agent(scene, ego)
         steps = scene.present[agent].nonzero()[:, 0]
         if output.suffix.lower() == ".png":
             steps = find_agent_step(scene, agent, time)[None]
         view = View(size, size, extent / size)
         frames = render_agent_video(scene, agent, view, steps, trail=trail)
-        _write_frames(scene, frames, len(steps), output, progress)
+        reported = _report_frames(frames, len(steps), progress)
+        write_pictures(reported, output, frame_rate=1 / scene.dt)
     console.print(f"{output}: {len(steps)} images of {size} x {size} px around agent {ego}")
 
 
@@ -114,8 +116,9 @@ def simulate(
             check_output(video, (".mp4", ".gif"), [aim])
             if ego is None:
                 raise ValueError("--video needs --ego, the agent at its centre")
-        agents = TracksSource(tracks, tracks_world, tracks_resolution)
-        source = SceneSource(aim, agents, lights, hdmap, stop_lines)
+        source = SceneSource(
+            aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+        )
         scene, roads, world = read_scene(source)
         area = None if drivable is None else read_drivable_area(drivable, world)
         rules = make_road_rules(roads, area)
@@ -133,29 +136,21 @@ def simulate(
 def _write_video(scene: "Scene", ego: str, path: Path, progress: Progress) -> None:
     """Write the view around an agent at all of its steps."""
     from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import render_agent_video
+    from geoaim.simulation.pictures import render_agent_video, write_pictures
     from geoaim.simulation.scene import find_agent
 
     agent = find_agent(scene, ego)
     steps = scene.present[agent].nonzero()[:, 0]
     view = View(VIDEO_SIZE_PX, VIDEO_SIZE_PX, VIDEO_EXTENT_M / VIDEO_SIZE_PX)
     frames = render_agent_video(scene, agent, view, steps, trail=VIDEO_TRAIL_S)
-    _write_frames(scene, frames, len(steps), path, progress)
+    reported = _report_frames(frames, len(steps), progress)
+    write_pictures(reported, path, frame_rate=1 / scene.dt)
 
 
-def _write_frames(
-    scene: "Scene",
-    frames: Iterable[UInt8[Array, "H W 3"]],
-    count: int,
-    path: Path,
-    progress: Progress,
-) -> None:
-    """Write frames at the scene's frame rate, and report the progress."""
-    from geoaim.simulation.pictures import write_pictures
-
-    def count_frames() -> Iterator[UInt8[Array, "H W 3"]]:
-        for number, frame in enumerate(frames, 1):
-            progress("render", number, count)
-            yield frame
-
-    write_pictures(count_frames(), path, frame_rate=1 / scene.dt)
+def _report_frames(
+    frames: Iterable[UInt8[Array, "H W 3"]], count: int, progress: Progress
+) -> Iterator[UInt8[Array, "H W 3"]]:
+    """Yield frames and report how many of them are done."""
+    for number, frame in enumerate(frames, 1):
+        progress("render", number, count)
+        yield frame

@@ -9,8 +9,7 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, TracksSource, read_scene
-from geoaim.cli.models import get_group, load_model
+from geoaim.cli.inputs import SceneSource, load_model, read_scene
 from geoaim.cli.outputs import check_output
 
 if TYPE_CHECKING:
@@ -61,9 +60,10 @@ def train(
     with show_progress() as progress, report_errors():
         check_output(output / "model.pt", inputs=[weights])
         model = _init_model(weights, kind, seed) if scratch else load_model(weights, kind)
-        agents = TracksSource(tracks, tracks_world, tracks_resolution)
-        files = SceneSource(aim, agents, lights, hdmap, stop_lines)
-        scene, _, _ = read_scene(files, rate=1 / model.config.dt)
+        source = SceneSource(
+            aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+        )
+        scene, _, _ = read_scene(source, rate=1 / model.config.dt)
         dataset = make_dataset([scene], model.config, val_fraction=val_fraction, progress=progress)
         configure = configure_training if scratch else configure_fine_tuning
         config = configure(model.config.kind, steps=steps, batch_size=batch_size, seed=seed)
@@ -82,7 +82,7 @@ def _init_model(weights: Path | None, kind: options.AgentKind, seed: int) -> "IT
     from geoaim.prediction.config import DEFAULT_CONFIGS
     from geoaim.prediction.training import init_model
 
-    default = DEFAULT_CONFIGS[get_group(kind)]
+    default = DEFAULT_CONFIGS[kind.removesuffix("s")]
     return init_model(default if weights is None else load_model(weights, kind).config, seed=seed)
 
 

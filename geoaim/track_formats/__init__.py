@@ -10,9 +10,9 @@ To add a format:
        import pandas as pd
 
        from geoaim.track_files import read_table
-       from geoaim.track_formats.columns import check_columns, fill_sizes, map_types
        from geoaim.track_formats.motion import make_tracks_from_positions
-       from geoaim.track_formats.track_format import TrackFormat, has_columns
+       from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns
+       from geoaim.track_formats.shared import fill_sizes, map_types
        from geoaim.tracks import Tracks
        from geoaim.world import World
 
@@ -51,10 +51,9 @@ To add a format:
 
 from geoaim.track_formats.formats import read_tracks
 from geoaim.track_formats.geotrax import read_geotrax
-from geoaim.track_formats.interaction import read_interaction
+from geoaim.track_formats.interaction import read_interaction, read_sind
 from geoaim.track_formats.levelx import read_highd, read_ind
 from geoaim.track_formats.motion import derive_motion
-from geoaim.track_formats.sind import read_sind
 from geoaim.track_formats.stanford import read_sdd, read_trajnet
 
 __all__ = [

@@ -6,13 +6,11 @@ from pathlib import Path
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_plain_tracks
-from geoaim.track_formats.columns import check_resolution
 from geoaim.track_formats.geotrax import GEOTRAX
-from geoaim.track_formats.interaction import INTERACTION
+from geoaim.track_formats.interaction import INTERACTION, SIND
 from geoaim.track_formats.levelx import HIGHD, IND
-from geoaim.track_formats.sind import SIND
+from geoaim.track_formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.track_formats.stanford import SDD, TRAJNET
-from geoaim.track_formats.track_format import TrackFormat, has_columns
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
@@ -28,10 +26,6 @@ def _is_plain(path: Path, line: str) -> bool:
 PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks)
 # the first format that matches a file is used
 FORMATS = (PLAIN, SDD, SIND, INTERACTION, IND, HIGHD, GEOTRAX, TRAJNET)
-OPTION_HELP = {
-    "world": "the world in which x and y lie",
-    "resolution": "metres per pixel, such as 0.04",
-}
 
 
 def read_tracks(
@@ -53,7 +47,6 @@ def read_tracks(
         The tracks.
 
     Raises:
-        FileNotFoundError: there is no such file.
         TracksError: the file has none of the formats, or is broken.
         ValueError: a required option is missing, the format does not take a given option, or
             the resolution is not positive.
@@ -68,22 +61,16 @@ def read_tracks(
             )
     if resolution is not None:
         check_resolution(resolution)
-    for name in track_format.required:
-        if name not in given:
-            raise ValueError(
-                f"{path} is in the {track_format.name} format, which needs a {name}: give "
-                f"{OPTION_HELP[name]}"
-            )
+    if "resolution" in track_format.required and resolution is None:
+        raise ValueError(
+            f"{path} is in the {track_format.name} format, which needs a resolution: give metres "
+            "per pixel, such as 0.04"
+        )
     return track_format.read(path, **given)
 
 
 def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
-    """Detect the format of a file of tracks from its name and first line.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        TracksError: the file has none of `FORMATS`.
-    """
+    """Detect a file's format from its name and first line; raise TracksError if there is none."""
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns
 from geoaim.track_formats.motion import make_tracks_from_positions
-from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
@@ -20,17 +19,11 @@ SIZES = ("Vehicle_Length", "Vehicle_Width")
 
 
 def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tracks:
-    """Read a geo-trax file: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, Local_Y, ...`.
+    """Read a geo-trax .csv: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, Local_Y, ...`.
 
     Headings and speeds are derived from the positions over half a second; a size that was not
-    measured is the median of its class.
-
-    Args:
-        path: a .csv file.
-        crs: of Local_X (east) and Local_Y (north); None for a plane without a place on the Earth.
-
-    Returns:
-        The tracks, in a world whose origin is near their mean position.
+    measured is the median of its class. `crs` is that of Local_X (east) and Local_Y (north), None
+    for a plane without a place on the Earth; the world's origin is near the mean position.
 
     Raises:
         TracksError: columns are missing, or a value is not a number.
@@ -60,7 +53,7 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
 
 
 def _parse_times(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series[float]":
-    """Parse time stamps: dates with times, or numbers of seconds."""
+    """Convert time stamps, which are dates with times or numbers, to seconds."""
     import pandas as pd
 
     if pd.api.types.is_numeric_dtype(stamps):
@@ -72,11 +65,9 @@ def _parse_times(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series
     return (clock - clock.min()).dt.total_seconds()
 
 
-def _read_in_world(path: Path, *, world: World | None = None) -> Tracks:
-    """Read with a world's CRS; its origin is not used, since the file has full coordinates."""
-    return read_geotrax(path, crs=None if world is None else world.crs)
-
-
 GEOTRAX = TrackFormat(
-    "geo-trax", has_columns("Vehicle_ID", "Local_X", "Local_Y"), _read_in_world, options=("world",)
+    "geo-trax",
+    has_columns("Vehicle_ID", "Local_X", "Local_Y"),
+    lambda path, world=None: read_geotrax(path, crs=world and world.crs),
+    options=("world",),
 )

@@ -1,16 +1,26 @@
-"""The INTERACTION format, which other datasets use as well."""
+"""The INTERACTION format, which other datasets use as well, and that of SinD, which is similar."""
 
 import os
 import warnings
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from geoaim.errors import GeoaimWarning
+from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, fill_sizes, map_types
-from geoaim.track_formats.motion import fill_headings, warn_of_reversed_headings
-from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.track_formats.motion import (
+    compute_signed_speed,
+    fill_headings,
+    warn_of_reversed_headings,
+)
+from geoaim.track_formats.shared import (
+    TrackFormat,
+    check_columns,
+    fill_sizes,
+    has_columns,
+    map_types,
+)
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import MIN_HEADING_SPEED, Tracks
 from geoaim.world import World
@@ -19,23 +29,23 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 NUMBERS = ("timestamp_ms", "x", "y", "vx", "vy")
+SIND_FILES = ("Veh_smoothed_tracks.csv", "Ped_smoothed_tracks.csv")
 
 
 def read_interaction(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
-    """Read an INTERACTION file: `track_id, frame_id, timestamp_ms, agent_type, x, y, vx, vy, ...`.
+    """Read an INTERACTION .csv: `track_id, frame_id, timestamp_ms, agent_type, x, y, vx, vy, ...`.
 
-    Args:
-        path: a .csv file. Where psi_rad (heading), length or width are missing, as for
-            pedestrians, the heading is that of the motion and the size is typical of the type.
-        world: the plane of x and y; None for a plane without a place on the Earth.
+    Where psi_rad (heading), length or width are missing, as for pedestrians, the heading is that
+    of the motion and the size is typical of the type. `world` is the plane of x and y; None for a
+    plane without a place on the Earth.
 
     Raises:
         TracksError: columns are missing, or a value is not a number.
     """
-    table = read_states(path, heading="psi_rad")
+    table = _read_states(path, heading="psi_rad")
     if "case_id" in table:  # track ids are unique within a case only
         table["track_id"] = table["case_id"] + "/" + table["track_id"]
-    rows = convert_states(table, heading="psi_rad")
+    rows = _convert_states(table, heading="psi_rad")
     unique = rows.drop_duplicates(["id", "time"])
     if len(unique) < len(rows):
         warnings.warn(
@@ -44,24 +54,48 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
             GeoaimWarning,
             stacklevel=2,
         )
-    tracks = make_tracks(unique, world if world is not None else World(None))
+    tracks = make_tracks(unique, world or World(None))
     warn_of_reversed_headings(path, tracks)
     return tracks
 
 
-def read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
-    """Read the table of a file in this format or SinD's, and check its columns.
+def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
+    """Read one of a SinD recording's files `SIND_FILES`, or both from the recording's folder.
 
-    Args:
-        path: a .csv file.
-        heading: the column of headings, which may be missing.
-
-    Returns:
-        The table; length and width are NaN where the file has none.
+    Vehicles have the heading yaw_rad; pedestrians, which are points, that of their motion. `world`
+    is the plane of x and y; None for a plane without a place on the Earth.
 
     Raises:
-        TracksError: columns are missing, or a value is not a number.
+        TracksError: a folder has neither file, columns are missing, or a value is not a number.
     """
+    import pandas as pd
+
+    path = Path(path)
+    files = (
+        [path / name for name in SIND_FILES if (path / name).exists()] if path.is_dir() else [path]
+    )
+    if not files:
+        raise TracksError(
+            f"{path} has neither {' nor '.join(SIND_FILES)}; give the folder of a recording"
+        )
+    tables = []
+    for file in files:
+        table = _read_states(file, heading="yaw_rad")
+        rows = _convert_states(table, heading="yaw_rad")
+        vehicles = (table["agent_type"].str.lower() != "pedestrian").to_numpy()
+        if vehicles.any():
+            check_columns(file, table, numbers=("yaw_rad",))
+        velocity = table[["vx", "vy"]].to_numpy(np.float64)
+        signed = compute_signed_speed(velocity, rows["heading"].to_numpy())
+        rows["speed"] = np.where(vehicles, signed, rows["speed"])
+        tables.append(rows)
+    tracks = make_tracks(pd.concat(tables), world or World(None))
+    warn_of_reversed_headings(path, tracks)
+    return tracks
+
+
+def _read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
+    """Read and check a file's table; headings may be absent, absent lengths and widths are NaN."""
     table = read_table(path, text=("track_id", "agent_type", "case_id"))
     optional = tuple(name for name in (heading, "length", "width") if name in table)
     check_columns(path, table, numbers=NUMBERS + optional, others=("track_id", "agent_type"))
@@ -70,8 +104,8 @@ def read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
     return table
 
 
-def convert_states(table: "DataFrame", *, heading: str) -> "DataFrame":
-    """Convert a table of `read_states` to rows for `make_tracks`; fill missing headings, sizes."""
+def _convert_states(table: "DataFrame", *, heading: str) -> "DataFrame":
+    """Convert a file's table to rows for `make_tracks`; fill missing headings and sizes."""
     import pandas as pd
 
     rows = pd.DataFrame(
@@ -100,3 +134,12 @@ INTERACTION = TrackFormat(
     read_interaction,
     options=("world",),
 )
+_has_vehicle_columns = has_columns("track_id", "timestamp_ms", "x", "yaw_rad")
+_has_pedestrian_columns = has_columns("track_id", "timestamp_ms", "x", "ax", "ay")
+
+
+def _matches_sind(path: Path, line: str) -> bool:
+    return path.is_dir() or _has_vehicle_columns(path, line) or _has_pedestrian_columns(path, line)
+
+
+SIND = TrackFormat("SinD", _matches_sind, read_sind, options=("world",))

@@ -13,13 +13,18 @@ import numpy as np
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, fill_sizes, map_types
 from geoaim.track_formats.motion import (
     compute_signed_speed,
     fill_headings,
     warn_of_reversed_headings,
 )
-from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.track_formats.shared import (
+    TrackFormat,
+    check_columns,
+    fill_sizes,
+    has_columns,
+    map_types,
+)
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import Tracks
 from geoaim.world import World, find_utm_crs
@@ -40,13 +45,8 @@ HIGHD_MIN_HEADING_SPEED = 2.0  # m/s; slower motion on a motorway has no usable 
 def read_ind(path: str | os.PathLike[str]) -> Tracks:
     """Read a recording of inD, rounD, exiD or uniD: `recordingId, trackId, frame, xCenter, ...`.
 
-    Agents written as points, as pedestrians and cyclists are, get the typical size of their type.
-
-    Args:
-        path: `XX_tracks.csv`, with `XX_tracksMeta.csv` and `XX_recordingMeta.csv` beside it.
-
-    Returns:
-        The tracks, in the UTM zone of the recording and from its origin.
+    The world is the UTM zone of the recording, with its origin. Agents written as points, as
+    pedestrians and cyclists are, get the typical size of their type.
 
     Raises:
         TracksError: a file or columns are missing, or a value is not a number.
@@ -88,9 +88,6 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     (x, y) is the middle, in a plane without a place on the Earth. The heading is that of the
     motion, or that of the carriageway for an agent that hardly moves.
 
-    Args:
-        path: `XX_tracks.csv`, with `XX_tracksMeta.csv` and `XX_recordingMeta.csv` beside it.
-
     Raises:
         TracksError: a file or columns are missing, or a value is not a number.
     """
@@ -119,7 +116,7 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
 
 
 def _find_carriageway_heading(path: str | os.PathLike[str], table: "DataFrame") -> Any:
-    """Heading of each row's carriageway: the upper one (1) leads to the left, the lower right."""
+    """Find each row's heading: the upper carriageway (1) leads to the left, the lower (2) right."""
     direction = _look_up_agents(path, table["id"], "drivingDirection")
     unknown = ~direction.isin(["1", "2"])
     if unknown.any():

@@ -24,15 +24,9 @@ MAX_REVERSED_SHARE = 0.05  # of moving states; fewer against their heading are n
 
 
 def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
-    """Replace headings and speeds by those of the positions over time.
+    """Replace headings and speeds by those of the positions over `half_window` seconds either side.
 
-    Args:
-        tracks: with trustworthy positions.
-        half_window: seconds to each side over which positions are differenced.
-
-    Returns:
-        The same positions. An agent that stands keeps the direction of its last motion; no agent
-        drives in reverse.
+    An agent that stands keeps the direction of its last motion; no agent drives in reverse.
     """
     velocity = estimate_velocity(tracks, half_window)
     states = tracks.states.copy()
@@ -48,9 +42,6 @@ def make_tracks_from_positions(rows: "DataFrame", world: World, *, half_window: 
         rows: has the columns of `make_tracks` other than heading and speed.
         world: the plane of x and y.
         half_window: seconds to each side over which positions are differenced.
-
-    Returns:
-        The tracks.
     """
     tracks = make_tracks(rows.assign(heading=0.0, speed=0.0)[list(COLUMNS)], world)
     return derive_motion(tracks, half_window=half_window)
@@ -76,25 +67,23 @@ def fill_headings(rows: "DataFrame") -> "DataFrame":
 
 
 def compute_signed_speed(
-    velocity: Float[Array, "m 2"], heading: Float[Array, "m"]
-) -> Float[Array, "m"]:
+    velocity: Float[Array, "*m 2"], heading: Float[Array, "*m"]
+) -> Float[Array, "*m"]:
     """Speeds in m/s, negative where the motion is against the heading.
 
     >>> compute_signed_speed(np.array([[3.0, 4.0], [0.0, -2.0]]), np.array([0.0, np.pi / 2]))
     array([ 5., -2.])
     """
-    along = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    return np.where(along < 0, -1.0, 1.0) * np.hypot(velocity[:, 0], velocity[:, 1])
+    along = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    return np.where(along < 0, -1.0, 1.0) * np.hypot(velocity[..., 0], velocity[..., 1])
 
 
 def warn_of_reversed_headings(path: str | os.PathLike[str], tracks: Tracks) -> None:
     """Warn when many agents move against the headings that the file gives them."""
     velocity = estimate_velocity(tracks, CHECK_HALF_WINDOW_S)
-    heading, sign = tracks.states[..., 2], np.where(tracks.states[..., 3] < 0, -1.0, 1.0)
-    along = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
-    speed = np.hypot(velocity[..., 0], velocity[..., 1])
-    moving = tracks.present & (speed > MIN_CHECKED_SPEED)
-    reversed_ = moving & (along * sign < 0)
+    speed = compute_signed_speed(velocity, tracks.states[..., 2])
+    moving = tracks.present & (np.abs(speed) > MIN_CHECKED_SPEED)
+    reversed_ = moving & ((speed < 0) != (tracks.states[..., 3] < 0))
     share = reversed_.sum() / max(moving.sum(), 1)
     if share > MAX_REVERSED_SHARE:
         warnings.warn(

@@ -8,9 +8,8 @@ import numpy as np
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.columns import check_columns, check_resolution
 from geoaim.track_formats.motion import make_tracks_from_positions
-from geoaim.track_formats.track_format import TrackFormat, has_columns
+from geoaim.track_formats.shared import TrackFormat, check_columns, check_resolution, has_columns
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
@@ -33,20 +32,14 @@ AGENT_TYPES = {"Biker": "cyclist"}
 
 
 def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
-    """Read an annotation file of the Stanford Drone Dataset.
+    """Read `annotations.txt` or `annotations.txt.gz` of the Stanford Drone Dataset.
 
-    Headings and speeds are derived from the positions over a second.
-
-    Args:
-        path: `annotations.txt` or `annotations.txt.gz`.
-        resolution: metres per pixel of the reference image.
-
-    Returns:
-        The tracks; x to the right and y up, in metres from the reference image's top-left corner.
+    x points to the right and y up, in metres from the top-left corner of the reference image,
+    whose resolution is given in metres per pixel. Headings and speeds are derived from the
+    positions over a second.
 
     Raises:
         TracksError: the file does not have this format, or all agents are lost in it.
-        ValueError: the resolution is not positive.
     """
     import pandas as pd
 
@@ -84,18 +77,16 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
     observe, 12 to predict), so that its neighbours are present too. An agent that was seen for
     longer returns in the next window under another id. All agents are pedestrians, since the
     windows do not say their types. Headings and speeds are derived from the neighbouring steps.
+    The plane is that of `read_sdd`.
 
     Args:
         path: a .csv file of one scene.
-        resolution: metres per pixel of the scene's image; None for that in `scenes.csv`, a table
-            with the columns scene and metres_per_pixel in the file's folder or the one above.
-
-    Returns:
-        The tracks, in the plane of `read_sdd`.
+        resolution: metres per pixel; None for that in `scenes.csv`, a table with the columns
+            scene and metres_per_pixel in the file's folder or the one above.
 
     Raises:
         TracksError: columns are missing, or a value is not a number.
-        ValueError: the resolution is not positive, or neither given nor in `scenes.csv`.
+        ValueError: the resolution is neither given nor in `scenes.csv`.
     """
     import pandas as pd
 

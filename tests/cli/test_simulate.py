@@ -4,10 +4,11 @@ from typer.testing import CliRunner
 
 from geoaim.aim_files import write_aim
 from geoaim.cli import app
-from geoaim.geojson import Feature, write_features
+from geoaim.geojson import Feature
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.track_formats import read_tracks
+from tests.geojson_files import write_features
 
 run = CliRunner().invoke
 

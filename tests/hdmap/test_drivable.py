@@ -7,7 +7,7 @@ from shapely import MultiPolygon, Polygon, box
 from shapely.geometry import mapping
 
 from geoaim.errors import MapError
-from geoaim.geojson import Feature, write_features
+from geoaim.geojson import Feature
 from geoaim.hdmap.drivable import (
     find_drivable_area,
     read_drivable_area,
@@ -16,6 +16,7 @@ from geoaim.hdmap.drivable import (
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine, read_hdmap
 from geoaim.track_formats import read_tracks
 from geoaim.world import World
+from tests.geojson_files import write_features
 
 LANE = Lanelet("road", True, np.array([[0.0, 3], [30, 3]]), np.array([[0.0, 0], [30, 0]]))
 NEXT = Lanelet("road", True, np.array([[30.0, 6.2], [0, 6.2]]), np.array([[30.0, 3.2], [0, 3.2]]))

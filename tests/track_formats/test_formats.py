@@ -5,7 +5,7 @@ from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_formats import derive_motion, read_tracks, read_trajnet
 from geoaim.track_formats.formats import detect_format
 from geoaim.world import World
-from tests.track_formats import test_levelx, test_readers, test_sind
+from tests.track_formats import test_interaction, test_levelx, test_readers
 
 COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
 
@@ -17,8 +17,8 @@ COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
         (COLUMNS, "plain"),
         (test_readers.INTERACTION, "INTERACTION"),
         ("track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy\n", "INTERACTION"),
-        (test_sind.VEHICLES, "SinD"),
-        (test_sind.PEDESTRIANS, "SinD"),
+        (test_interaction.VEHICLES, "SinD"),
+        (test_interaction.PEDESTRIANS, "SinD"),
         (test_levelx.IND, "inD"),
         (test_levelx.HIGHD, "highD"),
         (test_readers.GEOTRAX, "geo-trax"),
@@ -37,7 +37,7 @@ def test_any_format_is_read(tmp_path):
     assert read_tracks(path).ids == ("1",)
     assert len(read_tracks(test_levelx._write_ind(tmp_path)).ids) == 4
     assert len(read_tracks(test_levelx._write_highd(tmp_path)).ids) == 3
-    test_sind._write(tmp_path)
+    test_interaction._write(tmp_path)
     assert len(read_tracks(tmp_path).ids) == 3
 
 

@@ -1,6 +1,8 @@
-"""Columns that all formats share: required columns, numbers, agent types and sizes."""
+"""What all formats share: `TrackFormat`, checks of columns, agent types and sizes."""
 
 import os
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
+from geoaim.tracks import Tracks
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -30,6 +33,39 @@ TYPICAL_SIZES = {
     "cyclist": (1.8, 0.65),
 }
 OTHER_SIZE = (0.5, 0.5)
+Matcher = Callable[[Path, str], bool]  # of a path and its first line, "" for a folder
+
+
+@dataclass(frozen=True)
+class TrackFormat:
+    """A file format of tracks, as `read_tracks` needs it.
+
+    Attributes:
+        name: usually that of the dataset.
+        matches: whether a path with this first line has the format.
+        read: reads a path.
+        options: keywords that `read` takes: "world", "resolution" or both.
+        required: the options without which it cannot read.
+    """
+
+    name: str
+    matches: Matcher
+    read: Callable[..., Tracks]
+    options: tuple[str, ...] = ()
+    required: tuple[str, ...] = ()
+
+
+def has_columns(*names: str, delimiter: str = ",") -> Matcher:
+    """Make a matcher: the first line names all of these columns, among others.
+
+    >>> has_columns("id", "x")(Path("a.csv"), 'time,"id",x,y')
+    True
+    """
+
+    def matches(path: Path, line: str) -> bool:
+        return set(names) <= {name.strip().strip('"') for name in line.split(delimiter)}
+
+    return matches
 
 
 def map_types(names: "Series[Any]") -> "Series[Any]":
@@ -45,16 +81,13 @@ def check_columns(
     numbers: tuple[str, ...],
     others: tuple[str, ...] = (),
 ) -> None:
-    """Refuse a table without rows or columns, or with text where numbers are needed.
+    """Raise TracksError if columns or all rows are missing, or a value is not a number.
 
     Args:
-        path: of the table, for the message.
-        table: as it was read.
-        numbers: columns that must hold numbers.
-        others: columns that must be there.
-
-    Raises:
-        TracksError: a column or all rows are missing, or a value is not a number.
+        path: the file that the message names.
+        table: the table as read.
+        numbers: required columns of numbers.
+        others: required columns of any type.
     """
     import pandas as pd
 
