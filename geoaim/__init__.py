@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from geoaim.aim_files import read_aim as read_aim
     from geoaim.aim_files import write_aim as write_aim
     from geoaim.aim_summary import summarize_aim as summarize_aim
-    from geoaim.alignment_picture import draw_alignment as draw_alignment
     from geoaim.errors import GeoaimError as GeoaimError
     from geoaim.errors import GeoaimWarning as GeoaimWarning
     from geoaim.hdmap.lanelet2 import HDMap as HDMap
@@ -67,6 +66,7 @@ if TYPE_CHECKING:
     from geoaim.mapping.video.detections import read_detections as read_detections
     from geoaim.mapping.video.video import Video as Video
     from geoaim.mapping.video.video import open_video as open_video
+    from geoaim.quicklook import draw_alignment as draw_alignment
     from geoaim.quicklook import draw_quicklook as draw_quicklook
     from geoaim.rectification import rectify as rectify
     from geoaim.simulation.scene import Scene as Scene
@@ -89,7 +89,7 @@ _MODULE_OF_NAME = {
     "World": "geoaim.world",
     "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
-    "draw_alignment": "geoaim.alignment_picture",
+    "draw_alignment": "geoaim.quicklook",
     "draw_hdmap": "geoaim.hdmap.rasterize",
     "draw_quicklook": "geoaim.quicklook",
     "export_texture": "geoaim.mapping.texture",

@@ -16,19 +16,12 @@ ArrayOrTensor = Any  # numpy.ndarray or torch.Tensor; torch must not be imported
 
 @dataclass(frozen=True)
 class DriverParameters:
-    """How a driver follows others; a number, or an array with one entry for each driver.
+    """How a driver follows others; a number, or an array with one entry for each driver."""
 
-    Attributes:
-        acceleration: a, the maximum, m/s².
-        deceleration: b, the comfortable one, m/s².
-        standstill_gap: s0, metres.
-        headway: T, seconds.
-    """
-
-    acceleration: float
-    deceleration: float
-    standstill_gap: float
-    headway: ArrayOrTensor | float
+    acceleration: float  # a, the maximum, m/s²
+    deceleration: float  # b, the comfortable one, m/s²
+    standstill_gap: float  # s0, metres
+    headway: ArrayOrTensor | float  # T, seconds
 
 
 def compute_gap_ratio(

@@ -17,14 +17,9 @@ from geoaim.world import World, world_from_lonlat
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """A shape and its properties.
+    """A shape and its properties in the file."""
 
-    Attributes:
-        geometry: coordinates are metres in some world.
-        properties: as the file states them.
-    """
-
-    geometry: BaseGeometry
+    geometry: BaseGeometry  # in metres of a world
     properties: Mapping[str, Any] = field(default_factory=dict)
 
 

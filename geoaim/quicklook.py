@@ -1,19 +1,29 @@
-"""A picture of an AIM and its report, to see at a glance how good it is."""
+"""Pictures of an AIM: with its report at a glance, and before and after its alignment."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.aim_summary import summarize_aim
 from geoaim.geometry import transform_points
+from geoaim.grid import Grid, make_north_up_grid
+from geoaim.rectification import sample_nearest
+from geoaim.tracks import Tracks
 
 RESIDUAL_SCALE = 50  # residuals of control points are drawn so many times longer
 RASTER_STRIDE = 4  # of the pixels of the coverage that are drawn
 USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # of control points
+LONGER_SIDE_PX = 900
+SQUARES_PER_SIDE = 10  # of the checkerboard, along the longer side
+TRACK_COLOUR = "#ff6a00"
+Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
 
 
 def draw_quicklook(aim: AIM) -> Figure:
@@ -79,3 +89,63 @@ def _draw_summary(axes: Axes, aim: AIM) -> None:
     width = max(map(len, lines))
     text = "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
     axes.text(0, 1, text, family="monospace", fontsize=8, va="top", transform=axes.transAxes)
+
+
+def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | None = None) -> Figure:
+    """Draw imagery before and after alignment.
+
+    Args:
+        imagery: the result of `align_tiles`.
+        aim: reference shown in every other square of a checkerboard.
+        tracks: in the same world; drawn on top.
+
+    Returns:
+        The figure, with the stated position on the left.
+    """
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    stated = _undo_alignment(imagery)
+    corners = (imagery if aim is None else aim).corners
+    for axes, shown, title in zip(
+        figure.subplots(1, 2), (stated, imagery), ("as stated", "aligned"), strict=True
+    ):
+        picture, extent = _draw_checkerboard(shown, aim, corners)
+        axes.imshow(picture, extent=extent)
+        if tracks is not None:
+            for states, present in zip(tracks.states, tracks.present, strict=True):
+                axes.plot(*states[present, :2].T, "-", color=TRACK_COLOUR, linewidth=0.7, alpha=0.8)
+        axes.set(title=title, xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
+    return figure
+
+
+def _undo_alignment(imagery: AIM) -> AIM:
+    """Move imagery back to its stated position."""
+    report: Any = imagery.report.get("alignment", {})
+    for alignment in report.values():
+        if "checked" not in alignment:
+            stated_from_true = np.linalg.inv(np.array(alignment["true_from_stated"]))
+            return replace(imagery, world_from_image=stated_from_true @ imagery.world_from_image)
+    return imagery
+
+
+def _draw_checkerboard(
+    imagery: AIM, aim: AIM | None, corners: Float[Array, "4 2"]
+) -> tuple[UInt8[Array, "H W 3"], Extent]:
+    """Draw imagery on a grid over the corners, with the AIM in every other square."""
+    resolution = float(np.ptp(corners, axis=0).max()) / LONGER_SIDE_PX
+    grid = make_north_up_grid(corners, resolution)
+    picture, _ = _sample(imagery, grid)
+    if aim is not None:
+        other, covered = _sample(aim, grid)
+        rows, columns = np.indices(grid.shape) * SQUARES_PER_SIDE // LONGER_SIDE_PX
+        square = covered & ((rows + columns) % 2 == 0)
+        picture = np.where(square[..., None], other, picture)
+    (left, top), (right, bottom) = grid.corners[[0, 2]]
+    return picture, (left, right, bottom, top)
+
+
+def _sample(aim: AIM, grid: Grid) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """Sample the nearest pixels on a grid, white where none is covered, and the mask of cover."""
+    image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
+    covered = sample_nearest(aim.coverage, image_from_grid, grid.shape) > 0
+    image = sample_nearest(aim.image, image_from_grid, grid.shape)
+    return np.where(covered[..., None], image, np.uint8(255)), covered

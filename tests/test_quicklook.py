@@ -1,10 +1,9 @@
 import numpy as np
 
 from geoaim.aim_summary import summarize_aim
-from geoaim.alignment_picture import draw_alignment
 from geoaim.files import write_figure
 from geoaim.geometry import translation
-from geoaim.quicklook import draw_quicklook
+from geoaim.quicklook import draw_alignment, draw_quicklook
 from tests.test_aim import make_aim
 
 POINT = {"name": "p", "x": 4.0, "y": 20.0, "residual_x": 0.1, "residual_y": 0.0, "used": True}

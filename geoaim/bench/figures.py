@@ -13,7 +13,6 @@ import typer
 from matplotlib.axes import Axes
 
 from geoaim.aim import AIM
-from geoaim.alignment_picture import draw_alignment
 from geoaim.geometry import transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
@@ -28,7 +27,7 @@ from geoaim.mapping.registration.register import choose_reference, register_fram
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_pretrained
 from geoaim.prediction.pictures import draw_futures
-from geoaim.quicklook import draw_quicklook
+from geoaim.quicklook import draw_alignment, draw_quicklook
 from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import render_agent_video
 from geoaim.simulation.scene import Scene, find_agent, find_agent_step, find_step

@@ -45,16 +45,18 @@ def align(
     """
     from geoaim.aim_files import read_aim, write_aim
     from geoaim.aim_summary import summarize_aim
-    from geoaim.alignment_picture import draw_alignment
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.imagery.alignment.result import Prior
+    from geoaim.quicklook import draw_alignment
     from geoaim.track_changes import to_world
 
     with report_errors():
         look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)
         reference = None if aim is None else read_aim(aim)
-        agents = tracks and read_any_tracks(tracks, tracks_world, tracks_resolution)
+        agents = None
+        if tracks is not None:
+            agents = read_any_tracks(tracks, tracks_world, tracks_resolution)
         aligned = align_tiles(
             imagery[0] if len(imagery) == 1 else imagery,
             tracks=agents,

@@ -144,12 +144,10 @@ def _evaluate_on_windows(
         )
     data = read_windows(WindowFiles(windows, images, scenes), model.config.view)
     samples, seed = settings.samples, settings.seed
+    predictors = {"model": make_window_predictor(model, samples), **BASELINES}
     metrics = {
         name: evaluate_windows(predictor, data, samples, seed=seed, progress=settings.progress)
-        for name, predictor in {
-            "model": make_window_predictor(model, samples),
-            **BASELINES,
-        }.items()
+        for name, predictor in predictors.items()
     }
     return _Results(metrics, "windows", len(data.segments), f"{WINDOW_STEPS - HISTORY_STEPS} steps")
 

@@ -34,7 +34,8 @@ def read_any_tracks(path: Path, world: str | None, resolution: float | None) -> 
     """Read tracks in any known format; world and resolution are the values of their options."""
     from geoaim.track_formats import read_tracks
 
-    return read_tracks(path, world=world and _parse_world(world), resolution=resolution)
+    plane = None if world is None else _parse_world(world)
+    return read_tracks(path, world=plane, resolution=resolution)
 
 
 def read_scene(

@@ -54,7 +54,8 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
     """
     import pandas as pd
 
-    table = _read_tracks_table(path, "trackId", IND_COLUMNS)
+    table = read_table(path, text=("trackId",))
+    check_columns(path, table, numbers=IND_COLUMNS, others=("trackId",))
     recording = _read_recording(path, IND_RECORDING)
     heading = wrap_angle(np.radians(table["heading"].to_numpy(np.float64)))
     velocity = table[["xVelocity", "yVelocity"]].to_numpy(np.float64)
@@ -93,7 +94,8 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     """
     import pandas as pd
 
-    table = _read_tracks_table(path, "id", HIGHD_COLUMNS)
+    table = read_table(path, text=("id",))
+    check_columns(path, table, numbers=HIGHD_COLUMNS, others=("id",))
     recording = _read_recording(path, ("frameRate",))
     east, north = table["xVelocity"], -table["yVelocity"]
     rows = pd.DataFrame(
@@ -123,14 +125,6 @@ def _find_carriageway_heading(path: str | os.PathLike[str], table: "DataFrame") 
         value = direction[unknown].iloc[0]
         raise TracksError(f"{Path(path)}: drivingDirection {value!r} is neither 1 nor 2")
     return np.where(direction == "1", -np.pi, 0.0)
-
-
-def _read_tracks_table(
-    path: str | os.PathLike[str], id_column: str, numbers: tuple[str, ...]
-) -> "DataFrame":
-    table = read_table(path, text=(id_column,))
-    check_columns(path, table, numbers=numbers, others=(id_column,))
-    return table
 
 
 def _read_sibling(

@@ -38,21 +38,13 @@ Matcher = Callable[[Path, str], bool]  # of a path and its first line, "" for a 
 
 @dataclass(frozen=True)
 class TrackFormat:
-    """A file format of tracks, as `read_tracks` needs it.
+    """A file format of tracks, as `read_tracks` needs it."""
 
-    Attributes:
-        name: usually that of the dataset.
-        matches: whether a path with this first line has the format.
-        read: reads a path.
-        options: keywords that `read` takes: "world", "resolution" or both.
-        required: the options without which it cannot read.
-    """
-
-    name: str
+    name: str  # usually that of the dataset
     matches: Matcher
     read: Callable[..., Tracks]
-    options: tuple[str, ...] = ()
-    required: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()  # keywords that `read` takes: "world", "resolution" or both
+    required: tuple[str, ...] = ()  # the options without which it cannot read
 
 
 def has_columns(*names: str, delimiter: str = ",") -> Matcher:

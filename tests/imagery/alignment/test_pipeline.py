@@ -9,7 +9,6 @@ from PIL import Image
 
 import geoaim
 from geoaim.aim_summary import summarize_aim
-from geoaim.alignment_picture import draw_alignment
 from geoaim.errors import (
     AlignmentError,
     GeoaimWarning,
@@ -22,6 +21,7 @@ from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.imagery.alignment.result import Prior
+from geoaim.quicklook import draw_alignment
 from geoaim.track_changes import to_world
 from geoaim.world import World, lonlat_from_world
 from tests.imagery.alignment.alignment_pairs import as_aim
