@@ -11,7 +11,7 @@ from torch import Tensor
 from geoaim.simulation.birdview import render
 from geoaim.simulation.ground import GREY, Ground, View, make_ground, prefilter_ground
 
-PIXELS_PER_VIEW_PIXEL = 2  # resolution of the atlas before it is fitted to the view
+PIXELS_PER_VIEW_PIXEL = 2  # of the atlas, before it is prefiltered for the view
 
 
 def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Tensor, "P 2"]]:
@@ -34,8 +34,8 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
         columns = math.ceil(float(size[0]) / resolution)
         centre = (low + high) / 2
         camera = torch.cat([centre, centre.new_tensor([math.pi / 2])])[None]
-        fitted = prefilter_ground(ground, resolution)
-        tiles.append(render(View(rows, columns, resolution), camera, fitted)[0])
+        filtered = prefilter_ground(ground, resolution)
+        tiles.append(render(View(rows, columns, resolution), camera, filtered)[0])
         offsets.append(centre.new_tensor([left + columns / 2, -rows / 2]) * resolution - centre)
         left += columns
     image = torch.cat(tiles, dim=2)

@@ -36,5 +36,5 @@ def test_only_the_best_proposals_are_trained():
 def test_samples_follow_the_likeliest_proposals_first():
     anchors = torch.arange(3.0).view(1, 3, 1, 1).expand(4, 3, 1, 2)
     logits = torch.tensor([[0.0, 2.0, 1.0]]).expand(4, 3)
-    found = select_anchor(anchors, logits, torch.arange(4))
-    assert found[:, 0, 0].tolist() == [1, 2, 0, 1]
+    points = select_anchor(anchors, logits, torch.arange(4))
+    assert points[:, 0, 0].tolist() == [1, 2, 0, 1]

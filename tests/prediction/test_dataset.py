@@ -19,13 +19,13 @@ def short(monkeypatch):
 
 
 def test_training_and_validation_do_not_overlap():
-    found = make_dataset([scene()], TINY, val_fraction=0.3)
+    data = make_dataset([scene()], TINY, val_fraction=0.3)
     x = scene().poses[0, :, 0]
-    apart = found.train.states[0, 0, 0, 0] - x[0]  # the atlas lies elsewhere
-    learnt = (found.train.states[..., 0, 0] - apart).flatten()
-    held = (found.val.states[..., 0, 0] - apart).flatten()
-    assert learnt.max() < x[14]
-    assert held.min() >= x[14]
+    apart = data.train.states[0, 0, 0, 0] - x[0]  # the atlas lies elsewhere
+    train = (data.train.states[..., 0, 0] - apart).flatten()
+    val = (data.val.states[..., 0, 0] - apart).flatten()
+    assert train.max() < x[14]
+    assert val.min() >= x[14]
 
 
 def test_scenes_of_one_place_share_its_ground():
@@ -34,12 +34,12 @@ def test_scenes_of_one_place_share_its_ground():
     apart = make_dataset([one, replace(one, ground=hill())], TINY, val_fraction=0.3)
     assert apart.ground.image.shape[2] > 1.8 * shared.ground.image.shape[2]
     assert len(apart.train) == len(shared.train) == 10
-    for found in (shared, apart):
-        height, width = found.ground.image.shape[1:]
+    for data in (shared, apart):
+        height, width = data.ground.image.shape[1:]
         low, high = world_from_pixels(
-            found.ground.image_from_world, torch.tensor([[0, height], [width, 0]])
+            data.ground.image_from_world, torch.tensor([[0, height], [width, 0]])
         )
-        places = found.train.states[:, :, 0, :2].double()
+        places = data.train.states[:, :, 0, :2].double()
         assert ((low < places) & (places < high)).all()
 
 
@@ -49,5 +49,5 @@ def test_recordings_that_are_too_short_are_reported():
     with pytest.raises(TracksError, match="no training segments in recording 1 of 1"):
         make_dataset([scene()], TINY, val_fraction=0.9)
     with pytest.warns(GeoaimWarning, match="no training segments in recording 2 of 2"):
-        found = make_dataset([scene(), slice_scene(scene(), slice(0, 8))], TINY, val_fraction=0.7)
-    assert len(found.train) == len(make_dataset([scene()], TINY, val_fraction=0.7).train)
+        data = make_dataset([scene(), slice_scene(scene(), slice(0, 8))], TINY, val_fraction=0.7)
+    assert len(data.train) == len(make_dataset([scene()], TINY, val_fraction=0.7).train)

@@ -68,8 +68,8 @@ def test_model_overfits_one_segment():
         (losses.nll + losses.kl).backward()
         torch.nn.utils.clip_grad_norm_(itra.parameters(), 1.0)
         optimiser.step()
-    found = itra.eval().sample(segments, hill(), history=4, samples=6, generator=noise())
-    assert compute_ade(found, segments, 4)[0, :, 0].min() < 0.05
+    states = itra.eval().sample(segments, hill(), history=4, samples=6, generator=noise())
+    assert compute_ade(states, segments, 4)[0, :, 0].min() < 0.05
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -77,17 +77,17 @@ def test_samples_keep_observed_steps_and_ignore_later_ones(kind):
     config = KINDS[kind]
     config = replace(config, history=5) if config.num_anchors else config
     itra, segments = model(config).eval(), drive(10)
-    found = itra.sample(segments, hill(), history=5, samples=5, generator=noise())
-    assert found.shape == (3, 5, 10, 2, 4)
-    truth = segments.states[:, None].expand_as(found)
-    assert torch.equal(found[:, :, :5], truth[:, :, :5])
-    assert torch.equal(found[:, :, :, 1], truth[:, :, :, 1])  # others replay
+    sampled = itra.sample(segments, hill(), history=5, samples=5, generator=noise())
+    assert sampled.shape == (3, 5, 10, 2, 4)
+    truth = segments.states[:, None].expand_as(sampled)
+    assert torch.equal(sampled[:, :, :5], truth[:, :, :5])
+    assert torch.equal(sampled[:, :, :, 1], truth[:, :, :, 1])  # others replay
     later = segments.states.clone()
     later[:, 5:, 0] += 7
     other = itra.sample(
         replace(segments, states=later), hill(), history=5, samples=5, generator=noise()
     )
-    assert torch.equal(found[:, :, :, 0], other[:, :, :, 0])
+    assert torch.equal(sampled[:, :, :, 0], other[:, :, :, 0])
 
 
 def test_samples_differ_and_equal_seeds_give_equal_samples():
@@ -103,8 +103,10 @@ def test_samples_differ_and_equal_seeds_give_equal_samples():
 
 def test_each_sample_follows_another_proposal():
     itra, segments = model(KINDS["slide with proposals"]).eval(), drive(7, 1)
-    found = itra.sample(segments, hill(), history=2, samples=4, latent_scale=0.0, generator=noise())
-    ends = found[0, :, -1, 0, :2]
+    states = itra.sample(
+        segments, hill(), history=2, samples=4, latent_scale=0.0, generator=noise()
+    )
+    ends = states[0, :, -1, 0, :2]
     assert torch.equal(ends[0], ends[3])  # three proposals, and the likeliest again
     assert min((ends[0] - ends[1]).norm(), (ends[1] - ends[2]).norm()) > 1e-5
 
@@ -123,9 +125,9 @@ def test_hidden_state_starts_when_an_agent_enters():
         light_states=segments.light_states[:, 3:],
     )
     config = {"samples": 1, "latent_scale": 0.0, "generator": noise()}
-    found = itra.sample(late, hill(), history=6, **config)[..., 0, :]
+    sampled = itra.sample(late, hill(), history=6, **config)[..., 0, :]
     same = itra.sample(cut, hill(), history=3, **config)[..., 0, :]
-    assert torch.allclose(found[:, :, 3:], same, atol=1e-5)
+    assert torch.allclose(sampled[:, :, 3:], same, atol=1e-5)
 
 
 def test_segments_that_do_not_fit_the_model_are_rejected():

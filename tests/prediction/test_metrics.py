@@ -27,38 +27,38 @@ NOISY = "constant velocity with noise"
 
 def futures(segments, shifts):
     """The ground truth, shifted to the left in each sample."""
-    found = segments.states[:, None].repeat(1, len(shifts), 1, 1, 1)
+    states = segments.states[:, None].repeat(1, len(shifts), 1, 1, 1)
     move = torch.tensor(shifts)[None, :, None, None] * segments.controlled[:, None, None]
-    return torch.cat([found[..., :1], found[..., 1:2] + move[..., None], found[..., 2:]], dim=-1)
+    return torch.cat([states[..., :1], states[..., 1:2] + move[..., None], states[..., 2:]], dim=-1)
 
 
 def test_metrics_are_of_the_best_sample():
     segments = drive(10, 3)
-    found = compute_metrics(futures(segments, [3.0, -0.5, 2.0]), segments, 4)
-    assert found["minADE"].mean == pytest.approx(0.5, abs=1e-5)
-    assert found["joint minFDE"].mean == pytest.approx(0.5, abs=1e-5)
-    assert found["MFD"].mean == pytest.approx(3.5, abs=1e-5)
+    metrics = compute_metrics(futures(segments, [3.0, -0.5, 2.0]), segments, 4)
+    assert metrics["minADE"].mean == pytest.approx(0.5, abs=1e-5)
+    assert metrics["joint minFDE"].mean == pytest.approx(0.5, abs=1e-5)
+    assert metrics["MFD"].mean == pytest.approx(3.5, abs=1e-5)
 
 
 def test_joint_metrics_choose_one_sample_for_all_agents():
     segments = drive(10, 1)
     both = replace(segments, controlled=torch.ones(1, 2, dtype=torch.bool))
-    found = futures(both, [0.0, 0.0])
-    move = torch.zeros_like(found)
+    states = futures(both, [0.0, 0.0])
+    move = torch.zeros_like(states)
     move[0, 0, :, 0, 1], move[0, 1, :, 1, 1] = 2.0, 2.0
-    measures = compute_metrics(found + move, both, 4)
-    assert measures["minADE"].mean == pytest.approx(0, abs=1e-6)
-    assert measures["joint minADE"].mean == pytest.approx(1.0, abs=1e-5)
+    metrics = compute_metrics(states + move, both, 4)
+    assert metrics["minADE"].mean == pytest.approx(0, abs=1e-6)
+    assert metrics["joint minADE"].mean == pytest.approx(1.0, abs=1e-5)
 
 
 def test_rates_count_agents_samples_and_steps():
     segments = drive(10, 1, curve=0.0)
     off = Drivable(torch.tensor([[-1.0, 3.0]]), torch.tensor([[0.0, 0.1, 0.5], [0.0, 0.0, 0.5]]))
     # the drivable half ends a few metres to the left: a shift by 30 m leaves it
-    found = compute_metrics(futures(segments, [0.0, 30.0]), segments, 4, RoadRules(drivable=off))
-    assert found["off-road rate"].mean == pytest.approx(0.5)
-    assert "red-light rate" in found
-    assert found["red-light rate"].mean == 0
+    metrics = compute_metrics(futures(segments, [0.0, 30.0]), segments, 4, RoadRules(drivable=off))
+    assert metrics["off-road rate"].mean == pytest.approx(0.5)
+    assert "red-light rate" in metrics
+    assert metrics["red-light rate"].mean == 0
     red = replace(segments, light_states=torch.full_like(segments.light_states, RED))
     ran = compute_metrics(futures(red, [0.0]), red, 4)["red-light rate"]
     front = segments.states[0, :, 0, 0] + 4.5 / 2
@@ -104,9 +104,9 @@ def test_baselines_predict_straight_motion(name):
     even[:, :, 0, 3] = 5.0
     even[:, :, 0, 0] = 0.5 * torch.arange(12)
     given = {"history": 3, "samples": 4, "generator": torch.Generator().manual_seed(0)}
-    found = BASELINES[name](replace(segments, states=even), hill(), **given)
-    assert found.shape == (3, 4, 12, 2, 4)
-    off = (found[..., 0, :2] - even[:, None, :, 0, :2]).norm(dim=-1)
+    states = BASELINES[name](replace(segments, states=even), hill(), **given)
+    assert states.shape == (3, 4, 12, 2, 4)
+    off = (states[..., 0, :2] - even[:, None, :, 0, :2]).norm(dim=-1)
     assert off[:, :, :3].max() == 0 or name == NOISY
     if name == NOISY:
         assert off[:, :, -1].std() > 0.1
@@ -129,9 +129,9 @@ def test_constant_turn_rate_continues_a_curve():
 def test_tables_have_the_columns_of_all_methods():
     one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}
     both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2}}
-    lines = format_markdown({"people": one, "vehicles": both}).splitlines()
+    lines = format_markdown({"pedestrians": one, "vehicles": both}).splitlines()
     assert lines[0] == "| | minADE | off-road rate |"
-    assert lines[2] == "| people | 1 (0.9 to 1.1) |  |"
+    assert lines[2] == "| pedestrians | 1 (0.9 to 1.1) |  |"
 
 
 def test_hidden_lights_change_futures_and_infractions_still_count():

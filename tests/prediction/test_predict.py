@@ -52,16 +52,16 @@ def test_pretrained_models_are_small_and_control_their_kind(hdmap, kind):
     assert (PRETRAINED / f"{kind}.pt").stat().st_size < 2e6
     model = read_pretrained(kind)
     scene = sample_scene(hdmap, 1 / model.config.dt)
-    found = predict(model, scene, samples=3, horizon=10, start=12, generator=noise())
-    assert found.shape == (3, len(scene.ids), 10, 4)
+    futures = predict(model, scene, samples=3, horizon=10, start=12, generator=noise())
+    assert futures.shape == (3, len(scene.ids), 10, 4)
     there = scene.present[:, 12]
     mine = torch.tensor([(kind == "pedestrian") == (k == "pedestrian") for k in scene.types])
     mine &= torch.tensor([k != "cyclist" for k in scene.types]) & there
-    assert torch.isfinite(found[:, mine]).all()
+    assert torch.isfinite(futures[:, mine]).all()
     others = scene.present[:, 13:23] & ~mine[:, None]
     truth = scene.poses[:, 13:23]
-    assert torch.equal(found[0, ..., :3][others], truth[others])
-    assert torch.isnan(found[:, ~mine & ~scene.present[:, 12:23].any(dim=1)]).all()
+    assert torch.equal(futures[0, ..., :3][others], truth[others])
+    assert torch.isnan(futures[:, ~mine & ~scene.present[:, 12:23].any(dim=1)]).all()
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])
@@ -82,11 +82,11 @@ def test_pretrained_models_beat_constant_velocity_on_the_sample(hdmap, kind):
 def test_predictions_extend_beyond_the_recording(scene):
     torch.manual_seed(0)
     model = ITRA(TINY).eval()
-    found = predict(model, scene, samples=2, horizon=15, generator=noise())
+    futures = predict(model, scene, samples=2, horizon=15, generator=noise())
     there = scene.present[:, -1]
-    assert torch.isfinite(found[:, there]).all()
+    assert torch.isfinite(futures[:, there]).all()
     pedestrians = there & torch.tensor([k == "pedestrian" for k in scene.types])
-    moved = (found[0, pedestrians, -1, :2] - scene.poses[pedestrians, -1, :2]).norm(dim=-1)
+    moved = (futures[0, pedestrians, -1, :2] - scene.poses[pedestrians, -1, :2]).norm(dim=-1)
     assert moved.tolist() == pytest.approx(
         (1.5 * scene.speeds[pedestrians, -1].abs()).tolist(), abs=0.1
     )
@@ -113,19 +113,19 @@ def test_scenes_that_cannot_be_predicted_are_rejected(scene):
 
 
 def test_pictures_show_the_futures(scene, hdmap, tmp_path):
-    found = predict(ITRA(TINY).eval(), scene, samples=2, horizon=6, start=20, generator=noise())
-    picture = draw_futures(scene, found, 20)
+    futures = predict(ITRA(TINY).eval(), scene, samples=2, horizon=6, start=20, generator=noise())
+    picture = draw_futures(scene, futures, 20)
     assert max(picture.shape) == pytest.approx(1280, abs=4)
     orange = (picture[..., 0] > 200) & (picture[..., 2] < 80) & (picture[..., 1] < 160)
     assert orange.sum() > 20
-    assert len(list(film_futures(scene, found, 20))) == 6
-    write_futures(scene, found, 20, tmp_path / "f.csv", world=hdmap.world, dt=0.1)
+    assert len(list(film_futures(scene, futures, 20))) == 6
+    write_futures(scene, futures, 20, tmp_path / "f.csv", world=hdmap.world, dt=0.1)
     lines = (tmp_path / "f.csv").read_text().splitlines()
     assert lines[0].startswith("# crs: EPSG:")
     rows = list(csv.DictReader(lines[2:]))
     assert {row["sample"] for row in rows} == {"0", "1"}
     assert float(rows[0]["time"]) == pytest.approx(float(scene.times[20]) + 0.1, abs=1e-6)
-    assert len(rows) == int(torch.isfinite(found[..., 0]).sum())
+    assert len(rows) == int(torch.isfinite(futures[..., 0]).sum())
 
 
 def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
@@ -190,9 +190,9 @@ def test_encoder_is_small():
 
 def test_baselines_replay_agents_that_are_not_controlled(scene):
     segments = cut_segments(scene, "vehicle", steps=20, stride=20, joint=True)
-    found = BASELINES["constant velocity"](
+    futures = BASELINES["constant velocity"](
         segments, scene.ground, history=5, samples=1, generator=noise()
     )
     others = ~segments.controlled[:, None].expand(-1, 20, -1)
     truth = segments.states
-    assert torch.equal(found[:, 0][others], truth[others])
+    assert torch.equal(futures[:, 0][others], truth[others])

@@ -44,19 +44,19 @@ def scene(steps=20):
 
 
 def test_each_moving_agent_gets_a_segment():
-    found = cut_segments(scene(), "vehicle", steps=10, stride=5)
-    assert len(found) == 2 * 3  # two cars, three starts; parked and leaving cars are not controlled
-    assert found.states.shape == (6, 10, 5, 4)
-    assert (found.controlled.sum(dim=1) == 1).all()
-    assert found.present[:, :, 0].all()
-    assert torch.isfinite(found.states).all()
+    segments = cut_segments(scene(), "vehicle", steps=10, stride=5)
+    assert len(segments) == 2 * 3  # two cars at three starts; not the others
+    assert segments.states.shape == (6, 10, 5, 4)
+    assert (segments.controlled.sum(dim=1) == 1).all()
+    assert segments.present[:, :, 0].all()
+    assert torch.isfinite(segments.states).all()
 
 
 def test_joint_segments_control_all_of_a_kind_at_once():
-    found = cut_segments(scene(), "vehicle", steps=10, stride=10, joint=True)
-    assert found.controlled.sum(dim=1).tolist() == [2, 2]
-    people = cut_segments(scene(), "pedestrian", steps=10, stride=10, joint=True)
-    assert people.controlled.sum(dim=1).tolist() == [1, 1]
+    segments = cut_segments(scene(), "vehicle", steps=10, stride=10, joint=True)
+    assert segments.controlled.sum(dim=1).tolist() == [2, 2]
+    pedestrians = cut_segments(scene(), "pedestrian", steps=10, stride=10, joint=True)
+    assert pedestrians.controlled.sum(dim=1).tolist() == [1, 1]
 
 
 def test_scenes_that_cannot_be_cut_are_rejected():

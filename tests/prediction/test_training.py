@@ -58,10 +58,10 @@ def test_interrupted_training_ends_with_the_same_weights(tmp_path):
 
 
 def test_training_writes_a_model_and_a_log(tmp_path):
-    found = train(init_model(TINY), TRAINING, dataset(), tmp_path)
+    model = train(init_model(TINY), TRAINING, dataset(), tmp_path)
     again = read_model(tmp_path / "model.pt")
     assert again.config == TINY
-    for one, two in zip(found.parameters(), again.parameters(), strict=True):
+    for one, two in zip(model.parameters(), again.parameters(), strict=True):
         assert torch.allclose(one, two, atol=1e-3)  # 16 bits
     lines = (tmp_path / "log.csv").read_text().splitlines()
     assert lines[0].split(",") == list(LOG_COLUMNS)

@@ -67,12 +67,12 @@ def read(folder, images="i", **options):
 
 
 def test_windows_are_in_metres(folder):
-    found = read(folder)
-    assert len(found.segments) == 10
-    speed = found.segments.states[:, :, 0, 3]
+    windows = read(folder)
+    assert len(windows.segments) == 10
+    speed = windows.segments.states[:, :, 0, 3]
     assert torch.allclose(speed, torch.ones_like(speed), atol=1e-3)  # 20 x 0.05 and 40 x 0.025
-    assert found.scenes[0] == "park_0"
-    assert found.resolutions[[0, -1]].tolist() == pytest.approx([0.05, 0.025])
+    assert windows.scenes[0] == "park_0"
+    assert windows.resolutions[[0, -1]].tolist() == pytest.approx([0.05, 0.025])
     assert len(read(folder, scenes=["square_1"]).segments) == 5
 
 
@@ -89,9 +89,9 @@ def test_heading_comes_from_observed_steps_only():
 
 
 def test_straight_paths_are_predicted_and_measured_in_pixels(folder):
-    found = evaluate_windows(BASELINES["constant velocity"], read(folder, None), 20)
-    assert found["minADE_px"].mean < 0.05
-    assert set(found) == {"minADE_px", "minADE_m", "minFDE_px", "minFDE_m"}
+    metrics = evaluate_windows(BASELINES["constant velocity"], read(folder, None), 20)
+    assert metrics["minADE_px"].mean < 0.05
+    assert set(metrics) == {"minADE_px", "minADE_m", "minFDE_px", "minFDE_m"}
     noisy = evaluate_windows(BASELINES["constant velocity with noise"], read(folder, None), 1)
     ratio = noisy["minADE_px"].sums / noisy["minADE_m"].sums
     assert ratio == pytest.approx(np.r_[np.full(5, 20), np.full(5, 40)], rel=1e-4)
@@ -104,9 +104,9 @@ def test_command_prints_metrics_as_json_or_as_a_table(folder, tmp_path):
     command += ["--scenes", str(folder / "scenes.csv"), "--weights", str(tmp_path / "m.pt")]
     done = CliRunner().invoke(app, [*command, "--samples", "20", "--json"])
     assert done.exit_code == 0, done.output
-    found = json.loads(done.stdout)
-    assert found["windows"] == 10
-    assert {"minADE_px", "minFDE_px", "minADE_m", "minFDE_m"} < set(found)
+    report = json.loads(done.stdout)
+    assert report["windows"] == 10
+    assert {"minADE_px", "minFDE_px", "minADE_m", "minFDE_m"} < set(report)
     done = CliRunner().invoke(app, command)
     assert "| model |" in done.stdout
     assert "| constant velocity |" in done.stdout
