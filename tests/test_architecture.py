@@ -1,4 +1,4 @@
-"""The house rules that CONTRIBUTING.md states and that a program can check."""
+"""The rules of docs/architecture.md that a program can check."""
 
 import ast
 import json

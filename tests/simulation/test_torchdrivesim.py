@@ -7,7 +7,7 @@ from torch.nn.functional import avg_pool2d
 
 from geoaim.simulation import make_ground
 
-pytest.importorskip("torchdrivesim", reason="torchdrivesim is not installed (see CONTRIBUTING)")
+pytest.importorskip("torchdrivesim", reason="not installed: docs/decisions/0010")
 
 from torchdrivesim.rendering.base import RendererConfig
 from torchdrivesim.rendering.cv2 import CV2Renderer, CV2RendererConfig
