@@ -12,9 +12,7 @@ import numpy as np
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
 from geoaim.progress import Progress, no_progress
-from geoaim.synthetic.imagery import (
-    make_other_day,
-)
+from geoaim.synthetic.imagery import make_other_day
 from geoaim.synthetic.imagery_files import write_imagery
 from geoaim.synthetic.map_files import write_maps
 from geoaim.synthetic.readme import TITLE, format_readme

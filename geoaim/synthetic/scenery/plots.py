@@ -11,17 +11,8 @@ from shapely.affinity import rotate
 from shapely.geometry import box
 
 from geoaim.synthetic.roads.approaches import Approach, plan_from_road
-from geoaim.synthetic.roads.car_park import (
-    AISLE_WIDTH_M,
-    BAY_SIZE_M,
-    FIRST_BAY_M,
-    outline_lot_part,
-)
-from geoaim.synthetic.roads.paving import (
-    VERGE_WIDTH_M,
-    outline_crossing,
-    outline_road,
-)
+from geoaim.synthetic.roads.car_park import AISLE_WIDTH_M, BAY_SIZE_M, FIRST_BAY_M, outline_lot_part
+from geoaim.synthetic.roads.paving import VERGE_WIDTH_M, outline_crossing, outline_road
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.parcels import PARCEL_MAKERS
 from geoaim.synthetic.scenery.scenery import Parcel, Scenery, Spot, Tree

@@ -7,13 +7,7 @@ from jaxtyping import Bool, Float, Int8
 from numpy import ndarray as Array
 
 from geoaim.lights import GREEN
-from geoaim.synthetic.traffic.pedestrians import (
-    CrossingTable,
-    Outlook,
-    Pedestrians,
-    Reaction,
-    dot,
-)
+from geoaim.synthetic.traffic.pedestrians import CrossingTable, Outlook, Pedestrians, Reaction, dot
 from geoaim.synthetic.traffic.vehicles import PathTables, PlacedVehicles
 
 VEHICLE_HALF_WIDTH_M = 1.8  # to either side of a vehicle's path, with some clearance

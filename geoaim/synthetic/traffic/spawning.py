@@ -48,11 +48,7 @@ class Trips:
 
 
 def spawn_agents(
-    agents: Agents,
-    trips: Trips,
-    tables: PathTables,
-    time: float,
-    generator: np.random.Generator,
+    agents: Agents, trips: Trips, tables: PathTables, time: float, generator: np.random.Generator
 ) -> Agents:
     """Let vehicles park, leave bays, leave the plan and enter it; pedestrians enter and leave.
 
