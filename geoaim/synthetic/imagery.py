@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
-from geoaim.synthetic.compositing import paste
+from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
-from geoaim.synthetic.filming import compute_image_poses, draw_agents
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.roads.layouts import PLACE_KINDS
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M

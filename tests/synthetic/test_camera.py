@@ -6,6 +6,7 @@ import pytest
 
 from geoaim.geometry import to_opencv, transform_points
 from geoaim.synthetic.camera import (
+    Hover,
     SpriteTracks,
     film,
     list_boxed_agents,
@@ -17,7 +18,6 @@ from geoaim.synthetic.camera import (
     render_frames,
 )
 from geoaim.synthetic.compositing import paste
-from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.scenery.texture import make_natural_noise
 
 QUIET = Hover(count=6, drift=6.0, noise=0.0, exposure=0.0, blur=0.8)

@@ -20,8 +20,13 @@ from geoaim.synthetic.traffic.demand import (
 from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
 from geoaim.synthetic.traffic.paths import VehiclePath, make_paths
-from geoaim.synthetic.traffic.pavement import PavementMap, make_pavement_map
-from geoaim.synthetic.traffic.pedestrians import CrossingTable, look_ahead, step_pedestrians
+from geoaim.synthetic.traffic.pedestrians import (
+    CrossingTable,
+    PavementMap,
+    look_ahead,
+    make_pavement_map,
+    step_pedestrians,
+)
 from geoaim.synthetic.traffic.signals import Signals, light_states_at, make_signals
 from geoaim.synthetic.traffic.spawning import (
     Agents,
