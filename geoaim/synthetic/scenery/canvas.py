@@ -17,6 +17,7 @@ from geoaim.synthetic.scenery.texture import (
     darken,
     make_natural_noise,
     rasterize_polygons,
+    to_share,
 )
 
 TILE = 2048  # px, side at most of the noise that is repeated over the canvas
@@ -88,11 +89,9 @@ def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Fl
     rows, columns = window or (slice(0, canvas.shape[0]), slice(0, canvas.shape[1]))
     tile = len(canvas.fields[field])
     down, right = canvas.generator.integers(0, tile, 2)
-    down, right = (
-        np.arange(rows.start, rows.stop) + down,
-        np.arange(columns.start, columns.stop) + right,
-    )
-    return np.asarray(canvas.fields[field][np.ix_(down % tile, right % tile)])
+    row = (np.arange(rows.start, rows.stop) + down) % tile
+    column = (np.arange(columns.start, columns.stop) + right) % tile
+    return np.asarray(canvas.fields[field][np.ix_(row, column)])
 
 
 def rasterize_shape(
@@ -116,9 +115,8 @@ def rasterize_shape(
         every = np.concatenate([rings[0] for rings in polygons]) if polygons else np.zeros((1, 2))
         low = np.floor(every.min(axis=0)).astype(int) - 2
         high = np.ceil(every.max(axis=0)).astype(int) + 2
-        (left, top), (right, bottom) = (
-            np.minimum(np.maximum(corner, 0), canvas.shape[::-1]).tolist() for corner in (low, high)
-        )
+        left, top = low.clip(0, canvas.shape[::-1]).tolist()
+        right, bottom = high.clip(0, canvas.shape[::-1]).tolist()
         within = slice(top, bottom), slice(left, right)
     rows, columns = within
     start = np.array([columns.start, rows.start])
@@ -129,7 +127,7 @@ def rasterize_shape(
 def fill(
     canvas: Canvas,
     shape: Shape,
-    colour: Colour | Float[Array, "3"],
+    colour: Colour,
     *,
     strength: float = 1.0,
     grain: Sequence[tuple[int, float]] = (),
@@ -150,33 +148,12 @@ def fill(
         return
     alpha = mask.astype(np.float32) * np.float32(strength / 255)
     if only is not None:
-        alpha *= rasterize_shape(canvas, only, within=window)[1].astype(np.float32) / np.float32(
-            255
-        )
-    blend(canvas.image[window], alpha, add_grain(canvas, colour, grain, window))
-
-
-def add_grain(
-    canvas: Canvas,
-    colour: Colour | Float[Array, "3"],
-    grain: Sequence[tuple[int, float]],
-    window: Window,
-) -> Float32[Array, "*_ 3"]:
-    """Add noise to a colour.
-
-    Args:
-        canvas: the canvas, for its noise.
-        colour: the colour.
-        grain: noise fields and their standard deviations in grey levels.
-        window: rows and columns of the result.
-
-    Returns:
-        The colour alone if there is no grain, else an image of the window.
-    """
-    if not grain:
-        return np.asarray(colour, np.float32)
-    light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
-    return np.asarray(colour, np.float32) + np.asarray(light, np.float32)[..., None]
+        alpha *= to_share(rasterize_shape(canvas, only, within=window)[1])
+    paint = np.asarray(colour, np.float32)
+    if grain:
+        light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
+        paint = paint + np.asarray(light, np.float32)[..., None]
+    blend(canvas.image[window], alpha, paint)
 
 
 def shade(
@@ -192,11 +169,9 @@ def shade(
     """
     window, mask = rasterize_shape(canvas, shape)
     if mask.any():
-        alpha = mask.astype(np.float32) / np.float32(255)
+        alpha = to_share(mask)
         if only is not None:
-            alpha *= rasterize_shape(canvas, only, within=window)[1].astype(
-                np.float32
-            ) / np.float32(255)
+            alpha *= to_share(rasterize_shape(canvas, only, within=window)[1])
         darken(canvas.image[window], alpha, np.asarray(share, np.float32))
 
 

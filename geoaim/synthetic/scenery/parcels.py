@@ -59,24 +59,17 @@ def _make_houses(
         if body is None:
             break
         centre, outline = body
-        buildings.append(
-            Building(
-                centre, size, angle, generator.uniform(4.5, 6.5), False, int(generator.integers(4))
-            )
-        )
+        height, colour = generator.uniform(4.5, 6.5), int(generator.integers(4))
+        buildings.append(Building(centre, size, angle, height, False, colour))
         side = outline[1] + 0.5 * (outline[2] - outline[1])
         out = (outline[1] - outline[0]) / size[0]
-        drive = make_rectangle(side + 2.2 * out, (3.4, size[1] + 3.0), angle)
+        middle = side + 2.2 * out
+        drive = make_rectangle(middle, (3.4, size[1] + 3.0), angle)
         drives.append(Polygon(drive).intersection(plot))
-        spots.append(
-            Spot(
-                (float((side + 2.2 * out)[0]), float((side + 2.2 * out)[1])), angle + np.pi / 2, 0.6
-            )
-        )
+        spots.append(Spot((float(middle[0]), float(middle[1])), angle + np.pi / 2, 0.6))
         left = left.difference(Polygon(outline).buffer(6.0)).difference(Polygon(drive).buffer(1.0))
-    trees = _scatter_trees(left, 7, (1.6, 3.2), 4.0, generator) + _scatter_trees(
-        left, 16, (0.5, 1.1), 2.0, generator
-    )
+    trees = _scatter_trees(left, 7, (1.6, 3.2), 4.0, generator)
+    trees += _scatter_trees(left, 16, (0.5, 1.1), 2.0, generator)
     return replace(
         scenery,
         slabs=shapely.union_all([scenery.slabs, *drives]),
@@ -98,10 +91,8 @@ def _make_park(
     wave = 2.5 * np.sin(t / generator.uniform(5, 9) + generator.uniform(0, 6))
     lines = []
     for turn in (angle + 0.5, angle + 0.5 + generator.uniform(1.2, 1.9)):
-        along, across = (
-            np.array([np.cos(turn), np.sin(turn)]),
-            np.array([-np.sin(turn), np.cos(turn)]),
-        )
+        along = np.array([np.cos(turn), np.sin(turn)])
+        across = np.array([-along[1], along[0]])
         lines.append(LineString(middle + t[:, None] * along + wave[:, None] * across))
     round_pond = Point(x, y).buffer(generator.uniform(6.5, 8.0))
     gravel = shapely.union_all([*[line.buffer(1.05) for line in lines], round_pond])
@@ -111,9 +102,8 @@ def _make_park(
     if not plot.contains(round_pond):
         gravel, pond = gravel.difference(round_pond), Polygon()
     rest = lawn_edge.difference(shapely.union_all([gravel.buffer(1.0), round_pond]))
-    trees = _scatter_trees(rest, 18, (2.0, 3.8), 5.0, generator) + _scatter_trees(
-        rest, 14, (0.5, 1.1), 2.0, generator
-    )
+    trees = _scatter_trees(rest, 18, (2.0, 3.8), 5.0, generator)
+    trees += _scatter_trees(rest, 14, (0.5, 1.1), 2.0, generator)
     return replace(
         scenery,
         gravel=scenery.gravel.union(gravel),
@@ -134,9 +124,8 @@ def _make_plaza(
     if body is not None:
         buildings = [Building(body[0], size, angle, generator.uniform(5, 8), True, 1)]
         rest = rest.difference(Polygon(body[1]).buffer(4.0))
-    trees = _scatter_trees(rest, 16, (1.3, 2.2), 5.5, generator) + _scatter_trees(
-        rest, 10, (0.6, 1.2), 3.0, generator
-    )
+    trees = _scatter_trees(rest, 16, (1.3, 2.2), 5.5, generator)
+    trees += _scatter_trees(rest, 10, (0.6, 1.2), 3.0, generator)
     return replace(
         scenery,
         slabs=scenery.slabs.union(square.buffer(1.4)),
@@ -150,14 +139,11 @@ def _make_field(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
     """Add rough grass with bare soil, shrubs and a few trees."""
-    soil = [
-        _make_blob(spot, generator.uniform(2, 7), generator)
-        for spot in _sample_points(plot, 5, 6.0, generator)
-    ]
+    spots = _sample_points(plot, 5, 6.0, generator)
+    soil = [_make_blob(spot, generator.uniform(2, 7), generator) for spot in spots]
     rest = plot.buffer(-1.5)
-    trees = _scatter_trees(rest, 7, (1.6, 3.2), 5.0, generator) + _scatter_trees(
-        rest, 30, (0.4, 1.3), 1.4, generator
-    )
+    trees = _scatter_trees(rest, 7, (1.6, 3.2), 5.0, generator)
+    trees += _scatter_trees(rest, 30, (0.4, 1.3), 1.4, generator)
     return replace(
         scenery,
         soil=scenery.soil.union(shapely.union_all(soil).intersection(plot)),
@@ -171,9 +157,8 @@ def _make_blob(spot: Point, radius: float, generator: np.random.Generator) -> Po
     turn = np.linspace(0, 2 * np.pi, 49)[:-1]
     size = radius * np.ones(48)
     for wave in range(2, 8):
-        size += (
-            radius * generator.normal(0, 0.5 / wave) * np.cos(wave * turn + generator.uniform(0, 6))
-        )
+        height = radius * generator.normal(0, 0.5 / wave)
+        size += height * np.cos(wave * turn + generator.uniform(0, 6))
     size = np.maximum(size, 0.3 * radius)
     rim = np.stack([np.cos(turn), np.sin(turn)], axis=1) * size[:, None]
     return Polygon(rim + np.array([spot.x, spot.y])).buffer(0.0)
@@ -210,11 +195,8 @@ def _sample_points(
     shapely.prepare(area)
     for x, y in generator.uniform([low_x, low_y], [high_x, high_y], (12 * count, 2)):
         spot = Point(x, y)
-        if (
-            len(points) < count
-            and area.contains(spot)
-            and all(spot.distance(o) > apart for o in points)
-        ):
+        is_apart = all(spot.distance(other) > apart for other in points)
+        if len(points) < count and area.contains(spot) and is_apart:
             points.append(spot)
     return points
 

@@ -24,14 +24,10 @@ TREE_SPACING_M = 9.0  # mean distance of street trees
 
 def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
     """Place scenery on the plots and along the roads."""
-    nothing = Polygon()
-    verges = _make_verges(roads)
-    empty = Scenery(
-        (), verges, nothing, nothing, nothing, nothing, (), (), (), _make_lamps(roads), (), ()
-    )
-    scenery = replace(
-        empty, trees=_make_street_trees(roads, verges, generator), spots=_list_bay_spots(roads)
-    )
+    no_area, verges, lamps = Polygon(), _make_verges(roads), _make_lamps(roads)
+    areas = verges, no_area, no_area, no_area, no_area
+    trees = _make_street_trees(roads, verges, generator)
+    scenery = Scenery((), *areas, (), trees, (), lamps, _list_bay_spots(roads), ())
     parcels = []
     for plot in roads.paving.plots:
         angle = _find_angle(roads, plot)
@@ -131,10 +127,8 @@ def _list_bay_spots(roads: Roads) -> tuple[Spot, ...]:
         for side in (-1, 1):
             if side == 1 and bay in car_park.open_bays:
                 continue
-            beside, deep = (
-                side * (AISLE_WIDTH_M + BAY_SIZE_M[1]) / 2,
-                FIRST_BAY_M + (bay + 0.5) * BAY_SIZE_M[0],
-            )
+            beside = side * (AISLE_WIDTH_M + BAY_SIZE_M[1]) / 2
+            deep = FIRST_BAY_M + (bay + 0.5) * BAY_SIZE_M[0]
             place, ahead = outline_lot_part(car_park, (beside, beside + 1), (deep, deep + 1))[:2]
             heading = float(np.arctan2(*(ahead - place)[::-1]))
             spots.append(Spot((float(place[0]), float(place[1])), heading, 0.7))
