@@ -139,17 +139,15 @@ def film(
     base = _rescale(background, scale)
     down, right = base.shape[0] / rows, base.shape[1] / columns
     nominal_from_base = np.diag([1 / SUPERSAMPLING, 1 / SUPERSAMPLING, 1.0])
-    nominal_from_base[:2, 2] = (
-        np.array([width, height]) - base.shape[1::-1] / np.array(SUPERSAMPLING)
-    ) / 2
+    shown = base.shape[1::-1] / np.array(SUPERSAMPLING)
+    nominal_from_base[:2, 2] = (np.array([width, height]) - shown) / 2
+    frame_from_base = np.linalg.inv(nominal_from_frame) @ nominal_from_base
     base_from_background = np.diag([right, down, 1.0])
     return HoverClip(
         height=height,
         width=width,
         times=np.arange(hover.count) / hover.frame_rate,
-        frame_from_background=np.linalg.inv(nominal_from_frame)
-        @ nominal_from_base
-        @ base_from_background,
+        frame_from_background=frame_from_base @ base_from_background,
         gains=gains,
         traffic=traffic,
         hover=hover,
@@ -171,7 +169,7 @@ def render_frame(clip: HoverClip, index: int) -> UInt8[Array, "H W 3"]:
     """Render a frame: ground and agents through the lens, with gain and noise."""
     image = render_background(clip, index)
     for patch in _render_vehicles(clip, index, clip.frame_from_background[index]):
-        blend_patch(image, *patch)
+        blend_patch(image, patch)
     row, column = clip.noise_starts[index]
     noise = clip.noise[row : row + clip.height, column : column + clip.width]
     return _expose(image, noise, float(clip.gains[index]), clip.hover.noise / 32)
@@ -201,10 +199,8 @@ def list_boxed_agents(clip: HoverClip, index: int) -> tuple[Int[Array, "n"], Flo
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     corners = clip.traffic.sizes[present][:, None] / 2 * np.array(CORNERS)
-    frame_from_vehicle = clip.frame_from_background[index] @ compute_background_from_sprite(
-        poses[present]
-    )
-    corners = transform_points(frame_from_vehicle, corners)
+    background_from_sprite = compute_background_from_sprite(poses[present])
+    corners = transform_points(clip.frame_from_background[index] @ background_from_sprite, corners)
     limit = [clip.width, clip.height]
     boxes = np.hstack([corners.min(axis=1).clip(0, limit), corners.max(axis=1).clip(0, limit)])
     visible = ((boxes[:, 2:] - boxes[:, :2]) >= 2).all(axis=1)
@@ -285,28 +281,20 @@ def _render_vehicles(
     """Windows of a frame, and premultiply colour and alpha over each; shadows come first."""
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
-    frame_from_vehicle = frame_from_background @ compute_background_from_sprite(poses)
+    background_from_sprite = compute_background_from_sprite(poses)
+    frame_from_sprite = frame_from_background @ background_from_sprite
     frame_from_shadow = (
-        frame_from_background
-        @ translation(*clip.traffic.shadow)
-        @ compute_background_from_sprite(poses)
+        frame_from_background @ translation(*clip.traffic.shadow) @ background_from_sprite
     )
-    shape = clip.height, clip.width
-    if any(clip.traffic.shadow):
-        for number in present:
-            sprite = clip.base_sprites[number]
-            for window, colour, alpha in warp_sprite(
-                sprite, frame_from_shadow[number] @ _unscale(clip), shape
-            ):
-                dark = (alpha.astype(np.uint16) * SHADOW_ALPHA // 255).astype(np.uint8)
-                yield window, np.zeros_like(colour), dark
+    unscale, shape = np.linalg.inv(clip.base_from_background), (clip.height, clip.width)
+    for number in present if any(clip.traffic.shadow) else ():
+        matrix = frame_from_shadow[number] @ unscale
+        for window, colour, alpha in warp_sprite(clip.base_sprites[number], matrix, shape):
+            dark = (alpha.astype(np.uint16) * SHADOW_ALPHA // 255).astype(np.uint8)
+            yield window, np.zeros_like(colour), dark
     for number in present:
-        sprite = clip.base_sprites[number]
-        yield from warp_sprite(sprite, frame_from_vehicle[number] @ _unscale(clip), shape)
-
-
-def _unscale(clip: HoverClip) -> Float[Array, "3 3"]:
-    return np.linalg.inv(clip.base_from_background)
+        matrix = frame_from_sprite[number] @ unscale
+        yield from warp_sprite(clip.base_sprites[number], matrix, shape)
 
 
 def _prepare_sprites(

@@ -34,23 +34,12 @@ def paste(
             light = premultiply(sprite)
             packed = pack(light[..., :3]), pack(light[..., 3:])
             for patch in warp_sprite(packed, compute_background_from_sprite(pose), image.shape[:2]):
-                blend_patch(image, *patch)
+                blend_patch(image, patch)
 
 
-def blend_patch(
-    image: UInt8[Array, "H W 3"],
-    window: tuple[slice, slice],
-    colour: UInt8[Array, "h w 3"],
-    alpha: UInt8[Array, "h w"],
-) -> None:
-    """Blend premultiplied colours into a window of an image.
-
-    Args:
-        image: changed in place.
-        window: rows and columns.
-        colour: premultiplied colours of the window.
-        alpha: opacity of the window.
-    """
+def blend_patch(image: UInt8[Array, "H W 3"], patch: SpritePatch) -> None:
+    """Blend a patch (window, premultiplied colours, opacity) into an image, in place."""
+    window, colour, alpha = patch
     ground = image[window].astype(np.uint16) * (255 - alpha[..., None].astype(np.uint16))
     image[window] = np.minimum((ground + 127) // 255 + colour, 255).astype(np.uint8)
 

@@ -8,7 +8,6 @@ from geoaim.geometry import transform_points
 from geoaim.synthetic import Day, draw_place, make_place
 from geoaim.synthetic.place import plan_from_image
 from geoaim.synthetic.roads.markings import make_markings
-from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.canvas import make_canvas
 
 COARSE = 0.2
@@ -32,7 +31,7 @@ def _grey_at(picture, points):
 
 @pytest.mark.parametrize("metres", [0.05, 0.06, 0.07, 0.15, 0.2])
 def test_drawn_and_told_places_of_pixels_agree(metres):
-    canvas = make_canvas(HEIGHT_M, WIDTH_M, metres, np.random.default_rng(0))
+    canvas = make_canvas(metres, np.random.default_rng(0))
     np.testing.assert_allclose(
         plan_from_image(metres) @ canvas.image_from_plan, np.eye(3), atol=1e-9
     )

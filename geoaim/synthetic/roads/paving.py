@@ -13,8 +13,8 @@ from geoaim.synthetic.roads.car_park import (
     AISLE_WIDTH_M,
     BAY_SIZE_M,
     DRIVEWAY_WIDTH_M,
+    LOT_DEPTH_M,
     CarPark,
-    measure_depth,
     outline_lot_part,
 )
 from geoaim.synthetic.roads.lanes import LANE_END_M, Lane, compute_lane_bounds
@@ -196,7 +196,7 @@ def _make_drive_and_lot(car_park: CarPark | None, road: Geometry) -> tuple[Geome
     mouth = shapely.union_all([lane, road.intersection(near)])
     mouth = mouth.buffer(FLARE_RADIUS_M, quad_segs=16).buffer(-FLARE_RADIUS_M, quad_segs=16)
     half = AISLE_WIDTH_M / 2 + BAY_SIZE_M[1] + 0.4
-    lot = Polygon(outline_lot_part(car_park, (-half, half), (6.0, measure_depth(car_park))))
+    lot = Polygon(outline_lot_part(car_park, (-half, half), (6.0, LOT_DEPTH_M)))
     lot = lot.difference(road)
     reach = Polygon(outline_lot_part(car_park, (-12.0, 12.0), (0.0, 6.5)))
     drive = shapely.union_all([mouth.intersection(near).intersection(reach)])

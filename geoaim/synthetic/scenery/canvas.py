@@ -11,6 +11,7 @@ from numpy import ndarray as Array
 from shapely import Geometry
 
 from geoaim.geometry import transform_points
+from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.texture import (
     Colour,
     blend,
@@ -52,21 +53,9 @@ class Canvas:
         return self.image.shape[0], self.image.shape[1]
 
 
-def make_canvas(
-    height: float, width: float, resolution: float, generator: np.random.Generator
-) -> Canvas:
-    """Make a black canvas around the plan's origin.
-
-    Args:
-        height: metres.
-        width: metres.
-        resolution: metres per pixel.
-        generator: source of randomness.
-
-    Returns:
-        The canvas.
-    """
-    rows, columns = round(height / resolution), round(width / resolution)
+def make_canvas(resolution: float, generator: np.random.Generator) -> Canvas:
+    """Make a black canvas of the drawn extent; the resolution is in metres per pixel."""
+    rows, columns = round(HEIGHT_M / resolution), round(WIDTH_M / resolution)
     scale = 1 / resolution
     image_from_plan = np.array([[scale, 0, columns / 2], [0, -scale, rows / 2], [0, 0, 1.0]])
     tile = min(TILE, 1 << (max(rows, columns) - 1).bit_length())

@@ -28,7 +28,6 @@ from geoaim.synthetic.scenery.day import (
     Day,
     compute_shadow_depth,
     compute_shadow_offset,
-    compute_sun_direction,
 )
 from geoaim.synthetic.scenery.scenery import Building, Scenery, Tree
 from geoaim.synthetic.scenery.sprites import draw_bare_tree, draw_tree, draw_vehicle
@@ -43,6 +42,7 @@ CONTAINERS: tuple[Colour, ...] = ((52, 92, 140), (168, 84, 48), (90, 120, 84), (
 LAMP_HEIGHT_M = 7.0
 CAR_HEIGHT_M = 1.3
 TREE_HEIGHT_PER_RADIUS = 1.6
+CONTRAST = (0.75, 1.45)  # slopes of the cameras' tone curves at their middle
 TONE_STEPS = 4  # of the tone curve, per grey level
 TONE_MIDDLE = 0.47  # share of white at which the tone curve is steepest
 HAZE = (7.0, 8.0, 11.0)  # grey levels added by the air
@@ -90,14 +90,9 @@ def draw_objects(
         fill(canvas, make_circle(foot, 0.16), (120, 122, 124))
 
 
-def grade_colours(canvas: Canvas, day: Day, contrast: float) -> None:
-    """Apply uneven light, the colour of the day's light, haze and the camera's tone curve.
-
-    Args:
-        canvas: changed in place.
-        day: season and clouds.
-        contrast: slope of the tone curve at its middle.
-    """
+def grade_colours(canvas: Canvas, day: Day) -> None:
+    """Apply uneven light, the colour of the day's light, haze and a camera's tone curve."""
+    contrast = CONTRAST[0] + (CONTRAST[1] - CONTRAST[0]) * canvas.generator.uniform()
     light = np.asarray(PALETTES[day.season].light, np.float32) * np.float32(1 - 0.12 * day.clouds)
     uneven = 1 + np.float32(0.012) * sample_noise(canvas, PATCH)
     image = canvas.image
@@ -131,7 +126,7 @@ def _place_tree(canvas: Canvas, tree: Tree, day: Day) -> _Stamp:
     if bare:
         crown = draw_bare_tree(radius, generator)
     else:
-        light = compute_sun_direction(day)
+        light = float(np.cos(day.azimuth)), float(-np.sin(day.azimuth))
         crown = draw_tree(radius, colour, light, canvas.fields[GRAIN], generator)
     return _Stamp(np.array(tree.place), 0.0, crown, TREE_HEIGHT_PER_RADIUS * tree.radius)
 

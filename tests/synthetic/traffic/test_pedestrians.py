@@ -1,5 +1,6 @@
 import numpy as np
 import shapely
+
 from geoaim.synthetic.traffic.pedestrians import CELL_M, make_pavement_map, sample_pavement
 
 
