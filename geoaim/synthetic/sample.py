@@ -105,9 +105,8 @@ def make_sample(
     )
     clip = None
     if video is not None:
-        given = place.world_from_plan, place.world
         times = np.arange(hover.count) / hover.frame_rate
-        tracks = interpolate_tracks(model, recordings[0], *given, times=times, margin=MARGIN)
+        tracks = interpolate_tracks(model, recordings[0], place, times=times, margin=MARGIN)
         clip = _film_place(place, tracks, hover, video, resolution)
     return Sample(place, model, recordings, clip, resolution)
 
@@ -116,9 +115,7 @@ def tracks_of(sample: Sample, number: int = 0) -> Tracks:
     """Return the tracks of a recording, 10 per second."""
     place, recording = sample.place, sample.recordings[number]
     times = np.arange(int(recording.times[-1] * RATE + 1e-9) + 1) / RATE
-    return interpolate_tracks(
-        sample.traffic_model, recording, place.world_from_plan, place.world, times=times
-    )
+    return interpolate_tracks(sample.traffic_model, recording, place, times=times)
 
 
 def _simulate_recording(

@@ -71,8 +71,8 @@ def make_paving(
     car_park: CarPark | None,
     extent: Polygon,
     pavement_width: float,
-) -> Paving:
-    """Make the surfaces of a layout.
+) -> tuple[Paving, tuple[Crossing, ...]]:
+    """Make the surfaces and crossings of a layout.
 
     Args:
         layout: approaches and corners.
@@ -82,7 +82,7 @@ def make_paving(
         pavement_width: metres.
 
     Returns:
-        The surfaces.
+        The surfaces and the crossings.
     """
     road = _outline_carriageway(layout, lanes)
     bounds = [compute_lane_bounds(lane) for lane in lanes]
@@ -93,22 +93,14 @@ def make_paving(
     pavement = paved.difference(shapely.union_all([road, drive, lot]))
     rest = extent.difference(shapely.union_all([paved, drive, lot.buffer(1.0)]))
     plots = tuple(part for part in shapely.get_parts(rest) if part.area > MIN_PLOT_M2)
-    return Paving(road.difference(islands), islands, drive, lot, pavement, plots)
+    paving = Paving(road.difference(islands), islands, drive, lot, pavement, plots)
+    return paving, _make_crossings(layout, car_park, paving)
 
 
-def make_crossings(
+def _make_crossings(
     layout: Layout, car_park: CarPark | None, paving: Paving
 ) -> tuple[Crossing, ...]:
-    """Make the marked and unmarked crossings of the approaches, and that of the driveway.
-
-    Args:
-        layout: says where the crossings are.
-        car_park: whose driveway pedestrians cross, or None.
-        paving: from kerb to kerb of which the crossings lead.
-
-    Returns:
-        Marked crossings, then informal ones, then that of the driveway.
-    """
+    """Make the marked crossings, then the informal ones, then that of the driveway."""
     crossings = []
     road = outline_road(paving)
     for approach in layout.approaches:

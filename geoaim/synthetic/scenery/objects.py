@@ -23,12 +23,7 @@ from geoaim.synthetic.scenery.canvas import (
     sample_noise,
     shade,
 )
-from geoaim.synthetic.scenery.day import (
-    PALETTES,
-    Day,
-    compute_shadow_depth,
-    compute_shadow_offset,
-)
+from geoaim.synthetic.scenery.day import PALETTES, Day, compute_shadow_depth, compute_shadow_offset
 from geoaim.synthetic.scenery.scenery import Building, Scenery, Tree
 from geoaim.synthetic.scenery.sprites import draw_bare_tree, draw_tree, draw_vehicle
 from geoaim.synthetic.scenery.texture import ROWS_BLENDED, Colour, blend, darken, to_share

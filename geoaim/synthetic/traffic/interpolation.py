@@ -5,12 +5,12 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.geometry import wrap_angle
+from geoaim.synthetic.place import Place
 from geoaim.synthetic.roads.curves import POINT_SPACING_M, compute_arc_lengths
 from geoaim.synthetic.traffic.paths import VehiclePath
 from geoaim.synthetic.traffic.simulate import DT, TrafficModel, TrafficRecording
 from geoaim.synthetic.traffic.vehicles import FRONT_SHARE, REAR_SHARE
 from geoaim.tracks import Tracks, estimate_heading
-from geoaim.world import World
 
 CENTRE_SHARE = (FRONT_SHARE - REAR_SHARE) / 2  # of the length, from rear axle to box centre
 DRIFT_WAVES = ((37.0, 0.45), (83.0, 0.55))  # wavelength in metres, share of the amplitude
@@ -22,8 +22,7 @@ MIN_HEADING_SPEED = 0.5  # m/s of pedestrians, below which they keep their headi
 def interpolate_tracks(
     model: TrafficModel,
     recording: TrafficRecording,
-    world_from_plan: Float[Array, "3 3"],
-    world: World,
+    place: Place,
     *,
     times: Float[Array, "T"],
     margin: float = 0.0,
@@ -36,8 +35,7 @@ def interpolate_tracks(
     Args:
         model: that was simulated.
         recording: of its traffic.
-        world_from_plan: plan metres to world metres.
-        world: the plane that these are in.
+        place: where it drives.
         times: (T,) within the recording, seconds.
         margin: metres around the drawn extent in which agents are present.
 
@@ -58,7 +56,7 @@ def interpolate_tracks(
     left, bottom, right, top = model.roads.extent.buffer(margin).bounds
     x, y = states[..., 0], states[..., 1]
     states[~((x > left) & (x < right) & (y > bottom) & (y < top))] = np.nan
-    states = _transform_states(world_from_plan, states)
+    states = _transform_states(place.world_from_plan, states)
     present = np.isfinite(states).all(axis=-1)
     kept = np.flatnonzero(present.any(axis=1))
     agents = [(trip.kind, trip.size) for trip in recording.vehicle_trips]
@@ -70,7 +68,7 @@ def interpolate_tracks(
         sizes=np.array([agents[k][1] for k in kept], np.float64).reshape(-1, 2),
         types=tuple(agents[k][0] for k in kept),
         ids=tuple(str(k) for k in kept),
-        world=world,
+        world=place.world,
     )
 
 
