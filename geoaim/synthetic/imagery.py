@@ -46,21 +46,19 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Imagery:
-    """A georeferenced image, and by how much it is misplaced.
+    """A georeferenced image.
 
     Attributes:
         image: (H, W, 3) the image.
         covered: (H, W) pixels that show the place.
         crs: a projected CRS.
         crs_from_image: (3, 3) pixels (corner origin) to stated coordinates.
-        offset: stated minus true position, metres east and north in the place's world.
     """
 
     image: UInt8[Array, "H W 3"]
     covered: Bool[Array, "H W"]
     crs: str
     crs_from_image: Float[Array, "3 3"]
-    offset: tuple[float, float]
 
 
 def make_other_day(place: Place) -> Day:
@@ -127,7 +125,7 @@ def georeference_photo(
     here, there = (crs_from_world(place.world, spot, crs)[0] for spot in (middle, middle + offset))
     right, up = there - here
     moved = translation(right, up) @ crs_from_image
-    return Imagery(image, covered, crs, moved, offset)
+    return Imagery(image, covered, crs, moved)
 
 
 def draw_offset(place: Place) -> tuple[float, float]:

@@ -47,9 +47,7 @@ def write_maps(sample: Sample, folder: Path) -> None:
         "drive": paving.drive,
         "car park": paving.lot,
     }
-    features = [
-        _make_feature(place, geometry, {"kind": kind}) for kind, geometry in surfaces.items()
-    ]
+    features = [_make_feature(place, area, {"kind": kind}) for kind, area in surfaces.items()]
     for crossing in place.roads.crossings:
         properties = {"kind": "crossing", "name": crossing.name, "marked": crossing.marked}
         features.append(_make_feature(place, outline_crossing(crossing), properties))
@@ -62,17 +60,12 @@ def write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
     """Write an orthophoto and tiles of another day; return their offset, metres east and north."""
     place = sample.place
     tracks = tracks_of(sample, len(sample.recordings) - 1)
-    last = replace(
-        tracks,
-        times=tracks.times[-1:],
-        states=tracks.states[:, -1:],
-        present=tracks.present[:, -1:],
-    )
+    states, present = tracks.states[:, -1:], tracks.present[:, -1:]
+    last = replace(tracks, times=tracks.times[-1:], states=states, present=present)
     offset = draw_offset(place)
     photo = photograph(place, make_other_day(place), last, resolution=sample.resolution)
-    _write_geotiff(
-        georeference_photo(place, photo, "EPSG:3035", offset=offset), folder / "ortho.tif"
-    )
+    ortho = georeference_photo(place, photo, "EPSG:3035", offset=offset)
+    _write_geotiff(ortho, folder / "ortho.tif")
     web = georeference_photo(place, photo, WEB, offset=offset)
     for column, row, tile in cut_tiles(web, ZOOM):
         write_jpeg(tile, folder / "tiles" / str(ZOOM) / str(column) / f"{row}.jpg", quality=85)
@@ -96,10 +89,10 @@ def write_jpeg(image: UInt8[Array, "H W 3"], path: Path, *, quality: int) -> Non
 
 
 def _make_feature(
-    place: Place, geometry: shapely.Geometry, properties: dict[str, Any]
+    place: Place, area: shapely.Geometry, properties: dict[str, Any]
 ) -> dict[str, Any]:
-    """Make a GeoJSON feature of the part of a geometry that lies within the place."""
-    parts = shapely.get_parts(geometry.intersection(place.roads.extent))
+    """Make a GeoJSON feature of the part of an area that lies within the place."""
+    parts = shapely.get_parts(area.intersection(place.roads.extent))
     polygons = [
         Polygon(*_convert_rings(place, part))
         for part in parts
@@ -108,11 +101,8 @@ def _make_feature(
     whole = shapely.make_valid(shapely.MultiPolygon(polygons), method="structure")
     parts = shapely.get_parts(shapely.set_precision(whole, 1e-9))  # rounded, and still valid
     shape = shapely.MultiPolygon([part for part in parts if part.geom_type == "Polygon"])
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": shapely.geometry.mapping(shape),
-    }
+    geometry = shapely.geometry.mapping(shape)
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 def _convert_rings(
@@ -133,20 +123,10 @@ def _to_lonlat(place: Place, points: Float[Array, "m 2"]) -> list[list[float]]:
 def _write_geotiff(imagery: Imagery, path: Path) -> None:
     """Write RGB and alpha, as map services deliver them."""
     height, width = imagery.covered.shape
-    profile = {
-        "driver": "GTiff",
-        "height": height,
-        "width": width,
-        "count": 4,
-        "dtype": "uint8",
-        "crs": imagery.crs,
-        "transform": rasterio.Affine(*imagery.crs_from_image[:2].flat),
-        "compress": "deflate",
-        "predictor": 2,
-        "tiled": True,
-        "blockxsize": 256,
-        "blockysize": 256,
-    }
+    profile = {"driver": "GTiff", "height": height, "width": width, "count": 4, "dtype": "uint8"}
+    transform = rasterio.Affine(*imagery.crs_from_image[:2].flat)
+    profile |= {"crs": imagery.crs, "transform": transform, "compress": "deflate", "predictor": 2}
+    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256}
     with rasterio.open(path, "w", **profile) as dataset:
         dataset.write(np.moveaxis(imagery.image, -1, 0), [1, 2, 3])
         dataset.write(np.where(imagery.covered, 255, 0).astype(np.uint8), 4)

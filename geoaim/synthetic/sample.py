@@ -93,10 +93,8 @@ def make_sample(
     filmed = hover.count / hover.frame_rate if video is not None else 0.0
     if filmed > LONGEST:
         raise ValueError(f"{filmed:g} s of video; a recording has at most {LONGEST:g} s")
-    if 60 * minutes < max(filmed, 1.0):
-        raise ValueError(
-            f"{minutes:g} minutes of traffic; at least {max(filmed, 1) / 60:.2f} needed"
-        )
+    if 60 * minutes < filmed:
+        raise ValueError(f"{minutes:g} minutes of traffic; at least {filmed / 60:.2f} needed")
     place = make_place(seed, kind=kind)
     model = prepare_traffic(place.roads, np.random.default_rng([seed, FLOW]))
     recordings = tuple(

@@ -105,10 +105,9 @@ def _make_crossings(
     road = outline_road(paving)
     for approach in layout.approaches:
         if np.isfinite(approach.crossing):
-            ends = _cut_across(approach, approach.crossing + CROSSING_WIDTH_M / 2, road)
-            crossings.append(
-                Crossing(approach.name, ends, CROSSING_WIDTH_M, True, layout.signalised)
-            )
+            width, lights = CROSSING_WIDTH_M, layout.signalised
+            ends = _cut_across(approach, approach.crossing + width / 2, road)
+            crossings.append(Crossing(approach.name, ends, width, True, lights))
     by_name = {approach.name: approach for approach in layout.approaches}
     for name, s in layout.informal_crossings:
         ends = _cut_across(by_name[name], s, road)
@@ -162,9 +161,8 @@ def _make_islands(layout: Layout) -> list[Geometry]:
     if not layout.ring_radius:
         return []
     radius = layout.ring_radius
-    islands: list[Geometry] = [
-        Point(0, 0).buffer(radius - RING_LANE_WIDTH_M / 2 - 0.3, quad_segs=32)
-    ]
+    centre = Point(0, 0).buffer(radius - RING_LANE_WIDTH_M / 2 - 0.3, quad_segs=32)
+    islands: list[Geometry] = [centre]
     for approach in layout.approaches:
         middle, half = approach.divider, approach.median / 2 - 0.35
         start, crossing = radius + RING_LANE_WIDTH_M / 2 + 2.2, approach.crossing

@@ -227,11 +227,9 @@ def _draw_door_paths(
     """Straight footpaths to at most `MAX_DOORS` doors, where the plots have room for them."""
     plots = shapely.union_all(list(paving.plots))
     paths: list[_Footpaths] = []
-    for share, length in zip(
-        generator.uniform(0.1, 0.9, DOOR_TRIALS),
-        generator.uniform(*DOOR_DISTANCE_M, DOOR_TRIALS),
-        strict=True,
-    ):
+    shares = generator.uniform(0.1, 0.9, DOOR_TRIALS)
+    lengths = generator.uniform(*DOOR_DISTANCE_M, DOOR_TRIALS)
+    for share, length in zip(shares, lengths, strict=True):
         s = share * pavement.length
         start, ahead = (np.array(pavement.interpolate(s + d).coords[0]) for d in (0.0, 0.5))
         left = rotate_90((ahead - start) / np.hypot(*(ahead - start)))

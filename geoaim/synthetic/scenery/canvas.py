@@ -52,6 +52,11 @@ class Canvas:
         """Rows and columns."""
         return self.image.shape[0], self.image.shape[1]
 
+    @property
+    def window(self) -> Window:
+        """The whole image."""
+        return slice(0, self.shape[0]), slice(0, self.shape[1])
+
 
 def make_canvas(resolution: float, generator: np.random.Generator) -> Canvas:
     """Make a black canvas of the drawn extent; the resolution is in metres per pixel."""
@@ -75,7 +80,7 @@ def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Fl
     Returns:
         Noise of mean 0 and variance 1.
     """
-    rows, columns = window or (slice(0, canvas.shape[0]), slice(0, canvas.shape[1]))
+    rows, columns = window or canvas.window
     tile = len(canvas.fields[field])
     down, right = canvas.generator.integers(0, tile, 2)
     row = (np.arange(rows.start, rows.stop) + down) % tile
@@ -96,10 +101,8 @@ def rasterize_shape(
     Returns:
         The window, and the mask in it, 0 to 255.
     """
-    polygons = [
-        [transform_points(canvas.image_from_plan, ring) for ring in rings]
-        for rings in _iterate_rings(shape)
-    ]
+    matrix = canvas.image_from_plan
+    polygons = [[transform_points(matrix, r) for r in rings] for rings in _iterate_rings(shape)]
     if within is None:
         every = np.concatenate([rings[0] for rings in polygons]) if polygons else np.zeros((1, 2))
         low = np.floor(every.min(axis=0)).astype(int) - 2

@@ -244,9 +244,8 @@ def _draw_cracks(canvas: Canvas, road: Geometry) -> None:
         lines.append(LineString(start + np.cumsum(steps, axis=0)))
     shapely.prepare(road)
     cracks = [np.array(line.coords) for line in lines if road.intersects(line)]
-    window = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
-    mask = _draw_strokes(canvas, window, cracks, canvas.resolution)
-    inside = rasterize_shape(canvas, road, within=window)[1]
+    mask = _draw_strokes(canvas, canvas.window, cracks, canvas.resolution)
+    inside = rasterize_shape(canvas, road, within=canvas.window)[1]
     mask *= inside.astype(np.float32) * np.float32(0.8 / 255)
     blend(canvas.image, mask, (70, 70, 72))
 

@@ -158,8 +158,7 @@ def _cast_shadows(
     for foot, tip in scenery.lamps:
         solids.append(make_bar(foot, foot + LAMP_HEIGHT_M * cast, 0.08))
         solids.append(make_bar(foot + LAMP_HEIGHT_M * cast, tip + LAMP_HEIGHT_M * cast, 0.08))
-    whole = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
-    mask = rasterize_shape(canvas, solids, within=whole)[1]
+    mask = rasterize_shape(canvas, solids, within=canvas.window)[1]
     for stamp in stamps:
         moved = replace(stamp, place=stamp.place + stamp.height * cast)
         placed = _render_stamp(canvas, moved)

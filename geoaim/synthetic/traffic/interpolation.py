@@ -46,17 +46,16 @@ def interpolate_tracks(
         ValueError: a time lies outside the recording.
     """
     if times[0] < recording.times[0] or times[-1] > recording.times[-1] + 1e-9:
-        first, last = recording.times[[0, -1]]
-        raise ValueError(
-            f"times are from {times[0]:g} to {times[-1]:g} s; "
-            f"the recording is from {first:g} to {last:g} s"
-        )
+        asked, given = (f"from {t[0]:g} to {t[-1]:g} s" for t in (times, recording.times))
+        raise ValueError(f"times are {asked}; the recording is {given}")
     vehicles = _interpolate_vehicles(model, recording, times)
     states = np.concatenate([vehicles, _interpolate_pedestrians(recording, times)])
     left, bottom, right, top = model.roads.extent.buffer(margin).bounds
     x, y = states[..., 0], states[..., 1]
     states[~((x > left) & (x < right) & (y > bottom) & (y < top))] = np.nan
-    states = _transform_states(place.world_from_plan, states)
+    matrix = place.world_from_plan
+    states[..., 2] = wrap_angle(states[..., 2] + float(np.arctan2(matrix[1, 0], matrix[0, 0])))
+    states[..., :2] = states[..., :2] @ matrix[:2, :2].T + matrix[:2, 2]
     present = np.isfinite(states).all(axis=-1)
     kept = np.flatnonzero(present.any(axis=1))
     agents = [(trip.kind, trip.size) for trip in recording.vehicle_trips]
@@ -70,16 +69,6 @@ def interpolate_tracks(
         ids=tuple(str(k) for k in kept),
         world=place.world,
     )
-
-
-def _transform_states(
-    world_from_plan: Float[Array, "3 3"], states: Float[Array, "N T 4"]
-) -> Float[Array, "N T 4"]:
-    """Convert states in the plan to states in the world."""
-    rotation = float(np.arctan2(world_from_plan[1, 0], world_from_plan[0, 0]))
-    position = states[..., :2] @ world_from_plan[:2, :2].T + world_from_plan[:2, 2]
-    heading = wrap_angle(states[..., 2:3] + rotation)
-    return np.concatenate([position, heading, states[..., 3:]], axis=-1)
 
 
 def _spread(

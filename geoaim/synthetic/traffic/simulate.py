@@ -45,7 +45,6 @@ DT = 0.25  # s
 WARM_UP_S = 30.0  # before the recording, in which the place fills
 PARKED_SHARE, PARKED_S = 0.6, 60.0  # of the open bays at the start, and for how long on average
 WALK_S = 90.0  # about the duration of a pedestrian's trip
-
 MAX_TURNING_LENGTH_M = 6.5  # longer vehicles only drive straight on
 MAX_STRAIGHT_CURVATURE = 0.02  # 1/m
 CYCLIST_SHARE = 0.12  # of pedestrians and cyclists
