@@ -16,7 +16,7 @@ import geoaim
 from geoaim.aim import AIM
 from geoaim.geometry import image_corners, make_similarity, transform_points, translation
 from geoaim.grid import Grid
-from geoaim.imagery.alignment import surfaces
+from geoaim.imagery.alignment import by_tracks
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.mapping import pipeline
 from geoaim.mapping.background.estimate import average_frames
@@ -35,7 +35,7 @@ from tests.conftest import textured
 PACKAGE = Path(geoaim.__file__).parent
 CALLS = r"cv2\.(warp\w+|remap|findHomography|estimateAffine\w*|calcOpticalFlow\w*|ORB)\b"
 PROBED = {  # files that warp or match, and the tests here that would see a bias
-    "imagery/alignment/surfaces.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
+    "imagery/alignment/by_tracks.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
     "imagery/alignment/template_matching.py": ["test_grey_of_a_grid_lies_where_the_grid_says"],
     "mapping/background/exposure.py": ["test_exposure_is_compared_at_the_same_places"],
     "mapping/background/warping.py": ["test_average_lies_where_the_transforms_say"],
@@ -159,12 +159,12 @@ def test_grey_of_a_grid_lies_where_the_grid_says(aim, resolution):
 @pytest.mark.parametrize("resolution", [0.2, 0.7])
 def test_colours_of_surfaces_lie_where_the_grid_says(aim, resolution, monkeypatch):
     seen = []
-    original = surfaces._classify
+    original = by_tracks._classify
     monkeypatch.setattr(
-        surfaces, "_classify", lambda image, *rest: seen.append(image) or original(image, *rest)
+        by_tracks, "_classify", lambda image, *rest: seen.append(image) or original(image, *rest)
     )
     grid, expected = grid_over(aim, resolution)
-    surfaces.classify_ground(aim, grid)
+    by_tracks._classify_ground(aim, grid)
     assert bias(seen[0], expected) < MAX_BIAS_PX
 
 

@@ -8,24 +8,32 @@
    as many.
 """
 
+from typing import NamedTuple
+
+import cv2
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.special import bdtrc
 
 from geoaim.aim import AIM
-from geoaim.imagery.alignment.candidates import (
-    AlignmentCandidate,
-    count_agreements,
-    find_repetitions,
-    refine_candidates,
-    search_grid,
+from geoaim.errors import AlignmentError
+from geoaim.geometry import make_similarity, transform_points, translation
+from geoaim.grid import pad_grid
+from geoaim.imagery.alignment.pyramid import (
+    WINDOW_PX,
+    Level,
+    build_pyramid,
+    match_near_windows,
+    orient_image,
+    search_windows,
 )
-from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
-from geoaim.imagery.alignment.verification import verify_candidates
+from geoaim.imagery.alignment.template_matching import correlate
 from geoaim.mapping.registration.motion_models import (
     Model,
     Motion,
+    PointMatches,
     choose_model,
     compute_basis,
     fit_matches,
@@ -36,6 +44,37 @@ REFINEMENTS = 2  # on the finest grid
 MIN_MODEL_GAIN_PX = 0.1  # of the finest grid: a smaller gain is not worth a richer model
 MIN_SIGMA_PX = 0.1  # of the finest grid: a sensor's own geometry is no better known
 CORRELATED_WINDOWS = 3.0  # windows that shadows and changes shift together
+SEARCH_STEP_PX = 1.5  # of the coarsest grid, at the ends of its longer side: rotations and scales
+MIN_SEPARATION_PX = 4  # of the coarsest grid, between candidates
+MAX_CANDIDATES = 4  # that are refined
+MAX_REFINED = 2  # that are kept after a refinement
+MIN_WINDOWS = 8  # that a refinement needs
+MAX_RIVAL_SHARE = 0.6  # of the best candidate's windows: a candidate with fewer is dropped
+REFINE_SEARCH_PX = 6  # in which windows are found when a candidate is refined
+AGREEMENT_PX = 1.5  # of the finest grid, within which a window agrees with a candidate
+VERIFY_SEARCH_PX = 10  # in which windows are found when agreements are counted
+LOG10_TESTS = 2.0  # log10 of the number of places that are refined and tested
+MAX_LOG10_FALSE_ALARMS = -2.0  # log10 of the expected number of agreements by chance
+PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refused
+
+
+class _Candidate(NamedTuple):
+    """A candidate place of the imagery, and its windows.
+
+    Attributes:
+        stated_from_true: (3, 3) metres where ground lies to where the imagery places it.
+        matches: of the windows that agree with the candidate.
+        windows: how many could be compared.
+    """
+
+    stated_from_true: Float[Array, "3 3"]
+    matches: PointMatches
+    windows: int
+
+    @property
+    def agreeing(self) -> int:
+        """How many windows agree with the candidate."""
+        return len(self.matches.source)
 
 
 def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> ImageryAlignment:
@@ -57,20 +96,185 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
     if imagery.world != aim.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
     coarsest, *between, finest = build_pyramid(imagery, aim, prior)
-    places = search_grid(coarsest, prior)
+    places = _search_grid(coarsest, prior)
     for level in (*between, *[finest] * REFINEMENTS):
-        places = refine_candidates(level, places)
-    candidates = [count_agreements(finest, place) for place in places]
+        places = _refine_candidates(level, places)
+    candidates = [_count_agreements(finest, place) for place in places]
     if candidates:
         best = max(candidates, key=lambda candidate: candidate.agreeing)
-        others = find_repetitions((between or [finest])[-1], best.stated_from_true, prior)
-        candidates += [count_agreements(finest, x) for x in refine_candidates(finest, others)]
+        others = _find_repetitions((between or [finest])[-1], best.stated_from_true, prior)
+        candidates += [_count_agreements(finest, x) for x in _refine_candidates(finest, others)]
     candidates.sort(key=lambda candidate: -candidate.agreeing)
-    false_alarms = verify_candidates(candidates, finest, prior)
+    false_alarms = _verify_candidates(candidates, finest, prior)
     return _fit_alignment(candidates[0], finest, false_alarms)
 
 
-def _fit_alignment(best: AlignmentCandidate, level: Level, false_alarms: float) -> ImageryAlignment:
+def _search_grid(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
+    """The best places among all rotations, scales and shifts of the prior, on a coarse grid."""
+    grid = level.grid
+    reach = int(np.ceil(prior.max_shift / grid.resolution))
+    padded = pad_grid(grid, reach)
+    center = transform_points(grid.world_from_grid, np.array([[grid.width, grid.height]]) / 2)[0]
+    step = 2 * SEARCH_STEP_PX / max(grid.height, grid.width)
+    scored = []
+    for rotation in _list_steps(prior.max_rotation, step):
+        for log_scale in _list_steps(float(np.log1p(prior.max_scaling)), step):
+            similarity = make_similarity(center, rotation, float(np.exp(log_scale)))
+            scores = correlate(level.reference, orient_image(level.image, similarity, padded))
+            row, column = np.unravel_index(scores.argmax(), scores.shape)
+            shift = translation((column - reach) * grid.resolution, (reach - row) * grid.resolution)
+            scored.append((float(scores.max()), similarity @ shift))
+    return _select_separate(scored, grid.corners, MIN_SEPARATION_PX * grid.resolution)
+
+
+def _list_steps(end: float, step: float) -> Float[Array, "n"]:
+    """Multiples of a step from about -end to about end."""
+    count = int(np.ceil(end / step))
+    return np.arange(-count, count + 1) * step
+
+
+def _select_separate(
+    scored: list[tuple[float, Float[Array, "3 3"]]], corners: Float[Array, "4 2"], metres: float
+) -> list[Float[Array, "3 3"]]:
+    """The best few that move the corners by more than so many metres from each other."""
+    selected: list[Float[Array, "3 3"]] = []
+    for _, matrix in sorted(scored, key=lambda item: -item[0]):
+        moved = transform_points(matrix, corners)
+        others = [transform_points(other, corners) for other in selected]
+        if all(np.linalg.norm(moved - other, axis=1).mean() > metres for other in others):
+            selected.append(matrix)
+    return selected[:MAX_CANDIDATES]
+
+
+def _refine_candidates(
+    level: Level, candidates: list[Float[Array, "3 3"]]
+) -> list[Float[Array, "3 3"]]:
+    """Refine places (stated_from_true) on a grid; those at which far fewer windows agree go."""
+    grid, refined = level.grid, []
+    for candidate in candidates:
+        shifts = search_windows(level, candidate, REFINE_SEARCH_PX)
+        matches = match_near_windows(shifts, candidate, grid, np.inf)
+        if len(matches.source) >= MIN_WINDOWS:
+            motion = fit_matches(matches, "similarity", size=grid.shape)
+            matrix = grid.world_from_grid @ motion.matrix @ grid.grid_from_world
+            agreeing = (np.linalg.norm(motion.residuals, axis=1) < AGREEMENT_PX).sum()
+            refined.append((int(agreeing), matrix))
+    refined.sort(key=lambda item: -item[0])
+    return [
+        matrix
+        for agreeing, matrix in refined[:MAX_REFINED]
+        if agreeing >= MAX_RIVAL_SHARE * refined[0][0]
+    ]
+
+
+def _find_repetitions(
+    level: Level, best: Float[Array, "3 3"], prior: Prior
+) -> list[Float[Array, "3 3"]]:
+    """Other places (stated_from_true) where the windows that agree with the best one fit too."""
+    grid, shifts, half = level.grid, search_windows(level, best, REFINE_SEARCH_PX), level.side // 2
+    agreeing = np.zeros(grid.shape, np.float32)
+    near = np.linalg.norm(shifts.shifts, axis=1) < AGREEMENT_PX
+    for u, v in shifts.centers[near].astype(int):
+        agreeing[v - half : v + half, u - half : u + half] = 1
+    reach = int(np.ceil(2 * prior.max_shift / grid.resolution))
+    channels = orient_image(level.image, best, pad_grid(grid, reach))
+    scores = correlate(level.reference * agreeing[..., None], channels)
+    square = np.ones((2 * int(3 * AGREEMENT_PX) + 1,) * 2, np.uint8)
+    peaks = np.argwhere(scores >= cv2.dilate(scores, square))
+    peaks = peaks[np.linalg.norm(peaks - reach, axis=1) > 3 * AGREEMENT_PX]
+    highest = peaks[np.argsort(-scores[tuple(peaks.T)])][:MAX_CANDIDATES]
+    metres = (highest[:, ::-1] - reach) * [grid.resolution, -grid.resolution]
+    return [best @ translation(x, y) for x, y in metres]
+
+
+def _count_agreements(level: Level, stated_from_true: Float[Array, "3 3"]) -> _Candidate:
+    """Search all windows widely, and keep those that are found where the place says."""
+    shifts = search_windows(level, stated_from_true, VERIFY_SEARCH_PX)
+    matches = match_near_windows(shifts, stated_from_true, level.grid, AGREEMENT_PX)
+    return _Candidate(stated_from_true, matches, len(shifts.centers))
+
+
+def _verify_candidates(candidates: list[_Candidate], level: Level, prior: Prior) -> float:
+    """Refuse the best candidate (the first), or give log10 of the number of its false alarms."""
+    if not candidates or candidates[0].agreeing < MIN_WINDOWS:
+        raise AlignmentError(f"fewer than {MIN_WINDOWS} {_doubt_place(prior)}")
+    best, corners = candidates[0], level.grid.corners
+    false_alarms = _refuse_chance(best, level, prior)
+    _refuse_ambiguity(candidates, level)
+    _refuse_beyond_prior(best.stated_from_true, corners.mean(axis=0), prior)
+    return false_alarms
+
+
+def count_false_alarms(windows: float, agreeing: float) -> float:
+    """log10 of the expected number of tests in which as many windows agree by chance.
+
+    A contrario (Desolneux, Moisan and Morel 2000): windows of unrelated images are found anywhere
+    in the square that is searched. Two of them always agree with a fitted similarity.
+    """
+    agreeing_by_chance = np.pi * AGREEMENT_PX**2 / (2 * VERIFY_SEARCH_PX + 1) ** 2
+    hits = int(agreeing) - 2
+    if hits <= 0:
+        return LOG10_TESTS
+    tail = bdtrc(hits - 1, round(windows), agreeing_by_chance)  # binomial: `hits` or more
+    return LOG10_TESTS + float(np.log10(max(tail, 1e-300)))
+
+
+def _refuse_chance(best: _Candidate, level: Level, prior: Prior) -> float:
+    independent = best.windows / level.overlap
+    false_alarms = count_false_alarms(independent, best.agreeing / level.overlap)
+    if false_alarms <= MAX_LOG10_FALSE_ALARMS:
+        return false_alarms
+    counts = f"{best.agreeing} of {best.windows}"
+    if best.agreeing > 0.8 * best.windows:
+        width, height = np.ptp(level.grid.corners, axis=0)
+        raise AlignmentError(
+            f"{counts} windows agree, but on {width:.0f} x {height:.0f} m these are too few to be "
+            "sure. More ground, or finer imagery, is needed"
+        )
+    raise AlignmentError(f"{counts} {_doubt_place(prior)}")
+
+
+def _doubt_place(prior: Prior) -> str:
+    return (
+        "windows of the imagery agree with the AIM, which may be chance. Is it the same place, "
+        f"within {prior.max_shift:g} m, {np.degrees(prior.max_rotation):.0f} degrees and "
+        f"{100 * prior.max_scaling:.0f} % of where it says to be?"
+    )
+
+
+def _refuse_ambiguity(candidates: list[_Candidate], level: Level) -> None:
+    best, corners = candidates[0], level.grid.corners
+    moved = transform_points(best.stated_from_true, corners)
+    for other in candidates[1:]:
+        others = transform_points(other.stated_from_true, corners)
+        distance = np.linalg.norm(others - moved, axis=1).mean()
+        far = distance > 3 * AGREEMENT_PX * level.grid.resolution
+        if far and other.agreeing > MAX_RIVAL_SHARE * best.agreeing:
+            raise AlignmentError(
+                f"the imagery fits in two ways, {distance:.1f} m apart: {best.agreeing} and "
+                f"{other.agreeing} of {best.windows} windows agree. Name a smaller range, or give "
+                "control points"
+            )
+
+
+def _refuse_beyond_prior(
+    matrix: Float[Array, "3 3"], center: Float[Array, "2"], prior: Prior
+) -> None:
+    origin, east = transform_points(matrix, center + np.array([[0.0, 0.0], [1.0, 0.0]]))
+    shift = float(np.linalg.norm(origin - center))
+    rotation, scale = np.arctan2(*(east - origin)[::-1]), np.linalg.norm(east - origin)
+    if (
+        shift > PRIOR_MARGIN * np.sqrt(2) * prior.max_shift
+        or abs(rotation) > PRIOR_MARGIN * prior.max_rotation + 0.01
+        or abs(np.log(scale)) > PRIOR_MARGIN * prior.max_scaling + 0.01
+    ):
+        raise AlignmentError(
+            f"the best place is {shift:.1f} m, {np.degrees(rotation):.1f} degrees and "
+            f"{100 * (scale - 1):.1f} % off, beyond the range that was searched. Name a wider one"
+        )
+
+
+def _fit_alignment(best: _Candidate, level: Level, false_alarms: float) -> ImageryAlignment:
     """The simplest motion model that the windows support, and its covariance."""
     grid = level.grid
     in_a_row = np.ptp(best.matches.source, axis=0).min() < WINDOW_PX

@@ -10,29 +10,26 @@ tracks, at all shifts at once, for each rotation. The score over a temperature i
 the likelihood. Along a straight road it hardly changes, and the covariance shows this.
 """
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
+from geoaim.agent_types import AGENT_GROUPS
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
-from geoaim.geometry import make_similarity
+from geoaim.geometry import make_similarity, to_opencv, transform_points
 from geoaim.grid import Grid
-from geoaim.imagery.alignment.path_template import (
-    TEMPLATE_REACH_M,
-    PathTemplate,
-    draw_template,
-    rotate_poses,
-    sample_poses,
+from geoaim.imagery.alignment.result import DEFAULT_PRIOR, MAX_SIGMA_M, ImageryAlignment, Prior
+from geoaim.imagery.alignment.template_matching import (
+    compute_orientation,
+    reduce_to_grey,
+    resample_grey,
+    smooth_for_step,
 )
-from geoaim.imagery.alignment.result import (
-    DEFAULT_PRIOR,
-    MAX_SIGMA_M,
-    ImageryAlignment,
-    Prior,
-)
-from geoaim.imagery.alignment.surfaces import classify_ground, score_classes
 from geoaim.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel of the grid
@@ -41,6 +38,36 @@ TEMPERATURE = 120.0  # of the score, in the likelihood
 MIN_POSES = 100  # of moving vehicles
 MAX_SIGMA_SHARE = 0.6  # of the prior's standard deviation that may remain
 MIN_SIGMA_M = 0.2  # vehicles' boxes and paint are no better known
+VEHICLE_TYPES = (*AGENT_GROUPS["vehicle"], "motorcycle")
+MIN_SPEED_M_S = 1.0  # the heading of a standing vehicle says nothing of the road
+CELL_SIZE = (1.0, 1.0, np.pi / 8)  # m, m and rad: poses within one cell count once
+HALF_LANE_M = 1.65  # from a path to the lane's markings
+MARKING_SIGMA_M = 0.45  # of that distance
+CENTER_SIGMA_M = 0.55  # around a path, where no edges are
+HALF_BODY_M = 1.0  # to each side of a path that is driven over
+TEMPLATE_REACH_M = 6.0  # to each side of a path
+CLASSES = 16  # of surfaces
+FEATURE_WEIGHTS = (0.5, 2.0, 2.0, 12.0)  # of lightness, both of colour, and roughness
+COLOUR_SIGMA_M = 0.35  # of the Gaussian before colours are compared
+ROUGHNESS_PX = 9  # side of the square whose standard deviation is the roughness
+SAMPLES = 20_000  # pixels from which the classes are learned
+MIN_CLASS_SHARE = 0.003  # added to the share of each class, so that none is impossible
+MIN_GRID_VALID_SHARE = 0.05  # of the ground around the tracks
+
+
+class _PathTemplate(NamedTuple):
+    """What the paths of vehicles expect of imagery.
+
+    Attributes:
+        channels: (H, W, 4) wanted orientation (2 channels), unwanted edge strength, and how often
+            a pixel is driven over.
+        top: row of the grid at which the template begins.
+        left: column of the grid at which it begins.
+    """
+
+    channels: Float32[Array, "h w 4"]
+    top: int
+    left: int
 
 
 def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) -> ImageryAlignment:
@@ -76,6 +103,16 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
     return _average_posterior(posterior, rotations, center, len(poses))
 
 
+def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:
+    """Poses x, y, heading of moving vehicles, one for each cell of place and heading."""
+    vehicles = np.array([agent_type in VEHICLE_TYPES for agent_type in tracks.types])
+    moving = tracks.present & vehicles[:, None]
+    moving[moving] = np.abs(tracks.states[moving][:, 3]) > MIN_SPEED_M_S
+    poses = tracks.states[moving][:, :3]
+    cells = np.floor(poses / CELL_SIZE)
+    return poses[np.unique(cells, axis=0, return_index=True)[1]]
+
+
 def _estimate_posterior(
     imagery: AIM,
     poses: Float[Array, "M 3"],
@@ -86,14 +123,14 @@ def _estimate_posterior(
     """Probabilities of rotations and shifts, learning surfaces and places in turn."""
     half = float(np.abs(poses[:, :2] - center).max())
     grid = _make_square_grid(center, half * np.sqrt(2) + 2 * TEMPLATE_REACH_M + prior.max_shift)
-    edges, classes = classify_ground(imagery, grid)
+    edges, classes = _classify_ground(imagery, grid)
     steps = round(prior.max_shift / RESOLUTION)
     shifts = np.full((2 * steps + 1,) * 2, (2 * steps + 1.0) ** -2)
-    unrotated = draw_template(poses, grid)
+    unrotated = _draw_template(poses, grid)
     third = rotations[len(rotations) // 2 % 3 :: 3]  # enough to learn the surfaces
     for angles in (third, rotations):
-        channels = np.dstack([edges, score_classes(classes, shifts, unrotated)])
-        templates = (draw_template(rotate_poses(poses, center, angle), grid) for angle in angles)
+        channels = np.dstack([edges, _score_classes(classes, shifts, unrotated)])
+        templates = (_draw_template(_rotate_poses(poses, center, angle), grid) for angle in angles)
         scores = np.stack([_correlate(channels, template, steps) for template in templates])
         posterior = _normalise(scores, prior.max_shift)
         shifts = posterior.sum(axis=0)
@@ -107,8 +144,125 @@ def _make_square_grid(center: Float[Array, "2"], reach: float) -> Grid:
     return Grid((side, side), matrix)
 
 
+def _rotate_poses(
+    poses: Float[Array, "M 3"], center: Float[Array, "2"], angle: float
+) -> Float[Array, "M 3"]:
+    """Rotate poses x, y, heading by an angle in radians about a point."""
+    places = transform_points(make_similarity(center, angle, 1.0), poses[:, :2])
+    return np.column_stack([places, poses[:, 2] + angle])
+
+
+def _draw_template(poses: Float[Array, "M 3"], grid: Grid) -> _PathTemplate:
+    """Draw what paths expect: edges along both sides of a lane, none in its middle."""
+    sides = np.arange(-TEMPLATE_REACH_M, TEMPLATE_REACH_M + 0.01, grid.resolution)
+    x, y, heading = poses.T[:, :, None]
+    places = np.stack([x - sides * np.sin(heading), y + sides * np.cos(heading)], axis=-1)
+    pixels = transform_points(grid.grid_from_world, places.reshape(-1, 2))
+    left, top = (int(n) - 1 for n in np.floor(pixels.min(axis=0)))
+    right, bottom = (int(n) + 1 for n in np.ceil(pixels.max(axis=0)))
+    marking = np.exp(-(((np.abs(sides) - HALF_LANE_M) / MARKING_SIGMA_M) ** 2) / 2)
+    doubled = -2 * heading - np.pi  # of an edge along the path, v down
+    shape = len(poses), len(sides)
+    wanted = [
+        np.cos(doubled) * marking,
+        np.sin(doubled) * marking,
+        np.broadcast_to(-np.exp(-((sides / CENTER_SIGMA_M) ** 2) / 2), shape),
+        np.broadcast_to(np.abs(sides) <= HALF_BODY_M, shape),
+    ]
+    values = np.stack(wanted, axis=-1).reshape(-1, 4)
+    channels = _splat(pixels - (left, top), values, (bottom - top, right - left))
+    return _PathTemplate(channels, top, left)
+
+
+def _splat(
+    pixels: Float[Array, "n 2"], values: Float[Array, "n c"], size: tuple[int, int]
+) -> Float32[Array, "h w c"]:
+    """Sums of values at points, each shared by the four pixels around it (bilinear splatting)."""
+    corner = np.floor(pixels - 0.5).astype(int)
+    right, down = (pixels - 0.5 - corner).T
+    total = np.zeros((size[0] * size[1], values.shape[1]))
+    for row, column, share in (
+        (0, 0, (1 - down) * (1 - right)),
+        (0, 1, (1 - down) * right),
+        (1, 0, down * (1 - right)),
+        (1, 1, down * right),
+    ):
+        flat = (corner[:, 1] + row) * size[1] + corner[:, 0] + column
+        for channel, value in enumerate(values.T):
+            total[:, channel] += np.bincount(flat, share * value, len(total))
+    return total.reshape(*size, -1).astype(np.float32)
+
+
+def _classify_ground(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"], Int[Array, "H W"]]:
+    """Edges (orientation and strength), and the class of each pixel, -1 where nothing is shown."""
+    coverage = imagery.coverage * ~_find_blank(imagery.image)
+    image = reduce_to_grey(replace(imagery, coverage=coverage), grid.resolution)
+    grey, valid = resample_grey(image, np.eye(3), grid)
+    if valid.mean() < MIN_GRID_VALID_SHARE:
+        raise AlignmentError(
+            f"the imagery shows hardly anything where the tracks are: {valid.mean():.1%} of the "
+            "ground around them. Is it the same place, and the right CRS?"
+        )
+    edges = compute_orientation(grey, valid, grid.resolution)
+    strength = np.hypot(edges[..., 0], edges[..., 1])
+    smooth = smooth_for_step(imagery.image, grid.resolution / imagery.resolution)
+    matrix = to_opencv(imagery.grid.grid_from_world @ grid.world_from_grid)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    colours = cv2.warpPerspective(smooth, matrix, grid.shape[::-1], flags=flags)
+    colours = cv2.GaussianBlur(colours, (0, 0), COLOUR_SIGMA_M / grid.resolution)
+    return np.dstack([edges, strength]), _classify(colours, grey, valid)
+
+
+def _find_blank(image: UInt8[Array, "H W 3"]) -> Bool[Array, "H W"]:
+    """Patches of pure white or black, where a file has nothing and does not say so."""
+    square = np.ones((5, 5), np.uint8)
+    blank = np.zeros(image.shape[:2], bool)
+    for level in (0, 255):
+        flat = (image == level).all(axis=-1).astype(np.uint8)
+        blank |= cv2.dilate(cv2.morphologyEx(flat, cv2.MORPH_OPEN, square), square) > 0
+    return blank
+
+
+def _classify(
+    colours: UInt8[Array, "H W 3"], grey: Float32[Array, "H W"], valid: Bool[Array, "H W"]
+) -> Int[Array, "H W"]:
+    """Cluster pixels by lightness, colour and roughness: k-means, without randomness."""
+    lab = cv2.cvtColor(colours, cv2.COLOR_RGB2LAB)
+    square = (ROUGHNESS_PX, ROUGHNESS_PX)
+    variance = cv2.blur(grey * grey, square) - cv2.blur(grey, square) ** 2
+    roughness = np.log1p(np.sqrt(np.maximum(variance, 0)))
+    features = np.dstack([lab, roughness]).astype(np.float32)
+    features *= np.array(FEATURE_WEIGHTS, np.float32)
+    samples = features[valid]
+    samples = samples[:: max(len(samples) // SAMPLES, 1)]
+    ranks = np.argsort(np.argsort(samples @ np.ones(4, np.float32), kind="stable"), kind="stable")
+    labels = (ranks * CLASSES // len(samples)).astype(np.int32)
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
+    _, _, centers = cv2.kmeans(samples, CLASSES, labels, stop, 1, cv2.KMEANS_USE_INITIAL_LABELS)
+    distances = [((features - center) ** 2).sum(axis=-1) for center in centers]
+    return np.where(valid, np.argmin(distances, axis=0), -1)
+
+
+def _score_classes(
+    classes: Int[Array, "H W"], posterior: Float[Array, "n n"], template: _PathTemplate
+) -> Float32[Array, "H W"]:
+    """Log ratio of how often each class is driven over and seen, centered; 0 where unknown."""
+    height, width = template.channels.shape[:2]
+    driven = template.channels[..., 3]
+    near = np.s_[template.top : template.top + height, template.left : template.left + width]
+    everywhere, under = np.empty(CLASSES), np.empty(CLASSES)
+    for surface in range(CLASSES):
+        mask = (classes == surface).astype(np.float32)
+        everywhere[surface] = mask.mean()
+        under[surface] = (cv2.filter2D(mask, -1, posterior)[near] * driven).sum()
+    everywhere, under = everywhere / everywhere.sum(), under / under.sum()
+    ratio = np.log((under + MIN_CLASS_SHARE) / (everywhere + MIN_CLASS_SHARE))
+    scores = (ratio - (under * ratio).sum())[np.maximum(classes, 0)]
+    return np.where(classes >= 0, scores, 0).astype(np.float32)
+
+
 def _correlate(
-    channels: Float32[Array, "H W 4"], template: PathTemplate, steps: int
+    channels: Float32[Array, "H W 4"], template: _PathTemplate, steps: int
 ) -> Float32[Array, "n n"]:
     """Sums of the template times the image, at all shifts."""
     (height, width), top, left = template.channels.shape[:2], template.top, template.left

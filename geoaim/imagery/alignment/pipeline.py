@@ -3,6 +3,7 @@
 import os
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict, Unpack
 
@@ -12,16 +13,11 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError, GeoaimWarning, TracksError
-from geoaim.imagery.alignment.apply import (
-    add_report,
-    apply_alignment,
-    check_position,
-    report_alignment,
-)
+from geoaim.geometry import transform_points
 from geoaim.imagery.alignment.by_control_points import georeference_picture
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
-from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
+from geoaim.imagery.alignment.result import CHI2_2D, DEFAULT_PRIOR, ImageryAlignment, Prior
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
 from geoaim.rectification import rectify
@@ -162,8 +158,8 @@ def _move(imagery: AIM, evidence: _Evidence) -> AIM:
             GeoaimWarning,
             stacklevel=3,
         )
-    return add_report(
-        apply_alignment(imagery, alignment), evidence.name, report_alignment(alignment)
+    return _add_report(
+        apply_alignment(imagery, alignment), evidence.name, _report_alignment(alignment)
     )
 
 
@@ -173,5 +169,83 @@ def _check(imagery: AIM, evidence: _Evidence) -> AIM:
     except AlignmentError as error:
         message = f"the {evidence.name} could not check the place: {error}"
         warnings.warn(message, GeoaimWarning, stacklevel=3)
-        return add_report(imagery, evidence.name, {"checked": False, "reason": str(error)})
-    return check_position(imagery, evidence.name, alignment, _find_bounds(evidence.source))
+        return _add_report(imagery, evidence.name, {"checked": False, "reason": str(error)})
+    return _check_position(imagery, evidence.name, alignment, _find_bounds(evidence.source))
+
+
+def apply_alignment(imagery: AIM, alignment: ImageryAlignment) -> AIM:
+    """Move imagery to where an alignment places it."""
+    return replace(imagery, world_from_image=alignment.true_from_stated @ imagery.world_from_image)
+
+
+def _report_alignment(alignment: ImageryAlignment) -> dict[str, Any]:
+    """Describe an alignment for the report of an AIM, in metres and degrees."""
+    matrix, direction = alignment.true_from_stated, alignment.undetermined_direction
+    east = np.array([[0.0, 0.0], [1.0, 0.0]]) + alignment.center
+    start, end = transform_points(matrix, east)
+    return {
+        "model": alignment.model,
+        "shift_m": alignment.shift,
+        "rotation_degrees": float(np.degrees(np.arctan2(*(end - start)[::-1]))),
+        "scale": float(np.linalg.norm(end - start)),
+        "uncertainty_m": alignment.uncertainty,
+        "covariance_m2": alignment.covariance,
+        "undetermined_degrees": None if direction is None else float(np.degrees(direction)),
+        "true_from_stated": matrix,
+        **alignment.evidence,
+    }
+
+
+def _add_report(imagery: AIM, name: str, report: dict[str, Any]) -> AIM:
+    """Add what one kind of evidence says to the alignment report of imagery."""
+    before = imagery.report.get("alignment", {})
+    return replace(imagery, report={**imagery.report, "alignment": {**before, name: report}})
+
+
+def _check_position(
+    imagery: AIM, name: str, alignment: ImageryAlignment, bounds: Float[Array, "2 2"]
+) -> AIM:
+    """Check the place of imagery within the bounds of evidence, and warn where both differ.
+
+    Both agree when the mean squared Mahalanobis distance of the corners is below twice the 95 %
+    quantile.
+    """
+    corners = np.clip(imagery.corners, *bounds)  # the evidence says nothing beyond
+    offsets = transform_points(alignment.true_from_stated, corners) - corners
+    covariance = _compute_covariance(alignment, corners) + _read_placement_covariance(imagery)
+    squares = np.einsum("mi,mij,mj->m", offsets, np.linalg.inv(covariance), offsets)
+    agrees = bool(squares.mean() < 2 * CHI2_2D)
+    offset = float(np.linalg.norm(offsets, axis=1).max())
+    uncertainty = float(np.sqrt(CHI2_2D * np.trace(covariance, axis1=1, axis2=2).max() / 2))
+    if not agrees:
+        east, north = alignment.shift
+        warnings.warn(
+            f"by the {name} the imagery's corners would lie up to {offset:.2f} m from where they "
+            f"are placed, and its middle {east:.2f} m east and {north:.2f} m north, more than the "
+            f"uncertainty of both, {uncertainty:.2f} m (95 %): is the {name} or what placed it "
+            "wrong?",
+            GeoaimWarning,
+            stacklevel=3,
+        )
+    check = {"checked": True, "agrees": agrees}
+    distances = {"corner_offset_m": offset, "corner_uncertainty_m": uncertainty}
+    return _add_report(imagery, name, _report_alignment(alignment) | check | distances)
+
+
+def _compute_covariance(
+    alignment: ImageryAlignment, points: Float[Array, "m 2"]
+) -> Float[Array, "m 2 2"]:
+    """Covariance of points by an alignment, with that of its rotation where it is stated."""
+    sigma = np.radians(alignment.evidence.get("rotation_sigma_degrees", 0.0))
+    across = sigma * (points - alignment.center)[:, ::-1] * [-1.0, 1.0]
+    return alignment.covariance + across[:, :, None] * across[:, None]
+
+
+def _read_placement_covariance(imagery: AIM) -> Float[Array, "2 2"]:
+    """Covariance of a point by what has placed the imagery, from its report."""
+    report: Any = imagery.report
+    if "georeference" in report:
+        bounds = np.array(report["georeference"]["corner_uncertainty_m"])
+        return np.eye(2) * np.mean(bounds**2) / CHI2_2D
+    [placed] = [entry for entry in report["alignment"].values() if "checked" not in entry]
+    return np.array(placed["covariance_m2"])

@@ -2,11 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.imagery.alignment.apply import apply_alignment
-from geoaim.imagery.alignment.by_image import align_image
+from geoaim.imagery.alignment.by_image import align_image, count_false_alarms
+from geoaim.imagery.alignment.pipeline import apply_alignment
 from geoaim.imagery.alignment.result import Prior
 from geoaim.world import World
 from tests.conftest import textured
@@ -117,3 +118,12 @@ def test_shift_beyond_the_prior_is_refused():
 def test_different_worlds_are_refused():
     with pytest.raises(ValueError, match="the imagery lies in"):
         align_image(_noise(1), replace(_noise(1), world=World("EPSG:32635")))
+
+
+def test_false_alarms_follow_the_binomial_tail():
+    share = 3.14159265 * 1.5**2 / 21**2
+    assert count_false_alarms(40, 12) == pytest.approx(
+        2 + binom.logsf(9, 40, share) / 2.302585093, abs=1e-6
+    )
+    assert count_false_alarms(40, 2) == 2.0
+    assert count_false_alarms(600, 600) == -298.0
