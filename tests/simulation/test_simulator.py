@@ -6,6 +6,7 @@ import torch
 
 from geoaim.lights import GREEN, RED
 from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, render
+from geoaim.simulation.kinematics import bicycle
 from geoaim.simulation.policies import (
     constant_turn_rate,
     constant_velocity,
