@@ -66,6 +66,9 @@ class AIM:
             world_from_image: (3, 3) pixels to world metres.
             world: the plane that those metres lie in.
             source: where the image comes from; the only entry of the report.
+
+        Returns:
+            The AIM.
         """
         size = np.shape(image)[:2]
         coverage, contested = np.ones(size, np.uint16), np.zeros(size, bool)

@@ -23,10 +23,13 @@ def write_video(
 
     Args:
         frames: (H, W, 3) RGB images of one size.
-        path: the video file to write; it is returned.
+        path: the video file to write.
         frame_rate: frames per second.
         crf: constant rate factor of x264; lower is better.
         megabits: bit rate in Mbit/s; it replaces the constant quality.
+
+    Returns:
+        `path`.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
     with atomic_write(path) as temporary, av.open(str(temporary), "w") as container:

@@ -62,12 +62,15 @@ def translation(x: float, y: float) -> Float[Array, "3 3"]:
 
 
 def make_similarity(centre: Float[Array, "2"], angle: float, scale: float) -> Float[Array, "3 3"]:
-    """The (3, 3) matrix of a rotation and scaling about a point.
+    """Make the matrix of a rotation and scaling about a point.
 
     Args:
         centre: the point that stays where it is.
         angle: radians, counter-clockwise.
         scale: factor of all distances.
+
+    Returns:
+        (3, 3) matrix.
     """
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     linear = np.array([[cosine, -sine], [sine, cosine]])

@@ -6,4 +6,10 @@ Progress = Callable[[str, float, float | None], None]  # stage, done, total if i
 
 
 def no_progress(stage: str, done: float, total: float | None) -> None:
-    """Ignore progress; the default of functions that report it."""
+    """Ignore progress; the default of functions that report it.
+
+    Args:
+        stage: name of the stage.
+        done: amount of work done.
+        total: amount of work in all; None if unknown.
+    """

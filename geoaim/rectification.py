@@ -75,6 +75,9 @@ def sample_nearest(
         raster: (H, W) or (H, W, C).
         image_from_grid: (3, 3) pixels of the grid to pixels of the raster.
         shape: (height, width) of the grid.
+
+    Returns:
+        Pixels of the grid.
     """
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)

@@ -153,6 +153,9 @@ def transform_crs(
         destination: the CRS to transform to.
         points: (M, 2) coordinates.
 
+    Returns:
+        (M, 2) coordinates in the destination.
+
     Raises:
         GeoreferenceError: a point cannot be expressed in the destination.
     """
@@ -183,6 +186,9 @@ def world_from_crs(
         points: (M, 2), x first whatever the CRS's axis order.
         crs: the CRS of the points; None for that of the world.
 
+    Returns:
+        (M, 2) metres from the world's origin.
+
     Raises:
         GeoreferenceError: a point cannot be expressed there, or the world has no CRS.
 
@@ -198,7 +204,16 @@ def world_from_crs(
 def crs_from_world(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
-    """Convert world metres to coordinates in a CRS, x first: the inverse of `world_from_crs`."""
+    """Convert world metres to coordinates in a CRS: the inverse of `world_from_crs`.
+
+    Args:
+        world: the world of the points.
+        points: (M, 2) metres from its origin.
+        crs: the CRS to convert to; None for that of the world.
+
+    Returns:
+        (M, 2) coordinates, x first whatever the CRS's axis order.
+    """
     points = np.asarray(points, np.float64) + world.origin
     return points if crs is None else transform_crs(_require_crs(world), crs, points)
 

@@ -8,7 +8,8 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film
+from geoaim.synthetic.camera import HoverClip, SpriteTracks, film
+from geoaim.synthetic.hover import Hover
 
 
 @pytest.fixture

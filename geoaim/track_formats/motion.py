@@ -42,6 +42,9 @@ def make_tracks_from_positions(rows: "DataFrame", world: World, *, half_window: 
         rows: has the columns of `make_tracks` other than heading and speed.
         world: the plane of x and y.
         half_window: seconds to each side over which positions are differenced.
+
+    Returns:
+        The tracks.
     """
     tracks = make_tracks(rows.assign(heading=0.0, speed=0.0)[list(COLUMNS)], world)
     return derive_motion(tracks, half_window=half_window)
