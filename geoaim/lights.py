@@ -167,7 +167,7 @@ def _read_rows(path: Path) -> "pd.DataFrame":
             rows = pd.read_csv(  # a signal may be called NA
                 path, dtype=str, index_col=False, keep_default_na=False, na_values=[""]
             )
-    except (ValueError, pd.errors.ParserWarning) as error:
+    except (ValueError, pd.errors.ParserWarning, IsADirectoryError) as error:
         raise TracksError(f"{path} is not a table of traffic lights: {error}") from error
     lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]
     if SIND_TIME in rows.columns and lights:

@@ -148,3 +148,8 @@ def test_a_broken_table_is_refused_with_its_reason(tmp_path, content, message):
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.csv"):
         read_lights(tmp_path / "none.csv", LINES, WORLD)
+
+
+def test_a_folder_is_refused_as_no_table(tmp_path):
+    with pytest.raises(TracksError, match="not a table of traffic lights"):
+        read_lights(tmp_path, LINES, WORLD)
