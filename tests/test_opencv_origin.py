@@ -45,7 +45,7 @@ PROBED = {  # files that warp or match, and the tests here that would see a bias
     "rectification.py": ["test_rectified_pixels_lie_where_the_grid_says"],
 }
 EXEMPT = {  # measurements, whose results their own checks would show
-    "bench/alignment_methods.py": "peers, as their users call them",
+    "bench/alignment.py": "peers, as their users call them",
     "bench/birdview_peers.py": "peers, as their users call them",
     "bench/generation.py": "a time, whose image is not used",
     "bench/overlay.py": "half a pixel subtracted; paint is compared with the drawn lines",

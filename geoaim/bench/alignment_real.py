@@ -16,7 +16,7 @@ from geoaim.grid import Grid
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.tiles import Tiles
+from geoaim.imagery.sources import Tiles
 
 ECC_RESOLUTION = 0.5  # m a pixel
 

@@ -7,7 +7,7 @@ aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,8 +17,8 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
-from geoaim.grid import make_north_up_grid
-from geoaim.imagery.blocks import split_into_blocks
+from geoaim.geometry import transform_points, translation
+from geoaim.grid import Grid, make_north_up_grid
 from geoaim.imagery.rasters import intersects_bounds
 from geoaim.imagery.region import (
     Region,
@@ -34,10 +34,12 @@ from geoaim.imagery.resampling import (
     resample_raster,
     unpremultiply,
 )
-from geoaim.imagery.sources import Layer, Source, describe_source
-from geoaim.imagery.tiles import Tiles
-from geoaim.world import World
+from geoaim.imagery.sources import Layer, Source, Tiles, describe_source
+from geoaim.world import World, crs_from_world
 
+BLOCK_PX = 1024  # side of the blocks to begin with
+MIN_BLOCK_PX = 16  # side below which blocks are not divided
+MAX_AFFINE_ERROR_PX = 0.005  # of the affine map from a block to a CRS
 MAX_UPSAMPLING = 3.0  # of a source's pixels to those of the image, without a warning
 
 
@@ -191,7 +193,7 @@ def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> A
     image, covered = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     counts = np.zeros(len(sources))
     crses = {raster.crs: None for source in sources for raster in source.layer.rasters}
-    for block, crs_from_block in split_into_blocks(grid, region.world, crses):
+    for block, crs_from_block in _split_into_blocks(grid, region.world, crses):
         total = np.zeros((4, *covered[block].shape), np.float32)
         for number, source in enumerate(sources):
             before = np.count_nonzero(total[3] >= MIN_ALPHA)
@@ -203,6 +205,41 @@ def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> A
     report = _make_report(sources, resolution, counts / covered.size)
     contested, matrix = np.zeros(grid.shape, bool), grid.world_from_grid
     return AIM(image, matrix, region.world, covered.astype(np.uint16), contested, report)
+
+
+def _split_into_blocks(
+    grid: Grid, world: World, crses: Iterable[str]
+) -> Iterator[tuple[tuple[slice, slice], dict[str, Float[Array, "3 3"]]]]:
+    """Divide an image into blocks from which affine maps (crs_from_block) lead to every CRS."""
+    tops, lefts = range(0, grid.height, BLOCK_PX), range(0, grid.width, BLOCK_PX)
+    waiting = [(top, left, BLOCK_PX) for top in reversed(tops) for left in reversed(lefts)]
+    while waiting:
+        top, left, side = waiting.pop()
+        if top >= grid.height or left >= grid.width:
+            continue
+        shape = min(side, grid.height - top), min(side, grid.width - left)
+        part = Grid(shape, grid.world_from_grid @ translation(left, top), world)
+        fits = {crs: _fit_affine(part, world, crs) for crs in crses}
+        if side > MIN_BLOCK_PX and max(error for _, error in fits.values()) > MAX_AFFINE_ERROR_PX:
+            half = side // 2
+            waiting += [(top + i, left + j, half) for i in (half, 0) for j in (half, 0)]
+        else:
+            block = slice(top, top + shape[0]), slice(left, left + shape[1])
+            yield block, {crs: matrix for crs, (matrix, _) in fits.items()}
+
+
+def _fit_affine(block: Grid, world: World, crs: str) -> tuple[Float[Array, "3 3"], float]:
+    """The least-squares affine map from a block's pixels to a CRS, and its largest error in px."""
+    shares = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), axis=-1)
+    pixels = shares.reshape(-1, 2) * block.shape[::-1]
+    points = crs_from_world(world, transform_points(block.world_from_grid, pixels), crs)
+    mean = points.mean(axis=0)  # subtracted: degrees and millions of metres are ill-conditioned
+    rows = np.column_stack([pixels, np.ones(len(pixels))])
+    fit = np.linalg.lstsq(rows, points - mean, rcond=None)[0]
+    errors = np.linalg.solve(fit[:2].T, (points - mean - rows @ fit).T)
+    matrix = np.vstack([fit.T, [0.0, 0.0, 1.0]])
+    matrix[:2, 2] += mean
+    return matrix, float(np.abs(errors).max())
 
 
 def _add_below(
@@ -254,7 +291,7 @@ def _make_report(
             "resolution_m": source.resolution,
             "bands": sorted({raster.bands for raster in layer.rasters}),
             "zoom": layer.zoom,
-            "stretch": source.stretch and [source.stretch.low, source.stretch.high],
+            "stretch": source.stretch and list(source.stretch),
             "share": share,
             "unreadable": [*layer.unreadable, *source.unreadable],
         }

@@ -3,8 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rasterio
@@ -25,14 +24,8 @@ STRETCH_SAMPLES_PX = 1000  # a side, of the pixels whose percentiles give the st
 PIXEL_CRS = rasterio.crs.CRS.from_wkt('LOCAL_CS["pixels",UNIT["metre",1]]')
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """Values of a raster that become 0 and 255 in the image.
-
-    Attributes:
-        low: becomes 0.
-        high: becomes 255.
-    """
+class Stretch(NamedTuple):
+    """Values of a raster that become 0 (low) and 255 (high) in the image."""
 
     low: float
     high: float

@@ -4,31 +4,54 @@ import glob
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from xml.sax.saxutils import escape
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, ImageryError
 from geoaim.imagery.rasters import Raster, describe_raster, outline_raster
 from geoaim.imagery.region import Outline, Region
-from geoaim.imagery.tiles import (
-    MAX_ZOOM,
-    MERCATOR,
-    Tiles,
-    choose_zoom,
-    compute_tile_corners,
-    describe_service,
-    georeference_tile,
-    intersect_tiles,
-    number_tiles,
-)
 
 GDAL_STRING = re.compile("<|://|^/vsi|^[A-Z0-9_]{2,}:")  # what GDAL opens that is not a file
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
+MERCATOR = "EPSG:3857"
+HALF_WORLD_M = 20037508.342789244  # from the middle of that CRS to its edges
+MAX_ZOOM = 30
+ZOOM_TOLERANCE = 0.02  # levels by which a zoom may be too coarse: 1.4 % of the resolution
+NUMBERS = r"(\d+){0}(\d+){0}(\d+)\.(?:png|jpe?g|webp)$"
+NESTED = re.compile("(?:^|/)" + NUMBERS.format("/"), re.IGNORECASE)  # z/x/y.png
+FLAT = re.compile("(?:^|[^0-9])" + NUMBERS.format("-"), re.IGNORECASE)  # NAME-x-y-z.png
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """Square tiles in web Mercator (EPSG:3857), and how to read them.
+
+    Attributes:
+        path: a folder of `z/x/y.png` or `NAME-x-y-z.png` (or jpg, jpeg, webp), an MBTiles file,
+            or a service's address with {z}, {x} and {y}.
+        zoom: level to read; when None, the coarsest that is not coarser than the wanted
+            resolution, or else the finest that exists.
+        tms: whether y counts from the south, as in the Tile Map Service scheme.
+        tile_size: of a service, pixels.
+        cache: folder in which a service's tiles are kept for 30 days.
+        timeout: of a service, seconds.
+        retries: how often a failed read of a service is repeated.
+    """
+
+    path: str | os.PathLike[str]
+    zoom: int | None = None
+    tms: bool = False
+    tile_size: int = 256
+    cache: str | os.PathLike[str] = "~/.cache/geoaim/tiles"
+    timeout: int = 20
+    retries: int = 2
+
 
 Source = str | os.PathLike[str] | Tiles
 Georeference = tuple[str, Float[Array, "3 3"]]  # CRS, and the unit square to coordinates in it
@@ -91,7 +114,7 @@ def describe_source(
         return describe_raster(file, crs=crs, bands=bands, georeference=georeference)
 
     if Path(path).is_dir():
-        numbered = sorted(number_tiles(Path(path), tiles.tms))
+        numbered = sorted(_number_tiles(Path(path), tiles.tms))
         if numbered:
             return _describe_tiles(tiles, numbered, region, resolution, describe)
         files = [f for f in sorted(Path(path).rglob("*")) if f.suffix.lower() in GEOTIFF_SUFFIXES]
@@ -152,15 +175,15 @@ def _describe_tiles(
 ) -> Layer:
     name = os.fspath(tiles.path)
     numbers = np.array([tile[:3] for tile in numbered])
-    inside = intersect_tiles(numbers, region)
+    inside = _intersect_tiles(numbers, region)
     levels = np.unique(numbers[inside if inside.any() else slice(None), 0])
-    zoom = choose_zoom(tiles, levels, region, resolution)
+    zoom = _choose_zoom(tiles, levels, region, resolution)
     if zoom not in levels:
         raise ImageryError(f"{name} has no tile of zoom {zoom} there; it has {levels.tolist()}")
     level = numbers[numbers[:, 0] == zoom, 1:]
-    corners = compute_tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
+    corners = _compute_tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
     chosen = [tile for tile, use in zip(numbered, inside, strict=True) if use and tile[0] == zoom]
-    files = ((path, georeference_tile(z, x, y)) for z, x, y, path in chosen)
+    files = ((path, _georeference_tile(z, x, y)) for z, x, y, path in chosen)
     rasters, unreadable = _describe_all(files, describe, name)
     return Layer(name, rasters, ((MERCATOR, corners),), zoom=zoom, unreadable=unreadable)
 
@@ -176,8 +199,8 @@ def _describe_service(
             f"{name} is a service for all of the world, and does not say how fine it is: give the "
             "world, the corners, and a resolution or Tiles(..., zoom=...)"
         )
-    zoom = choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
-    xml, corners = describe_service(tiles, address, zoom, region)
+    zoom = _choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
+    xml, corners = _write_service_xml(tiles, address, zoom, region)
     raster = replace(describe_raster(xml), name=name, retries=tiles.retries)
     return Layer(name, (raster,), ((MERCATOR, corners),), zoom=zoom, single=True)
 
@@ -185,3 +208,98 @@ def _describe_service(
 def _hide_query(address: str) -> str:
     """An address without what follows "?", where keys stand."""
     return address.split("?")[0] if "://" in address else address
+
+
+def _number_tiles(folder: Path, tms: bool) -> Iterator[tuple[int, int, int, str]]:
+    """Zoom, x, y from the north, and path of each tile in a folder."""
+    for file in folder.rglob("*"):
+        name = file.relative_to(folder.parent).as_posix()
+        nested, flat = NESTED.search(name), FLAT.search(name)
+        if nested:
+            zoom, x, y = map(int, nested.groups())
+        elif flat:
+            x, y, zoom = map(int, flat.groups())
+        else:
+            continue
+        if zoom <= MAX_ZOOM and max(x, y) < 2**zoom:
+            yield zoom, x, 2**zoom - 1 - y if tms else y, str(file)
+
+
+def _intersect_tiles(tiles: Int[Array, "n 3"], region: Region | None) -> Bool[Array, "n"]:
+    """Which tiles (zoom, x, y) show a part of a region; None: all do."""
+    if region is None:
+        return np.ones(len(tiles), bool)
+    low, high = _compute_world_fractions(region)
+    size = np.exp2(tiles[:, :1])
+    return ((tiles[:, 1:] + 1 > low * size) & (tiles[:, 1:] < high * size)).all(axis=1)
+
+
+def _compute_world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    """Least and greatest x and y of a region, as fractions of the map from its north-west corner.
+
+    Multiplied by 2^zoom they are tile numbers.
+    """
+    shares = (region.to_crs(MERCATOR) * [1.0, -1.0] + HALF_WORLD_M) / (2.0 * HALF_WORLD_M)
+    return shares.min(axis=0), shares.max(axis=0)
+
+
+def _compute_tile_corners(zoom: int, low: Array, high: Array) -> Float[Array, "4 2"]:
+    """Corners in EPSG:3857 of tiles from the first x and y to the last ones plus one."""
+    (left, top), (right, bottom) = (np.stack([low, high]) / 2.0**zoom * 2.0 - 1.0) * HALF_WORLD_M
+    return np.array([[left, -top], [right, -top], [right, -bottom], [left, -bottom]])
+
+
+def _georeference_tile(zoom: int, x: int, y: int) -> tuple[str, Float[Array, "3 3"]]:
+    """EPSG:3857, and the matrix from the unit square over a tile to metres in it."""
+    side = 2.0 * HALF_WORLD_M / 2**zoom
+    left, top = x * side - HALF_WORLD_M, HALF_WORLD_M - y * side
+    return MERCATOR, np.array([[side, 0.0, left], [0.0, -side, top], [0.0, 0.0, 1.0]])
+
+
+def _choose_zoom(
+    tiles: Tiles, levels: Int[Array, "n"], region: Region | None, resolution: float | None
+) -> int:
+    """The coarsest zoom level that is not coarser than wanted, or else the finest that exists."""
+    if tiles.zoom is not None:
+        return tiles.zoom
+    if resolution is None or region is None:
+        return int(levels.max())
+    low, high = _compute_world_fractions(region)
+    latitude = np.arctan(np.sinh(np.pi * (1.0 - low[1] - high[1])))
+    pixel = 2.0 * HALF_WORLD_M * np.cos(latitude) / tiles.tile_size  # metres, at zoom 0
+    fine = levels[levels >= np.log2(pixel / resolution) - ZOOM_TOLERANCE]
+    return int(fine.min() if fine.size else levels.max())
+
+
+def _write_service_xml(
+    tiles: Tiles, address: str, zoom: int, region: Region
+) -> tuple[str, Float[Array, "4 2"]]:
+    """XML with which GDAL opens the tiles of a region and one more on each side; their corners."""
+    low, high = (limit * 2.0**zoom for limit in _compute_world_fractions(region))
+    low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)
+    high = np.clip(np.ceil(high) + 1, low + 1, 2**zoom).astype(int)
+    tms = tiles.tms or "{-y}" in address
+    if tms:
+        high[1] = 2**zoom  # GDAL counts from the window's lower edge
+    corners = _compute_tile_corners(zoom, low, high)
+    (left, top), (right, bottom) = corners[[0, 2]].tolist()
+    side = tiles.tile_size
+    width, height = (high - low) * side
+    y, origin = (0, "bottom") if tms else (low[1], "top")
+    url = escape(re.sub(r"\{-?([xyz])\}", r"${\1}", address).replace("{s}", "a"))
+    cache = escape(str(Path(tiles.cache).expanduser()))
+    xml = f"""<GDAL_WMS>
+<Service name="TMS"><ServerUrl>{url}</ServerUrl></Service>
+<DataWindow>
+<UpperLeftX>{left!r}</UpperLeftX><UpperLeftY>{top!r}</UpperLeftY>
+<LowerRightX>{right!r}</LowerRightX><LowerRightY>{bottom!r}</LowerRightY>
+<SizeX>{width}</SizeX><SizeY>{height}</SizeY>
+<TileLevel>{zoom}</TileLevel><TileX>{low[0]}</TileX><TileY>{y}</TileY><YOrigin>{origin}</YOrigin>
+</DataWindow>
+<Projection>EPSG:3857</Projection><BandsCount>4</BandsCount>
+<BlockSizeX>{side}</BlockSizeX><BlockSizeY>{side}</BlockSizeY><OverviewCount>0</OverviewCount>
+<Timeout>{tiles.timeout}</Timeout><MaxConnections>4</MaxConnections><UserAgent>geoaim</UserAgent>
+<ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes>
+<Cache><Path>{cache}</Path><Expires>2592000</Expires><MaxSize>2000000000</MaxSize></Cache>
+</GDAL_WMS>"""  # https://gdal.org/drivers/raster/wms.html
+    return xml, corners

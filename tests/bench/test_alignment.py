@@ -7,7 +7,6 @@ import pytest
 
 from geoaim.aim import AIM
 from geoaim.bench import alignment, alignment_pairs, alignment_real, alignment_tracks
-from geoaim.bench.alignment_methods import list_methods
 from geoaim.bench.alignment_pairs import Pair, measure_error, misplace_picture
 from geoaim.geometry import translation
 from geoaim.imagery.alignment.result import ImageryAlignment
@@ -31,7 +30,7 @@ def test_error_of_the_inverse_misplacement_is_zero():
 
 def test_methods_align_a_shifted_picture_and_refuse_another_place(monkeypatch):
     monkeypatch.setattr(alignment_pairs, "MAX_SHIFT_M", 3.0)
-    pairs, methods = [_make_pair(1), _make_pair(2)], list_methods()
+    pairs, methods = [_make_pair(1), _make_pair(2)], alignment.list_methods()
     some = {name: methods[name] for name in ("geoaim", "SIFT + MAGSAC++")}
     rows = alignment.compare_methods(pairs, 1, some)
     assert [row["method"] for row in rows] == list(some)

@@ -11,7 +11,7 @@ import pytest
 from geoaim.errors import GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.tiles import Tiles
+from geoaim.imagery.sources import Tiles
 from geoaim.world import choose_world, transform_crs, world_from_crs
 from tests.imagery.painted_ground import (
     AREA,
