@@ -98,19 +98,10 @@ def _align_with_shadows(pair: Pair) -> tuple[Float[Array, "3 3"], float]:
         return _align(pair)
 
 
-def compare_methods(
+def _compare_methods(
     pairs: list[Pair], trials: int, methods: dict[str, Method]
 ) -> list[dict[str, Any]]:
-    """Compare methods on misplaced pairs, and on pictures of another place.
-
-    Args:
-        pairs: with pictures in their true places.
-        trials: random misplacements of each.
-        methods: by name.
-
-    Returns:
-        A row for each method.
-    """
+    """Compare methods on random misplacements of each pair, and on pictures of another place."""
     generator = np.random.default_rng(5)
     cases = [misplace_picture(pair, generator) for pair in pairs for _ in range(trials)]
     others = [
@@ -221,7 +212,7 @@ def main(
     cv2.setNumThreads(2)
     pairs = list(make_pairs(seeds))
     folder = find_data()
-    compared = compare_methods(pairs, trials, list_methods())
+    compared = _compare_methods(pairs, trials, list_methods())
     parts: list[Callable[[], list[dict[str, Any]]]] = [
         lambda: compared,
         lambda: measure_synthetic(pairs),

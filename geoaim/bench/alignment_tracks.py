@@ -31,7 +31,7 @@ def measure_songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
     corners = np.array([points.min(axis=0) - SONGDO_MARGIN_M, points.max(axis=0) + SONGDO_MARGIN_M])
     ortho = folder / "tracks/songdo_u/ortho_U_25cm_epsg5186.tif"
     picture = read_imagery(ortho, world=tracks.world, corners=corners)
-    return [measure_tracks("songdo", picture, tracks, trials, road=SONGDO_ROAD_RADIANS)]
+    return [_measure_tracks("songdo", picture, tracks, trials, road=SONGDO_ROAD_RADIANS)]
 
 
 def measure_synthetic(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
@@ -39,7 +39,7 @@ def measure_synthetic(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
     rows = []
     for kind in STANDARD_KINDS:
         parts = [
-            measure_tracks(kind, pair.picture, pair.tracks, 2)
+            _measure_tracks(kind, pair.picture, pair.tracks, 2)
             for pair in pairs
             if pair.name.startswith(kind) and pair.tracks is not None
         ]
@@ -62,21 +62,10 @@ def measure_synthetic(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
     return rows
 
 
-def measure_tracks(
+def _measure_tracks(
     name: str, picture: AIM, tracks: Tracks, trials: int, *, road: float | None = None
 ) -> dict[str, Any]:
-    """Misplace a picture and align it to tracks, several times.
-
-    Args:
-        name: of the row.
-        picture: in its true place.
-        tracks: in the same world.
-        trials: random misplacements.
-        road: radians from east; when given, errors are measured across it only.
-
-    Returns:
-        A row with the errors at the center of the tracks, metres.
-    """
+    """Misplace a picture and align it to tracks, several times; with a road, errors across it."""
     generator = np.random.default_rng(11)
     errors, inside, durations = [], 0, []
     points = tracks.states[tracks.present][:, :2]

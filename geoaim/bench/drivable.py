@@ -51,17 +51,8 @@ def read_junction(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
     return find_drivable_area(hdmap), np.concatenate(positions)
 
 
-def measure_share(name: str, area: MultiPolygon, positions: Float[Array, "m 2"]) -> dict[str, Any]:
-    """Measure the share of positions on an area, and the distances of the others.
-
-    Args:
-        name: of the map.
-        area: drivable, metres.
-        positions: (M, 2) of vehicles, metres.
-
-    Returns:
-        A row of the table.
-    """
+def _measure_share(name: str, area: MultiPolygon, positions: Float[Array, "m 2"]) -> dict[str, Any]:
+    """Measure the share of positions on a drivable area, and the distances of the others."""
     shapely.prepare(area)
     distances = shapely.distance(area, shapely.points(positions))
     return {
@@ -96,7 +87,7 @@ def main(
     sample = find_drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
     cases = {"sample": (sample, list_positions(tracks))}
     cases |= {junction: read_junction(junction) for junction in JUNCTIONS}
-    rows = [measure_share(name, *case) for name, case in cases.items()]
+    rows = [_measure_share(name, *case) for name, case in cases.items()]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.drivable")
     if picture is not None:

@@ -41,15 +41,7 @@ RESOLUTION = 0.1  # m a pixel of a drawn place
 
 
 def measure_paint_offsets(aim: AIM, line: Float[Array, "n 2"]) -> Float[Array, "m"]:
-    """Measure how far paint lies to the left of a line, in each metre where it is visible.
-
-    Args:
-        aim: in the world of the line.
-        line: (N, 2) points, metres.
-
-    Returns:
-        (M,) offsets in metres.
-    """
+    """Measure how far paint lies to the left of a line (m), in each metre where it is visible."""
     places, sides = _sample_across(line)
     pixels = transform_points(aim.grid.grid_from_world, places.reshape(-1, 2))
     u, v = (pixels - 0.5).astype(np.float32).T.reshape(2, *places.shape[:2])  # OpenCV's origin
@@ -78,17 +70,8 @@ def _sample_across(line: Float[Array, "n 2"]) -> tuple[Float[Array, "m s 2"], Fl
     return (before + after)[:, None] / 2 + sides[:, None] * left[:, None], sides
 
 
-def measure_overlay(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
-    """Measure how far paint lies from the map's lines, in pixels of the AIM.
-
-    Args:
-        name: of the place.
-        aim: of the place.
-        hdmap: of the place, in the world of the AIM.
-
-    Returns:
-        A row of the table; without statistics where too little paint is visible.
-    """
+def _measure_overlay(name: str, aim: AIM, hdmap: HDMap) -> dict[str, Any]:
+    """Measure how far paint lies from the map's lines; no statistics where little is visible."""
     inner = find_drivable_area(hdmap).buffer(-KERB_DISTANCE_M)
     lines = [
         line.points
@@ -125,8 +108,8 @@ def main(
     """Locate the lines of HD maps on the sample's AIM and on synthetic places of each kind."""
     built = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
     hdmap = read_hdmap("samples/map.osm", built.world)
-    rows = [measure_overlay("sample, built of its video", built, hdmap)]
-    rows += [measure_overlay(f"{kind}, drawn", *draw_aim_and_map(kind)) for kind in STANDARD_KINDS]
+    rows = [_measure_overlay("sample, built of its video", built, hdmap)]
+    rows += [_measure_overlay(f"{kind}, drawn", *draw_aim_and_map(kind)) for kind in STANDARD_KINDS]
     print(format_table(rows))
     write_rows(rows, json, command="python -m geoaim.bench.overlay")
 

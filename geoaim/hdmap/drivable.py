@@ -57,9 +57,6 @@ def sample_lane_directions(
 ) -> tuple[Float[Array, "m 2"], Float[Array, "m"], Float[Array, "m"]]:
     """Sample the directions of one-way lanes.
 
-    Args:
-        hdmap: whose lanelets are sampled.
-
     Returns:
         Points along the middles of lanes (m), the directions there (rad), and the distance from
         each point to the border of its lane (m).

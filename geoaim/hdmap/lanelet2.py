@@ -94,15 +94,10 @@ class HDMap:
 
 
 def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMap:
-    """Read a lanelet2 file.
+    """Read a lanelet2 file (.osm).
 
-    Args:
-        path: the .osm file.
-        world: plane of the map; when None, the UTM zone in which it lies, or a plane without a
-            CRS when its degrees stand for local metres.
-
-    Returns:
-        The map.
+    When `world` is None, the map gets the UTM zone in which it lies, or a plane without a CRS when
+    its degrees stand for local metres.
 
     Raises:
         FileNotFoundError: there is no such file.

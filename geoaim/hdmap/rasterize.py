@@ -12,12 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from geoaim.aim import AIM
 from geoaim.geometry import transform_points
 from geoaim.grid import make_north_up_grid
-from geoaim.hdmap.drivable import (
-    NOT_DRIVABLE,
-    outline_lanelet,
-    sample_borders,
-    to_polygons,
-)
+from geoaim.hdmap.drivable import NOT_DRIVABLE, outline_lanelet, sample_borders, to_polygons
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
 
 Colour = tuple[int, int, int]
@@ -53,17 +48,10 @@ MAX_DRAWN_PIXELS = 400_000_000  # for more, the map should be cut, or the resolu
 
 
 def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
-    """Draw an HD map as a north-up image.
+    """Draw an HD map as a north-up image with `resolution` metres a pixel, in the world of the map.
 
     Surfaces are below lines, lines below stop lines; arrows show the direction of one-way lanes.
-    The colours are `SURFACES`, `LINES`, `ROAD`, `ARROW` and `GROUND`.
-
-    Args:
-        hdmap: to be drawn.
-        resolution: metres a pixel.
-
-    Returns:
-        The image in the world of the map; coverage is 1 everywhere.
+    The colours are `SURFACES`, `LINES`, `ROAD`, `ARROW` and `GROUND`. Coverage is 1 everywhere.
 
     Raises:
         ValueError: the resolution is not positive, or the image would be too large.

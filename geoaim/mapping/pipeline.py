@@ -14,18 +14,9 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
-from geoaim.mapping.background.running_mean import (
-    Background,
-    RunningMean,
-    add_to_mean,
-    finish_mean,
-)
+from geoaim.mapping.background.running_mean import Background, RunningMean, add_to_mean, finish_mean
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES
-from geoaim.mapping.background.traffic_search import (
-    TrafficSearch,
-    add_to_search,
-    average_ground,
-)
+from geoaim.mapping.background.traffic_search import TrafficSearch, add_to_search, average_ground
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
     ControlPointSource,

@@ -32,7 +32,7 @@ def test_methods_align_a_shifted_picture_and_refuse_another_place(monkeypatch):
     monkeypatch.setattr(alignment_pairs, "MAX_SHIFT_M", 3.0)
     pairs, methods = [_make_pair(1), _make_pair(2)], alignment.list_methods()
     some = {name: methods[name] for name in ("geoaim", "SIFT + MAGSAC++")}
-    rows = alignment.compare_methods(pairs, 1, some)
+    rows = alignment._compare_methods(pairs, 1, some)
     assert [row["method"] for row in rows] == list(some)
     assert rows[0]["median, px"] < 0.5
 
@@ -61,6 +61,6 @@ def test_tracks_row_counts_errors_and_refusals(monkeypatch):
         return ImageryAlignment(np.linalg.inv(stated), "rigid", np.eye(2), np.zeros(2))
 
     monkeypatch.setattr(alignment_tracks, "align_tracks", align)
-    row = alignment_tracks.measure_tracks("a", pair.picture, tracks, 3)
+    row = alignment_tracks._measure_tracks("a", pair.picture, tracks, 3)
     assert (row["cases"], row["refused"], row["in the 95 % region"]) == (3, 0, 3)
     assert row["largest, m"] == pytest.approx(0, abs=1e-9)

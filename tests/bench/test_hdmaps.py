@@ -14,7 +14,7 @@ from geoaim.world import World
 def test_share_of_positions_on_the_drivable_area(tmp_path):
     area = MultiPolygon([box(0, 0, 10, 4)])
     positions = np.array([[1.0, 1], [5, 2], [5, 4.5], [5, 6]])
-    row = drivable.measure_share("a", area, positions)
+    row = drivable._measure_share("a", area, positions)
     assert row["places"] == 4
     assert row["on the drivable area, %"] == 50
     assert row["within 0.7 m of it, %"] == 75
@@ -37,6 +37,6 @@ def test_paint_is_located_beside_its_line():
     hdmap = HDMap(
         (line,), (Lanelet("road", True, points + side, points - side),), (), (), World(None)
     )
-    row = overlay.measure_overlay("a", aim, hdmap)
+    row = overlay._measure_overlay("a", aim, hdmap)
     assert (row["m a pixel"], row["places"]) == (pytest.approx(0.1), 38)
     assert row["median, px"] == pytest.approx(1.5, abs=0.2)

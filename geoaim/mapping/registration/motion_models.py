@@ -21,21 +21,14 @@ MODELS: tuple[Model, ...] = ("translation", "similarity", "affine", "homography"
 NONLINEAR_MODELS = ("rigid", "homography")  # fitted iteratively
 
 # Columns: how the matrix I + Theta depends on theta. Rows of Theta in order.
-_GENERATORS: dict[Model, list[list[float]]] = {
-    "translation": [[0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1, 0, 0]],
-    "rigid": [
-        [0, 0, 1, 0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 1, 0, 0],
-        [0, -1, 0, 1, 0, 0, 0, 0],
-    ],
-    "similarity": [
-        [0, 0, 1, 0, 0, 0, 0, 0],
-        [0, 0, 0, 0, 0, 1, 0, 0],
-        [1, 0, 0, 0, 1, 0, 0, 0],
-        [0, -1, 0, 1, 0, 0, 0, 0],
-    ],
-    "affine": np.eye(8)[[2, 5, 0, 1, 3, 4]].tolist(),
-    "homography": np.eye(8)[[2, 5, 0, 1, 3, 4, 6, 7]].tolist(),
+_UNIT = np.eye(8)
+_SHIFTS, _SCALING, _ROTATION = _UNIT[[2, 5]], _UNIT[[0]] + _UNIT[[4]], _UNIT[[3]] - _UNIT[[1]]
+_GENERATORS: dict[Model, Float[Array, "k 8"]] = {
+    "translation": _SHIFTS,
+    "rigid": np.concatenate([_SHIFTS, _ROTATION]),
+    "similarity": np.concatenate([_SHIFTS, _SCALING, _ROTATION]),
+    "affine": _UNIT[[2, 5, 0, 1, 3, 4]],
+    "homography": _UNIT[[2, 5, 0, 1, 3, 4, 6, 7]],
 }
 
 
@@ -105,24 +98,15 @@ def compute_basis(
             [zero, zero, zero, x, y, one, -x * y, -y * y],
         ]
     )
-    columns = np.einsum("ijm,kj->mik", full, np.array(_GENERATORS[model]))
+    columns = np.einsum("ijm,kj->mik", full, _GENERATORS[model])
     return columns / scale[0, 0]
 
 
-def build_matrix(
+def _build_matrix(
     parameters: Float[Array, " k"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
-    """Build the pixel transform I + Theta of a small motion.
-
-    Args:
-        parameters: theta, in normalised coordinates.
-        model: the motion model.
-        size: (height, width) of the image, which normalises the coordinates.
-
-    Returns:
-        The transform.
-    """
-    small = np.eye(3) + np.append(parameters @ np.array(_GENERATORS[model]), 0.0).reshape(3, 3)
+    """The pixel transform I + Theta of a small motion theta in normalised coordinates."""
+    small = np.eye(3) + np.append(parameters @ _GENERATORS[model], 0.0).reshape(3, 3)
     if model == "rigid":
         small[:2, :2] /= np.hypot(*small[:2, 0])
     scale = _compute_normalisation(size)
@@ -170,7 +154,7 @@ def fit_motion(
     inliers = residuals[weights > 0]
     return Motion(
         model,
-        build_matrix(parameters, model, size=size),
+        _build_matrix(parameters, model, size=size),
         np.linalg.inv(normal) * variance,
         residuals,
         weights,
@@ -244,9 +228,9 @@ def fit_matches(matches: PointMatches, model: Model, *, size: tuple[int, int]) -
     Returns:
         The motion; its matrix is reference_from_image.
     """
-    matrix = (
-        np.eye(3) if model != "homography" else fit_matches(matches, "affine", size=size).matrix
-    )
+    matrix = np.eye(3)
+    if model == "homography":
+        matrix = fit_matches(matches, "affine", size=size).matrix
     for _ in range(4 if model in NONLINEAR_MODELS else 1):
         moved = transform_points(matrix, matches.source)
         motion = fit_motion(moved, matches.target - moved, matches.information, model, size=size)
@@ -260,8 +244,7 @@ def _predict_squared_errors(
     """Mean squared error over the image that is predicted for each model."""
     height, width = size
     grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
-    grid = grid.reshape(-1, 2)
-    fitted, variances = [], []
+    grid, fitted, variances = grid.reshape(-1, 2), [], []
     for model in models:
         motion = fit_matches(matches, model, size=size)
         columns = compute_basis(grid, model, size=size)

@@ -31,12 +31,7 @@ from geoaim.mapping.registration.keyframes import (
     register_frame,
     select_keyframe,
 )
-from geoaim.mapping.registration.motion_models import (
-    Model,
-    ModelChoice,
-    PointMatches,
-    choose_model,
-)
+from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
@@ -105,19 +100,11 @@ class Registration:
 
     def to_frame(self) -> pd.DataFrame:
         """Table with a row per frame, and the matrix in nine columns, m00 to m22."""
-        table = pd.DataFrame(
-            {
-                "index": self.index,
-                "time": self.time,
-                "valid": self.valid,
-                "reason": list(self.reason),
-                "quality": self.quality,
-                "inlier_share": self.inlier_share,
-                "uncertainty": self.uncertainty,
-            }
+        names = ["index", "time", "valid", "reason", "quality", "inlier_share", "uncertainty"]
+        table = pd.DataFrame({name: getattr(self, name) for name in names})
+        table[[f"m{row}{column}" for row in range(3) for column in range(3)]] = (
+            self.reference_from_frame.reshape(-1, 9)
         )
-        names = [f"m{row}{column}" for row in range(3) for column in range(3)]
-        table[names] = self.reference_from_frame.reshape(-1, 9)
         return table
 
 
@@ -196,19 +183,13 @@ def collect_registration(rows: Iterable[Row], reference: Reference) -> Registrat
             f"{reference.time:.2f} s (most often: {common}); pass another reference_time, or check "
             "that the camera hovers"
         )
-
-    def column(name: str) -> Array:
-        return np.array([getattr(frame, name) for frame in frames])
-
+    names = ("reference_from_frame", "quality", "inlier_share", "uncertainty")
     return Registration(
-        column("reference_from_frame"),
-        np.array(index),
-        np.array(time, float),
-        reasons,
-        column("quality"),
-        column("inlier_share"),
-        column("uncertainty"),
-        reference,
+        index=np.array(index),
+        time=np.array(time, float),
+        reason=reasons,
+        reference=reference,
+        **{name: np.array([getattr(frame, name) for frame in frames]) for name in names},
     )
 
 

@@ -69,7 +69,7 @@ class Frame:
             return self.decoded if is_grey else cv2.cvtColor(self.decoded, cv2.COLOR_RGB2GRAY)
         as_stored = self.decoded.format.name in LUMA_FIRST
         luma = self.decoded if as_stored else self.decoded.reformat(format="yuv420p")
-        return set_upright(_view_plane(luma, 0), self.orientation)
+        return _set_upright(_view_plane(luma, 0), self.orientation)
 
     @cached_property
     def image(self) -> UInt8[Array, "H W 3"]:
@@ -77,7 +77,7 @@ class Frame:
         if isinstance(self.decoded, Array):
             is_grey = self.decoded.ndim == 2
             return cv2.cvtColor(self.decoded, cv2.COLOR_GRAY2RGB) if is_grey else self.decoded
-        return set_upright(self.decoded.to_ndarray(format="rgb24"), self.orientation)
+        return _set_upright(self.decoded.to_ndarray(format="rgb24"), self.orientation)
 
     @property
     def planes(self) -> tuple[UInt8[Array, "H W"], UInt8[Array, "h w"], UInt8[Array, "h w"]] | None:
@@ -89,11 +89,8 @@ class Frame:
             return None
         if self.decoded.format.name not in ("yuv420p", "yuvj420p"):
             return None
-        return (
-            _view_plane(self.decoded, 0),
-            _view_plane(self.decoded, 1),
-            _view_plane(self.decoded, 2),
-        )
+        y, u, v = (_view_plane(self.decoded, plane) for plane in range(3))
+        return y, u, v
 
     @property
     def encoding(self) -> YuvEncoding | None:
@@ -141,7 +138,9 @@ def image_from_planes(
     return image
 
 
-def set_upright(pixels: UInt8[Array, "H W *C"], orientation: Orientation) -> UInt8[Array, "h w *C"]:
+def _set_upright(
+    pixels: UInt8[Array, "H W *C"], orientation: Orientation
+) -> UInt8[Array, "h w *C"]:
     """Turn stored pixels upright; upright pixels are returned without a copy."""
     if orientation == UPRIGHT:
         return pixels

@@ -37,10 +37,10 @@ class Video:
         width: of an upright frame, pixels.
         rate: frames per second, on average.
         frame_count: number of frames that the source states; None when it states none.
-        names: file names of images, None for other sources.
         read_all: reads every frame in order.
         read_at: reads the frames at times (s, ascending), or keyframes within some seconds of them.
         read_telemetry: reads the state of the camera over time; None where there is none.
+        names: file names of images, None for other sources.
     """
 
     source: str
@@ -48,10 +48,10 @@ class Video:
     width: int
     rate: float
     frame_count: int | None
-    names: tuple[str, ...] | None
     read_all: Callable[[], Iterator[Frame]]
     read_at: Callable[[Float[Array, " n"], float], Iterator[Frame]]
-    read_telemetry: Callable[[], Telemetry | None]
+    read_telemetry: Callable[[], Telemetry | None] = lambda: None
+    names: tuple[str, ...] | None = None
 
     def __iter__(self) -> Iterator[Frame]:
         return self.read_all()
@@ -151,7 +151,6 @@ def _open_file(path: Path, threads: int | None) -> Video:
         width=width,
         rate=file.rate,
         frame_count=file.count or None,
-        names=None,
         read_all=lambda: read_frames(file),
         read_at=lambda times, slack: read_frames_at(file, times.tolist(), slack),
         read_telemetry=lambda: _read_sidecar(path),
@@ -226,10 +225,9 @@ def _open_indexed(
         width=width,
         rate=rate,
         frame_count=count,
-        names=names,
         read_all=lambda: read(range(count)),
         read_at=lambda times, _: read(_compute_indices(times, rate, count)),
-        read_telemetry=lambda: None,
+        names=names,
     )
 
 
@@ -249,17 +247,7 @@ def _open_stream(arrays: Iterable[Any], rate: float) -> Video:
         indices = set(_compute_indices(times, rate, sum(1 for _ in arrays)))
         return (frame for frame in read() if frame.index in indices)
 
-    return Video(
-        source="arrays",
-        height=height,
-        width=width,
-        rate=rate,
-        frame_count=None,
-        names=None,
-        read_all=read,
-        read_at=read_at,
-        read_telemetry=lambda: None,
-    )
+    return Video("arrays", height, width, rate, None, read, read_at)
 
 
 def _compute_indices(times: Float[Array, " n"], rate: float, count: int) -> list[int]:

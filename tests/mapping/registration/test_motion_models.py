@@ -7,7 +7,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.registration.motion_models import (
     MODELS,
     PointMatches,
-    build_matrix,
+    _build_matrix,
     choose_model,
     compute_basis,
     fit_motion,
@@ -31,15 +31,15 @@ def test_basis_is_the_derivative_of_the_small_motion(model):
     for number in range(columns.shape[2]):
         step = np.zeros(columns.shape[2])
         step[number] = 1e-6
-        forward = transform_points(build_matrix(step, model, **SIZE), points)
-        backward = transform_points(build_matrix(-step, model, **SIZE), points)
+        forward = transform_points(_build_matrix(step, model, **SIZE), points)
+        backward = transform_points(_build_matrix(-step, model, **SIZE), points)
         np.testing.assert_allclose(columns[..., number], (forward - backward) / 2e-6, atol=1e-3)
 
 
 @given(st.lists(st.floats(-1e-3, 1e-3), min_size=4, max_size=4))
 def test_fit_recovers_a_similarity_exactly(parameters):
     points = scattered(30)
-    truth = build_matrix(np.array(parameters), "similarity", **SIZE)
+    truth = _build_matrix(np.array(parameters), "similarity", **SIZE)
     moved = transform_points(truth, points) - points
     motion = fit_motion(points, moved, identities(30), "similarity", **SIZE)
     np.testing.assert_allclose(motion.matrix, truth, atol=1e-9)
@@ -79,7 +79,7 @@ def test_the_least_model_that_explains_the_motion_is_chosen(model, parameters):
     generator, matches = np.random.default_rng(3), []
     for seed in range(3):
         source = scattered(200, seed)
-        truth = build_matrix(np.array(parameters), model, **SIZE)
+        truth = _build_matrix(np.array(parameters), model, **SIZE)
         target = transform_points(truth, source) + generator.normal(0, 0.1, (200, 2))
         matches.append(PointMatches(source, target, identities(200)))
     assert choose_model(matches, **SIZE).model == model
