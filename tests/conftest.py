@@ -8,8 +8,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from geoaim.synthetic.camera import HoverClip, SpriteTracks, film
-from geoaim.synthetic.hover import Hover
+from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film
 
 
 @pytest.fixture

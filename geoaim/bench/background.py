@@ -28,7 +28,7 @@ from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
 from geoaim.encode import write_video
-from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_indices
+from geoaim.mapping.background.estimate import average_frames, remove_traffic
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.background.warping import warp
@@ -42,6 +42,8 @@ from geoaim.synthetic import (
     reference_from_frames,
     render_background,
 )
+
+Image = UInt8[Array, "H W 3"]
 
 MARGIN_PX = 100  # left out of the figures: the camera's drift leaves the rim to fewer frames
 MIN_STANDING_SHARE = 0.3  # of the time, from which traffic counts as standing
@@ -70,7 +72,7 @@ class RegisteredFrames:
         return ((frame, self.reference_from_frame[frame.index]) for frame in frames)
 
 
-def _compute_median(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+def _compute_median(frames: RegisteredFrames) -> Image:
     """numpy.median of all warped frames, held in memory, 64 rows at a time."""
     stack = list(_warp_frames(frames))
     result = np.empty((*frames.size, 3), np.uint8)
@@ -80,7 +82,7 @@ def _compute_median(frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
     return result
 
 
-def _apply_subtractor(subtractor: Any, frames: RegisteredFrames) -> UInt8[Array, "H W 3"]:
+def _apply_subtractor(subtractor: Any, frames: RegisteredFrames) -> Image:
     """The background image of one of OpenCV's models after all frames."""
     for image in _warp_frames(frames):
         subtractor.apply(image)
@@ -105,7 +107,7 @@ METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
 }
 
 
-def _warp_frames(frames: RegisteredFrames) -> Iterator[UInt8[Array, "H W 3"]]:
+def _warp_frames(frames: RegisteredFrames) -> Iterator[Image]:
     """Frames as RGB, warped to the reference at one exposure, for the other methods."""
     exposure = start_exposure(frames.size)
     for frame, matrix in frames:
@@ -113,10 +115,16 @@ def _warp_frames(frames: RegisteredFrames) -> Iterator[UInt8[Array, "H W 3"]]:
         yield apply_gain(warp(frame.image, matrix, frames.size), gain, 0.0)
 
 
+def _spread_indices(count: int) -> list[int]:
+    """The numbers below `count`, every first part spread over the whole (van der Corput)."""
+    digits = max(count - 1, 0).bit_length()
+    return sorted(range(count), key=lambda index: int(f"{index:0{digits}b}"[::-1], 2))
+
+
 def _write_input(still: str, size: str, count: int, folder: Path) -> None:
     """Encode frames sampled over a synthetic clip of 20 s, and write the truth beside them."""
     video = make_hover_video(still, size=size, count=600, kind="queue")
-    order = np.linspace(0, len(video) - 1, count).round().astype(int)[spread_indices(count)]
+    order = np.linspace(0, len(video) - 1, count).round().astype(int)[_spread_indices(count)]
     write_video((video[index] for index in order), folder / "frames.mp4", frame_rate=1)
     boxes = [np.insert(list_boxes(video.clip, i), 0, n, axis=1) for n, i in enumerate(order)]
     np.savez(
@@ -139,17 +147,8 @@ def _read_input(folder: Path) -> tuple[RegisteredFrames, Any]:
     return RegisteredFrames(video, size, truth["reference_from_frame"], by_frame), truth
 
 
-def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
-    """Run one method in this process and measure it against the truth.
-
-    Args:
-        name: key of `METHODS`.
-        folder: the frames and the truth, as `_measure_synthetic` writes them.
-        threads: of OpenCV and of the decoder.
-
-    Returns:
-        A row of the table.
-    """
+def _run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
+    """Run one method in this process and measure it against the truth: a row of the table."""
     cv2.setNumThreads(threads)
     frames, truth = _read_input(folder)
     start = time.perf_counter()
@@ -162,7 +161,7 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     error = (image.astype(np.float32) - clean) ** 2
     row |= {zone: float(np.sqrt(error[where].mean())) for zone, where in zones.items()}
     first = next(iter(frames))[0].image
-    energy = measure_gradient_energy(image, first, clean, zones["static"])
+    energy = _measure_gradient_energy(image, first, clean, zones["static"])
     row["gradient energy %"] = 100 * energy
     held = replace(frames, video=list(frames.video))  # so that decoding is not timed
     start = time.perf_counter()
@@ -173,31 +172,19 @@ def run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     return row
 
 
-def measure_gradient_energy(
-    image: UInt8[Array, "H W 3"],
-    frame: UInt8[Array, "H W 3"],
-    clean: UInt8[Array, "H W 3"],
-    where: Bool[Array, "H W"],
+def _measure_gradient_energy(
+    image: Image, frame: Image, clean: Image, where: Bool[Array, "H W"]
 ) -> float:
-    """Measure sharpness: gradient energy of an image over that of a single frame.
+    """Sharpness: gradient energy of an image over that of a single frame.
 
     Both are correlated with the gradients of the truth, so that their noise does not count.
-
-    Args:
-        image: (H, W, 3) the background.
-        frame: (H, W, 3) a single frame.
-        clean: (H, W, 3) the truth.
-        where: (H, W) pixels to compare.
-
-    Returns:
-        The ratio, 1 for a background as sharp as the frame.
     """
     truth = _compute_gradients(clean)[:, where]
     mean, single = ((_compute_gradients(p)[:, where] * truth).sum() for p in (image, frame))
     return float((mean / single) ** 2)
 
 
-def _compute_gradients(image: UInt8[Array, "H W 3"]) -> Float32[Array, "2 H W"]:
+def _compute_gradients(image: Image) -> Float32[Array, "2 H W"]:
     """Differences of neighbours to the right and below, which show the finest detail."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     return np.stack([np.roll(grey, -1, axis) - grey for axis in (1, 0)])
@@ -292,7 +279,7 @@ def main(
 ) -> None:
     """Measure the background methods on synthetic videos, and compare them on real ones."""
     if method and folder:
-        print(jsonlib.dumps(run_method(method, folder, threads)))
+        print(jsonlib.dumps(_run_method(method, folder, threads)))
         return
     cv2.setNumThreads(threads)
     synthetic = _measure_synthetic(stills.split(","), size, frames, threads)

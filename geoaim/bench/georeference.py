@@ -8,7 +8,7 @@ Monte Carlo over layouts of the points, true transforms, and numbers of points.
 import argparse
 import warnings
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -83,25 +83,17 @@ TRUE_TRANSFORMS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell of the benchmark's table.
+    """One cell of the benchmark's table."""
 
-    Attributes:
-        layout: key of `LAYOUTS`.
-        truth: key of `TRUE_TRANSFORMS`.
-        count: number of control points.
-        noise: standard deviation of the picking noise, pixels.
-        stated: whether the estimate is given this noise.
-    """
-
-    layout: str
-    truth: str
-    count: int
+    layout: str  # key of LAYOUTS
+    truth: str  # key of TRUE_TRANSFORMS
+    count: int  # of control points
     noise: float = PICKING_SIGMA_PX
-    stated: bool = False
+    stated: bool = False  # whether the estimate is given this noise
 
 
-def draw_terms(truth: TrueTransform, generator: np.random.Generator) -> Float[Array, "9"]:
-    """Draw the nine terms of one true transform."""
+def _draw_terms(truth: TrueTransform, generator: np.random.Generator) -> Float[Array, "9"]:
+    """The nine terms of one true transform."""
     terms = np.zeros(9)
     if truth.from_prior:
         terms[4:] = PRIOR_SIGMA * generator.normal(size=5)
@@ -113,61 +105,42 @@ def draw_terms(truth: TrueTransform, generator: np.random.Generator) -> Float[Ar
     return terms
 
 
-def draw_points(
-    cell: Cell, terms: Float[Array, "9"], generator: np.random.Generator
-) -> tuple[ControlPoints, Float[Array, "3 3"]]:
-    """Draw control points with picking noise.
-
-    Args:
-        cell: layout, number and noise of the points.
-        terms: (9,) of the true transform.
-        generator: of the random numbers.
-
-    Returns:
-        The points, and the true world_from_image (3, 3) of undistorted pixels.
-    """
+def _draw_points(
+    cell: Cell, generator: np.random.Generator
+) -> tuple[ControlPoints, Callable[[Float[Array, "m 2"]], Float[Array, "m 2"]]]:
+    """Control points with picking noise, and the true transform from pixels to the ground."""
+    terms = _draw_terms(TRUE_TRANSFORMS[cell.truth], generator)
     box = np.reshape(LAYOUTS[cell.layout], (2, 2)) * [WIDTH, HEIGHT]
     pixels = generator.uniform(box[0], box[1], size=(cell.count, 2))
     angle = generator.uniform(0.0, 2.0 * np.pi)
     unit = RESOLUTION * half_diagonal(HEIGHT, WIDTH)
     world_from_plane = make_similarity(np.zeros(2), angle, unit)
     world_from_image = compose_world_from_image(world_from_plane, terms, (HEIGHT, WIDTH))
-    coordinates = _apply_truth(world_from_image, terms, pixels)
+
+    def transform(pixels: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
+        undistorted = undistort_points(pixels, float(terms[8]), HEIGHT, WIDTH)
+        return transform_points(world_from_image, undistorted)
+
     picked = pixels + generator.normal(scale=cell.noise, size=pixels.shape)
     picked = picked.clip(0.0, (WIDTH, HEIGHT))
     names = tuple(f"p{i}" for i in range(cell.count))
-    return ControlPoints(picked, coordinates, None, names, (None,) * cell.count), world_from_image
+    points = ControlPoints(picked, transform(pixels), None, names, (None,) * cell.count)
+    return points, transform
 
 
-def _apply_truth(
-    world_from_image: Float[Array, "3 3"], terms: Float[Array, "9"], pixels: Float[Array, "m 2"]
-) -> Float[Array, "m 2"]:
-    undistorted = undistort_points(pixels, float(terms[8]), HEIGHT, WIDTH)
-    return transform_points(world_from_image, undistorted)
-
-
-def measure_errors(
+def _measure_errors(
     georeference: Georeference, pixels: Float[Array, "m 2"], truth: Float[Array, "m 2"]
 ) -> tuple[Float[Array, "m"], Bool[Array, "m"]]:
-    """Measure errors on the ground, and whether the 95 % ellipses hold the truth.
-
-    Args:
-        georeference: the estimate.
-        pixels: (M, 2) where to measure.
-        truth: (M, 2) their true places, metres.
-
-    Returns:
-        Errors (M,) in pixels, and (M,) True where the ellipse holds the truth.
-    """
+    """Errors on the ground, in pixels, and whether the 95 % ellipses hold the truth."""
     offset = world_from_pixels(georeference, pixels) - truth
     weighted = np.linalg.solve(predict_covariance(georeference, pixels), offset[:, :, None])
     squares = np.sum(offset * weighted[:, :, 0], axis=1)
-    inside = squares <= ellipse_factor(georeference.dof) ** 2
+    inside = squares <= ellipse_factor(georeference.posterior.dof) ** 2
     return np.linalg.norm(offset, axis=1) / RESOLUTION, inside
 
 
-def fit_rivals(points: ControlPoints) -> dict[str, Float[Array, "3 3"]]:
-    """Fit each transform model by maximum likelihood, and choose among them by AICc and by GRIC.
+def _fit_rivals(points: ControlPoints) -> dict[str, Float[Array, "3 3"]]:
+    """world_from_image of each model by maximum likelihood, and of the choice by AICc and GRIC.
 
     Burnham and Anderson 2002 for AICc; Torr 1998 for GRIC, with the true noise.
     """
@@ -185,10 +158,8 @@ def fit_rivals(points: ControlPoints) -> dict[str, Float[Array, "3 3"]]:
         gric[model] = np.minimum(scaled, 4.0).sum() + n * np.log(4.0) + count * np.log(2.0 * n)
     fits["AICc"] = fits[min(aicc, key=aicc.__getitem__)]
     fits["GRIC"] = fits[min(gric, key=gric.__getitem__)]
-    return {
-        name: compose_world_from_image(matrix, terms, (HEIGHT, WIDTH))
-        for name, terms in fits.items()
-    }
+    size = (HEIGHT, WIDTH)
+    return {name: compose_world_from_image(matrix, terms, size) for name, terms in fits.items()}
 
 
 def run_cell(cell: Cell, trials: int) -> dict[str, Any]:
@@ -199,11 +170,10 @@ def run_cell(cell: Cell, trials: int) -> dict[str, Any]:
     errors: dict[str, list[float]] = {}
     models: Counter[str] = Counter()
     for _ in range(trials):
-        terms = draw_terms(TRUE_TRANSFORMS[cell.truth], generator)
-        points, matrix = draw_points(cell, terms, generator)
+        points, transform = _draw_points(cell, generator)
         anywhere = generator.uniform(0.0, (WIDTH, HEIGHT), size=(1, 2))
         pixels = np.concatenate([corners, [[WIDTH / 2.0, HEIGHT / 2.0]], anywhere])
-        truth = _apply_truth(matrix, terms, pixels)
+        truth = transform(pixels)
         try:
             result = estimate_georeference(
                 points, height=HEIGHT, width=WIDTH, accuracy=cell.noise if cell.stated else None
@@ -213,12 +183,12 @@ def run_cell(cell: Cell, trials: int) -> dict[str, Any]:
             continue
         models[result.model + (" + lens" if result.radial else "")] += 1
         models["dropped"] += int((~result.used).sum())
-        distance, inside = measure_errors(result, pixels, truth)
+        distance, inside = _measure_errors(result, pixels, truth)
         covered["corners"] += inside[:4].tolist()
         covered["centre"].append(bool(inside[4]))
         covered["anywhere"].append(bool(inside[5]))
         errors.setdefault("chosen", []).append(_rms(distance[:4]))
-        for name, rival in fit_rivals(points).items():
+        for name, rival in _fit_rivals(points).items():
             offset = transform_points(rival, corners) - truth[:4]
             errors.setdefault(name, []).append(_rms(np.linalg.norm(offset, axis=1) / RESOLUTION))
     return {
@@ -234,24 +204,14 @@ def run_cell(cell: Cell, trials: int) -> dict[str, Any]:
     }
 
 
-def run_outliers(cell: Cell, size: float, trials: int) -> dict[str, Any]:
-    """Measure how often one point that is `size` pixels off is found, missed, or refused.
-
-    Args:
-        cell: layout, transform and number of points.
-        size: error of the wrong point, pixels.
-        trials: number of drawn point sets.
-
-    Returns:
-        Counts of the outcomes, and the coverage of the corners.
-    """
+def _run_outliers(cell: Cell, size: float, trials: int) -> dict[str, Any]:
+    """Measure how often one point that is `size` pixels off is found, missed, or refused."""
     generator = np.random.default_rng([cell.count, int(size), *map(ord, cell.layout + cell.truth)])
     corners = image_corners(HEIGHT, WIDTH)
     outcomes: Counter[str] = Counter()
     covered: list[bool] = []
     for _ in range(trials):
-        terms = draw_terms(TRUE_TRANSFORMS[cell.truth], generator)
-        points, matrix = draw_points(cell, terms, generator)
+        points, transform = _draw_points(cell, generator)
         angle = generator.uniform(0.0, 2.0 * np.pi)
         points.coordinates[0] += size * RESOLUTION * np.array([np.cos(angle), np.sin(angle)])
         try:
@@ -262,7 +222,7 @@ def run_outliers(cell: Cell, size: float, trials: int) -> dict[str, Any]:
             continue
         missed = "missed" if result.used.all() else "wrong one"
         outcomes[missed if result.used[0] else "found"] += 1
-        covered += measure_errors(result, corners, _apply_truth(matrix, terms, corners))[1].tolist()
+        covered += _measure_errors(result, corners, transform(corners))[1].tolist()
     return {
         "layout": cell.layout,
         "truth": cell.truth,
@@ -320,7 +280,7 @@ def main() -> None:
     outliers = _print_table(
         "layout | truth | points | one wrong by px | outcomes | % of corners covered",
         (
-            run_outliers(Cell(layout, truth, count), size, max(trials // 2, 10))
+            _run_outliers(Cell(layout, truth, count), size, max(trials // 2, 10))
             for layout, truth, count, size in product(
                 ("spread", "one-sided"),
                 ("similarity", "as expected"),
@@ -331,8 +291,7 @@ def main() -> None:
         ("layout", "truth", "points", "size_px", "outcomes", "coverage"),
     )
     if arguments.json:
-        tables = {"cells": cells, "noises": noises, "outliers": outliers}
-        write_json(tables, arguments.json)
+        write_json({"cells": cells, "noises": noises, "outliers": outliers}, arguments.json)
 
 
 if __name__ == "__main__":

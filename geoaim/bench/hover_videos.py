@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.stills import STILLS, cut_sprites, read_clean_still
-from geoaim.synthetic.camera import HoverClip, SpriteTracks, film, render_frame
-from geoaim.synthetic.hover import Hover
+from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film, render_frame
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 SIZES = {"720p": (720, 1280), "1080p": (1080, 1920), "4k": (2160, 3840)}

@@ -9,8 +9,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.synthetic import Sample, draw_place, tracks_of
-from geoaim.synthetic.compositing import paste
-from geoaim.synthetic.filming import compute_image_poses, draw_agents
+from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 
 RESOLUTION = 0.1  # m/px at which images are compared
 OCTAVES = 2.0 ** np.arange(-7, 0)  # cycles a pixel

@@ -6,6 +6,7 @@ write_sample(sample, Path("sample"))
 
 from geoaim.encode import write_video
 from geoaim.synthetic.camera import (
+    Hover,
     HoverClip,
     SpriteTracks,
     film,
@@ -17,7 +18,6 @@ from geoaim.synthetic.camera import (
     render_frames,
 )
 from geoaim.synthetic.files import write_sample
-from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.place import Place, draw_place, make_place, world_from_image
 from geoaim.synthetic.sample import VIDEOS, Sample, make_sample, tracks_of
 from geoaim.synthetic.scenery.day import Day

@@ -15,12 +15,40 @@ from geoaim.synthetic.compositing import (
     warp_sprite,
 )
 from geoaim.synthetic.exact import ROWS, blur, pack, premultiply, resize, warp
-from geoaim.synthetic.hover import Hover, simulate_poses
 
 CORNERS = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
 SHADOW_ALPHA = 140  # of 255, opacity of a vehicle's shadow
 SUPERSAMPLING = 2  # the still is kept blurred at twice the frames' resolution, for linear warps
 NOISE_SHIFT = 256  # px, range of the random origin at which each frame crops the noise field
+
+
+@dataclass(frozen=True)
+class Hover:
+    """Motion and image quality of a hovering camera.
+
+    Attributes:
+        count: number of frames.
+        frame_rate: frames per second.
+        drift: mean distance of the image centre from where frame 0 saw it, frame pixels.
+        yaw: standard deviation of the camera's heading, radians.
+        zoom: standard deviation of the scale, relative.
+        perspective: standard deviation of the corners' shift by tilt, frame pixels.
+        vibration: standard deviation of the shift from frame to frame, frame pixels.
+        blur: standard deviation of the lens blur, frame pixels.
+        noise: standard deviation of the sensor noise, grey levels.
+        exposure: standard deviation of the gain over the clip; frame 0 has gain 1.
+    """
+
+    count: int = 120
+    frame_rate: float = 30.0
+    drift: float = 28.0
+    yaw: float = 0.006
+    zoom: float = 0.004
+    perspective: float = 1.5
+    vibration: float = 0.4
+    blur: float = 0.6
+    noise: float = 2.0
+    exposure: float = 0.03
 
 
 @dataclass(frozen=True)
@@ -103,7 +131,7 @@ def film(
     """
     if len(traffic.poses) != hover.count:
         raise ValueError(f"traffic has {len(traffic.poses)} steps for {hover.count} frames")
-    nominal_from_frame, gains = simulate_poses(hover, height, width, generator)
+    nominal_from_frame, gains = _simulate_poses(hover, height, width, generator)
     corners = transform_points(nominal_from_frame, image_corners(height, width))
     extent = np.abs(corners - [width / 2, height / 2]).max(axis=(0, 1)) + 4
     rows, columns = background.shape[:2]
@@ -111,17 +139,15 @@ def film(
     base = _rescale(background, scale)
     down, right = base.shape[0] / rows, base.shape[1] / columns
     nominal_from_base = np.diag([1 / SUPERSAMPLING, 1 / SUPERSAMPLING, 1.0])
-    nominal_from_base[:2, 2] = (
-        np.array([width, height]) - base.shape[1::-1] / np.array(SUPERSAMPLING)
-    ) / 2
+    shown = base.shape[1::-1] / np.array(SUPERSAMPLING)
+    nominal_from_base[:2, 2] = (np.array([width, height]) - shown) / 2
+    frame_from_base = np.linalg.inv(nominal_from_frame) @ nominal_from_base
     base_from_background = np.diag([right, down, 1.0])
     return HoverClip(
         height=height,
         width=width,
         times=np.arange(hover.count) / hover.frame_rate,
-        frame_from_background=np.linalg.inv(nominal_from_frame)
-        @ nominal_from_base
-        @ base_from_background,
+        frame_from_background=frame_from_base @ base_from_background,
         gains=gains,
         traffic=traffic,
         hover=hover,
@@ -143,7 +169,7 @@ def render_frame(clip: HoverClip, index: int) -> UInt8[Array, "H W 3"]:
     """Render a frame: ground and agents through the lens, with gain and noise."""
     image = render_background(clip, index)
     for patch in _render_vehicles(clip, index, clip.frame_from_background[index]):
-        blend_patch(image, *patch)
+        blend_patch(image, patch)
     row, column = clip.noise_starts[index]
     noise = clip.noise[row : row + clip.height, column : column + clip.width]
     return _expose(image, noise, float(clip.gains[index]), clip.hover.noise / 32)
@@ -173,10 +199,8 @@ def list_boxed_agents(clip: HoverClip, index: int) -> tuple[Int[Array, "n"], Flo
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     corners = clip.traffic.sizes[present][:, None] / 2 * np.array(CORNERS)
-    frame_from_vehicle = clip.frame_from_background[index] @ compute_background_from_sprite(
-        poses[present]
-    )
-    corners = transform_points(frame_from_vehicle, corners)
+    background_from_sprite = compute_background_from_sprite(poses[present])
+    corners = transform_points(clip.frame_from_background[index] @ background_from_sprite, corners)
     limit = [clip.width, clip.height]
     boxes = np.hstack([corners.min(axis=1).clip(0, limit), corners.max(axis=1).clip(0, limit)])
     visible = ((boxes[:, 2:] - boxes[:, :2]) >= 2).all(axis=1)
@@ -197,6 +221,38 @@ def measure_traffic_share(clip: HoverClip, reference: int = 0) -> Float32[Array,
             counts[window] += covered[window]
             covered[window] = 0
     return counts / len(clip.times)
+
+
+def _simulate_poses(
+    hover: Hover, height: int, width: int, generator: np.random.Generator
+) -> tuple[Float[Array, "T 3 3"], Float[Array, "T"]]:
+    """Simulate transforms from frame pixels to those of a camera that does not move, and gains."""
+    times = np.arange(hover.count) / hover.frame_rate
+    slow = np.stack([_make_slow_noise(times, generator) for _ in range(7)])
+    path = slow[:2] - slow[:2, :1]
+    length = np.hypot(*path).mean()
+    path = path * (hover.drift / length if length > 0 else 0.0)
+    path += hover.vibration * generator.standard_normal(path.shape)
+    radius = np.hypot(height, width) / 2
+    centre, back = translation(width / 2, height / 2), translation(-width / 2, -height / 2)
+    poses = np.empty((hover.count, 3, 3))
+    for i in range(hover.count):
+        angle, size = hover.yaw * slow[2, i], 1 + hover.zoom * slow[3, i]
+        cosine, sine = size * np.cos(angle), size * np.sin(angle)
+        rotation = np.array([[cosine, sine, path[0, i]], [-sine, cosine, path[1, i]], [0, 0, 1]])
+        tilt = np.eye(3)
+        tilt[2, :2] = hover.perspective * slow[4:6, i] / radius**2
+        poses[i] = centre @ rotation @ tilt @ back
+    return poses, 1 + hover.exposure * (slow[6] - slow[6, 0])
+
+
+def _make_slow_noise(times: Float[Array, "T"], generator: np.random.Generator) -> Float[Array, "T"]:
+    """Sum sinusoids with periods of 2.5 to 25 s, the longer the stronger; unit variance."""
+    frequencies = 0.04 * 10 ** generator.uniform(0, 1, 8)
+    phases = generator.uniform(0, 2 * np.pi, 8)
+    weights = frequencies[0] / frequencies
+    waves = np.sin(2 * np.pi * frequencies * times[:, None] + phases)
+    return np.asarray(waves @ weights / np.sqrt((weights**2).sum() / 2))
 
 
 def _make_noise_field(
@@ -225,28 +281,20 @@ def _render_vehicles(
     """Windows of a frame, and premultiply colour and alpha over each; shadows come first."""
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
-    frame_from_vehicle = frame_from_background @ compute_background_from_sprite(poses)
+    background_from_sprite = compute_background_from_sprite(poses)
+    frame_from_sprite = frame_from_background @ background_from_sprite
     frame_from_shadow = (
-        frame_from_background
-        @ translation(*clip.traffic.shadow)
-        @ compute_background_from_sprite(poses)
+        frame_from_background @ translation(*clip.traffic.shadow) @ background_from_sprite
     )
-    shape = clip.height, clip.width
-    if any(clip.traffic.shadow):
-        for number in present:
-            sprite = clip.base_sprites[number]
-            for window, colour, alpha in warp_sprite(
-                sprite, frame_from_shadow[number] @ _unscale(clip), shape
-            ):
-                dark = (alpha.astype(np.uint16) * SHADOW_ALPHA // 255).astype(np.uint8)
-                yield window, np.zeros_like(colour), dark
+    unscale, shape = np.linalg.inv(clip.base_from_background), (clip.height, clip.width)
+    for number in present if any(clip.traffic.shadow) else ():
+        matrix = frame_from_shadow[number] @ unscale
+        for window, colour, alpha in warp_sprite(clip.base_sprites[number], matrix, shape):
+            dark = (alpha.astype(np.uint16) * SHADOW_ALPHA // 255).astype(np.uint8)
+            yield window, np.zeros_like(colour), dark
     for number in present:
-        sprite = clip.base_sprites[number]
-        yield from warp_sprite(sprite, frame_from_vehicle[number] @ _unscale(clip), shape)
-
-
-def _unscale(clip: HoverClip) -> Float[Array, "3 3"]:
-    return np.linalg.inv(clip.base_from_background)
+        matrix = frame_from_sprite[number] @ unscale
+        yield from warp_sprite(clip.base_sprites[number], matrix, shape)
 
 
 def _prepare_sprites(

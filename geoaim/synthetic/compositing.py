@@ -1,4 +1,4 @@
-"""Sprites warped into an image and blended over it."""
+"""Sprites of agents: drawn, warped into an image and blended over it."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,7 +8,12 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.exact import pack, premultiply, warp
+from geoaim.synthetic.place import Place, world_from_image
+from geoaim.synthetic.scenery.objects import PAINTS
+from geoaim.synthetic.scenery.sprites import draw_pedestrian, draw_vehicle
+from geoaim.tracks import Tracks
 
+CLOTHES = ((58, 62, 78), (150, 60, 52), (198, 190, 178), (70, 96, 128), (90, 98, 72), (36, 36, 40))
 SpritePatch = tuple[tuple[slice, slice], UInt8[Array, "_ _ 3"], UInt8[Array, "_ _"]]
 
 
@@ -29,23 +34,12 @@ def paste(
             light = premultiply(sprite)
             packed = pack(light[..., :3]), pack(light[..., 3:])
             for patch in warp_sprite(packed, compute_background_from_sprite(pose), image.shape[:2]):
-                blend_patch(image, *patch)
+                blend_patch(image, patch)
 
 
-def blend_patch(
-    image: UInt8[Array, "H W 3"],
-    window: tuple[slice, slice],
-    colour: UInt8[Array, "h w 3"],
-    alpha: UInt8[Array, "h w"],
-) -> None:
-    """Blend premultiplied colours into a window of an image.
-
-    Args:
-        image: changed in place.
-        window: rows and columns.
-        colour: premultiplied colours of the window.
-        alpha: opacity of the window.
-    """
+def blend_patch(image: UInt8[Array, "H W 3"], patch: SpritePatch) -> None:
+    """Blend a patch (window, premultiplied colours, opacity) into an image, in place."""
+    window, colour, alpha = patch
     ground = image[window].astype(np.uint16) * (255 - alpha[..., None].astype(np.uint16))
     image[window] = np.minimum((ground + 127) // 255 + colour, 255).astype(np.uint8)
 
@@ -82,3 +76,45 @@ def compute_background_from_sprite(pose: Float[Array, "*n 3"]) -> Float[Array, "
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
     rows = [[cosine, sine, pose[..., 0]], [-sine, cosine, pose[..., 1]], [zero, zero, one]]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def compute_image_poses(place: Place, tracks: Tracks, resolution: float) -> Float[Array, "T N 3"]:
+    """Compute the agents' poses in the drawn place.
+
+    Args:
+        place: the place.
+        tracks: N agents at T times.
+        resolution: metres per pixel of the drawn place.
+
+    Returns:
+        (T, N, 3) pixels and heading, counter-clockwise as seen.
+    """
+    image_from_world = np.linalg.inv(world_from_image(place, resolution))
+    pixels = transform_points(image_from_world, tracks.states[..., :2])
+    turn = np.arctan2(place.world_from_plan[1, 0], place.world_from_plan[0, 0])
+    poses = np.concatenate([pixels, tracks.states[..., 2:3] - turn], axis=-1)
+    return np.swapaxes(poses, 0, 1)
+
+
+def draw_agents(
+    tracks: Tracks, resolution: float, generator: np.random.Generator
+) -> tuple[UInt8[Array, "_ _ 4"], ...]:
+    """Draw a sprite of each agent, in random colours.
+
+    Args:
+        tracks: the agents.
+        resolution: metres per pixel.
+        generator: source of randomness.
+
+    Returns:
+        RGBA sprites, heading right.
+    """
+    sprites = []
+    for kind, (length, width) in zip(tracks.types, tracks.sizes.tolist(), strict=True):
+        paint = PAINTS[int(generator.integers(len(PAINTS)))]
+        cloth = CLOTHES[int(generator.integers(len(CLOTHES)))]
+        if kind in ("pedestrian", "cyclist"):
+            sprites.append(draw_pedestrian(cloth, resolution, cycle=kind == "cyclist"))
+        else:
+            sprites.append(draw_vehicle(length, width, paint, resolution))
+    return tuple(sprites)

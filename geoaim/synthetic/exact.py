@@ -107,7 +107,5 @@ def _sample(
     short = np.uint64(sum(0x1FFF << (CHANNEL_BITS * channel) for channel in range(3)))
     three, round_up = np.uint64(3), np.uint64(sum(1 << (CHANNEL_BITS * k + 12) for k in range(3)))
     both = ((top >> three) & short) * up + ((low >> three) & short) * down + round_up
-    parts = [
-        (both >> np.uint64(CHANNEL_BITS * channel + 13)).astype(np.uint8) for channel in range(3)
-    ]
-    return np.stack(parts, axis=-1)
+    shifts = [np.uint64(CHANNEL_BITS * channel + 13) for channel in range(3)]
+    return np.stack([(both >> shift).astype(np.uint8) for shift in shifts], axis=-1)

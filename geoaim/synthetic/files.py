@@ -5,6 +5,7 @@ import os
 import shutil
 from fnmatch import fnmatch
 from pathlib import Path
+from string import Template
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,16 @@ import numpy as np
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
 from geoaim.progress import Progress, no_progress
-from geoaim.synthetic.imagery import (
-    make_other_day,
-)
-from geoaim.synthetic.imagery_files import write_imagery
-from geoaim.synthetic.map_files import write_maps
-from geoaim.synthetic.readme import TITLE, format_readme
+from geoaim.synthetic.imagery import make_other_day
+from geoaim.synthetic.map_files import ZOOM, write_imagery, write_maps
+from geoaim.synthetic.place import RESOLUTION
 from geoaim.synthetic.roads.markings import list_landmarks
-from geoaim.synthetic.sample import Sample, tracks_of
+from geoaim.synthetic.sample import HOVER, VIDEOS, Sample, tracks_of
 from geoaim.synthetic.traffic.signals import light_states_at
 from geoaim.synthetic.video_files import write_video_files
 from geoaim.track_files import write_tracks
 
+TITLE = "# Sample\n\nA synthetic place"  # how the README begins
 # names of all files that a sample's folder may hold
 SAMPLE_FILES = (
     *("hover.mp4", "hover.SRT", "gcps.csv", "boxes", "background.jpg", "tracks*.csv"),
@@ -102,7 +101,7 @@ def _write_all(sample: Sample, folder: Path, report: Progress) -> None:
     report("maps", 3, 3)
     if sample.clip is not None:
         write_video_files(sample, sample.clip, folder, report)
-    (folder / "README.md").write_bytes(format_readme(sample).encode())
+    (folder / "README.md").write_bytes(_format_readme(sample).encode())
 
 
 def _format_name(stem: str, number: int, ending: str) -> str:
@@ -145,3 +144,39 @@ def _write_truth(sample: Sample, folder: Path, offset: tuple[float, float]) -> N
         "landmarks": dict(zip(names, world, strict=True)),
     }
     (folder / "truth.json").write_bytes((json.dumps(content, indent=1) + "\n").encode())
+
+
+def _format_readme(sample: Sample) -> str:
+    """Fill the README's template, without the blocks that do not apply."""
+    clip = sample.clip
+    seconds = sum(float(recording.times[-1]) for recording in sample.recordings)
+    values: dict[str, object] = {
+        "command": _format_command(sample, seconds / 60),
+        "traffic": f"{seconds:g}",
+        "zoom": ZOOM,
+        "start": "" if clip is None else ". Time 0 is the video's first frame",
+    }
+    if clip is not None:
+        values |= {"width": clip.width, "height": clip.height, "rate": f"{clip.hover.frame_rate:g}"}
+        values |= {"seconds": f"{len(clip.times) / clip.hover.frame_rate:g}"}
+    text = Path(__file__).with_name("sample_readme.md").read_text(encoding="utf-8")
+    given = {"film": clip is not None, "lights": bool(sample.recordings[0].signals.names)}
+    for block, there in given.items():
+        before, _, rest = text.partition(f"<{block}>\n")
+        inside, _, after = rest.partition(f"</{block}>\n")
+        text = before + (inside if there else "") + after
+    return Template(text).substitute(values)
+
+
+def _format_command(sample: Sample, minutes: float) -> str:
+    """Format the command that makes the sample, or the Python call if no command does."""
+    kind, seed, clip = sample.place.roads.layout.kind, sample.place.seed, sample.clip
+    sizes = {size: name for name, size in VIDEOS.items()}
+    video = "none" if clip is None else sizes.get((clip.height, clip.width))
+    usual = clip is None or clip.hover == HOVER
+    if video and usual and sample.resolution == RESOLUTION:
+        options = f"--seed {seed} --kind {kind} --minutes {minutes:g} --video {video}"
+        return f"geoaim sample FOLDER {options}"
+    given = "None" if clip is None else f"({clip.height}, {clip.width}), hover={clip.hover}"
+    given = f"{given}, resolution={sample.resolution:g}"
+    return f'make_sample({seed}, kind="{kind}", minutes={minutes:g}, video={given})'

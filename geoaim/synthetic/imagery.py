@@ -8,9 +8,8 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
-from geoaim.synthetic.compositing import paste
+from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
-from geoaim.synthetic.filming import compute_image_poses, draw_agents
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
 from geoaim.synthetic.roads.layouts import PLACE_KINDS
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
@@ -47,21 +46,19 @@ class Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Imagery:
-    """A georeferenced image, and by how much it is misplaced.
+    """A georeferenced image.
 
     Attributes:
         image: (H, W, 3) the image.
         covered: (H, W) pixels that show the place.
         crs: a projected CRS.
         crs_from_image: (3, 3) pixels (corner origin) to stated coordinates.
-        offset: stated minus true position, metres east and north in the place's world.
     """
 
     image: UInt8[Array, "H W 3"]
     covered: Bool[Array, "H W"]
     crs: str
     crs_from_image: Float[Array, "3 3"]
-    offset: tuple[float, float]
 
 
 def make_other_day(place: Place) -> Day:
@@ -128,7 +125,7 @@ def georeference_photo(
     here, there = (crs_from_world(place.world, spot, crs)[0] for spot in (middle, middle + offset))
     right, up = there - here
     moved = translation(right, up) @ crs_from_image
-    return Imagery(image, covered, crs, moved, offset)
+    return Imagery(image, covered, crs, moved)
 
 
 def draw_offset(place: Place) -> tuple[float, float]:

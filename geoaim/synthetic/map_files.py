@@ -1,21 +1,36 @@
-"""A synthetic place's HD maps and surfaces as files."""
+"""A synthetic place's HD maps, surfaces, orthophoto and tiles as files."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
+import rasterio
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
+from rasterio.enums import ColorInterp
 from shapely import Polygon
 
 from geoaim.geometry import transform_points
+from geoaim.synthetic.imagery import (
+    WEB,
+    Imagery,
+    cut_tiles,
+    draw_offset,
+    georeference_photo,
+    make_other_day,
+    photograph,
+)
 from geoaim.synthetic.place import Place
 from geoaim.synthetic.roads.lanelet import make_lanelet_map
 from geoaim.synthetic.roads.paving import outline_crossing
-from geoaim.synthetic.sample import Sample
+from geoaim.synthetic.sample import Sample, tracks_of
 from geoaim.world import lonlat_from_world
+
+ZOOM = 19  # of the tiles
 
 
 def write_maps(sample: Sample, folder: Path) -> None:
@@ -32,9 +47,7 @@ def write_maps(sample: Sample, folder: Path) -> None:
         "drive": paving.drive,
         "car park": paving.lot,
     }
-    features = [
-        _make_feature(place, geometry, {"kind": kind}) for kind, geometry in surfaces.items()
-    ]
+    features = [_make_feature(place, area, {"kind": kind}) for kind, area in surfaces.items()]
     for crossing in place.roads.crossings:
         properties = {"kind": "crossing", "name": crossing.name, "marked": crossing.marked}
         features.append(_make_feature(place, outline_crossing(crossing), properties))
@@ -43,11 +56,43 @@ def write_maps(sample: Sample, folder: Path) -> None:
     (folder / "surfaces.geojson").write_bytes((json.dumps(content) + "\n").encode())
 
 
+def write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
+    """Write an orthophoto and tiles of another day; return their offset, metres east and north."""
+    place = sample.place
+    tracks = tracks_of(sample, len(sample.recordings) - 1)
+    states, present = tracks.states[:, -1:], tracks.present[:, -1:]
+    last = replace(tracks, times=tracks.times[-1:], states=states, present=present)
+    offset = draw_offset(place)
+    photo = photograph(place, make_other_day(place), last, resolution=sample.resolution)
+    ortho = georeference_photo(place, photo, "EPSG:3035", offset=offset)
+    _write_geotiff(ortho, folder / "ortho.tif")
+    web = georeference_photo(place, photo, WEB, offset=offset)
+    for column, row, tile in cut_tiles(web, ZOOM):
+        write_jpeg(tile, folder / "tiles" / str(ZOOM) / str(column) / f"{row}.jpg", quality=85)
+    return offset
+
+
+def write_jpeg(image: UInt8[Array, "H W 3"], path: Path, *, quality: int) -> None:
+    """Write an image as JPEG.
+
+    Args:
+        image: the image.
+        path: file to write; its folders are made.
+        quality: 0 to 100.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bgr = np.ascontiguousarray(image[..., ::-1])
+    done, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise OSError(f"{path}: the image could not be encoded")
+    path.write_bytes(data.tobytes())
+
+
 def _make_feature(
-    place: Place, geometry: shapely.Geometry, properties: dict[str, Any]
+    place: Place, area: shapely.Geometry, properties: dict[str, Any]
 ) -> dict[str, Any]:
-    """Make a GeoJSON feature of the part of a geometry that lies within the place."""
-    parts = shapely.get_parts(geometry.intersection(place.roads.extent))
+    """Make a GeoJSON feature of the part of an area that lies within the place."""
+    parts = shapely.get_parts(area.intersection(place.roads.extent))
     polygons = [
         Polygon(*_convert_rings(place, part))
         for part in parts
@@ -56,11 +101,8 @@ def _make_feature(
     whole = shapely.make_valid(shapely.MultiPolygon(polygons), method="structure")
     parts = shapely.get_parts(shapely.set_precision(whole, 1e-9))  # rounded, and still valid
     shape = shapely.MultiPolygon([part for part in parts if part.geom_type == "Polygon"])
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": shapely.geometry.mapping(shape),
-    }
+    geometry = shapely.geometry.mapping(shape)
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 def _convert_rings(
@@ -76,3 +118,17 @@ def _convert_rings(
 def _to_lonlat(place: Place, points: Float[Array, "m 2"]) -> list[list[float]]:
     world = transform_points(place.world_from_plan, points)
     return np.round(lonlat_from_world(place.world, world), 9).tolist()
+
+
+def _write_geotiff(imagery: Imagery, path: Path) -> None:
+    """Write RGB and alpha, as map services deliver them."""
+    height, width = imagery.covered.shape
+    profile = {"driver": "GTiff", "height": height, "width": width, "count": 4, "dtype": "uint8"}
+    transform = rasterio.Affine(*imagery.crs_from_image[:2].flat)
+    profile |= {"crs": imagery.crs, "transform": transform, "compress": "deflate", "predictor": 2}
+    profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256}
+    with rasterio.open(path, "w", **profile) as dataset:
+        dataset.write(np.moveaxis(imagery.image, -1, 0), [1, 2, 3])
+        dataset.write(np.where(imagery.covered, 255, 0).astype(np.uint8), 4)
+        names = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
+        dataset.colorinterp = names

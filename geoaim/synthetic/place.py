@@ -17,7 +17,6 @@ from geoaim.synthetic.scenery.scenery import Scenery
 from geoaim.world import World
 
 RESOLUTION = 0.05  # m/px, default
-CONTRAST = (0.75, 1.45)  # slopes of the cameras' tone curves
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 PLAN, SCENERY, GROUND, DAY = range(4)  # streams of random numbers
 
@@ -47,8 +46,8 @@ def make_place(seed: int, *, kind: PlaceKind = "junction") -> Place:
     Raises:
         ValueError: there is no such kind.
     """
-    roads = make_roads(kind, _make_generator(seed, PLAN))
-    generator = _make_generator(seed, SCENERY)
+    roads = make_roads(kind, np.random.default_rng([seed, PLAN]))
+    generator = np.random.default_rng([seed, SCENERY])
     turn = generator.uniform(-np.pi, np.pi)  # no drone flies along the grid
     c, s = np.cos(turn), np.sin(turn)
     world_from_plan = np.array([[c, -s, 180.0], [s, c, 240.0], [0, 0, 1.0]])
@@ -72,13 +71,11 @@ def draw_place(
         The image.
     """
     day = Day() if day is None else day
-    canvas = make_canvas(HEIGHT_M, WIDTH_M, resolution, _make_generator(place.seed, GROUND))
-    generator = _make_generator(place.seed, DAY, day.number)
+    canvas = make_canvas(resolution, np.random.default_rng([place.seed, GROUND]))
+    generator = np.random.default_rng([place.seed, DAY, day.number])
     draw_ground(canvas, place.roads, place.scenery, day, generator)
     draw_objects(canvas, place.scenery, day, generator)
-    grade_colours(
-        canvas, day, CONTRAST[0] + (CONTRAST[1] - CONTRAST[0]) * canvas.generator.uniform()
-    )
+    grade_colours(canvas, day)
     return np.rint(np.minimum(np.maximum(canvas.image, 0), 255)).astype(np.uint8)
 
 
@@ -92,7 +89,3 @@ def plan_from_image(resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
     m = resolution
     left, top = (-m * round(side / m) / 2 for side in (WIDTH_M, HEIGHT_M))
     return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])
-
-
-def _make_generator(*seeds: int) -> np.random.Generator:
-    return np.random.default_rng(seeds)

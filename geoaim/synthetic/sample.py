@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geoaim.synthetic.camera import HoverClip
-from geoaim.synthetic.filming import film_place
-from geoaim.synthetic.hover import Hover
-from geoaim.synthetic.place import RESOLUTION, Place, make_place
+from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film
+from geoaim.synthetic.compositing import compute_image_poses, draw_agents
+from geoaim.synthetic.place import RESOLUTION, Place, draw_place, make_place
 from geoaim.synthetic.roads.layouts import PlaceKind
-from geoaim.synthetic.scenery.day import Day
+from geoaim.synthetic.scenery.day import Day, compute_shadow_offset
+from geoaim.synthetic.scenery.objects import CAR_HEIGHT_M
 from geoaim.synthetic.traffic.interpolation import interpolate_tracks
 from geoaim.synthetic.traffic.simulate import (
     TrafficModel,
@@ -36,7 +36,7 @@ RATE = 10.0  # Hz, of the tracks
 LONGEST = 300.0  # s, of one recording
 EARLY_YELLOW = 1.5  # s of the first recording after which the main road's light turns yellow
 MARGIN = 10.0  # m past the page where vehicles are still filmed, so that none pops up in view
-TRAFFIC, FLOW = 10, 11  # streams of random numbers
+TRAFFIC, FLOW, CAMERA, COLOURS = 10, 11, 20, 21  # streams of random numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +93,8 @@ def make_sample(
     filmed = hover.count / hover.frame_rate if video is not None else 0.0
     if filmed > LONGEST:
         raise ValueError(f"{filmed:g} s of video; a recording has at most {LONGEST:g} s")
-    if 60 * minutes < max(filmed, 1.0):
-        raise ValueError(
-            f"{minutes:g} minutes of traffic; at least {max(filmed, 1) / 60:.2f} needed"
-        )
+    if 60 * minutes < filmed:
+        raise ValueError(f"{minutes:g} minutes of traffic; at least {filmed / 60:.2f} needed")
     place = make_place(seed, kind=kind)
     model = prepare_traffic(place.roads, np.random.default_rng([seed, FLOW]))
     recordings = tuple(
@@ -105,10 +103,9 @@ def make_sample(
     )
     clip = None
     if video is not None:
-        given = place.world_from_plan, place.world
         times = np.arange(hover.count) / hover.frame_rate
-        tracks = interpolate_tracks(model, recordings[0], *given, times=times, margin=MARGIN)
-        clip = film_place(place, Day(), tracks, hover, size=video, resolution=resolution)
+        tracks = interpolate_tracks(model, recordings[0], place, times=times, margin=MARGIN)
+        clip = _film_place(place, tracks, hover, video, resolution)
     return Sample(place, model, recordings, clip, resolution)
 
 
@@ -116,9 +113,7 @@ def tracks_of(sample: Sample, number: int = 0) -> Tracks:
     """Return the tracks of a recording, 10 per second."""
     place, recording = sample.place, sample.recordings[number]
     times = np.arange(int(recording.times[-1] * RATE + 1e-9) + 1) / RATE
-    return interpolate_tracks(
-        sample.traffic_model, recording, place.world_from_plan, place.world, times=times
-    )
+    return interpolate_tracks(sample.traffic_model, recording, place, times=times)
 
 
 def _simulate_recording(
@@ -131,3 +126,20 @@ def _simulate_recording(
     phase = early if number == 0 else generator.uniform(0, 1) * cycle
     signals = replace(model.signals, phase=float(phase))
     return simulate_traffic(replace(model, signals=signals), duration=seconds, generator=generator)
+
+
+def _film_place(
+    place: Place, tracks: Tracks, hover: Hover, size: tuple[int, int], resolution: float
+) -> HoverClip:
+    """Plan a clip of a place on day 0, with the traffic at the times of the frames."""
+    shadow = CAR_HEIGHT_M * compute_shadow_offset(Day()) / resolution
+    traffic = SpriteTracks(
+        sprites=draw_agents(tracks, resolution, np.random.default_rng([place.seed, COLOURS])),
+        sizes=tracks.sizes / resolution,
+        poses=compute_image_poses(place, tracks, resolution),
+        shadow=(float(shadow[0]), float(-shadow[1])),
+        types=tracks.types,
+    )
+    generator = np.random.default_rng([place.seed, CAMERA])
+    still = draw_place(place, resolution=resolution)
+    return film(still, traffic, hover, height=size[0], width=size[1], generator=generator)

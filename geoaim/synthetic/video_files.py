@@ -13,7 +13,7 @@ from geoaim.encode import write_video
 from geoaim.geometry import transform_points
 from geoaim.progress import Progress
 from geoaim.synthetic.camera import HoverClip, list_boxed_agents, render_background, render_frames
-from geoaim.synthetic.imagery_files import write_jpeg
+from geoaim.synthetic.map_files import write_jpeg
 from geoaim.synthetic.place import Place, world_from_image
 from geoaim.synthetic.roads.markings import list_landmarks
 from geoaim.synthetic.sample import Sample

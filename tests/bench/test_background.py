@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from geoaim.bench import background
-from geoaim.bench.background import METHODS, measure_gradient_energy, run_method
+from geoaim.bench.background import METHODS, _measure_gradient_energy, _run_method, _spread_indices
 from geoaim.encode import write_video
 from tests.mapping.background.clips import make_ground, queue
 
@@ -33,11 +33,16 @@ def folder(ground, tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_each_method_is_measured_in_each_zone(folder, monkeypatch, method):
     monkeypatch.setattr(background, "MARGIN_PX", 10)
-    row = run_method(method, folder, threads=1)
+    row = _run_method(method, folder, threads=1)
     assert np.isfinite([row["static"], row["passed"], row["stood"], row["gradient energy %"]]).all()
     assert row["static"] < 10
 
 
 def test_gradient_energy_of_the_frame_itself_is_one(ground):
     where = np.ones(ground.shape[:2], bool)
-    assert measure_gradient_energy(ground, ground, ground, where) == pytest.approx(1)
+    assert _measure_gradient_energy(ground, ground, ground, where) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 16])
+def test_spread_indices_are_a_permutation(count):
+    assert sorted(_spread_indices(count)) == list(range(count))

@@ -3,7 +3,7 @@ import sys
 import pytest
 
 from geoaim.bench import georeference
-from geoaim.bench.georeference import Cell, run_cell, run_outliers
+from geoaim.bench.georeference import Cell, _run_outliers, run_cell
 
 
 def test_a_cell_counts_each_trial_once():
@@ -14,7 +14,7 @@ def test_a_cell_counts_each_trial_once():
 
 @pytest.mark.filterwarnings("ignore::geoaim.errors.GeoaimWarning")
 def test_a_gross_outlier_is_found():
-    row = run_outliers(Cell("spread", "similarity", 8), 1e4, trials=1)
+    row = _run_outliers(Cell("spread", "similarity", 8), 1e4, trials=1)
     assert row["outcomes"] == {"found": 1}
 
 

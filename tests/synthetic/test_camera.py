@@ -6,6 +6,7 @@ import pytest
 
 from geoaim.geometry import to_opencv, transform_points
 from geoaim.synthetic.camera import (
+    Hover,
     SpriteTracks,
     film,
     list_boxed_agents,
@@ -17,7 +18,6 @@ from geoaim.synthetic.camera import (
     render_frames,
 )
 from geoaim.synthetic.compositing import paste
-from geoaim.synthetic.hover import Hover
 from geoaim.synthetic.scenery.texture import make_natural_noise
 
 QUIET = Hover(count=6, drift=6.0, noise=0.0, exposure=0.0, blur=0.8)
@@ -40,9 +40,8 @@ def _traffic(count):
 def _clip(hover=QUIET, seed=0, **options):
     traffic = _traffic(hover.count)
     generator = np.random.default_rng(seed)
-    return film(
-        _still(), replace(traffic, **options), hover, height=200, width=360, generator=generator
-    )
+    traffic = replace(traffic, **options)
+    return film(_still(), traffic, hover, height=200, width=360, generator=generator)
 
 
 @pytest.mark.parametrize("index", [1, 5])
@@ -75,9 +74,8 @@ def test_drift_is_the_mean_distance_of_the_centre():
 def test_vehicles_lie_inside_their_boxes():
     clip = _clip(replace(QUIET, blur=0.0))
     for index in range(6):
-        changed = (
-            np.abs(render_frame(clip, index).astype(int) - render_background(clip, index)) > 12
-        )
+        frame = render_frame(clip, index).astype(int)
+        changed = np.abs(frame - render_background(clip, index)) > 12
         for left, top, right, bottom in list_boxes(clip, index):
             changed[int(top) : int(bottom) + 1, int(left) : int(right) + 1] = False
         assert not changed.any()
@@ -86,9 +84,8 @@ def test_vehicles_lie_inside_their_boxes():
 def test_share_of_traffic_is_one_where_a_car_stands_and_small_where_one_passes():
     clip = _clip()
     share = measure_traffic_share(clip)
-    (u, v), (x, y) = transform_points(
-        clip.frame_from_background[0], clip.traffic.poses[[0, 2], [0, 1], :2]
-    )
+    places = clip.traffic.poses[[0, 2], [0, 1], :2]
+    (u, v), (x, y) = transform_points(clip.frame_from_background[0], places)
     assert share[int(v), int(u)] == 1.0
     assert 0 < share[int(y), int(x)] <= 0.5
 
@@ -103,10 +100,8 @@ def test_absent_vehicles_leave_no_trace():
 
 def test_shadow_darkens_beside_the_vehicle():
     clip = _clip(shadow=(0.0, 30.0))
-    shaded = transform_points(clip.frame_from_background[0], np.array([[250.0, 180.0]]))[0].astype(
-        int
-    )
-    u, v = shaded
+    shaded = transform_points(clip.frame_from_background[0], np.array([[250.0, 180.0]]))[0]
+    u, v = shaded.astype(int)
     assert render_frame(clip, 0)[v, u].mean() < 0.6 * render_background(clip, 0)[v, u].mean()
 
 
@@ -120,12 +115,7 @@ def test_same_seed_gives_the_same_frames():
 def test_traffic_of_another_length_is_refused():
     with pytest.raises(ValueError, match="5 steps for 6 frames"):
         film(
-            _still(),
-            _traffic(5),
-            QUIET,
-            height=200,
-            width=360,
-            generator=np.random.default_rng(0),
+            _still(), _traffic(5), QUIET, height=200, width=360, generator=np.random.default_rng(0)
         )
 
 

@@ -93,15 +93,11 @@ def test_blur_without_width_changes_nothing():
 
 
 def test_made_place_is_the_same_on_a_machine_without_vector_instructions():
-    found = [
-        subprocess.run(
-            [sys.executable, "-W", "ignore", "-c", MADE],
-            env=os.environ | settings,
-            check=True,
-            capture_output=True,
-            text=True,
-        ).stdout.strip()
+    command, options = [sys.executable, "-W", "ignore", "-c", MADE], {"check": True, "text": True}
+    results = [
+        subprocess.run(command, env=os.environ | settings, capture_output=True, **options)
         for settings in ({}, PLAIN)
     ]
+    found = [result.stdout.strip() for result in results]
     assert len(found[0]) == len(hashlib.sha256().hexdigest())
     assert found[0] == found[1]

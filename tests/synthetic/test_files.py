@@ -173,12 +173,11 @@ def test_surfaces_are_polygons_of_the_place(sample, folder):
     content = json.loads((folder / "surfaces.geojson").read_text())
     kinds = {feature["properties"]["kind"] for feature in content["features"]}
     assert {"carriageway", "pavement", "crossing", "car park"} <= kinds
-    assert all(shapely.geometry.shape(f["geometry"]).is_valid for f in content["features"])
+    shapes = [shapely.geometry.shape(feature["geometry"]) for feature in content["features"]]
+    assert all(shape.is_valid for shape in shapes)
     tracks = tracks_of(sample)
     lonlat = lonlat_from_world(sample.place.world, tracks.states[tracks.present][:, :2])
-    ground = shapely.union_all(
-        [shapely.geometry.shape(feature["geometry"]) for feature in content["features"]]
-    )
+    ground = shapely.union_all(shapes)
     assert shapely.contains_xy(ground.buffer(3e-6), *lonlat.T).mean() > 0.98
 
 

@@ -24,24 +24,16 @@ def place():
 
 @pytest.fixture(scope="module")
 def photo(place):
-    no_agents = Tracks(
-        np.zeros(1),
-        np.empty((0, 1, 4)),
-        np.empty((0, 1), bool),
-        np.empty((0, 2)),
-        (),
-        (),
-        place.world,
-    )
+    states, present = np.empty((0, 1, 4)), np.empty((0, 1), bool)
+    no_agents = Tracks(np.zeros(1), states, present, np.empty((0, 2)), (), (), place.world)
     return photograph(place, make_other_day(place), no_agents, Sensor(0.4), resolution=0.2)
 
 
 def _middle_in(place, crs):
     """The middle of the roundabout in some CRS, by pyproj alone."""
     east, north = np.array([180.0, 240.0]) + place.world.origin
-    return np.array(
-        Transformer.from_crs(place.world.crs, crs, always_xy=True).transform(east, north)
-    )
+    transformer = Transformer.from_crs(place.world.crs, crs, always_xy=True)
+    return np.array(transformer.transform(east, north))
 
 
 def _in_world(place, points, crs):
@@ -57,10 +49,8 @@ def test_imagery_is_misplaced_by_just_its_offset(place, photo, crs):
     straight = georeference_photo(place, photo, crs, offset=(0.0, 0.0))
     np.testing.assert_array_equal(imagery.image, straight.image)
     pixels = np.array([[100.0, 80.0], [300.0, 200.0], [200.0, 350.0]])
-    shown, true = (
-        _in_world(place, transform_points(i.crs_from_image, pixels), crs)
-        for i in (imagery, straight)
-    )
+    places = (transform_points(i.crs_from_image, pixels) for i in (imagery, straight))
+    shown, true = (_in_world(place, points, crs) for points in places)
     np.testing.assert_allclose(shown - true, [offset] * 3, atol=0.02)
 
 
@@ -73,9 +63,8 @@ def test_middle_of_the_place_lies_where_the_crs_has_it(place, photo, crs):
     centre = transform_points(np.linalg.inv(plan_from_image(0.4)), np.zeros((1, 2)))[0].astype(int)
     window = photo[centre[1] - 3 : centre[1] + 4, centre[0] - 3 : centre[0] + 4].mean(axis=(0, 1))
     v, u = int(pixel[1]), int(pixel[0])
-    np.testing.assert_allclose(
-        imagery.image[v - 3 : v + 4, u - 3 : u + 4].mean((0, 1)), window, atol=6
-    )
+    shown = imagery.image[v - 3 : v + 4, u - 3 : u + 4].mean(axis=(0, 1))
+    np.testing.assert_allclose(shown, window, atol=6)
 
 
 def test_what_lies_outside_is_not_covered(place, photo):

@@ -8,7 +8,6 @@ from geoaim.geometry import transform_points
 from geoaim.synthetic import Day, draw_place, make_place
 from geoaim.synthetic.place import plan_from_image
 from geoaim.synthetic.roads.markings import make_markings
-from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.canvas import make_canvas
 
 COARSE = 0.2
@@ -32,10 +31,9 @@ def _grey_at(picture, points):
 
 @pytest.mark.parametrize("metres", [0.05, 0.06, 0.07, 0.15, 0.2])
 def test_drawn_and_told_places_of_pixels_agree(metres):
-    canvas = make_canvas(HEIGHT_M, WIDTH_M, metres, np.random.default_rng(0))
-    np.testing.assert_allclose(
-        plan_from_image(metres) @ canvas.image_from_plan, np.eye(3), atol=1e-9
-    )
+    canvas = make_canvas(metres, np.random.default_rng(0))
+    product = plan_from_image(metres) @ canvas.image_from_plan
+    np.testing.assert_allclose(product, np.eye(3), atol=1e-9)
 
 
 def test_picture_has_the_pages_size(picture):
@@ -58,10 +56,8 @@ def test_paint_is_bright_where_the_plan_has_it(place, picture):
 
 
 def test_grass_is_green_and_tar_is_grey(place, picture):
-    field = max(
-        (p for p in place.scenery.parcels if p.use in ("field", "park", "houses")),
-        key=lambda p: p.area.area,
-    )
+    green = [p for p in place.scenery.parcels if p.use in ("field", "park", "houses")]
+    field = max(green, key=lambda parcel: parcel.area.area)
     spot = np.array(field.area.representative_point().coords)
     pixel = transform_points(np.linalg.inv(plan_from_image(COARSE)), spot)[0].astype(int)
     window = picture[pixel[1] - 4 : pixel[1] + 5, pixel[0] - 4 : pixel[0] + 5].mean(axis=(0, 1))
@@ -78,9 +74,8 @@ def test_another_day_has_other_cars_and_shadows_on_the_same_ground(place, pictur
 
 def test_clouds_take_the_shadows():
     place = make_place(6, kind="street")
-    sunny, cloudy = (
-        draw_place(place, Day(clouds=clouds), resolution=COARSE) for clouds in (0.0, 1.0)
-    )
+    days = Day(clouds=0.0), Day(clouds=1.0)
+    sunny, cloudy = (draw_place(place, day, resolution=COARSE) for day in days)
     gain = cloudy.mean(axis=-1) / np.maximum(sunny.mean(axis=-1), 1)
     assert np.percentile(gain, 97) > 1.5 * np.median(gain)
 

@@ -10,12 +10,7 @@ from collections.abc import Iterable
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.mapping.background.running_mean import (
-    Background,
-    RunningMean,
-    add_to_mean,
-    finish_mean,
-)
+from geoaim.mapping.background.running_mean import Background, RunningMean, add_to_mean, finish_mean
 from geoaim.mapping.background.traffic_search import TrafficSearch, add_to_search, average_ground
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.frames import Frame
@@ -73,15 +68,3 @@ def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Ba
     for frame, image_from_frame in frames:
         add_to_search(search, frame, image_from_frame)
     return average_ground(frames, search)
-
-
-def spread_indices(count: int) -> list[int]:
-    """Order the numbers below `count` so that every first part of them spreads over the whole.
-
-    The order of van der Corput's sequence: sorted by their reversed bits.
-
-    >>> spread_indices(6)
-    [0, 4, 2, 1, 5, 3]
-    """
-    digits = max(count - 1, 0).bit_length()
-    return sorted(range(count), key=lambda index: int(f"{index:0{digits}b}"[::-1], 2))

@@ -30,6 +30,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int, UInt8
 from numpy import ndarray as Array
 
+Stack = UInt8[Array, "K h w 3"]  # small frames
+Image = UInt8[Array, "h w 3"]
+Masks = Bool[Array, "K h w"]
+Border = Int[Array, "2 m"]  # rows and columns
+
 MIN_FRAMES = 4  # with fewer, no majority differs from chance
 UPDATES = 3  # of the background; more do not change it
 MIN_THRESHOLD = 8  # grey levels; smaller differences come from compression
@@ -53,12 +58,12 @@ class Traffic:
         background: (h, w, 3) the ground, in the frames' colours.
     """
 
-    masks: Bool[Array, "K h w"]
+    masks: Masks
     contested: Bool[Array, "h w"]
-    background: UInt8[Array, "h w 3"]
+    background: Image
 
 
-def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> Traffic:
+def find_traffic(stack: Stack, seen: Masks) -> Traffic:
     """Separate traffic from ground in small registered frames, about 1000 px wide.
 
     Args:
@@ -88,9 +93,7 @@ def find_traffic(stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]) -> 
     return Traffic(masks, _find_contested(votes, masks, seen), ground)
 
 
-def _estimate_noise(
-    stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"], background: UInt8[Array, "h w 3"]
-) -> float:
+def _estimate_noise(stack: Stack, seen: Masks, background: Image) -> float:
     """Robust standard deviation of every fourth frame about the background; their median."""
     medians = [
         np.median(_max_difference(frame, background)[::4, ::4][visible[::4, ::4]])
@@ -100,9 +103,7 @@ def _estimate_noise(
     return 1.4826 * float(np.median(medians)) if medians else 0.0
 
 
-def _compute_median(
-    stack: UInt8[Array, "K h w 3"], seen: Bool[Array, "K h w"]
-) -> UInt8[Array, "h w 3"]:
+def _compute_median(stack: Stack, seen: Masks) -> Image:
     """Median over the frames that see a pixel, by bisection: 8 counts instead of a sort."""
     kind = np.uint8 if len(stack) < 256 else np.uint16
     half = np.maximum(seen.sum(0, dtype=np.uint16), 1)[..., None] / np.float32(2)
@@ -117,17 +118,13 @@ def _compute_median(
     return low
 
 
-def _max_difference(
-    one: UInt8[Array, "h w 3"], other: UInt8[Array, "h w 3"]
-) -> UInt8[Array, "h w"]:
+def _max_difference(one: Image, other: Image) -> UInt8[Array, "h w"]:
     """Largest absolute difference of the three channels."""
     first, second, third = cv2.split(cv2.absdiff(one, other))
     return np.asarray(cv2.max(cv2.max(first, second), third), np.uint8)
 
 
-def _segment_foreground(
-    frame: UInt8[Array, "h w 3"], background: UInt8[Array, "h w 3"], threshold: float
-) -> UInt8[Array, "h w"]:
+def _segment_foreground(frame: Image, background: Image, threshold: float) -> UInt8[Array, "h w"]:
     """1 in regions that differ, with holes filled: a car's roof may look like asphalt.
 
     OpenCV takes 1.6 ms for a frame of 960 x 540 pixels, scikit-image and SciPy 58 ms, with equal
@@ -141,10 +138,7 @@ def _segment_foreground(
 
 
 def _vote_by_frames(
-    stack: UInt8[Array, "K h w 3"],
-    seen: Bool[Array, "K h w"],
-    background: UInt8[Array, "h w 3"],
-    threshold: float,
+    stack: Stack, seen: Masks, background: Image, threshold: float
 ) -> Float32[Array, "K h w"]:
     """Votes of all frames (step 3); pixels that a frame does not see are set to the background."""
     votes = np.zeros(seen.shape, np.float32)
@@ -160,9 +154,7 @@ def _vote_by_frames(
 
 
 def _vote_by_borders(
-    frame: UInt8[Array, "h w 3"],
-    background: UInt8[Array, "h w 3"],
-    foreground: UInt8[Array, "h w"],
+    frame: Image, background: Image, foreground: UInt8[Array, "h w"]
 ) -> Float32[Array, "h w"]:
     """Votes of one frame (step 3).
 
@@ -183,28 +175,23 @@ def _vote_by_borders(
     return np.asarray(foreground * difference / np.maximum(total, 1e-3), np.float32)
 
 
-def _find_sides(
-    border: Int[Array, "2 m"], foreground: UInt8[Array, "h w"]
-) -> list[tuple[Int[Array, "m"], ...]]:
+def _find_sides(border: Border, foreground: UInt8[Array, "h w"]) -> list[Border]:
     """Rows and columns 1.5 px inside and outside of a border, by the smoothed gradient."""
     smooth = cv2.GaussianBlur(foreground * np.uint8(255), (0, 0), 1.5)
     gradient = [cv2.Sobel(smooth, cv2.CV_16S, *d)[tuple(border)] for d in ((0, 1), (1, 0))]
     normal = np.stack(gradient).astype(np.float32) * np.float32(1.5) / (np.hypot(*gradient) + 1e-6)
     limit = np.array(foreground.shape)[:, None] - 1
-    sides = (np.rint(border + sign * normal).clip(0, limit).astype(np.intp) for sign in (1, -1))
-    return [tuple(side) for side in sides]
+    return [np.rint(border + sign * normal).clip(0, limit).astype(np.intp) for sign in (1, -1)]
 
 
-def _measure_steps(
-    image: UInt8[Array, "h w 3"], sides: list[tuple[Int[Array, "m"], ...]]
-) -> Float32[Array, "m"]:
+def _measure_steps(image: Image, sides: list[Border]) -> Float32[Array, "m"]:
     """Absolute differences across the border, summed over channels: only edges along it count."""
-    inner, outer = (image[side].astype(np.float32) for side in sides)
+    inner, outer = (image[tuple(side)].astype(np.float32) for side in sides)
     return np.asarray(np.abs(inner - outer).sum(-1), np.float32)
 
 
 def _sum_nearby(
-    border: Int[Array, "2 m"], steps: Float32[Array, "m"], shape: tuple[int, ...]
+    border: Border, steps: Float32[Array, "m"], shape: tuple[int, ...]
 ) -> Float32[Array, "h w"]:
     """Sums of the border's steps in a window about each pixel, computed on a grid of cells."""
     height, width = -(-shape[0] // BORDER_CELL_PX), -(-shape[1] // BORDER_CELL_PX)
@@ -217,11 +204,8 @@ def _sum_nearby(
 
 
 def _update_background(
-    stack: UInt8[Array, "K h w 3"],
-    background: UInt8[Array, "h w 3"],
-    votes: Float32[Array, "K h w"],
-    threshold: float,
-) -> UInt8[Array, "h w 3"]:
+    stack: Stack, background: Image, votes: Float32[Array, "K h w"], threshold: float
+) -> Image:
     """Replace background pixels where weighted votes and support agree (step 4)."""
     best = votes.argmax(0)[None, ..., None]
     candidate = np.take_along_axis(stack, best, 0)[0]
@@ -237,9 +221,7 @@ def _update_background(
     return _average_selected(stack, alike, updated)
 
 
-def _average_selected(
-    stack: UInt8[Array, "K h w 3"], selected: Bool[Array, "K h w"], default: UInt8[Array, "h w 3"]
-) -> UInt8[Array, "h w 3"]:
+def _average_selected(stack: Stack, selected: Masks, default: Image) -> Image:
     """Mean over the selected frames of each pixel; the default where none is selected."""
     total = np.zeros(default.shape, np.float32)
     for frame, mask in zip(stack, selected, strict=True):
@@ -250,7 +232,7 @@ def _average_selected(
 
 
 def _find_contested(
-    votes: Float32[Array, "K h w"], masks: Bool[Array, "K h w"], seen: Bool[Array, "K h w"]
+    votes: Float32[Array, "K h w"], masks: Masks, seen: Masks
 ) -> Bool[Array, "h w"]:
     """Pixels of which hardly any frame shows the ground, or whose votes are nearly balanced."""
     views = seen.sum(0)

@@ -115,7 +115,8 @@ def _read_objects(items: Iterable[Any], crs: str | None) -> list[PointRow]:
                 (u, v), (x, y) = item
             except (TypeError, ValueError):
                 raise TypeError(f"{source}: {item!r} is no ((u, v), (lon, lat)) pair.") from None
-            rows.append(make_row({"u": u, "v": v, "x": x, "y": y}, source, crs or LONLAT))
+            values = {"u": u, "v": v, "x": x, "y": y, "crs": crs or LONLAT}
+            rows.append(make_row(values, source))
     return rows
 
 
@@ -128,17 +129,14 @@ def _collect_points(rows: list[PointRow], crs: str | None, source: str) -> Contr
             f"{rows[stated.index(None)].source}: no coordinate reference system. Pass crs="
             "'EPSG:n', write '# crs: EPSG:n' in the file, or use 'local' for a plane of its own."
         )
+    frames = [row.frame.strip() for row in rows]
     return ControlPoints(
         pixels=np.array([row.pixel for row in rows]),
         coordinates=np.array([row.coordinates for row in rows]),
         crs=_merge_crs(stated if crs is None else [*stated, crs]),
         names=tuple(row.name or f"point {number}" for number, row in enumerate(rows, 1)),
-        frames=tuple(_parse_frame(row.frame) for row in rows),
+        frames=tuple(int(text) if text.isdecimal() else text or None for text in frames),
     )
-
-
-def _parse_frame(text: str) -> str | int | None:
-    return int(text) if text.strip().isdecimal() else text.strip() or None
 
 
 def _merge_crs(stated: Sequence[Any]) -> str | None:

@@ -13,6 +13,7 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.normalised_plane import (
+    Points,
     fit_similarity,
     half_diagonal,
     normalise_pixels,
@@ -56,7 +57,7 @@ class _Problem:
 
     points: ControlPoints
     world: World
-    targets: Float[Array, "m 2"]
+    targets: Points
     pairs: PointPairs
     world_from_plane: Float[Array, "3 3"]
     size: tuple[int, int]
@@ -113,9 +114,7 @@ def estimate_georeference(
     return _assemble_georeference(problem, _fit_models(problem, accuracy))
 
 
-def _project_points(
-    points: ControlPoints, world: World | None
-) -> tuple[World, Float[Array, "m 2"]]:
+def _project_points(points: ControlPoints, world: World | None) -> tuple[World, Points]:
     """Choose the world where none is given, and transform the coordinates to its metres."""
     check_coordinates(points)
     if points.crs is None:
@@ -230,9 +229,7 @@ def _assemble_georeference(problem: _Problem, fit: _Fit) -> Georeference:
             for c in fit.candidates
         },
         noise=fit.posterior.noise * metres,
-        dof=fit.posterior.dof,
         terms=best.terms,
-        posterior_mean=fit.posterior.mean,
-        posterior_covariance=fit.posterior.covariance,
+        posterior=fit.posterior,
         world_from_plane=problem.world_from_plane,
     )

@@ -9,7 +9,7 @@ from geoaim.geometry import make_similarity
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.normalised_plane import half_diagonal
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
-from geoaim.mapping.georeference.transform_models import compose_world_from_image
+from geoaim.mapping.georeference.transform_models import Posterior, compose_world_from_image
 from geoaim.world import World, choose_world, world_from_lonlat
 
 GPS_SIGMA_M = 3.0  # per axis
@@ -28,9 +28,6 @@ def approximate_georeference(
     size: tuple[int, int],
 ) -> Georeference:
     """Approximate the georeference of a camera that looks straight down, by telemetry alone.
-
-    The uncertainty assumes one sigma of 3 m in position, 5 degrees in heading, 5 % in scale, and 3
-    degrees in tilt (which moves the image's centre by a twentieth of the height).
 
     Args:
         latitude: degrees.
@@ -89,7 +86,8 @@ def _assume_georeference(
     similarity_sigmas: Float[Array, "4"],
 ) -> Georeference:
     """A similarity without control points, with the stated sigmas of its four terms."""
-    sigmas = np.concatenate([similarity_sigmas, PRIOR_SIGMA])
+    covariance = np.diag(np.concatenate([similarity_sigmas, PRIOR_SIGMA]) ** 2)
+    posterior = Posterior(np.zeros(9), covariance, np.zeros(9), np.nan, np.inf, np.nan)
     return Georeference(
         world_from_image=compose_world_from_image(world_from_plane, np.zeros(9), size),
         world=world,
@@ -102,11 +100,9 @@ def _assume_georeference(
         used=np.empty(0, bool),
         names=(),
         candidates={},
-        noise=float("nan"),
-        dof=float("inf"),
+        noise=np.nan,
         terms=np.zeros(9),
-        posterior_mean=np.zeros(9),
-        posterior_covariance=np.diag(sigmas**2),
+        posterior=posterior,
         world_from_plane=world_from_plane,
         approximate=True,
     )

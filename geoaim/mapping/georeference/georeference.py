@@ -8,9 +8,9 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.mapping.georeference.normalised_plane import normalise_pixels, undistort_points
+from geoaim.mapping.georeference.normalised_plane import Points, normalise_pixels, undistort_points
 from geoaim.mapping.georeference.posterior import ellipse_factor
-from geoaim.mapping.georeference.transform_models import apply_terms, term_jacobian
+from geoaim.mapping.georeference.transform_models import Posterior, apply_terms, term_jacobian
 from geoaim.world import World
 
 
@@ -32,10 +32,8 @@ class Georeference:
         names: (M,) of the points.
         candidates: root mean square leave-one-out error of each model that was tried, metres.
         noise: one sigma of one coordinate of a control point, metres.
-        dof: degrees of freedom of the noise estimate.
         terms: (9,) the terms of the chosen model (`transform_models`), zero where it has none.
-        posterior_mean: (9,) most probable values of all nine terms.
-        posterior_covariance: (9, 9) of all nine terms.
+        posterior: of all nine terms, in the normalised plane.
         world_from_plane: (3, 3) similarity from the normalised plane to world metres.
         approximate: True when it comes from telemetry or an assumed resolution, not from points.
     """
@@ -46,48 +44,43 @@ class Georeference:
     radial: float
     height: int
     width: int
-    residuals: Float[Array, "m 2"]
+    residuals: Points
     leave_one_out: Float[Array, "m"]
     used: Bool[Array, "m"]
     names: tuple[str, ...]
     candidates: Mapping[str, float] = field(repr=False)
     noise: float
-    dof: float
     terms: Float[Array, "9"] = field(repr=False)
-    posterior_mean: Float[Array, "9"] = field(repr=False)
-    posterior_covariance: Float[Array, "9 9"] = field(repr=False)
+    posterior: Posterior = field(repr=False)
     world_from_plane: Float[Array, "3 3"] = field(repr=False)
     approximate: bool = False
 
 
-def world_from_pixels(
-    georeference: Georeference, pixels: Float[Array, "m 2"]
-) -> Float[Array, "m 2"]:
+def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:
     """Transform pixels, lens distortion included, to world metres."""
     size = (georeference.height, georeference.width)
     undistorted = undistort_points(pixels, georeference.radial, *size)
     return transform_points(georeference.world_from_image, undistorted)
 
 
-def predict_covariance(
-    georeference: Georeference, pixels: Float[Array, "m 2"]
-) -> Float[Array, "m 2 2"]:
+def predict_covariance(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 2"]:
     """Predict the expected squared error of `world_from_pixels`, square metres.
 
     J S J^T with the posterior covariance S of all nine terms (Criminisi, Reid and Zisserman 1997),
     plus the squared difference between that posterior's mean and the chosen model.
     """
+    terms, posterior = georeference.terms, georeference.posterior
     plane = normalise_pixels(pixels, (georeference.height, georeference.width))
-    jacobian = term_jacobian(georeference.posterior_mean, plane)
-    covariance = jacobian @ georeference.posterior_covariance @ jacobian.transpose(0, 2, 1)
-    bias = apply_terms(georeference.terms, plane) - apply_terms(georeference.posterior_mean, plane)
+    jacobian = term_jacobian(posterior.mean, plane)
+    covariance = jacobian @ posterior.covariance @ jacobian.transpose(0, 2, 1)
+    bias = apply_terms(terms, plane) - apply_terms(posterior.mean, plane)
     covariance = covariance + bias[:, :, None] * bias[:, None, :]
     scale = georeference.world_from_plane[:2, :2]
     return np.asarray(scale @ covariance @ scale.T)
 
 
 def predict_uncertainty(
-    georeference: Georeference, pixels: Float[Array, "m 2"]
+    georeference: Georeference, pixels: Points
 ) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
     """Predict how far pixels may be off in the world, metres, along the worst direction.
 
@@ -97,4 +90,4 @@ def predict_uncertainty(
     """
     covariance = predict_covariance(georeference, pixels)
     sigma = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
-    return sigma, sigma * ellipse_factor(georeference.dof)
+    return sigma, sigma * ellipse_factor(georeference.posterior.dof)

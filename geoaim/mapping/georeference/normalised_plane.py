@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+Points = Float[Array, "m 2"]  # rows of x and y, or of u and v
+
 
 def half_diagonal(height: float, width: float) -> float:
     """Half the image's diagonal in pixels."""
@@ -19,14 +21,14 @@ def plane_from_image(height: float, width: float) -> Float[Array, "3 3"]:
     return np.array([[1.0, 0.0, -width / 2], [0.0, -1.0, height / 2], [0.0, 0.0, unit]]) / unit
 
 
-def normalise_pixels(pixels: Float[Array, "m 2"], size: tuple[int, int]) -> Float[Array, "m 2"]:
+def normalise_pixels(pixels: Points, size: tuple[int, int]) -> Points:
     """Transform pixels of an image of (height, width) to the normalised plane."""
     matrix = plane_from_image(*size)
     return np.asarray(pixels, np.float64) @ matrix[:2, :2].T + matrix[:2, 2]
 
 
 def fit_similarity(
-    points: Float[Array, "m 2"], targets: Float[Array, "m 2"], *, mirrored: bool = False
+    points: Points, targets: Points, *, mirrored: bool = False
 ) -> tuple[Float[Array, "3 3"], float]:
     """Fit a similarity by least squares, without the point that fits worst.
 
@@ -58,9 +60,7 @@ def _fit_complex_line(z: Array, q: Array) -> tuple[float, complex, complex]:
     return float(error), complex(a), complex(middle - a * centre)
 
 
-def undistort_points(
-    pixels: Float[Array, "m 2"], radial: float, height: int, width: int
-) -> Float[Array, "m 2"]:
+def undistort_points(pixels: Points, radial: float, height: int, width: int) -> Points:
     """Remove the radial lens distortion: p (1 + k |p|^2) in the normalised plane.
 
     Args:
@@ -81,9 +81,7 @@ def undistort_points(
     return centre + offset * (1.0 + radial * square)
 
 
-def distort_points(
-    pixels: Float[Array, "m 2"], radial: float, height: int, width: int
-) -> Float[Array, "m 2"]:
+def distort_points(pixels: Points, radial: float, height: int, width: int) -> Points:
     """Invert `undistort_points`, by Newton's method on the radius.
 
     Args:

@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import image_corners
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.normalised_plane import (
+    Points,
     fit_similarity,
     half_diagonal,
     normalise_pixels,
@@ -43,7 +42,7 @@ def check_coordinates(points: ControlPoints) -> None:
     )
 
 
-def _is_in_area(crs: str, coordinates: Float[Array, "m 2"]) -> bool:
+def _is_in_area(crs: str, coordinates: Points) -> bool:
     try:
         lonlat = transform_crs(crs, LONLAT, coordinates)
     except GeoreferenceError:
@@ -59,10 +58,7 @@ def _is_in_area(crs: str, coordinates: Float[Array, "m 2"]) -> bool:
 
 
 def check_layout(
-    points: ControlPoints,
-    targets: Float[Array, "m 2"],
-    size: tuple[int, int],
-    accuracy: float,
+    points: ControlPoints, targets: Points, size: tuple[int, int], accuracy: float
 ) -> None:
     """Check that the points' layout can fix a transform.
 
@@ -106,9 +102,7 @@ def _check_count(points: ControlPoints) -> None:
         )
 
 
-def _check_distances(
-    names: tuple[str, ...], values: Float[Array, "m 2"], limit: float, quantity: str
-) -> None:
+def _check_distances(names: tuple[str, ...], values: Points, limit: float, quantity: str) -> None:
     distance = np.linalg.norm(values[:, None] - values[None], axis=2)
     pairs = np.argwhere(np.triu(distance < limit, 1))
     if len(pairs):
@@ -137,9 +131,7 @@ def _check_spread(points: ControlPoints, size: tuple[int, int], accuracy: float)
     )
 
 
-def _check_mirroring(
-    points: ControlPoints, targets: Float[Array, "m 2"], size: tuple[int, int]
-) -> None:
+def _check_mirroring(points: ControlPoints, targets: Points, size: tuple[int, int]) -> None:
     plane = normalise_pixels(points.pixels, size)
     plain, mirrored = (fit_similarity(plane, targets, mirrored=m)[1] for m in (False, True))
     if plain <= mirrored:
@@ -160,9 +152,7 @@ def _check_mirroring(
     )
 
 
-def _fit_swapped(
-    crs: str, points: ControlPoints, plane: Float[Array, "m 2"], targets: Float[Array, "m 2"]
-) -> float:
+def _fit_swapped(crs: str, points: ControlPoints, plane: Points, targets: Points) -> float:
     """Squared error of a fit with swapped coordinates, at the given targets' scale."""
     lonlat = transform_crs(crs, LONLAT, points.coordinates[:, ::-1])
     metres = 111_320.0 * np.array([np.cos(np.radians(lonlat[:, 1].mean())), 1.0])

@@ -133,28 +133,20 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
         if len(fields) <= max(columns[key] for key in "uvxy"):
             raise GeoreferenceError(f"{source}: {line!r} has too few fields.")
         values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
-        rows.append(make_row(values, source, crs))
+        rows.append(make_row({**values, "crs": values.get("crs") or crs}, source))
     return rows
 
 
-def make_row(values: Mapping[str, Any], source: str, crs: str | None = None) -> PointRow:
-    """Make a row of values by the keys of `COLUMN_NAMES`.
-
-    Args:
-        values: u, v, x, y and, where they are stated, name, frame and CRS.
-        source: file and line, for messages.
-        crs: of the coordinates, unless the values state it.
-
-    Returns:
-        The row.
+def make_row(values: Mapping[str, Any], source: str) -> PointRow:
+    """Make a row of u, v, x, y and, where they are stated, name, frame and CRS.
 
     Raises:
         GeoreferenceError: one of the first four is no finite number.
     """
     u, v, x, y = (_parse_number(values[key], source) for key in "uvxy")
     name, frame = str(values.get("name") or ""), values.get("frame")
-    crs = values.get("crs") or crs
-    return PointRow((u, v), (x, y), source, crs, name, "" if frame is None else str(frame))
+    frame = "" if frame is None else str(frame)
+    return PointRow((u, v), (x, y), source, values.get("crs"), name, frame)
 
 
 def find_columns(header: Sequence[str], source: str) -> dict[str, int]:

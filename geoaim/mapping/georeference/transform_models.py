@@ -17,7 +17,9 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.optimize import least_squares
 
-from geoaim.mapping.georeference.normalised_plane import plane_from_image
+from geoaim.mapping.georeference.normalised_plane import Points, plane_from_image
+
+Terms = Float[Array, "9"]  # in the order above
 
 TERM_COUNTS = {"similarity": 4, "affine": 6, "homography": 8}  # free terms, simplest model first
 MIN_POINTS_LENS = 6  # fewer points cannot carry the radial term
@@ -29,15 +31,10 @@ LEAVE_ONE_OUT_MARGIN = 2.0  # a simpler model's error may exceed the best by thi
 
 @dataclass(frozen=True)
 class PointPairs:
-    """Control points in the normalised plane.
+    """Control points in the normalised plane: in the image, and on the ground by a similarity."""
 
-    Attributes:
-        image: (M, 2) image points.
-        ground: (M, 2) ground points, by a similarity to the plane.
-    """
-
-    image: Float[Array, "m 2"]
-    ground: Float[Array, "m 2"]
+    image: Points
+    ground: Points
 
 
 @dataclass(frozen=True)
@@ -54,9 +51,9 @@ class Posterior:
             expected noise; in squared units of the plane. An outlier raises it.
     """
 
-    mean: Float[Array, "9"]
+    mean: Terms
     covariance: Float[Array, "9 9"]
-    precision: Float[Array, "9"]
+    precision: Terms
     noise: float
     dof: float
     misfit: float
@@ -74,8 +71,8 @@ class Candidate:
     """
 
     model: str
-    terms: Float[Array, "9"]
-    leave_one_out: Float[Array, "m 2"]
+    terms: Terms
+    leave_one_out: Points
     misfit: float
 
 
@@ -84,14 +81,14 @@ def select_pairs(pairs: PointPairs, keep: Bool[Array, "m"]) -> PointPairs:
     return PointPairs(pairs.image[keep], pairs.ground[keep])
 
 
-def apply_terms(terms: Float[Array, "9"], points: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
+def apply_terms(terms: Terms, points: Points) -> Points:
     """Map points of the normalised plane by the nine terms."""
     undistorted = points * (1.0 + terms[8] * np.sum(points**2, axis=1, keepdims=True))
     denominator = 1.0 + undistorted @ terms[6:8]
     return (undistorted @ _linear_part(terms).T + terms[:2]) / denominator[:, None]
 
 
-def term_jacobian(terms: Float[Array, "9"], points: Float[Array, "m 2"]) -> Float[Array, "m 2 9"]:
+def term_jacobian(terms: Terms, points: Points) -> Float[Array, "m 2 9"]:
     """Differentiate `apply_terms` by the nine terms."""
     square = np.sum(points**2, axis=1, keepdims=True)
     undistorted = points * (1.0 + terms[8] * square)
@@ -115,7 +112,7 @@ def _linear_part(terms: Array) -> Array:
 
 
 def compose_world_from_image(
-    world_from_plane: Float[Array, "3 3"], terms: Float[Array, "9"], size: tuple[int, int]
+    world_from_plane: Float[Array, "3 3"], terms: Terms, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
     """Compose the homography of the first eight terms with the normalisations on both sides.
 
@@ -134,11 +131,8 @@ def compose_world_from_image(
 
 
 def fit_terms(
-    pairs: PointPairs,
-    free: list[int],
-    ridge: Float[Array, "9"],
-    start: Float[Array, "9"] | None = None,
-) -> Float[Array, "9"]:
+    pairs: PointPairs, free: list[int], ridge: Terms, start: Terms | None = None
+) -> Terms:
     """Fit some of the nine terms by regularised least squares (Levenberg-Marquardt).
 
     Args:

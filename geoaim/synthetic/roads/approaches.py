@@ -84,11 +84,8 @@ def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, fl
     """
     count = max(2, int(abs(s[1] - s[0]) / 2) + 2)
     along = np.linspace(*s, count)
-    sides = [
-        np.stack([along, np.full(count, t[0])], 1),
-        np.stack([along[::-1], np.full(count, t[1])], 1),
-    ]
-    return plan_from_road(approach, np.concatenate(sides))
+    outline = np.stack([np.append(along, along[::-1]), np.repeat(t, count)], axis=1)
+    return plan_from_road(approach, outline)
 
 
 def locate_inbound_lane(approach: Approach, index: int) -> float:

@@ -19,6 +19,7 @@ DRIVEWAY_WIDTH_M = 7.0
 AISLE_WIDTH_M = 6.8  # between the rows of bays
 BAY_SIZE_M = (2.6, 5.0)  # width and depth
 FIRST_BAY_M = 6.5  # from the kerb
+LOT_DEPTH_M = FIRST_BAY_M + BAYS * BAY_SIZE_M[0] + 2.0  # from the kerb to the end of the aisle
 PATH_OFFSET_M = 1.7  # from the middle of the driveway to the path of vehicles
 DRIVEWAY_TURN_M = 7.6  # along the road, of a turn into the driveway
 BAY_TURN_M = 5.0  # along the aisle, of a turn into a bay
@@ -33,14 +34,12 @@ class CarPark:
     Attributes:
         approach: its name.
         s: of the middle of the driveway on the approach, metres.
-        bays: number of bays on either side of the aisle.
         open_bays: the bays that traffic uses, on the side of positive coordinates.
         plan_from_lot: (3, 3) lot coordinates to plan metres.
     """
 
     approach: str
     s: float
-    bays: int
     open_bays: tuple[int, ...]
     plan_from_lot: Float[Array, "3 3"]
 
@@ -73,12 +72,7 @@ def make_car_park(approach: Approach, s: float) -> CarPark:
     deep = np.array([along[1], -along[0]])
     plan_from_lot = np.eye(3)
     plan_from_lot[:2] = np.stack([along, deep, kerb], axis=1)
-    return CarPark(approach.name, s, BAYS, tuple(range(2, BAYS - 2, 2)), plan_from_lot)
-
-
-def measure_depth(car_park: CarPark) -> float:
-    """Metres from the kerb to the end of the aisle."""
-    return FIRST_BAY_M + car_park.bays * BAY_SIZE_M[0] + 2.0
+    return CarPark(approach.name, s, tuple(range(2, BAYS - 2, 2)), plan_from_lot)
 
 
 def outline_lot_part(

@@ -82,14 +82,13 @@ def connect_poses(
         Points `POINT_SPACING_M` apart.
     """
     chord = float(np.hypot(*(end - start)))
+    ahead = make_unit_vector(start_heading), make_unit_vector(end_heading)
     lines = []
     for stretch in np.arange(0.7, 1.75, 0.05):
         speed = stretch * chord
-        velocities = speed * make_unit_vector(start_heading), speed * make_unit_vector(end_heading)
-        accelerations = (
-            speed**2 * start_curvature * rotate_90(make_unit_vector(start_heading)),
-            speed**2 * end_curvature * rotate_90(make_unit_vector(end_heading)),
-        )
+        velocities = speed * ahead[0], speed * ahead[1]
+        bends = speed**2 * start_curvature, speed**2 * end_curvature
+        accelerations = bends[0] * rotate_90(ahead[0]), bends[1] * rotate_90(ahead[1])
         lines.append(resample_polyline(_sample_quintic((start, end), velocities, accelerations)))
     return min(lines, key=lambda line: float(np.abs(compute_curvature(line)).max()))
 

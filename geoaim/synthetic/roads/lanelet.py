@@ -165,10 +165,8 @@ def _list_right_of_way(
     approaches = roads.layout.approaches
     if roads.layout.ring_radius:
         before = approaches[approaches.index(approach) - 1].name
-        return [f"{approach.name} onto ring"], [
-            f"ring after {before}",
-            f"ring past {approach.name}",
-        ]
+        ring = [f"ring after {before}", f"ring past {approach.name}"]
+        return [f"{approach.name} onto ring"], ring
     main = [other for other in approaches if not np.isfinite(other.stop)]
     return names, [f"{other.name} in {k}" for other in main for k in range(len(other.turns))]
 

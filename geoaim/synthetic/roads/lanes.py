@@ -143,10 +143,9 @@ def _make_ring_lanes(layout: Layout, by_name: dict[str, Lane]) -> list[Lane]:
         inbound, outbound = (by_name[f"{road.name} {way} 0"].centreline for way in ("in", "out"))
         join, leave = radius * make_unit_vector(on), radius * make_unit_vector(off)
         ends = compute_headings(inbound)[-1], compute_headings(outbound)[0]
-        onto = connect_poses(inbound[-1], ends[0], join, on + np.pi / 2, end_curvature=1 / radius)
-        away = connect_poses(
-            leave, off + np.pi / 2, outbound[0], ends[1], start_curvature=1 / radius
-        )
+        bend, turn = 1 / radius, np.pi / 2
+        onto = connect_poses(inbound[-1], ends[0], join, on + turn, end_curvature=bend)
+        away = connect_poses(leave, off + turn, outbound[0], ends[1], start_curvature=bend)
         gap = (following.angle - RING_JOIN_ANGLE - on) % (2 * np.pi)
         past, after = (sample_arc(radius, angles) for angles in ((off, on), (on, on + gap)))
         wide, narrow = RING_LANE_WIDTH_M, road.lane_width

@@ -82,11 +82,9 @@ def _make_junction(generator: np.random.Generator) -> Layout:
         replace(north, name="south", angle=skew - np.pi / 2, curvature=-side),
     ]
     radius = generator.uniform(6.5, 9.0)
-    placed = tuple(
-        _place_lines(a, approaches, radius, cycle_strip=CYCLE_STRIP_M) for a in approaches
-    )
+    placed = [_place_lines(a, approaches, radius, cycle_strip=CYCLE_STRIP_M) for a in approaches]
     informal = (("south", 40.0),)
-    return Layout("junction", placed, radius, signalised=True, informal_crossings=informal)
+    return Layout("junction", tuple(placed), radius, signalised=True, informal_crossings=informal)
 
 
 def _make_t_junction(generator: np.random.Generator) -> Layout:

@@ -15,6 +15,7 @@ from geoaim.synthetic.roads.approaches import (
 from geoaim.synthetic.roads.car_park import (
     AISLE_WIDTH_M,
     BAY_SIZE_M,
+    BAYS,
     FIRST_BAY_M,
     CarPark,
     outline_lot_part,
@@ -244,7 +245,7 @@ def _outline_arrow(turn: str) -> Polyline:
 def _make_bay_lines(car_park: CarPark) -> list[Polyline]:
     """The lines between the bays."""
     lines = []
-    for bay in range(car_park.bays + 1):
+    for bay in range(BAYS + 1):
         deep = FIRST_BAY_M + bay * BAY_SIZE_M[0]
         for side in (1, -1):
             along = (side * AISLE_WIDTH_M / 2, side * (AISLE_WIDTH_M / 2 + BAY_SIZE_M[1]))

@@ -13,8 +13,8 @@ from geoaim.synthetic.roads.car_park import (
     AISLE_WIDTH_M,
     BAY_SIZE_M,
     DRIVEWAY_WIDTH_M,
+    LOT_DEPTH_M,
     CarPark,
-    measure_depth,
     outline_lot_part,
 )
 from geoaim.synthetic.roads.lanes import LANE_END_M, Lane, compute_lane_bounds
@@ -71,8 +71,8 @@ def make_paving(
     car_park: CarPark | None,
     extent: Polygon,
     pavement_width: float,
-) -> Paving:
-    """Make the surfaces of a layout.
+) -> tuple[Paving, tuple[Crossing, ...]]:
+    """Make the surfaces and crossings of a layout.
 
     Args:
         layout: approaches and corners.
@@ -82,7 +82,7 @@ def make_paving(
         pavement_width: metres.
 
     Returns:
-        The surfaces.
+        The surfaces and the crossings.
     """
     road = _outline_carriageway(layout, lanes)
     bounds = [compute_lane_bounds(lane) for lane in lanes]
@@ -93,30 +93,21 @@ def make_paving(
     pavement = paved.difference(shapely.union_all([road, drive, lot]))
     rest = extent.difference(shapely.union_all([paved, drive, lot.buffer(1.0)]))
     plots = tuple(part for part in shapely.get_parts(rest) if part.area > MIN_PLOT_M2)
-    return Paving(road.difference(islands), islands, drive, lot, pavement, plots)
+    paving = Paving(road.difference(islands), islands, drive, lot, pavement, plots)
+    return paving, _make_crossings(layout, car_park, paving)
 
 
-def make_crossings(
+def _make_crossings(
     layout: Layout, car_park: CarPark | None, paving: Paving
 ) -> tuple[Crossing, ...]:
-    """Make the marked and unmarked crossings of the approaches, and that of the driveway.
-
-    Args:
-        layout: says where the crossings are.
-        car_park: whose driveway pedestrians cross, or None.
-        paving: from kerb to kerb of which the crossings lead.
-
-    Returns:
-        Marked crossings, then informal ones, then that of the driveway.
-    """
+    """Make the marked crossings, then the informal ones, then that of the driveway."""
     crossings = []
     road = outline_road(paving)
     for approach in layout.approaches:
         if np.isfinite(approach.crossing):
-            ends = _cut_across(approach, approach.crossing + CROSSING_WIDTH_M / 2, road)
-            crossings.append(
-                Crossing(approach.name, ends, CROSSING_WIDTH_M, True, layout.signalised)
-            )
+            width, lights = CROSSING_WIDTH_M, layout.signalised
+            ends = _cut_across(approach, approach.crossing + width / 2, road)
+            crossings.append(Crossing(approach.name, ends, width, True, lights))
     by_name = {approach.name: approach for approach in layout.approaches}
     for name, s in layout.informal_crossings:
         ends = _cut_across(by_name[name], s, road)
@@ -170,9 +161,8 @@ def _make_islands(layout: Layout) -> list[Geometry]:
     if not layout.ring_radius:
         return []
     radius = layout.ring_radius
-    islands: list[Geometry] = [
-        Point(0, 0).buffer(radius - RING_LANE_WIDTH_M / 2 - 0.3, quad_segs=32)
-    ]
+    centre = Point(0, 0).buffer(radius - RING_LANE_WIDTH_M / 2 - 0.3, quad_segs=32)
+    islands: list[Geometry] = [centre]
     for approach in layout.approaches:
         middle, half = approach.divider, approach.median / 2 - 0.35
         start, crossing = radius + RING_LANE_WIDTH_M / 2 + 2.2, approach.crossing
@@ -196,7 +186,7 @@ def _make_drive_and_lot(car_park: CarPark | None, road: Geometry) -> tuple[Geome
     mouth = shapely.union_all([lane, road.intersection(near)])
     mouth = mouth.buffer(FLARE_RADIUS_M, quad_segs=16).buffer(-FLARE_RADIUS_M, quad_segs=16)
     half = AISLE_WIDTH_M / 2 + BAY_SIZE_M[1] + 0.4
-    lot = Polygon(outline_lot_part(car_park, (-half, half), (6.0, measure_depth(car_park))))
+    lot = Polygon(outline_lot_part(car_park, (-half, half), (6.0, LOT_DEPTH_M)))
     lot = lot.difference(road)
     reach = Polygon(outline_lot_part(car_park, (-12.0, 12.0), (0.0, 6.5)))
     drive = shapely.union_all([mouth.intersection(near).intersection(reach)])

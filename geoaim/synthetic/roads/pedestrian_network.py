@@ -11,13 +11,22 @@ from numpy import ndarray as Array
 from shapely import Geometry, LineString, Point, Polygon
 from shapely.ops import substring
 
-from geoaim.synthetic.roads.curves import Polyline, resample_polyline
-from geoaim.synthetic.roads.footpaths import Footpaths, draw_footpaths
+from geoaim.synthetic.roads.curves import Polyline, resample_polyline, rotate_90
 from geoaim.synthetic.roads.paving import VERGE_WIDTH_M, Crossing, Paving, outline_road
 
 SPAWN_MARGIN_M = 8.0  # outside the drawn extent, where pavements end
 MIN_PAVEMENT_M = 20.0  # shorter pieces within the extent are left out
 NODE_TOLERANCE_M = 0.5  # positions on a pavement that are closer share a node
+DOOR_PATH_WIDTH_M = 2.0
+DOOR_DISTANCE_M = (9.0, 16.0)  # from the middle of a pavement to a door
+MAX_DOORS = 2  # along a pavement
+MIN_DOOR_SPACING_M = 15.0
+DOOR_TRIALS = 12
+PARK_PATH_WIDTH_M = 3.0
+PARK_ENTRANCES = (0.2, 0.5, 0.8)  # shares of a pavement's length, about
+PARK_DEPTH_M = (12.0, 30.0)  # from the pavement to where park paths meet
+PARK_EXIT_M = 60.0  # from the pavement to the ends of park paths, outside the drawn extent
+MAX_BULGE = 0.2  # of its length, by which a park path leaves the straight line
 
 
 @dataclass(frozen=True)
@@ -52,15 +61,21 @@ class PedestrianNetwork:
     surface: Geometry
 
 
+@dataclass(frozen=True, eq=False)
+class _Footpaths:
+    """Connected footpaths off a pavement; their nodes are numbered, those on the pavement first."""
+
+    pavement_nodes: tuple[Float[Array, "2"], ...]  # where they leave the pavement, plan metres
+    other_nodes: int  # number of further nodes
+    lines: tuple[Polyline, ...]
+    ends: tuple[tuple[int, int], ...]  # nodes at the start and end of each line
+    spawn_nodes: tuple[int, ...]  # where pedestrians enter and leave
+    surface: Geometry  # the paved ground
+
+
 @dataclass(frozen=True)
 class _Junctions:
-    """Positions where something joins a pavement (J of them).
-
-    Attributes:
-        pavement: index of the pavement.
-        s: metres along the pavement.
-        node: node at the position.
-    """
+    """Positions where something joins a pavement: pavement, metres along it, and node of each."""
 
     pavement: list[int]
     s: list[float]
@@ -91,7 +106,8 @@ def make_pedestrian_network(
     """
     road = outline_road(paving)
     pavements = _cut_pavements(road, extent, pavement_width)
-    groups = [draw_footpaths(line, paving, generator, park=park) for line in pavements]
+    draw_paths = _draw_park_paths if park else _draw_door_paths
+    groups = [draw_paths(line, paving, generator) for line in pavements]
     paths = [group for on_pavement in groups for group in on_pavement]
     junctions = _join_pavements(pavements, crossings, paths)
     first = 2 * len(pavements)  # junction of the first crossing's first end
@@ -150,7 +166,7 @@ def _cut_pavements(road: Polygon, extent: Polygon, pavement_width: float) -> lis
 
 
 def _join_pavements(
-    pavements: list[LineString], crossings: tuple[Crossing, ...], paths: list[Footpaths]
+    pavements: list[LineString], crossings: tuple[Crossing, ...], paths: list[_Footpaths]
 ) -> _Junctions:
     """Junctions at both ends of each pavement, of each crossing, and where footpaths leave."""
     pavement = [index for index in range(len(pavements)) for _ in range(2)]
@@ -203,3 +219,70 @@ def _make_pavement_edges(
             line = resample_polyline(np.array(substring(pavement, start, end).coords))
             edges.append(WalkEdge(line, crossing_of.get(frozenset((a, b)), -1), a, b))
     return edges
+
+
+def _draw_door_paths(
+    pavement: LineString, paving: Paving, generator: np.random.Generator
+) -> list[_Footpaths]:
+    """Straight footpaths to at most `MAX_DOORS` doors, where the plots have room for them."""
+    plots = shapely.union_all(list(paving.plots))
+    paths: list[_Footpaths] = []
+    shares = generator.uniform(0.1, 0.9, DOOR_TRIALS)
+    lengths = generator.uniform(*DOOR_DISTANCE_M, DOOR_TRIALS)
+    for share, length in zip(shares, lengths, strict=True):
+        s = share * pavement.length
+        start, ahead = (np.array(pavement.interpolate(s + d).coords[0]) for d in (0.0, 0.5))
+        left = rotate_90((ahead - start) / np.hypot(*(ahead - start)))
+        for across in (-left, left):
+            line = np.stack([start, start + length * across])
+            needed = LineString([start + 5.5 * across, line[1] + 2 * across]).buffer(2.0)
+            spacings = [np.hypot(*(start - path.pavement_nodes[0])) for path in paths]
+            is_apart = all(spacing > MIN_DOOR_SPACING_M for spacing in spacings)
+            if len(paths) < MAX_DOORS and is_apart and plots.contains(needed):
+                paved = LineString(line).buffer(DOOR_PATH_WIDTH_M / 2, cap_style="flat")
+                paths.append(_Footpaths((start,), 1, (line,), ((0, 1),), (1,), paved))
+    return paths
+
+
+def _draw_park_paths(
+    pavement: LineString, paving: Paving, generator: np.random.Generator
+) -> list[_Footpaths]:
+    """Winding footpaths through the park beside a pavement.
+
+    One runs along the road, at a varying distance; three connect it to the pavement, and two lead
+    from it out of the drawn extent. Where two bends intersect there is no node.
+    """
+    road = outline_road(paving)
+    shares = np.array([*PARK_ENTRANCES, 0.0, *PARK_ENTRANCES, 1.0])
+    shares += generator.uniform(-0.1, 0.1, 8) * (shares % 1 > 0)
+    depths = np.array([0.0, 0.0, 0.0, *generator.uniform(*PARK_DEPTH_M, 5)])
+    exits = generator.choice((4, 5, 6), 2, replace=False)
+    shares = np.append(shares, shares[exits])
+    depths = np.append(depths, [PARK_EXIT_M, PARK_EXIT_M])
+    nodes = [_locate_off_pavement(pavement, road, *at) for at in zip(shares, depths, strict=True)]
+    # nodes: 0 to 2 on the pavement, 3 to 7 along the road, 8 and 9 outside the extent
+    ends = [(0, 4), (1, 5), (2, 6), *pairwise(range(3, 8))]
+    ends += [(int(exits[0]), 8), (int(exits[1]), 9)]
+    lines = tuple(_draw_bend(nodes[a], nodes[b], generator) for a, b in ends)
+    paved = shapely.union_all([LineString(line).buffer(PARK_PATH_WIDTH_M / 2) for line in lines])
+    return [_Footpaths(tuple(nodes[:3]), 7, lines, tuple(ends), (3, 7, 8, 9), paved)]
+
+
+def _locate_off_pavement(
+    pavement: LineString, road: Geometry, share: float, depth: float
+) -> Float[Array, "2"]:
+    """The point `depth` metres off a pavement, away from the road, at a share of its length."""
+    s = share * pavement.length
+    before, after = (np.array(pavement.interpolate(max(s + d, 0)).coords[0]) for d in (-0.5, 0.5))
+    point, left = (before + after) / 2, rotate_90(after - before)
+    left /= np.hypot(*left)
+    is_left = road.distance(Point(point + left)) > road.distance(Point(point - left))
+    return np.asarray(point + (depth if is_left else -depth) * left)
+
+
+def _draw_bend(start: Array, end: Array, generator: np.random.Generator) -> Polyline:
+    """A quadratic Bézier curve that bends to either side."""
+    bend = 2 * generator.uniform(-MAX_BULGE, MAX_BULGE) * rotate_90(end - start)
+    t = np.linspace(0, 1, 33)[:, None]
+    middle = (start + end) / 2 + bend
+    return np.asarray((1 - t) ** 2 * start + 2 * t * (1 - t) * middle + t**2 * end)

@@ -11,7 +11,7 @@ from geoaim.synthetic.roads.approaches import Approach
 from geoaim.synthetic.roads.car_park import CarPark, make_car_park
 from geoaim.synthetic.roads.lanes import Lane, Route, make_lanes
 from geoaim.synthetic.roads.layouts import Layout, PlaceKind, make_layout
-from geoaim.synthetic.roads.paving import Crossing, Paving, make_crossings, make_paving
+from geoaim.synthetic.roads.paving import Crossing, Paving, make_paving
 from geoaim.synthetic.roads.pedestrian_network import PedestrianNetwork, make_pedestrian_network
 
 HEIGHT_M, WIDTH_M = 104.0, 176.0  # of the drawn extent
@@ -53,8 +53,7 @@ def make_roads(kind: PlaceKind, generator: np.random.Generator) -> Roads:
         s = CAR_PARK_S[kind] + generator.uniform(-2, 2)
         car_park = make_car_park(find_approach(layout, "east"), s)
     pavement_width = generator.uniform(4.0, 5.2)
-    paving = make_paving(layout, lanes, car_park, extent, pavement_width)
-    crossings = make_crossings(layout, car_park, paving)
+    paving, crossings = make_paving(layout, lanes, car_park, extent, pavement_width)
     footpaths = make_pedestrian_network(
         paving, crossings, extent, pavement_width, generator, park=kind == "park"
     )

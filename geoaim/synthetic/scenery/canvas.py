@@ -11,12 +11,14 @@ from numpy import ndarray as Array
 from shapely import Geometry
 
 from geoaim.geometry import transform_points
+from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.texture import (
     Colour,
     blend,
     darken,
     make_natural_noise,
     rasterize_polygons,
+    to_share,
 )
 
 TILE = 2048  # px, side at most of the noise that is repeated over the canvas
@@ -50,22 +52,15 @@ class Canvas:
         """Rows and columns."""
         return self.image.shape[0], self.image.shape[1]
 
+    @property
+    def window(self) -> Window:
+        """The whole image."""
+        return slice(0, self.shape[0]), slice(0, self.shape[1])
 
-def make_canvas(
-    height: float, width: float, resolution: float, generator: np.random.Generator
-) -> Canvas:
-    """Make a black canvas around the plan's origin.
 
-    Args:
-        height: metres.
-        width: metres.
-        resolution: metres per pixel.
-        generator: source of randomness.
-
-    Returns:
-        The canvas.
-    """
-    rows, columns = round(height / resolution), round(width / resolution)
+def make_canvas(resolution: float, generator: np.random.Generator) -> Canvas:
+    """Make a black canvas of the drawn extent; the resolution is in metres per pixel."""
+    rows, columns = round(HEIGHT_M / resolution), round(WIDTH_M / resolution)
     scale = 1 / resolution
     image_from_plan = np.array([[scale, 0, columns / 2], [0, -scale, rows / 2], [0, 0, 1.0]])
     tile = min(TILE, 1 << (max(rows, columns) - 1).bit_length())
@@ -85,14 +80,12 @@ def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Fl
     Returns:
         Noise of mean 0 and variance 1.
     """
-    rows, columns = window or (slice(0, canvas.shape[0]), slice(0, canvas.shape[1]))
+    rows, columns = window or canvas.window
     tile = len(canvas.fields[field])
     down, right = canvas.generator.integers(0, tile, 2)
-    down, right = (
-        np.arange(rows.start, rows.stop) + down,
-        np.arange(columns.start, columns.stop) + right,
-    )
-    return np.asarray(canvas.fields[field][np.ix_(down % tile, right % tile)])
+    row = (np.arange(rows.start, rows.stop) + down) % tile
+    column = (np.arange(columns.start, columns.stop) + right) % tile
+    return np.asarray(canvas.fields[field][np.ix_(row, column)])
 
 
 def rasterize_shape(
@@ -108,17 +101,14 @@ def rasterize_shape(
     Returns:
         The window, and the mask in it, 0 to 255.
     """
-    polygons = [
-        [transform_points(canvas.image_from_plan, ring) for ring in rings]
-        for rings in _iterate_rings(shape)
-    ]
+    matrix = canvas.image_from_plan
+    polygons = [[transform_points(matrix, r) for r in rings] for rings in _iterate_rings(shape)]
     if within is None:
         every = np.concatenate([rings[0] for rings in polygons]) if polygons else np.zeros((1, 2))
         low = np.floor(every.min(axis=0)).astype(int) - 2
         high = np.ceil(every.max(axis=0)).astype(int) + 2
-        (left, top), (right, bottom) = (
-            np.minimum(np.maximum(corner, 0), canvas.shape[::-1]).tolist() for corner in (low, high)
-        )
+        left, top = low.clip(0, canvas.shape[::-1]).tolist()
+        right, bottom = high.clip(0, canvas.shape[::-1]).tolist()
         within = slice(top, bottom), slice(left, right)
     rows, columns = within
     start = np.array([columns.start, rows.start])
@@ -129,7 +119,7 @@ def rasterize_shape(
 def fill(
     canvas: Canvas,
     shape: Shape,
-    colour: Colour | Float[Array, "3"],
+    colour: Colour,
     *,
     strength: float = 1.0,
     grain: Sequence[tuple[int, float]] = (),
@@ -150,33 +140,12 @@ def fill(
         return
     alpha = mask.astype(np.float32) * np.float32(strength / 255)
     if only is not None:
-        alpha *= rasterize_shape(canvas, only, within=window)[1].astype(np.float32) / np.float32(
-            255
-        )
-    blend(canvas.image[window], alpha, add_grain(canvas, colour, grain, window))
-
-
-def add_grain(
-    canvas: Canvas,
-    colour: Colour | Float[Array, "3"],
-    grain: Sequence[tuple[int, float]],
-    window: Window,
-) -> Float32[Array, "*_ 3"]:
-    """Add noise to a colour.
-
-    Args:
-        canvas: the canvas, for its noise.
-        colour: the colour.
-        grain: noise fields and their standard deviations in grey levels.
-        window: rows and columns of the result.
-
-    Returns:
-        The colour alone if there is no grain, else an image of the window.
-    """
-    if not grain:
-        return np.asarray(colour, np.float32)
-    light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
-    return np.asarray(colour, np.float32) + np.asarray(light, np.float32)[..., None]
+        alpha *= to_share(rasterize_shape(canvas, only, within=window)[1])
+    paint = np.asarray(colour, np.float32)
+    if grain:
+        light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
+        paint = paint + np.asarray(light, np.float32)[..., None]
+    blend(canvas.image[window], alpha, paint)
 
 
 def shade(
@@ -192,11 +161,9 @@ def shade(
     """
     window, mask = rasterize_shape(canvas, shape)
     if mask.any():
-        alpha = mask.astype(np.float32) / np.float32(255)
+        alpha = to_share(mask)
         if only is not None:
-            alpha *= rasterize_shape(canvas, only, within=window)[1].astype(
-                np.float32
-            ) / np.float32(255)
+            alpha *= to_share(rasterize_shape(canvas, only, within=window)[1])
         darken(canvas.image[window], alpha, np.asarray(share, np.float32))
 
 

@@ -35,40 +35,31 @@ class Day:
 
 
 @dataclass(frozen=True)
-class Palette:
-    """Colours of a season.
+class _Palette:
+    """Colours of a season."""
 
-    Attributes:
-        grass: mean colour of lawns.
-        dry: colour of their dry patches.
-        dryness: extent of the dry patches.
-        leaves: colours of trees and shrubs.
-        bare: share of the trees without leaves.
-        light: colour of the light, 1 is white.
-    """
-
-    grass: Colour
-    dry: Colour
-    dryness: float
-    leaves: tuple[Colour, ...]
-    bare: float
-    light: Colour
+    grass: Colour  # mean of lawns
+    dry: Colour  # of their dry patches
+    dryness: float  # extent of the dry patches
+    leaves: tuple[Colour, ...]  # of trees and shrubs
+    bare: float  # share of the trees without leaves
+    light: Colour  # 1 is white
 
 
-PALETTES: dict[Season, Palette] = {
-    "spring": Palette(
+PALETTES: dict[Season, _Palette] = {
+    "spring": _Palette(
         (106, 130, 66), (142, 140, 88), -0.9,
         ((132, 158, 76), (116, 146, 70), (146, 160, 84), (170, 150, 150)), 0.1, (0.99, 1.0, 1.0),
     ),
-    "summer": Palette(
+    "summer": _Palette(
         (104, 118, 70), (150, 142, 92), -0.4,
         ((104, 132, 66), (86, 118, 58), (122, 136, 64), (96, 112, 60)), 0.0, (1.0, 0.995, 0.98),
     ),
-    "autumn": Palette(
+    "autumn": _Palette(
         (112, 114, 70), (146, 134, 92), -0.1,
         ((150, 124, 56), (166, 104, 50), (112, 122, 62), (134, 84, 48)), 0.15, (1.02, 0.99, 0.94),
     ),
-    "winter": Palette(
+    "winter": _Palette(
         (112, 112, 82), (138, 130, 104), 0.3,
         ((84, 96, 66), (74, 88, 60)), 0.8, (0.97, 0.99, 1.03),
     ),
@@ -78,11 +69,6 @@ PALETTES: dict[Season, Palette] = {
 def compute_shadow_offset(day: Day) -> Float[Array, "2"]:
     """Compute the shadow's offset per metre of height, plan metres."""
     return -np.array([np.cos(day.azimuth), np.sin(day.azimuth)]) / np.tan(day.elevation)
-
-
-def compute_sun_direction(day: Day) -> tuple[float, float]:
-    """Compute the direction to the sun in the image: right and down."""
-    return float(np.cos(day.azimuth)), float(-np.sin(day.azimuth))
 
 
 def compute_shadow_depth(day: Day) -> Float[Array, "3"]:

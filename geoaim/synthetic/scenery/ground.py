@@ -41,12 +41,13 @@ from geoaim.synthetic.scenery.canvas import (
 )
 from geoaim.synthetic.scenery.day import PALETTES, Day
 from geoaim.synthetic.scenery.scenery import Scenery
-from geoaim.synthetic.scenery.texture import Colour, blend, darken
+from geoaim.synthetic.scenery.texture import Colour, blend, darken, to_share
 
 WHITE: Colour = (222, 222, 216)
 TAR: Colour = (122, 121, 119)
 SLAB: Colour = (152, 149, 144)
 KERB: Colour = (196, 193, 186)
+TAR_NOISE = PATCH, BLOTCH, GRAIN, HILL
 WHEEL_OFFSET_M = 0.8  # from the middle of a lane
 
 
@@ -77,9 +78,8 @@ def _draw_grass(canvas: Canvas, day: Day) -> None:
     palette = PALETTES[day.season]
     image = canvas.image
     image[:] = palette.grass
-    image += (
-        np.float32(9) * sample_noise(canvas, PATCH) + np.float32(11) * sample_noise(canvas, GRAIN)
-    )[..., None]
+    patches, grain = sample_noise(canvas, PATCH), sample_noise(canvas, GRAIN)
+    image += (np.float32(9) * patches + np.float32(11) * grain)[..., None]
     dry = np.minimum(np.maximum(0.45 * (sample_noise(canvas, HILL) + palette.dryness), 0), 0.6)
     blend(image, dry.astype(np.float32), palette.dry)
 
@@ -91,19 +91,12 @@ def _draw_plots(canvas: Canvas, scenery: Scenery) -> None:
             window, mask = rasterize_shape(canvas, parcel.area)
             x, y = _compute_plan_coordinates(canvas, window)
             stripe = np.sign(np.sin((0.9 * x + 0.5 * y) * 2.2)) * 0.025
-            darken(
-                canvas.image[window], mask.astype(np.float32) / np.float32(255), stripe[..., None]
-            )
+            darken(canvas.image[window], to_share(mask), stripe[..., None])
         if parcel.use == "field":
             rough = [(PATCH, 14), (BLOTCH, 12), (GRAIN, 16)]
             fill(canvas, parcel.area, (112, 116, 72), strength=0.6, grain=rough)
-    fill(
-        canvas,
-        scenery.soil,
-        (136, 118, 92),
-        strength=0.7,
-        grain=[(PATCH, 9), (BLOTCH, 8), (GRAIN, 7)],
-    )
+    rough = [(PATCH, 9), (BLOTCH, 8), (GRAIN, 7)]
+    fill(canvas, scenery.soil, (136, 118, 92), strength=0.7, grain=rough)
     fill(canvas, scenery.slabs, (166, 160, 151), grain=[(PATCH, 4), (GRAIN, 4.5)])
     _draw_joints(canvas, scenery.slabs, 1.2, 0.28)
     fill(canvas, scenery.gravel, (196, 182, 150), grain=[(PATCH, 5), (GRAIN, 9)])
@@ -138,18 +131,17 @@ def _draw_tar(canvas: Canvas, roads: Roads) -> None:
     """Draw tar of several ages with wheel tracks, oil, patches, cracks and manholes."""
     road = shapely.union_all([roads.paving.carriageway, roads.paving.drive, roads.paving.lot])
     window, mask = rasterize_shape(canvas, road)
-    grey = np.float32(4) * sample_noise(canvas, PATCH, window) + np.float32(2.5) * sample_noise(
-        canvas, BLOTCH, window
-    )
-    grey += np.float32(5.5) * sample_noise(canvas, GRAIN, window) + np.float32(3) * sample_noise(
-        canvas, HILL, window
-    )
+    patch, blotch, grain, hill = (sample_noise(canvas, k, window) for k in TAR_NOISE)
+    grey = np.float32(4) * patch + np.float32(2.5) * blotch
+    grey += np.float32(5.5) * grain + np.float32(3) * hill
     grey += _vary_age(canvas, roads, window)
-    grey -= np.float32(6) * _draw_strokes(canvas, window, _list_wheel_tracks(roads), 0.28)
-    grey -= np.float32(6) * _draw_strokes(canvas, window, _list_centrelines(roads), 0.4)
+    middles = [lane.centreline for lane in roads.lanes]
+    wheels = [offset_polyline(m, d) for m in middles for d in (-WHEEL_OFFSET_M, WHEEL_OFFSET_M)]
+    grey -= np.float32(6) * _draw_strokes(canvas, window, wheels, 0.28)
+    grey -= np.float32(6) * _draw_strokes(canvas, window, middles, 0.4)
     grey -= np.float32(9) * _draw_strokes(canvas, window, _list_waiting_lines(roads), 0.45)
     tar = np.asarray(TAR, np.float32) + grey[..., None]
-    blend(canvas.image[window], mask.astype(np.float32) / np.float32(255), tar)
+    blend(canvas.image[window], to_share(mask), tar)
     for outline, change in _make_patches(canvas, roads):
         shade(canvas, outline, change / 122, only=road)
         rim = shapely.LinearRing(outline).buffer(0.06)
@@ -172,10 +164,8 @@ def _vary_age(canvas: Canvas, roads: Roads, window: Window) -> Float[Array, "h w
         middle, half = approach.divider, approach.half_width
         cut = canvas.generator.uniform(approach.mouth + 4, 60)
         for span in ((middle, half), (-half, middle)):
-            shapes += [
-                outline_strip(approach, (approach.mouth, cut), span),
-                outline_strip(approach, (cut, LANE_END_M), span),
-            ]
+            ends = (approach.mouth, cut), (cut, LANE_END_M)
+            shapes += [outline_strip(approach, s, span) for s in ends]
     for shape in [*shapes, roads.paving.lot]:
         mask = rasterize_shape(canvas, shape, within=window)[1]
         change += np.float32(canvas.generator.uniform(-11, 9) / 255) * mask.astype(np.float32)
@@ -192,23 +182,9 @@ def _draw_strokes(
     thick = max(round(wide / canvas.resolution), 1)
     for line in lines:
         pixels = transform_points(canvas.image_from_plan, line) - start
-        cv2.polylines(
-            mask, [np.rint(pixels * 16).astype(np.int32)], False, 255, thick, cv2.LINE_AA, 4
-        )
-    soft = blur(mask, 0.5 * wide / canvas.resolution)
-    return soft.astype(np.float32) / np.float32(255)
-
-
-def _list_wheel_tracks(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [
-        offset_polyline(lane.centreline, side)
-        for lane in roads.lanes
-        for side in (-WHEEL_OFFSET_M, WHEEL_OFFSET_M)
-    ]
-
-
-def _list_centrelines(roads: Roads) -> list[Float[Array, "_ 2"]]:
-    return [lane.centreline for lane in roads.lanes]
+        fixed = np.rint(pixels * 16).astype(np.int32)
+        cv2.polylines(mask, [fixed], False, 255, thick, cv2.LINE_AA, 4)
+    return to_share(blur(mask, 0.5 * wide / canvas.resolution))
 
 
 def _list_waiting_lines(roads: Roads) -> list[Float[Array, "_ 2"]]:
@@ -217,10 +193,8 @@ def _list_waiting_lines(roads: Roads) -> list[Float[Array, "_ 2"]]:
     for approach in roads.layout.approaches:
         if np.isfinite(approach.stop):
             for rank in range(len(approach.turns)):
-                spots = [
-                    [approach.stop + d, locate_inbound_lane(approach, rank)]
-                    for d in (1.0, 6.0, 12.0)
-                ]
+                t = locate_inbound_lane(approach, rank)
+                spots = [[approach.stop + d, t] for d in (1.0, 6.0, 12.0)]
                 lines.append(plan_from_road(approach, np.array(spots)))
     return lines
 
@@ -235,30 +209,26 @@ def _make_patches(canvas: Canvas, roads: Roads) -> list[tuple[Float[Array, "_ 2"
             across = canvas.generator.uniform(-half + 0.5, half - 3.0)
             long, wide = canvas.generator.uniform(3, 10), canvas.generator.uniform(1.0, 3.2)
             change = float(canvas.generator.choice([16.0, 11.0, -9.0]))
-            patches.append(
-                (outline_strip(approach, (along, along + long), (across, across + wide)), change)
-            )
-    approach = _pick_approach(canvas, roads.layout.approaches)
+            patch = outline_strip(approach, (along, along + long), (across, across + wide))
+            patches.append((patch, change))
+    approach = _pick_approach(roads, canvas.generator)
     across = canvas.generator.uniform(-0.7, 0.5) * approach.half_width
     patches.append((outline_strip(approach, (approach.mouth, 80.0), (across, across + 0.9)), 13.0))
     return patches
 
 
-def _pick_approach(canvas: Canvas, approaches: tuple[Approach, ...]) -> Approach:
-    return approaches[int(canvas.generator.integers(len(approaches)))]
+def _pick_approach(roads: Roads, generator: np.random.Generator) -> Approach:
+    return roads.layout.approaches[int(generator.integers(len(roads.layout.approaches)))]
 
 
 def _draw_fresh_tar(canvas: Canvas, roads: Roads, day: Day, generator: np.random.Generator) -> None:
     """Draw patches that were repaired since day 0."""
     for _ in range(day.changes // 3):
-        approach = roads.layout.approaches[int(generator.integers(len(roads.layout.approaches)))]
-        along, across = (
-            generator.uniform(approach.mouth, 60.0),
-            generator.uniform(-0.9, 0.1) * approach.half_width,
-        )
-        shape = outline_strip(
-            approach, (along, along + generator.uniform(5, 14)), (across, across + 3.2)
-        )
+        approach = _pick_approach(roads, generator)
+        start = generator.uniform(approach.mouth, 60.0)
+        across = generator.uniform(-0.9, 0.1) * approach.half_width
+        end = start + generator.uniform(5, 14)
+        shape = outline_strip(approach, (start, end), (across, across + 3.2))
         fill(canvas, shape, (92, 92, 93), grain=[(GRAIN, 4)], only=roads.paving.carriageway)
 
 
@@ -274,11 +244,9 @@ def _draw_cracks(canvas: Canvas, road: Geometry) -> None:
         lines.append(LineString(start + np.cumsum(steps, axis=0)))
     shapely.prepare(road)
     cracks = [np.array(line.coords) for line in lines if road.intersects(line)]
-    window = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
-    mask = _draw_strokes(canvas, window, cracks, canvas.resolution)
-    mask *= rasterize_shape(canvas, road, within=window)[1].astype(np.float32) * np.float32(
-        0.8 / 255
-    )
+    mask = _draw_strokes(canvas, canvas.window, cracks, canvas.resolution)
+    inside = rasterize_shape(canvas, road, within=canvas.window)[1]
+    mask *= inside.astype(np.float32) * np.float32(0.8 / 255)
     blend(canvas.image, mask, (70, 70, 72))
 
 
@@ -296,10 +264,8 @@ def _draw_islands(canvas: Canvas, roads: Roads, day: Day) -> None:
 
 def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
     """Draw kerbstones along the road, except at the drive."""
-    rims = [
-        outline_road(roads.paving).exterior,
-        *(p.boundary for p in shapely.get_parts(roads.paving.islands)),
-    ]
+    islands = shapely.get_parts(roads.paving.islands)
+    rims = [outline_road(roads.paving).exterior, *(island.boundary for island in islands)]
     stones = shapely.union_all([rim.buffer(0.11) for rim in rims])
     stones = stones.difference(roads.paving.drive.buffer(0.3))
     fill(canvas, stones, KERB, strength=0.9, grain=[(GRAIN, 5)])
@@ -321,7 +287,7 @@ def _draw_paint_with_wear(
     left = np.float32(cover) - np.float32(0.10) * sample_noise(canvas, PATCH, window)
     left -= np.float32(0.16) * np.maximum(sample_noise(canvas, BLOTCH, window) - np.float32(0.9), 0)
     left = np.minimum(np.maximum(left, np.float32(0.25)), np.float32(0.95))
-    inside = rasterize_shape(canvas, only, within=window)[1].astype(np.float32) / np.float32(255)
+    inside = to_share(rasterize_shape(canvas, only, within=window)[1])
     blend(canvas.image[window], left * inside * mask.astype(np.float32) / np.float32(255), colour)
 
 

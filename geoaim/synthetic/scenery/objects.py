@@ -1,6 +1,6 @@
 """Objects on the drawn ground, with their shadows: houses, trees, hedges, lamps, parked cars."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,16 +23,10 @@ from geoaim.synthetic.scenery.canvas import (
     sample_noise,
     shade,
 )
-from geoaim.synthetic.scenery.day import (
-    PALETTES,
-    Day,
-    compute_shadow_depth,
-    compute_shadow_offset,
-    compute_sun_direction,
-)
+from geoaim.synthetic.scenery.day import PALETTES, Day, compute_shadow_depth, compute_shadow_offset
 from geoaim.synthetic.scenery.scenery import Building, Scenery, Tree
 from geoaim.synthetic.scenery.sprites import draw_bare_tree, draw_tree, draw_vehicle
-from geoaim.synthetic.scenery.texture import ROWS_BLENDED, Colour, blend, darken
+from geoaim.synthetic.scenery.texture import ROWS_BLENDED, Colour, blend, darken, to_share
 
 PAINTS: tuple[Colour, ...] = (
     (206, 208, 210), (236, 236, 233), (40, 42, 46), (128, 132, 137), (64, 68, 74),
@@ -43,6 +37,7 @@ CONTAINERS: tuple[Colour, ...] = ((52, 92, 140), (168, 84, 48), (90, 120, 84), (
 LAMP_HEIGHT_M = 7.0
 CAR_HEIGHT_M = 1.3
 TREE_HEIGHT_PER_RADIUS = 1.6
+CONTRAST = (0.75, 1.45)  # slopes of the cameras' tone curves at their middle
 TONE_STEPS = 4  # of the tone curve, per grey level
 TONE_MIDDLE = 0.47  # share of white at which the tone curve is steepest
 HAZE = (7.0, 8.0, 11.0)  # grey levels added by the air
@@ -69,17 +64,17 @@ def draw_objects(
         day: sun and season.
         generator: source of randomness, the day's own.
     """
-    trees = [
-        _place_tree(canvas, tree, day) for tree in _remove_felled(scenery.trees, day, generator)
-    ]
+    standing = _remove_felled(scenery.trees, day, generator)
+    trees = [_place_tree(canvas, tree, day) for tree in standing]
     cars = _park_cars(canvas, scenery, generator)
     boxes = list(scenery.spare[: max(day.changes // 2, 0)])
     _cast_shadows(canvas, scenery, [*trees, *cars], boxes, day)
     for car in cars:
         _paste(canvas, car)
     for number, box in enumerate(boxes):
-        fill(canvas, box, CONTAINERS[number % len(CONTAINERS)], grain=[(GRAIN, 5)])
-        fill(canvas, _shrink(box, 0.96), CONTAINERS[number % len(CONTAINERS)], grain=[(BLOTCH, 6)])
+        colour, middle = CONTAINERS[number % len(CONTAINERS)], box.mean(axis=0)
+        fill(canvas, box, colour, grain=[(GRAIN, 5)])
+        fill(canvas, middle + 0.96 * (box - middle), colour, grain=[(BLOTCH, 6)])
     _draw_hedges(canvas, scenery, day)
     for building in scenery.buildings:
         (_draw_flat_roof if building.flat else _draw_pitched_roof)(canvas, building, day)
@@ -90,14 +85,9 @@ def draw_objects(
         fill(canvas, make_circle(foot, 0.16), (120, 122, 124))
 
 
-def grade_colours(canvas: Canvas, day: Day, contrast: float) -> None:
-    """Apply uneven light, the colour of the day's light, haze and the camera's tone curve.
-
-    Args:
-        canvas: changed in place.
-        day: season and clouds.
-        contrast: slope of the tone curve at its middle.
-    """
+def grade_colours(canvas: Canvas, day: Day) -> None:
+    """Apply uneven light, the colour of the day's light, haze and a camera's tone curve."""
+    contrast = CONTRAST[0] + (CONTRAST[1] - CONTRAST[0]) * canvas.generator.uniform()
     light = np.asarray(PALETTES[day.season].light, np.float32) * np.float32(1 - 0.12 * day.clouds)
     uneven = 1 + np.float32(0.012) * sample_noise(canvas, PATCH)
     image = canvas.image
@@ -105,9 +95,8 @@ def grade_colours(canvas: Canvas, day: Day, contrast: float) -> None:
     image *= light
     image += np.asarray(HAZE, np.float32)
     levels = np.arange(256 * TONE_STEPS) / (256 * TONE_STEPS)
-    steep = contrast * (
-        levels - TONE_MIDDLE
-    )  # a tone curve that bends softly towards black and white
+    steep = contrast * (levels - TONE_MIDDLE)
+    # bends softly towards black and white
     curve = 0.5 + 0.5 * steep / np.sqrt(0.25 + steep**2)
     low, high = curve[0], curve[-1]
     tones = np.rint(255 * 16 * (curve - low) / (high - low)).astype(np.float32) / np.float32(16)
@@ -119,9 +108,7 @@ def grade_colours(canvas: Canvas, day: Day, contrast: float) -> None:
 
 def _remove_felled(trees: tuple[Tree, ...], day: Day, generator: np.random.Generator) -> list[Tree]:
     """Leave out trees that were felled since day 0."""
-    felled = (
-        set(generator.permutation(len(trees))[: day.changes].tolist()) if day.changes else set()
-    )
+    felled = generator.permutation(len(trees))[: day.changes] if day.changes else ()
     return [tree for k, tree in enumerate(trees) if k not in felled]
 
 
@@ -134,9 +121,8 @@ def _place_tree(canvas: Canvas, tree: Tree, day: Day) -> _Stamp:
     if bare:
         crown = draw_bare_tree(radius, generator)
     else:
-        crown = draw_tree(
-            radius, colour, compute_sun_direction(day), canvas.fields[GRAIN], generator
-        )
+        light = float(np.cos(day.azimuth)), float(-np.sin(day.azimuth))
+        crown = draw_tree(radius, colour, light, canvas.fields[GRAIN], generator)
     return _Stamp(np.array(tree.place), 0.0, crown, TREE_HEIGHT_PER_RADIUS * tree.radius)
 
 
@@ -144,16 +130,9 @@ def _park_cars(canvas: Canvas, scenery: Scenery, generator: np.random.Generator)
     """Park cars in some of the spots."""
     cars = []
     for spot in scenery.spots:
-        there, paint, flip = (
-            generator.uniform(),
-            generator.integers(len(PAINTS)),
-            generator.integers(2),
-        )
-        length, aside, lean = (
-            generator.uniform(3.9, 4.7),
-            generator.normal(0, 0.12, 2),
-            generator.normal(),
-        )
+        there, paint = generator.uniform(), generator.integers(len(PAINTS))
+        flip, length = generator.integers(2), generator.uniform(3.9, 4.7)
+        aside, lean = generator.normal(0, 0.12, 2), generator.normal()
         if there < spot.share:
             sprite = draw_vehicle(length, 1.8, PAINTS[int(paint)], canvas.resolution)
             heading = spot.heading + np.pi * float(flip) + 0.02 * lean
@@ -179,16 +158,15 @@ def _cast_shadows(
     for foot, tip in scenery.lamps:
         solids.append(make_bar(foot, foot + LAMP_HEIGHT_M * cast, 0.08))
         solids.append(make_bar(foot + LAMP_HEIGHT_M * cast, tip + LAMP_HEIGHT_M * cast, 0.08))
-    whole = slice(0, canvas.shape[0]), slice(0, canvas.shape[1])
-    mask = rasterize_shape(canvas, solids, within=whole)[1]
+    mask = rasterize_shape(canvas, solids, within=canvas.window)[1]
     for stamp in stamps:
-        moved = _Stamp(stamp.place + stamp.height * cast, stamp.heading, stamp.sprite, 0.0)
+        moved = replace(stamp, place=stamp.place + stamp.height * cast)
         placed = _render_stamp(canvas, moved)
         if placed is not None:
             window, sprite = placed
             np.maximum(mask[window], sprite[..., 3], out=mask[window])
     soft = blur(mask, (0.06 + 0.25 * day.clouds) / canvas.resolution)
-    darken(canvas.image, soft.astype(np.float32) / np.float32(255), compute_shadow_depth(day))
+    darken(canvas.image, to_share(soft), compute_shadow_depth(day))
 
 
 def _paste(canvas: Canvas, stamp: _Stamp) -> None:
@@ -196,8 +174,7 @@ def _paste(canvas: Canvas, stamp: _Stamp) -> None:
     placed = _render_stamp(canvas, stamp)
     if placed is not None:
         window, sprite = placed
-        alpha = sprite[..., 3:].astype(np.float32) / np.float32(255)
-        canvas.image[window] *= 1 - alpha
+        canvas.image[window] *= 1 - to_share(sprite[..., 3:])
         canvas.image[window] += sprite[..., :3].astype(np.float32)
 
 
@@ -216,16 +193,11 @@ def _render_stamp(canvas: Canvas, stamp: _Stamp) -> tuple[Window, UInt8[Array, "
         reach = int(np.hypot(rows, columns) / 2) + 2
         left, top, size = int(u) - reach, int(v) - reach, (2 * reach, 2 * reach)
         sprite = _rotate_sprite(sprite, stamp.heading, (u - left, v - top), size)
-    inner = [
-        max(left, 0),
-        max(top, 0),
-        min(left + size[1], canvas.shape[1]),
-        min(top + size[0], canvas.shape[0]),
-    ]
-    if inner[2] <= inner[0] or inner[3] <= inner[1]:
+    u0, v0 = max(left, 0), max(top, 0)
+    u1, v1 = min(left + size[1], canvas.shape[1]), min(top + size[0], canvas.shape[0])
+    if u1 <= u0 or v1 <= v0:
         return None
-    part = sprite[inner[1] - top : inner[3] - top, inner[0] - left : inner[2] - left]
-    return (slice(inner[1], inner[3]), slice(inner[0], inner[2])), part
+    return (slice(v0, v1), slice(u0, u1)), sprite[v0 - top : v1 - top, u0 - left : u1 - left]
 
 
 def _rotate_sprite(
@@ -248,7 +220,7 @@ def _draw_hedges(canvas: Canvas, scenery: Scenery, day: Day) -> None:
         return
     window, mask = rasterize_shape(canvas, list(scenery.hedges))
     clumps, leaves = sample_noise(canvas, BLOTCH, window), sample_noise(canvas, GRAIN, window)
-    ragged = blur(mask, 0.18 / canvas.resolution).astype(np.float32) / np.float32(255)
+    ragged = to_share(blur(mask, 0.18 / canvas.resolution))
     ragged += np.float32(0.10) * clumps + np.float32(0.05) * leaves
     alpha = np.minimum(np.maximum((ragged - np.float32(0.45)) * 6, 0), 1) * (ragged > 0.3)
     green = np.asarray(PALETTES[day.season].leaves[0], np.float32) * np.float32(0.8)
@@ -260,18 +232,14 @@ def _draw_flat_roof(canvas: Canvas, building: Building, day: Day) -> None:
     centre, (long, wide), angle = np.array(building.centre), building.size, building.angle
     cast, ahead = compute_shadow_offset(day), np.array([np.cos(angle), np.sin(angle)])
     left = np.array([-ahead[1], ahead[0]])
-    outline, inner = (
-        make_rectangle(centre, building.size, angle),
-        make_rectangle(centre, (long - 1, wide - 1), angle),
-    )
+    outline, inside = make_rectangle(centre, building.size, angle), (long - 1, wide - 1)
+    inner = make_rectangle(centre, inside, angle)
     base: Colour = (158, 155, 150) if building.colour == 0 else (120, 118, 118)
     fill(canvas, outline, (206, 203, 197), grain=[(GRAIN, 3)])
     fill(canvas, inner, base, grain=[(PATCH, 6), (GRAIN, 7)])
     window, mask = rasterize_shape(canvas, inner)
-    moved = rasterize_shape(
-        canvas, make_rectangle(centre + 0.9 * cast, (long - 1, wide - 1), angle), within=window
-    )[1]
-    rim = np.minimum(mask, 255 - moved).astype(np.float32) / np.float32(255)
+    lit = make_rectangle(centre + 0.9 * cast, inside, angle)
+    rim = to_share(np.minimum(mask, 255 - rasterize_shape(canvas, lit, within=window)[1]))
     darken(canvas.image[window], rim, 0.72 * compute_shadow_depth(day))
     for (along, across), size, height, colour in _list_roof_objects(long, wide):
         body = make_rectangle(centre + along * ahead + across * left, size, angle)
@@ -304,39 +272,24 @@ def _draw_pitched_roof(canvas: Canvas, building: Building, day: Day) -> None:
     colour = TILES[building.colour % len(TILES)]
     across = np.array([-np.sin(angle), np.cos(angle)])
     lean = float(across @ [np.cos(day.azimuth), np.sin(day.azimuth)]) * (1 - day.clouds)
-    for slope, light in (
-        (np.array([a, b, *ridge]), 0.93 - 0.16 * lean),
-        (np.array([d, c, *ridge]), 0.93 + 0.16 * lean),
-    ):
-        window, mask = rasterize_shape(canvas, slope)
+    for eaves, light in (([a, b], 0.93 - 0.16 * lean), ([d, c], 0.93 + 0.16 * lean)):
+        window, mask = rasterize_shape(canvas, np.array([*eaves, *ridge]))
         if mask.size == 0:
             continue
         rows, columns = (np.arange(side.start, side.stop) for side in window)
         place = (columns * np.sin(angle))[None] + (rows * np.cos(angle))[:, None]
         row = np.round(np.sin(place * canvas.resolution * 2 * np.pi / 0.36), 6)
-        look = (
-            1
-            + 0.05 * sample_noise(canvas, BLOTCH, window)
-            + 0.06 * sample_noise(canvas, GRAIN, window)
-            + 0.05 * row
-        )
+        blotches, grain = sample_noise(canvas, BLOTCH, window), sample_noise(canvas, GRAIN, window)
+        look = 1 + 0.05 * blotches + 0.06 * grain + 0.05 * row
         tiles = np.asarray(colour) * (light * look)[..., None]
-        blend(canvas.image[window], mask.astype(np.float32) / np.float32(255), tiles)
+        blend(canvas.image[window], to_share(mask), tiles)
     pale = tuple(1.15 * channel + 8 for channel in colour)
     fill(canvas, make_bar((a + d) / 2, (b + c) / 2, 0.14), (pale[0], pale[1], pale[2]))
     foot = 0.7 * (a + d) / 2 + 0.3 * (b + c) / 2 + (d - a) * 0.12
     chimney = make_rectangle(foot, (1.1, 0.8), angle)
-    shade(
-        canvas,
-        _sweep(chimney, 1.6 * compute_shadow_offset(day)),
-        tuple(0.8 * compute_shadow_depth(day)),
-    )
+    shadow = _sweep(chimney, 1.6 * compute_shadow_offset(day))
+    shade(canvas, shadow, tuple(0.8 * compute_shadow_depth(day)))
     fill(canvas, chimney, (140, 84, 70))
-
-
-def _shrink(outline: Float[Array, "4 2"], share: float) -> Float[Array, "4 2"]:
-    middle = outline.mean(axis=0)
-    return middle + share * (outline - middle)
 
 
 def _sweep(corners: Float[Array, "_ 2"], cast: Float[Array, "2"]) -> Float[Array, "_ 2"]:

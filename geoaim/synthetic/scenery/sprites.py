@@ -6,7 +6,7 @@ from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 
 from geoaim.synthetic.exact import blur
-from geoaim.synthetic.scenery.texture import Colour, blend, rasterize_polygons
+from geoaim.synthetic.scenery.texture import Colour, blend, rasterize_polygons, to_share
 
 SUPERSAMPLING = 4  # times the resolution at which vehicles and pedestrians are drawn
 MARGIN = 3  # px, transparent rim around them
@@ -161,11 +161,10 @@ def _draw_outlines(
         for side in (1, -1):
             corners = np.array(outline) * [1, side] * SUPERSAMPLING / resolution + middle
             mask = rasterize_polygons((canvas.shape[0], canvas.shape[1]), [[corners]])
-            blend(canvas, mask.astype(np.float32) / np.float32(255), (*paint, 255.0))
+            blend(canvas, to_share(mask), (*paint, 255.0))
     canvas[..., :3] *= canvas[..., 3:] / 255
-    small = canvas.reshape(shape[0], SUPERSAMPLING, shape[1], SUPERSAMPLING, 4).mean(
-        axis=(1, 3), dtype=np.float64
-    )
+    cells = canvas.reshape(shape[0], SUPERSAMPLING, shape[1], SUPERSAMPLING, 4)
+    small = cells.mean(axis=(1, 3), dtype=np.float64)
     small[..., :3] /= np.maximum(small[..., 3:] / 255, 1e-3)
     return np.rint(np.minimum(np.maximum(small, 0), 255)).astype(np.uint8)
 
@@ -187,12 +186,8 @@ def _outline_body(a: float, b: float, colour: Colour) -> list[tuple[Outline, Col
 def _outline_car(a: float, b: float, colour: Colour) -> list[tuple[Outline, Colour]]:
     screen, rear = 0.32 * a, -0.6 * a
     bonnet = [(a - 0.75, 0), (a - 0.7, b * 0.2), (screen + 0.65, b * 0.75), (screen + 0.6, 0)]
-    glass = [
-        (screen + 0.62, 0),
-        (screen + 0.42, b * 0.82),
-        (rear - 0.35, b * 0.8),
-        (rear - 0.48, 0),
-    ]
+    glass = [(screen + 0.62, 0), (screen + 0.42, b * 0.82), (rear - 0.35, b * 0.8)]
+    glass.append((rear - 0.48, 0))
     roof = [(screen, 0), (screen - 0.08, b * 0.7), (rear + 0.1, b * 0.68), (rear, 0)]
     top = [(screen - 0.3, 0), (screen - 0.35, b * 0.5), (rear + 0.5, b * 0.5), (rear + 0.45, 0)]
     mirror = [(screen + 0.3, b * 0.98), (screen + 0.42, b * 1.08), (screen + 0.22, b * 1.08)]

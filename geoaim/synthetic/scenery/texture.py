@@ -56,12 +56,15 @@ def rasterize_polygons(
         up = np.array([0, (SUPERSAMPLING * top) << FRACTION_BITS], np.int32)
         for rings, (first, last) in zip(fixed, spans, strict=True):
             if last >= SUPERSAMPLING * top - 1 and first <= SUPERSAMPLING * (top + rows):
-                cv2.fillPoly(
-                    band, [ring - up for ring in rings], 255, cv2.LINE_8, shift=FRACTION_BITS
-                )
-        small = cv2.resize(band, (shape[1], rows), interpolation=cv2.INTER_AREA)
-        mask[top : top + rows] = small
+                moved = [ring - up for ring in rings]
+                cv2.fillPoly(band, moved, 255, cv2.LINE_8, shift=FRACTION_BITS)
+        mask[top : top + rows] = cv2.resize(band, (shape[1], rows), interpolation=cv2.INTER_AREA)
     return mask
+
+
+def to_share(mask: UInt8[Array, "*n"]) -> Float32[Array, "*n"]:
+    """Convert a mask of bytes to shares of 0 to 1."""
+    return mask.astype(np.float32) / np.float32(255)
 
 
 def _to_fixed_point(ring: Float[Array, "_ 2"]) -> Int32[Array, "_ 2"]:

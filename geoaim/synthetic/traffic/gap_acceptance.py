@@ -7,13 +7,7 @@ from jaxtyping import Bool, Float, Int8
 from numpy import ndarray as Array
 
 from geoaim.lights import GREEN
-from geoaim.synthetic.traffic.pedestrians import (
-    CrossingTable,
-    Outlook,
-    Pedestrians,
-    Reaction,
-    dot,
-)
+from geoaim.synthetic.traffic.pedestrians import CrossingTable, Outlook, Pedestrians, Reaction, dot
 from geoaim.synthetic.traffic.vehicles import PathTables, PlacedVehicles
 
 VEHICLE_HALF_WIDTH_M = 1.8  # to either side of a vehicle's path, with some clearance
@@ -26,25 +20,15 @@ STANDING_SPEED = 0.3  # m/s of vehicles that pedestrians walk around
 
 @dataclass(frozen=True)
 class _Encounters:
-    """The n vehicles as m pedestrians on or near crossings see them.
+    """The n vehicles as m pedestrians on or near crossings see them; distances in metres."""
 
-    Attributes:
-        to_path: (n, m) metres along the crossing to the vehicle's path, negative when passed.
-        to_crossing: (n, m) metres from the vehicle's front to the crossing.
-        on_crossing: (n, m) whether the vehicle is on it.
-        front: (n, m) the vehicle's front on its path, metres from the crossing's centreline.
-        rear: (n, m) its rear there.
-        side: (n, m) 1 where its path leads to the left of the crossing's direction, else -1.
-        speed: (n, 1) m/s.
-    """
-
-    to_path: Float[Array, "n m"]
-    to_crossing: Float[Array, "n m"]
-    on_crossing: Bool[Array, "n m"]
-    front: Float[Array, "n m"]
+    to_path: Float[Array, "n m"]  # along the crossing to the vehicle's path; negative when passed
+    to_crossing: Float[Array, "n m"]  # from the vehicle's front to the crossing
+    on_crossing: Bool[Array, "n m"]  # whether the vehicle is on it
+    front: Float[Array, "n m"]  # of the vehicle on its path, from the crossing's centreline
     rear: Float[Array, "n m"]
-    side: Float[Array, "n m"]
-    speed: Float[Array, "n 1"]
+    side: Float[Array, "n m"]  # 1 where its path leads to the left of the crossing, else -1
+    speed: Float[Array, "n 1"]  # m/s
 
 
 def react_to_vehicles(

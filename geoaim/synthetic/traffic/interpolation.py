@@ -5,12 +5,12 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.geometry import wrap_angle
+from geoaim.synthetic.place import Place
 from geoaim.synthetic.roads.curves import POINT_SPACING_M, compute_arc_lengths
 from geoaim.synthetic.traffic.paths import VehiclePath
 from geoaim.synthetic.traffic.simulate import DT, TrafficModel, TrafficRecording
 from geoaim.synthetic.traffic.vehicles import FRONT_SHARE, REAR_SHARE
 from geoaim.tracks import Tracks, estimate_heading
-from geoaim.world import World
 
 CENTRE_SHARE = (FRONT_SHARE - REAR_SHARE) / 2  # of the length, from rear axle to box centre
 DRIFT_WAVES = ((37.0, 0.45), (83.0, 0.55))  # wavelength in metres, share of the amplitude
@@ -22,8 +22,7 @@ MIN_HEADING_SPEED = 0.5  # m/s of pedestrians, below which they keep their headi
 def interpolate_tracks(
     model: TrafficModel,
     recording: TrafficRecording,
-    world_from_plan: Float[Array, "3 3"],
-    world: World,
+    place: Place,
     *,
     times: Float[Array, "T"],
     margin: float = 0.0,
@@ -36,8 +35,7 @@ def interpolate_tracks(
     Args:
         model: that was simulated.
         recording: of its traffic.
-        world_from_plan: plan metres to world metres.
-        world: the plane that these are in.
+        place: where it drives.
         times: (T,) within the recording, seconds.
         margin: metres around the drawn extent in which agents are present.
 
@@ -48,17 +46,16 @@ def interpolate_tracks(
         ValueError: a time lies outside the recording.
     """
     if times[0] < recording.times[0] or times[-1] > recording.times[-1] + 1e-9:
-        first, last = recording.times[[0, -1]]
-        raise ValueError(
-            f"times are from {times[0]:g} to {times[-1]:g} s; "
-            f"the recording is from {first:g} to {last:g} s"
-        )
+        asked, given = (f"from {t[0]:g} to {t[-1]:g} s" for t in (times, recording.times))
+        raise ValueError(f"times are {asked}; the recording is {given}")
     vehicles = _interpolate_vehicles(model, recording, times)
     states = np.concatenate([vehicles, _interpolate_pedestrians(recording, times)])
     left, bottom, right, top = model.roads.extent.buffer(margin).bounds
     x, y = states[..., 0], states[..., 1]
     states[~((x > left) & (x < right) & (y > bottom) & (y < top))] = np.nan
-    states = _transform_states(world_from_plan, states)
+    matrix = place.world_from_plan
+    states[..., 2] = wrap_angle(states[..., 2] + float(np.arctan2(matrix[1, 0], matrix[0, 0])))
+    states[..., :2] = states[..., :2] @ matrix[:2, :2].T + matrix[:2, 2]
     present = np.isfinite(states).all(axis=-1)
     kept = np.flatnonzero(present.any(axis=1))
     agents = [(trip.kind, trip.size) for trip in recording.vehicle_trips]
@@ -70,18 +67,8 @@ def interpolate_tracks(
         sizes=np.array([agents[k][1] for k in kept], np.float64).reshape(-1, 2),
         types=tuple(agents[k][0] for k in kept),
         ids=tuple(str(k) for k in kept),
-        world=world,
+        world=place.world,
     )
-
-
-def _transform_states(
-    world_from_plan: Float[Array, "3 3"], states: Float[Array, "N T 4"]
-) -> Float[Array, "N T 4"]:
-    """Convert states in the plan to states in the world."""
-    rotation = float(np.arctan2(world_from_plan[1, 0], world_from_plan[0, 0]))
-    position = states[..., :2] @ world_from_plan[:2, :2].T + world_from_plan[:2, 2]
-    heading = wrap_angle(states[..., 2:3] + rotation)
-    return np.concatenate([position, heading, states[..., 3:]], axis=-1)
 
 
 def _spread(

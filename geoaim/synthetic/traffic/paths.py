@@ -120,15 +120,11 @@ def _make_path_out_of_bay(
     """In reverse out of a bay, and along the last lane of a route."""
     line, lane = manoeuvre.line, lanes[route.lanes[-1]]
     change = int(np.argmax(manoeuvre.forward))
-    reverse = _make_path(
-        manoeuvre.name, [_Part(line[:change], CAR_PARK_SPEED / 2, CAR_PARK_PRIORITY)]
-    )
+    backwards = _Part(line[:change], CAR_PARK_SPEED / 2, CAR_PARK_PRIORITY)
+    reverse = _make_path(manoeuvre.name, [backwards])
     onwards = lane.centreline[_find_nearest(lane.centreline, line[-1]) :]
-    parts = [
-        _Part(line[change - 1 :], CAR_PARK_SPEED, CAR_PARK_PRIORITY),
-        _Part(onwards, lane.speed_limit, 0),
-    ]
-    ahead = _make_path(manoeuvre.name, parts)
+    forwards = _Part(line[change - 1 :], CAR_PARK_SPEED, CAR_PARK_PRIORITY)
+    ahead = _make_path(manoeuvre.name, [forwards, _Part(onwards, lane.speed_limit, 0)])
 
     def join(before: Array, after: Array) -> Array:
         return np.concatenate([before, after[1:]])  # the reversal is a point of both

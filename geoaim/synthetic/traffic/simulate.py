@@ -1,4 +1,4 @@
-"""The simulation of a place's traffic over time, and what it records."""
+"""The simulation of a place's traffic: demand, time steps, and what is recorded."""
 
 from dataclasses import dataclass
 from math import ceil
@@ -8,24 +8,25 @@ from jaxtyping import Float, Int, Int8
 from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
+from geoaim.synthetic.roads.pedestrian_network import find_route
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.traffic.conflicts import find_conflicts
-from geoaim.synthetic.traffic.demand import (
-    PedestrianTrip,
-    VehicleTrip,
-    draw_pedestrian_trips,
-    draw_vehicle_trip,
-    draw_vehicle_trips,
-)
 from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
 from geoaim.synthetic.traffic.paths import VehiclePath, make_paths
-from geoaim.synthetic.traffic.pavement import PavementMap, make_pavement_map
-from geoaim.synthetic.traffic.pedestrians import CrossingTable, look_ahead, step_pedestrians
+from geoaim.synthetic.traffic.pedestrians import (
+    CrossingTable,
+    PavementMap,
+    look_ahead,
+    make_pavement_map,
+    step_pedestrians,
+)
 from geoaim.synthetic.traffic.signals import Signals, light_states_at, make_signals
 from geoaim.synthetic.traffic.spawning import (
     Agents,
+    PedestrianTrip,
     Trips,
+    VehicleTrip,
     concat,
     make_empty,
     make_pedestrian,
@@ -44,6 +45,18 @@ DT = 0.25  # s
 WARM_UP_S = 30.0  # before the recording, in which the place fills
 PARKED_SHARE, PARKED_S = 0.6, 60.0  # of the open bays at the start, and for how long on average
 WALK_S = 90.0  # about the duration of a pedestrian's trip
+MAX_TURNING_LENGTH_M = 6.5  # longer vehicles only drive straight on
+MAX_STRAIGHT_CURVATURE = 0.02  # 1/m
+CYCLIST_SHARE = 0.12  # of pedestrians and cyclists
+JAYWALKER_SHARE = 0.25  # of those who cross where nothing is marked, if that is shorter
+UNMARKED_COST = 6.0  # factor on the length of such a crossing for the others
+# share of the traffic; ranges of length and width, metres
+VEHICLE_TYPES = {
+    "car": (0.80, (3.9, 5.0), (1.70, 1.92)),
+    "van": (0.13, (5.0, 6.0), (1.9, 2.1)),
+    "truck": (0.05, (7.0, 9.5), (2.35, 2.5)),
+    "bus": (0.02, (11.8, 12.2), (2.5, 2.55)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +139,11 @@ def simulate_traffic(
     times = np.arange(-round(WARM_UP_S / DT), ceil(duration / DT - 1e-9) + 1) * DT
     light_states = light_states_at(model.signals, times)
     interval = -WARM_UP_S, duration
-    queues = draw_vehicle_trips(model.paths, interval, rate=lane_rate, generator=generator)
+    queues = _draw_vehicle_trips(model.paths, interval, rate=lane_rate, generator=generator)
     trips = Trips(queues, [], [], [])
     agents = _place_first_agents(model, trips, pedestrian_rate, generator)
     trips.pedestrian_queue.extend(
-        draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
+        _draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
     )
     pairs, states = pair_vehicles(agents.vehicles, model.tables), []
     for time, lights in zip(times.tolist(), light_states, strict=True):
@@ -152,7 +165,7 @@ def _place_first_agents(
     vehicles, pedestrians = agents.vehicles, agents.pedestrians
     for bay in np.unique(tables.bay[tables.bay >= 0]):
         path = int(np.argmax((tables.bay == bay) & tables.into_bay))
-        trip = draw_vehicle_trip(-WARM_UP_S, path, model.paths[path], generator)
+        trip = _draw_vehicle_trip(-WARM_UP_S, path, model.paths[path], generator)
         parked_until = generator.exponential(PARKED_S)
         if generator.uniform() < PARKED_SHARE:
             s, number = float(tables.length[path]), len(trips.vehicles)
@@ -161,7 +174,7 @@ def _place_first_agents(
             trips.vehicles.append(trip)
     interval = 0.0, WALK_S
     trips.pedestrians.extend(
-        draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
+        _draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
     )
     for number, walk in enumerate(trips.pedestrians):
         s = generator.uniform() * POINT_SPACING_M * len(walk.path)
@@ -227,3 +240,88 @@ def _make_crossing_table(roads: Roads, signals: Signals) -> CrossingTable:
         marked=np.array([crossing.marked for crossing in roads.crossings]),
         priority=np.array([crossing.name == "drive" for crossing in roads.crossings]),
     )
+
+
+def _draw_vehicle_trips(
+    paths: tuple[VehiclePath, ...],
+    interval: tuple[float, float],
+    *,
+    rate: float,
+    generator: np.random.Generator,
+) -> list[list[VehicleTrip]]:
+    """Draw the trips from each entry in the order of time, as Poisson processes."""
+    queues, (start, end) = [], interval
+    for entry in sorted({path.entry for path in paths if path.entry}):
+        indices = [r for r, path in enumerate(paths) if path.entry == entry]
+        shares = np.array([paths[r].share for r in indices])
+        mean = 1 / (rate * min(shares.sum(), 1.0))
+        queue, time = [], start + generator.exponential(mean)
+        while time < end:
+            index = indices[int(generator.choice(len(indices), p=shares / shares.sum()))]
+            queue.append(_draw_vehicle_trip(time, index, paths[index], generator))
+            time += generator.exponential(mean)
+        queues.append(queue)
+    return queues
+
+
+def _draw_vehicle_trip(
+    time: float, index: int, path: VehiclePath, generator: np.random.Generator
+) -> VehicleTrip:
+    """Draw a vehicle that departs at a time (s) on a path; long ones only on straight paths."""
+    is_curved = np.abs(path.curvature).max() > MAX_STRAIGHT_CURVATURE
+    max_length = MAX_TURNING_LENGTH_M if is_curved else np.inf
+    table = VEHICLE_TYPES.values()
+    shares = np.array([share * (lengths[1] < max_length) for share, lengths, _ in table])
+    kind = list(VEHICLE_TYPES)[int(generator.choice(len(shares), p=shares / shares.sum()))]
+    _, lengths, widths = VEHICLE_TYPES[kind]
+    length, width = generator.uniform(*lengths), generator.uniform(*widths)
+    speed_factor = float(np.clip(generator.normal(0.98, 0.11), 0.7, 1.3))
+    phases = generator.uniform(0, 2 * np.pi, 2)
+    return VehicleTrip(
+        time=time,
+        path=index,
+        kind=kind,
+        size=(round(length, 2), round(width, 2)),
+        speed_factor=speed_factor,
+        headway=generator.uniform(0.2, 1.0),
+        drift_phases=(float(phases[0]), float(phases[1])),
+    )
+
+
+def _draw_pedestrian_trips(
+    roads: Roads, interval: tuple[float, float], *, rate: float, generator: np.random.Generator
+) -> list[PedestrianTrip]:
+    """Draw the trips of pedestrians and cyclists in the order of time, as a Poisson process."""
+    trips, (start, end) = [], interval
+    time = start + generator.exponential(1 / rate)
+    while time < end:
+        trip = _draw_pedestrian_trip(roads, time, generator)
+        if trip is not None:
+            trips.append(trip)
+        time += generator.exponential(1 / rate)
+    return trips
+
+
+def _draw_pedestrian_trip(
+    roads: Roads, time: float, generator: np.random.Generator
+) -> PedestrianTrip | None:
+    """A trip between two spawn nodes; None if there is no route."""
+    network = roads.footpaths
+    start, end = generator.choice(network.spawn_nodes, 2, replace=False)
+    jaywalks = generator.uniform() < JAYWALKER_SHARE
+    factors = generator.uniform(0.9, 1.1, len(network.edges))
+    for number, edge in enumerate(network.edges):
+        informal = edge.crossing >= 0 and roads.crossings[edge.crossing].name.endswith("on foot")
+        factors[number] *= UNMARKED_COST if informal and not jaywalks else 1.0
+    route = find_route(network, int(start), int(end), factors)
+    if not route:
+        return None
+    path = np.concatenate([route[0][0], *[line[1:] for line, _ in route[1:]]])
+    counts = [len(line) - (k > 0) for k, (line, _) in enumerate(route)]
+    crossing = np.repeat([crossing for _, crossing in route], counts)
+    cycles = generator.uniform() < CYCLIST_SHARE
+    mean, spread, slowest, fastest = (4.3, 0.8, 2.6, 6.0) if cycles else (1.36, 0.22, 0.7, 2.2)
+    speed = float(np.clip(generator.normal(mean, spread), slowest, fastest))  # m/s
+    offset = float(np.clip(generator.normal(-0.25, 0.45), -1.0, 0.9))
+    kind = "cyclist" if cycles else "pedestrian"
+    return PedestrianTrip(time, kind, path, crossing, offset, speed)

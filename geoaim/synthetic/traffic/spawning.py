@@ -1,14 +1,13 @@
-"""Spawning: vehicles and pedestrians enter, park, leave bays, and leave the plan."""
+"""Trips and spawning: vehicles and pedestrians enter, park, leave bays, and leave the plan."""
 
 from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
-from geoaim.synthetic.traffic.demand import PedestrianTrip, VehicleTrip
 from geoaim.synthetic.traffic.pedestrians import Pedestrians
 from geoaim.synthetic.traffic.vehicles import FRONT_SHARE, REAR_SHARE, PathTables, Vehicles
 
@@ -20,6 +19,50 @@ ARRIVAL_M = 0.6  # from the end of their path, where pedestrians leave
 ENTRY_SPEED_FACTOR = 0.8  # of a pedestrian's desired speed
 BODY_RADIUS_M = {"pedestrian": 0.25, "cyclist": 0.4}
 State = TypeVar("State", Vehicles, Pedestrians)
+
+
+@dataclass(frozen=True)
+class VehicleTrip:
+    """A vehicle and its driver's parameters.
+
+    Attributes:
+        time: of its departure, seconds.
+        path: index of its path.
+        kind: name of the vehicle type.
+        size: length and width, metres.
+        speed_factor: its desired speed as a share of the speed limit.
+        headway: desired time gap behind others, seconds.
+        drift_phases: of the waves in which it drifts within its lane, radians.
+    """
+
+    time: float
+    path: int
+    kind: str
+    size: tuple[float, float]
+    speed_factor: float
+    headway: float
+    drift_phases: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PedestrianTrip:
+    """A pedestrian or cyclist and their route.
+
+    Attributes:
+        time: of departure, seconds.
+        kind: "pedestrian" or "cyclist".
+        path: (K, 2) equally spaced points, plan metres.
+        crossing: (K,) index of the crossing at each point; -1: none.
+        lateral_offset: metres to the left of the path where they prefer to walk.
+        desired_speed: m/s.
+    """
+
+    time: float
+    kind: str
+    path: Float[Array, "K 2"]
+    crossing: Int[Array, "K"]
+    lateral_offset: float
+    desired_speed: float
 
 
 @dataclass(frozen=True)
@@ -48,11 +91,7 @@ class Trips:
 
 
 def spawn_agents(
-    agents: Agents,
-    trips: Trips,
-    tables: PathTables,
-    time: float,
-    generator: np.random.Generator,
+    agents: Agents, trips: Trips, tables: PathTables, time: float, generator: np.random.Generator
 ) -> Agents:
     """Let vehicles park, leave bays, leave the plan and enter it; pedestrians enter and leave.
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from geoaim.errors import BackgroundError
-from geoaim.mapping.background.estimate import average_frames, remove_traffic, spread_indices
+from geoaim.mapping.background.estimate import average_frames, remove_traffic
 from geoaim.mapping.background.running_mean import RunningMean, add_to_mean, finish_mean
 from geoaim.mapping.video.video import open_video
 from tests.mapping.background.clips import CAR, SIZE, frames_of, queue, shift
@@ -191,8 +191,3 @@ def test_a_mean_of_nothing_is_refused():
 def test_one_shot_iterator_is_refused(ground):
     with pytest.raises(TypeError, match="read twice"):
         remove_traffic(iter(frames_of([ground] * 5)), size=SIZE)
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 7, 16])
-def test_spread_indices_are_a_permutation(count):
-    assert sorted(spread_indices(count)) == list(range(count))

@@ -43,11 +43,8 @@ def test_each_lane_is_a_lanelet_and_neighbours_share_a_bound(roads):
     assert set(lanelets) == {lane.name for lane in roads.lanes}
     for approach in roads.layout.approaches:
         for rank in range(1, len(approach.turns)):
-            inner, outer = (
-                lanelets[f"{approach.name} in {rank - 1}"],
-                lanelets[f"{approach.name} in {rank}"],
-            )
-            assert inner["right"] == outer["left"]
+            inner = lanelets[f"{approach.name} in {rank - 1}"]
+            assert inner["right"] == lanelets[f"{approach.name} in {rank}"]["left"]
 
 
 def test_consecutive_lanelets_share_their_end_nodes(roads):

@@ -10,27 +10,21 @@ from geoaim.synthetic.roads.approaches import (
 )
 from geoaim.synthetic.roads.layouts import PLACE_KINDS, locate_corner, make_layout
 
-EAST, NORTH = (
-    Approach("east", 0.0, 0.0, ("L", "S"), 1),
-    Approach("north", np.pi / 2, 0.0, ("LSR",), 1),
-)
+EAST = Approach("east", 0.0, 0.0, ("L", "S"), 1)
+NORTH = Approach("north", np.pi / 2, 0.0, ("LSR",), 1)
 
 
 def test_inbound_lanes_lie_at_larger_t():
     assert locate_inbound_lane(EAST, 0) > locate_outbound_lane(EAST, 0)
     np.testing.assert_allclose(plan_from_road(EAST, np.array([[20.0, 3.0]])), [[20, 3]])
-    np.testing.assert_allclose(
-        plan_from_road(NORTH, np.array([[20.0, 3.0]])), [[-3, 20]], atol=1e-9
-    )
+    point = plan_from_road(NORTH, np.array([[20.0, 3.0]]))
+    np.testing.assert_allclose(point, [[-3, 20]], atol=1e-9)
 
 
 def test_lanes_fill_the_road_between_the_gutters():
-    assert locate_inbound_lane(EAST, 1) + EAST.lane_width / 2 == pytest.approx(
-        EAST.half_width - 0.45
-    )
-    assert locate_outbound_lane(EAST, 0) - EAST.lane_width / 2 == pytest.approx(
-        0.45 - EAST.half_width
-    )
+    left = locate_inbound_lane(EAST, 1) + EAST.lane_width / 2
+    right = locate_outbound_lane(EAST, 0) - EAST.lane_width / 2
+    assert (left, right) == pytest.approx((EAST.half_width - 0.45, 0.45 - EAST.half_width))
 
 
 @pytest.mark.parametrize(("destination", "turn"), [("west", "S"), ("north", "R"), ("south", "L")])

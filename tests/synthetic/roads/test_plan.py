@@ -27,9 +27,8 @@ def test_vehicles_can_follow_the_lanes(roads):
 def test_vehicles_in_lanes_touch_no_kerb(roads):
     asphalt = roads.paving.carriageway.buffer(0.05)
     for lane in roads.lanes:
-        assert asphalt.contains(LineString(lane.centreline).buffer(1.1, cap_style="flat")), (
-            lane.name
-        )
+        body = LineString(lane.centreline).buffer(1.1, cap_style="flat")
+        assert asphalt.contains(body), lane.name
 
 
 def test_surfaces_do_not_overlap(roads):

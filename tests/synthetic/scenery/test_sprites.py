@@ -21,9 +21,8 @@ def test_vehicle_has_its_size(length, width):
 
 
 def test_cyclist_is_longer_than_a_pedestrian():
-    long, short = (
-        draw_pedestrian((60, 60, 90), 0.05, cycle=c)[..., 3] > 127 for c in (True, False)
-    )
+    sprites = (draw_pedestrian((60, 60, 90), 0.05, cycle=cycle) for cycle in (True, False))
+    long, short = (sprite[..., 3] > 127 for sprite in sprites)
     assert np.ptp(np.nonzero(long)[1]) > 2 * np.ptp(np.nonzero(short)[1])
 
 

@@ -3,11 +3,10 @@ import pytest
 
 from geoaim.lights import GREEN, RED
 from geoaim.synthetic.roads.plan import make_roads
-from geoaim.synthetic.traffic.demand import VehicleTrip
 from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.pedestrians import CrossingPedestrians
 from geoaim.synthetic.traffic.simulate import DT, prepare_traffic
-from geoaim.synthetic.traffic.spawning import concat, make_empty, make_vehicle
+from geoaim.synthetic.traffic.spawning import VehicleTrip, concat, make_empty, make_vehicle
 from geoaim.synthetic.traffic.vehicles import pair_vehicles, place_vehicles
 
 NO_PEDESTRIANS = CrossingPedestrians(np.empty(0, int), np.empty(0), np.empty(0), np.empty(0))

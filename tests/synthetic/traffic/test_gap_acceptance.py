@@ -5,11 +5,15 @@ import pytest
 
 from geoaim.lights import GREEN, RED
 from geoaim.synthetic.roads.plan import make_roads
-from geoaim.synthetic.traffic.demand import PedestrianTrip, VehicleTrip
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
 from geoaim.synthetic.traffic.pedestrians import look_ahead
 from geoaim.synthetic.traffic.simulate import prepare_traffic
-from geoaim.synthetic.traffic.spawning import make_pedestrian, make_vehicle
+from geoaim.synthetic.traffic.spawning import (
+    PedestrianTrip,
+    VehicleTrip,
+    make_pedestrian,
+    make_vehicle,
+)
 from geoaim.synthetic.traffic.vehicles import place_vehicles
 
 

@@ -35,10 +35,8 @@ def _is(tracks, *types):
 
 def test_vehicles_never_overlap(recorded):
     _, tracks = recorded
-    bodies, present = (
-        _bodies(tracks, _is(tracks, *VEHICLES)),
-        tracks.present[_is(tracks, *VEHICLES)],
-    )
+    vehicle = _is(tracks, *VEHICLES)
+    bodies, present = _bodies(tracks, vehicle), tracks.present[vehicle]
     for step in range(0, len(tracks.times), 2):
         shapes = shapely.polygons(bodies[present[:, step], step])
         pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects")

@@ -1,7 +1,7 @@
 import numpy as np
 import shapely
 
-from geoaim.synthetic.traffic.pavement import CELL_M, make_pavement_map, sample_pavement
+from geoaim.synthetic.traffic.pedestrians import CELL_M, make_pavement_map, sample_pavement
 
 
 def test_distance_is_that_to_the_edge_of_the_pavement(roads):
