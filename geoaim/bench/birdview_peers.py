@@ -1,4 +1,4 @@
-"""What the bird's-eye renderer is compared with: OpenCV, and boxes over whole pictures in torch."""
+"""Renderers to compare with: OpenCV, and plain torch with every box in every pixel."""
 
 import cv2
 import numpy as np
@@ -11,12 +11,21 @@ from geoaim.geometry import to_opencv
 from geoaim.simulation import Ground, OrientedBoxes, View
 
 
-def sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
-    """Where the pixels of all views lie in the texture, as `grid_sample` takes it."""
+def make_sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
+    """Make the positions of the pixels of all views in the texture, for `grid_sample`.
+
+    Args:
+        view: size and resolution of the pictures.
+        cameras: (B, 3) x, y, heading.
+        ground: the texture, whose border is left out.
+
+    Returns:
+        (1, B H, W, 2) from -1 to 1.
+    """
     corners = torch.tensor([[-1.0, 1.0]]) * view.width * view.resolution / 2
     c, s = cameras[:, 2].cos(), cameras[:, 2].sin()
     turn = torch.stack([torch.stack([s, -c], 1), torch.stack([-c, -s], 1)], 2) * corners[0, 1]
-    matrix = ground.image_from_world - torch.tensor([0.0, 0, 1])  # without the ground's frame
+    matrix = ground.image_from_world - torch.tensor([0.0, 0, 1])  # without the border
     theta = torch.cat(
         [matrix[:, :2] @ turn, (cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2])[..., None]], 2
     )
@@ -26,10 +35,21 @@ def sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
     return grid.view(1, -1, view.width, 2).contiguous()
 
 
-def by_opencv(
+def render_with_opencv(
     view: View, cameras: Tensor, ground: Ground, boxes: OrientedBoxes, image: np.ndarray
 ) -> list[np.ndarray]:
-    """What scripts do: a warp for each view and hard-edged polygons."""
+    """Render by a warp for each view and polygons with hard edges, as scripts do.
+
+    Args:
+        view: size and resolution of the pictures.
+        cameras: (B, 3) x, y, heading.
+        ground: where the texture lies.
+        boxes: to draw, without triangles.
+        image: (h, w, 3) the texture.
+
+    Returns:
+        B pictures (H, W, 3).
+    """
     pictures, sizes = [], boxes.sizes.numpy()
     half = np.array([view.width, view.height]) / 2
     sides = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
@@ -55,22 +75,33 @@ def by_opencv(
     return pictures
 
 
-def by_dense_torch(
+def render_by_distances(
     view: View, cameras: Tensor, image: Float[Tensor, "1 3 h w"], grid: Tensor, boxes: OrientedBoxes
 ) -> Float[Tensor, "B 3 H W"]:
-    """What comes to mind first: every box's distance in every pixel, edges a pixel soft."""
+    """Render by every box's distance in every pixel, with edges one pixel soft.
+
+    Args:
+        view: size and resolution of the pictures.
+        cameras: (B, 3) x, y, heading.
+        image: the texture.
+        grid: of `make_sampling_grid`.
+        boxes: to draw, without triangles.
+
+    Returns:
+        (B, 3, H, W).
+    """
     count = len(cameras)
-    seen = F.grid_sample(image, grid, align_corners=False)
-    picture = seen.view(3, count, view.height, view.width).transpose(0, 1)
+    pixels = F.grid_sample(image, grid, align_corners=False)
+    picture = pixels.view(3, count, view.height, view.width).transpose(0, 1)
     rows, columns = (torch.arange(n).to(cameras) - (n - 1) / 2 for n in (view.height, view.width))
-    apart = boxes.poses[..., :2] - cameras[:, None, :2]
+    offset = boxes.poses[..., :2] - cameras[:, None, :2]
     c, s = cameras[:, 2:].cos(), cameras[:, 2:].sin()
-    right = (apart[..., 0] * s - apart[..., 1] * c) / view.resolution
-    ahead = (apart[..., 0] * c + apart[..., 1] * s) / view.resolution
+    right = (offset[..., 0] * s - offset[..., 1] * c) / view.resolution
+    forward = (offset[..., 0] * c + offset[..., 1] * s) / view.resolution
     turn = boxes.poses[..., 2] - cameras[:, 2:]
     for a in range(boxes.poses.shape[1]):
         x = columns - right[:, a, None, None]
-        y = -rows[:, None] - ahead[:, a, None, None]
+        y = -rows[:, None] - forward[:, a, None, None]
         cosine, sine = turn[:, a, None, None].cos(), turn[:, a, None, None].sin()
         length, width = boxes.sizes[a] / 2 / view.resolution
         along, aside = y * cosine - x * sine, y * sine + x * cosine

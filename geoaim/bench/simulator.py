@@ -1,12 +1,14 @@
-"""The simulator's stages: a step, collisions and off-road of 64 scenes of 20 agents, one thread.
+"""Stages of the simulator: a step, collisions and off-road distances, timed on one thread.
 
     python -m geoaim.bench.simulator --json docs/bench/simulator.json
 
-Each is set beside `agents * 4` sines, a yardstick of the machine, and beside shapely for overlaps.
-With torchdrivesim installed its collisions and off-road distance are timed in the same run.
+64 scenes of 20 agents are timed beside four sines for each agent, a yardstick of the machine.
+Overlaps are compared with shapely's. Where torchdrivesim is installed, its collisions and off-road
+distances are timed in the same run.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,58 +25,64 @@ from geoaim.simulation.overlap import box_iou, compute_box_corners
 from geoaim.simulation.road_rules import make_drivable
 from geoaim.simulation.simulator import Scenario, step
 
-SCENES, AGENTS, SIDE = 64, 20, 80.0  # m of the square in which agents are
-STATIONS = 12  # points of each side of a lane, in triangles
+SCENES, AGENTS, SIDE_M = 64, 20, 80.0
+BORDER_POINTS = 12  # of each border of a lane, in triangles
 
 
-def traffic() -> Scenario:
-    """Two steps of agents at random, as far apart as in traffic."""
+def make_traffic() -> Scenario:
+    """Make two steps of random agents, as far apart as in traffic."""
     random = torch.rand(SCENES, AGENTS, 4, generator=torch.Generator().manual_seed(0))
-    states = random * torch.tensor([SIDE, SIDE, 6.28, 10.0]) - torch.tensor([60.0, 0, 0, 0])
+    states = random * torch.tensor([SIDE_M, SIDE_M, 6.28, 10.0]) - torch.tensor([60.0, 0, 0, 0])
     sizes = torch.tensor([4.5, 1.9]).expand(SCENES, AGENTS, 2)
-    there = torch.ones(SCENES, 2, AGENTS, dtype=torch.bool)
-    feet = torch.arange(AGENTS).expand(SCENES, AGENTS) % 4 == 0
-    return Scenario(torch.stack([states, states], 1), there, sizes, feet, 0.1)
+    present = torch.ones(SCENES, 2, AGENTS, dtype=torch.bool)
+    pedestrian = torch.arange(AGENTS).expand(SCENES, AGENTS) % 4 == 0
+    return Scenario(torch.stack([states, states], 1), present, sizes, pedestrian, 0.1)
 
 
-def by_shapely(scenario: Scenario) -> np.ndarray:
-    """Intersection over union of all pairs of the first scene."""
+def compute_iou_with_shapely(scenario: Scenario) -> np.ndarray:
+    """Compute the intersection over union of all pairs of the first scene: (A, A)."""
     corners = compute_box_corners(scenario.states[0, 0, :, :3], scenario.sizes[0]).double().numpy()
     polygons = shapely.polygons(corners)
-    shared = shapely.area(shapely.intersection(polygons[:, None], polygons))
+    intersection = shapely.area(shapely.intersection(polygons[:, None], polygons))
     area = shapely.area(polygons)
-    return np.asarray(shared / (area[:, None] + area - shared) * (1 - np.eye(AGENTS)))
+    return np.asarray(intersection / (area[:, None] + area - intersection) * (1 - np.eye(AGENTS)))
 
 
-def timings(repeats: int) -> list[dict[str, Any]]:
-    """Milliseconds of each stage."""
-    scenario = traffic()
-    states, there = scenario.states[:, 0], scenario.present[:, 0]
-    actions, everyone = torch.full((SCENES, AGENTS, 2), 0.1), there
+def compare_with_shapely() -> float:
+    """Compute the largest difference from shapely's intersection over union, in dense traffic."""
+    scenario = make_traffic()
+    dense = replace(scenario, states=scenario.states / 8)
+    iou = box_iou(dense.states[:, 0, :, :3], dense.sizes, dense.present[:, 0])[0]
+    return float(np.abs(iou.numpy() - compute_iou_with_shapely(dense)).max())
+
+
+def time_stages(repeats: int) -> list[dict[str, Any]]:
+    """Time each stage, milliseconds."""
+    scenario = make_traffic()
+    states, present, sizes = scenario.states[:, 0], scenario.present[:, 0], scenario.sizes
+    poses, actions = states[..., :3], torch.full((SCENES, AGENTS, 2), 0.1)
     hdmap = read_hdmap("samples/map.osm")
     drivable = make_drivable(find_drivable_area(hdmap))
-    few = slice(0, 4)
-    parts: dict[str, Callable[[], Any]] = {
-        "sines, 4 an agent": lambda: torch.sin(states),
-        "step": lambda: step(scenario, 0, states, actions, everyone),
-        "compute_collision_iou, exact IoU of all pairs": lambda: box_iou(
-            states[..., :3], scenario.sizes, there
-        ),
-        "off-road distance": lambda: compute_offroad_distance(
-            drivable, states[..., :3], scenario.sizes, there
-        ),
+    stages: dict[str, Callable[[], Any]] = {
+        "sines, 4 per agent": lambda: torch.sin(states),
+        "step": lambda: step(scenario, 0, states, actions, present),
+        "collisions, exact IoU of all pairs": lambda: box_iou(poses, sizes, present),
+        "off-road distance": lambda: compute_offroad_distance(drivable, poses, sizes, present),
         "off-road distance, 4 scenes": lambda: compute_offroad_distance(
-            drivable, states[few, :, :3], scenario.sizes[few], there[few]
+            drivable, poses[:4], sizes[:4], present[:4]
         ),
-        **_peers(scenario, hdmap),
+        **_list_torchdrivesim(scenario, hdmap),
     }
     with torch.no_grad():
-        seconds = time_medians(list(parts.values()), repeats)
-    return [{"stage": name, "ms": 1e3 * time} for name, time in zip(parts, seconds, strict=True)]
+        durations = time_medians(list(stages.values()), repeats)
+    return [
+        {"stage": name, "ms": 1e3 * duration}
+        for name, duration in zip(stages, durations, strict=True)
+    ]
 
 
-def _peers(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[[], Any]]:
-    """What torchdrivesim takes for the same, where it is installed."""
+def _list_torchdrivesim(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[[], Any]]:
+    """List the same stages of torchdrivesim, where it is installed."""
     try:
         from torchdrivesim.infractions import iou_differentiable, offroad_infraction_loss
         from torchdrivesim.mesh import BaseMesh, BirdviewMesh
@@ -83,7 +91,7 @@ def _peers(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[[], Any]]:
     states, sizes = scenario.states[:, 0], scenario.sizes
     boxes = torch.cat([states[..., :2], sizes, states[..., 2:3]], dim=-1)
     row, column = torch.triu_indices(AGENTS, AGENTS, offset=1)
-    corners, faces = _triangles(hdmap)
+    corners, faces = _triangulate_lanes(hdmap)
     mesh = BirdviewMesh.set_properties(BaseMesh(verts=corners, faces=faces), "road").expand(4)
     return {
         "torchdrivesim: iou_differentiable": lambda: iou_differentiable(
@@ -95,16 +103,16 @@ def _peers(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[[], Any]]:
     }
 
 
-def _triangles(hdmap: HDMap) -> tuple[torch.Tensor, torch.Tensor]:
-    """The map's lanes as triangles, which torchdrivesim takes."""
-    two = 2 * np.arange(STATIONS - 1)[:, None] + np.array([[0, 1, 2], [1, 2, 3]])[:, None]
+def _triangulate_lanes(hdmap: HDMap) -> tuple[torch.Tensor, torch.Tensor]:
+    """Triangulate the lanes of a map, for torchdrivesim: corners (1, V, 2), faces (1, F, 3)."""
+    pair = 2 * np.arange(BORDER_POINTS - 1)[:, None] + np.array([[0, 1, 2], [1, 2, 3]])[:, None]
     corners: list[np.ndarray] = []
     faces: list[np.ndarray] = []
     for lanelet in hdmap.lanelets:
-        sides = sample_borders(lanelet, np.linspace(0, 1, STATIONS))
-        start = 2 * STATIONS * len(corners)
+        sides = sample_borders(lanelet, np.linspace(0, 1, BORDER_POINTS))
+        start = 2 * BORDER_POINTS * len(corners)
         corners.append(sides.swapaxes(0, 1).reshape(-1, 2))
-        faces.append(start + two.reshape(-1, 3))
+        faces.append(start + pair.reshape(-1, 3))
     return (
         torch.tensor(np.concatenate(corners), dtype=torch.float32)[None],
         torch.tensor(np.concatenate(faces))[None],
@@ -112,21 +120,16 @@ def _triangles(hdmap: HDMap) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    json: Annotated[Path | None, typer.Option(help="JSON file to write")] = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 30,
 ) -> None:
-    """Time the stages and compare overlaps with shapely's; print tables, write JSON when asked."""
+    """Time the stages and compare overlaps with shapely's; print a table and write JSON."""
     torch.set_num_threads(1)
-    scenario = traffic()
-    close = Scenario(
-        scenario.states / 8, scenario.present, scenario.sizes, scenario.pedestrian, 0.1
-    )
-    found = box_iou(close.states[:, 0, :, :3], close.sizes, close.present[:, 0])[0]
-    apart = float(np.abs(found.numpy() - by_shapely(close)).max())
-    rows = timings(repeats)
-    print(format_table(rows), f"IoU against shapely: {apart:.1e} at most", sep="\n\n")
+    difference, rows = compare_with_shapely(), time_stages(repeats)
+    print(format_table(rows), f"IoU against shapely: {difference:.1e} at most", sep="\n\n")
     command = f"python -m geoaim.bench.simulator --repeats {repeats}"
-    write_rows(rows, json, command=command, torch=torch.__version__, iou_against_shapely=apart)
+    more = {"largest_iou_difference_from_shapely": difference}
+    write_rows(rows, json, command=command, torch=torch.__version__, **more)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d, interpolate
 
-from geoaim.bench.birdview_truth import supersampled
+from geoaim.bench.birdview_truth import supersample
 from geoaim.simulation import (
     OrientedBoxes,
     View,
@@ -57,7 +57,7 @@ def test_picture_is_that_of_many_points_a_pixel(resolution):
     view = View(48, 40, resolution)
     plain = _ground(0.5)  # as grey as what is outside of it
     found = render(view, cameras, plain, [boxes])
-    apart = (found - supersampled(view, cameras, plain, boxes)).abs() * 255
+    apart = (found - supersample(view, cameras, plain, boxes)).abs() * 255
     assert apart.mean() < 0.2
     assert apart.max() < 8
 

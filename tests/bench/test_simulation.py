@@ -1,0 +1,55 @@
+"""The benchmarks of renderer and simulator on tiny input."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from geoaim.bench import birdview, birdview_truth, simulator
+
+
+@pytest.fixture(scope="module")
+def ground():
+    generator = torch.Generator().manual_seed(0)
+    coarse = torch.rand(1, 3, 8, 8, generator=generator)
+    return birdview.make_map(torch.nn.functional.interpolate(coarse, size=64, mode="bilinear")[0])
+
+
+def test_renderers_are_timed_and_compared(ground, tmp_path, monkeypatch):
+    monkeypatch.setattr(birdview, "MIN_TIMED_PIXELS", 1)
+    row = birdview.time_renderer(ground, pixels=16, views=2, repeats=1)
+    assert all(value > 0 for value in row.values())
+    methods = birdview.compare_renderers(ground, pixels=16, views=2, repeats=1)
+    errors = {row["method"]: row["mean error at edges of boxes"] for row in methods}
+    assert errors["geoaim"] < errors["OpenCV: warp, hard polygons"] / 3
+    birdview.draw_chart(methods, tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 10_000
+
+
+def test_peak_memory_includes_this_process():
+    assert birdview.measure_peak(8, 1) > 50
+
+
+def test_gradients_agree_with_central_differences(monkeypatch):
+    monkeypatch.setattr(birdview_truth, "GRADIENT_LATTICE", (987, 610))
+    rows = birdview_truth.measure_gradient_errors(2)
+    assert len(rows) == 8
+    assert all(row["median error, %"] < 10 for row in rows)
+
+
+def test_simulator_is_timed_and_agrees_with_shapely():
+    assert simulator.compare_with_shapely() < 1e-5
+    assert all(row["ms"] > 0 for row in simulator.time_stages(1))
+
+
+@pytest.mark.parametrize("module", ["birdview", "birdview_truth", "simulator"])
+def test_commands_have_help(module):
+    command = [sys.executable, "-m", f"geoaim.bench.{module}", "--help"]
+    assert "--json" in subprocess.check_output(command, text=True)
+
+
+def test_simulator_writes_json(tmp_path):
+    simulator.main(json=tmp_path / "a.json", repeats=1)
+    assert json.loads((tmp_path / "a.json").read_text())["rows"][1]["stage"] == "step"
