@@ -24,7 +24,8 @@ Numbers:
     agent axes: x forward, y left; a state is x, y, heading, speed.
     sizes: (height, width).
     images: numpy uint8 RGB, H W 3; torch float in [0, 1], C H W.
-    shape letters: B batch, K samples, N agents, T time, H W rows and columns, C channels, M points.
+    shape letters: B batch, K samples, N agents, E controlled agents, T time, H W rows and columns,
+    C channels, M points.
     absence: a boolean mask; numbers that do not exist are NaN.
     precision: float64 for geography, float32 for learning, after the origin is subtracted.
     randomness: an argument named `generator`; nothing seeds globally.

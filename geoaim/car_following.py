@@ -3,7 +3,8 @@
     dv/dt = a [1 - (v / v0)^4 - (s* / s)^2],    s* = s0 + max(0, v T + v dv / (2 sqrt(a b)))
 
 v is the speed, v0 the desired one, s the gap to the leader and dv the speed at which it closes.
-Works on numpy arrays and torch tensors alike.
+This file computes s* / s, for numpy arrays and torch tensors alike; `simulation/policies.py` and
+`synthetic/traffic/driving.py` compute the acceleration from it.
 """
 
 import math

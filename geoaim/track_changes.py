@@ -16,15 +16,14 @@ def to_world(tracks: Tracks, world: World) -> Tracks:
     """Transform tracks to another world: positions and headings; sizes and speeds stay.
 
     Raises:
-        TracksError: only one of the two worlds has a place on the Earth.
+        TracksError: only one of the two worlds has a CRS.
     """
     if tracks.world == world:
         return tracks
     if (tracks.world.crs is None) != (world.crs is None):
         there, here = (w.crs or "a local plane without a CRS" for w in (tracks.world, world))
         raise TracksError(
-            f"the tracks lie in {there}, and are needed in {here}; give both a place on the "
-            "Earth, or none"
+            f"the tracks lie in {there}, and are needed in {here}; give both a CRS, or neither"
         )
     states, present = tracks.states.copy(), tracks.present
     position, heading = states[present, :2], states[present, 2]
@@ -64,7 +63,7 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
     steps = int((tracks.times[-1] - tracks.times[0]) * rate + rate / TICKS_PER_S) + 1
     if steps * max(len(tracks.ids), 1) > MAX_STATES:
         raise ValueError(
-            f"{len(tracks.ids)} agents times {steps} times exceed {MAX_STATES} states; lower the "
+            f"{len(tracks.ids)} agents x {steps} steps exceed {MAX_STATES} states; lower the "
             f"rate of {rate} Hz or cut the tracks"
         )
     times = tracks.times[0] + np.arange(steps) / rate

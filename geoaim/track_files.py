@@ -7,7 +7,7 @@
 
 Time in seconds; x and y in metres from the origin in the CRS, x east and y north; heading in
 radians counter-clockwise from +x; speed in m/s, negative in reverse; length and width in metres.
-`# crs: local` is a plane without a place on the Earth. Parquet files have CRS and origin in the
+`# crs: local` is a local plane without CRS. Parquet files have CRS and origin in the
 metadata `geoaim_world`.
 """
 

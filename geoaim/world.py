@@ -23,8 +23,8 @@ class World:
     """A metric plane, x east and y north, in metres from an origin.
 
     Attributes:
-        crs: a projected CRS in metres, in any form that pyproj reads, or None for a plane
-            whose place on the Earth is not known.
+        crs: a projected CRS in metres, in any form that pyproj reads, or None for a
+            local plane.
         origin: easting and northing of the world's (0, 0) in that CRS, metres.
 
     Raises:
@@ -231,7 +231,7 @@ def lonlat_from_world(world: World, points: Float[Array, "m 2"]) -> Float[Array,
 def _require_crs(world: World) -> str:
     if world.crs is None:
         raise GeoreferenceError(
-            "This world is a local plane without a place on the Earth. Georeference it with control"
+            "This world is a local plane without a CRS. Georeference it with control"
             " points or telemetry first."
         )
     return world.crs

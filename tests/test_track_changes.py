@@ -120,5 +120,5 @@ def test_tracks_transform_to_another_world_and_back():
 
 
 def test_tracks_without_a_place_on_the_earth_are_not_transformed():
-    with pytest.raises(TracksError, match="give both a place on the Earth, or none"):
+    with pytest.raises(TracksError, match="give both a CRS, or neither"):
         to_world(_straight([0.0, 0.1]), World("EPSG:32635", (583000.0, 6062000.0)))

@@ -16,7 +16,7 @@ def check_output(
     if suffixes and output.suffix.lower() not in suffixes:
         raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")
     if output.resolve() in _resolve(inputs):
-        raise ValueError(f"{output} is read as well; give another name to write")
+        raise ValueError(f"{output} is also an input; give another name")
     if output.is_dir():
         raise ValueError(f"{output} is a folder; the name of a file is needed")
     folder = next(parent for parent in output.absolute().parents if parent.exists())

@@ -34,9 +34,9 @@ class Ablation:
     """What differs from the default.
 
     Attributes:
-        config: of the model.
-        kl_weight: of the training.
-        build_encoder: of the model.
+        config: configuration of the model.
+        kl_weight: weight of the KL term in the loss.
+        build_encoder: builds the model's encoder of views.
         default_weights: whether convolutions start with torch's default weights.
     """
 

@@ -49,7 +49,7 @@ def run(workspace: Workspace) -> list[Path]:
 
 
 def make_songdo_dataset(scene: Scene) -> Dataset:
-    """Split the vehicles of a recording: it is too short to split its time."""
+    """Split a recording by vehicles, since it is too short to be split by time."""
     ground, offsets = make_atlas([scene.ground], VEHICLES.view)
     steps, stride = SEGMENT_STEPS["vehicle"], len(scene.times)
     segments = shift(cut_segments(scene, "vehicle", steps=steps, stride=stride), offsets[0])

@@ -271,7 +271,7 @@ def _add_below(
 
 def _check_coverage(sources: Sequence[_Source], covered: Bool[Array, "H W"]) -> None:
     for error in (error for source in sources for error in source.unreadable.values()):
-        warnings.warn(f"left as a hole: {error}", GeoaimWarning, stacklevel=4)
+        warnings.warn(f"file skipped, its area stays empty: {error}", GeoaimWarning, stacklevel=4)
     if not covered.any():
         names = ", ".join(source.layer.name for source in sources)
         raise ImageryError(

@@ -131,7 +131,7 @@ def _describe_single(
 ) -> Layer:
     options = {} if tiles.zoom is None else {"ZOOM_LEVEL": tiles.zoom}
     if options and not path.lower().endswith(".mbtiles"):
-        raise ImageryError(f"{path} holds no tiles by zoom levels; read it without zoom")
+        raise ImageryError(f"{path} is not an .mbtiles file; omit `zoom`")
     raster = describe_raster(path, crs=crs, bands=bands, options=options)
     outlines = ((raster.crs, outline_raster(raster)),)
     return Layer(_hide_query(path), (raster,), outlines, zoom=tiles.zoom, single=True)
@@ -140,7 +140,7 @@ def _describe_single(
 def _describe_files(name: str, files: Sequence[str], describe: Describer) -> Layer:
     if not files:
         raise FileNotFoundError(
-            f"{name}: no file there; needed are GeoTIFFs, tiles named z/x/y.png or NAME-x-y-z.png, "
+            f"{name}: no files match; expected GeoTIFFs, tiles named z/x/y.png or NAME-x-y-z.png, "
             "or, for other files, a pattern such as folder/*.jpg"
         )
     rasters, unreadable = _describe_all(((file, None) for file in files), describe, name)
@@ -162,7 +162,7 @@ def _describe_all(
         first = next(iter(errors.values()))
         raise ImageryError(f"none of the {len(errors)} file(s) of {name} can be read: {first}")
     for reason in errors.values():
-        warnings.warn(f"left as a hole: {reason}", GeoaimWarning, stacklevel=2)
+        warnings.warn(f"file skipped, its area stays empty: {reason}", GeoaimWarning, stacklevel=2)
     return tuple(rasters), tuple(errors)
 
 
@@ -193,10 +193,10 @@ def _describe_service(
 ) -> Layer:
     name = _hide_query(address)
     if "://" not in address:
-        raise ImageryError(f"{name} is no service's address; for files give the folder")
+        raise ImageryError(f"{name} is not the URL of a tile service; for files give the folder")
     if region is None or (resolution is None and tiles.zoom is None):
         raise ImageryError(
-            f"{name} is a service for all of the world, and does not say how fine it is: give the "
+            f"{name} is a service of the whole Earth without a resolution of its own: give the "
             "world, the corners, and a resolution or Tiles(..., zoom=...)"
         )
     zoom = _choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
@@ -206,7 +206,7 @@ def _describe_service(
 
 
 def _hide_query(address: str) -> str:
-    """An address without what follows "?", where keys stand."""
+    """Remove the query of an address, which may hold keys."""
     return address.split("?")[0] if "://" in address else address
 
 

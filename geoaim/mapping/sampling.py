@@ -28,10 +28,11 @@ class Sampling:
     """A choice of frames, and how they are averaged.
 
     Attributes:
-        read: yields batches of frames, each batch in order of time; each call starts anew.
+        read: returns a new iterator over batches; each batch yields frames in order of time.
         frame_count: maximum number of frames that `read` yields; None when it is unknown.
         tolerance: change at which the background has converged, grey levels; 0 reads all frames.
-        bands: bands of rows that the frames fill in turn.
+        bands: n horizontal bands of the image: each pixel averages every n-th frame, which takes n
+            times less work per frame.
         plain_mean: whether the mean includes traffic that no detections mask.
     """
 
@@ -72,7 +73,7 @@ def read_registered(
     """Read the frames of a registration again.
 
     Args:
-        sampling: with which they were read.
+        sampling: the choice of frames that was registered.
         registration: of these frames.
         progress: called with "average", the frames read and the frames in all.
 

@@ -45,7 +45,7 @@ class AnchorHead(nn.Module):
         super().__init__()
         if history < 2:
             raise ValueError(
-                f"proposals from {history} observed steps; two or more give a velocity"
+                f"anchors need a velocity, hence two or more observed steps; history is {history}"
             )
         self.steps = [round(horizon * (k + 1) / points) for k in range(points)]
         self.propose = build_mlp(feature_size + 2 * history, 2 * width, num_anchors * 2 * points)

@@ -39,7 +39,7 @@ def read_model(path: str | os.PathLike[str], *, build_encoder: BuildEncoder = bu
     """
     state = read_state(path)
     if "optimiser" in state:
-        raise ModelError(f"{path} is a training checkpoint; name the model.pt beside it")
+        raise ModelError(f"{path} is a training checkpoint; give the model.pt beside it")
     try:
         model = ITRA(Config(**state["config"]), build_encoder)
         model.load_state_dict({name: value.float() for name, value in state["weights"].items()})
@@ -64,10 +64,10 @@ def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
 
 
 def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read what `write_state` wrote, without running code from the file.
+    """Read a state that `write_state` wrote, without running code from the file.
 
     Raises:
-        ModelError: the file holds something else.
+        ModelError: the file is not such a state, or one of another version.
         OSError: there is no such file.
     """
     path = Path(path)
@@ -76,11 +76,14 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
     except FileNotFoundError:
         raise FileNotFoundError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise IsADirectoryError(f"{path} is a folder; name the model.pt in it") from None
+        raise IsADirectoryError(f"{path} is a folder; give the model.pt in it") from None
     except OSError:
         raise
     except Exception:  # pickle, zip and torch raise errors of their own
-        raise ModelError(f"{path} is not a model that geoaim wrote; name a model.pt") from None
-    if not isinstance(state, dict) or state.get("format") != FORMAT:
-        raise ModelError(f"{path} is not a model of format {FORMAT}; train it again")
+        raise ModelError(f"{path} is not a model that geoaim wrote; give a model.pt") from None
+    stated = state.get("format") if isinstance(state, dict) else None
+    if stated != FORMAT:
+        raise ModelError(
+            f"{path} has model format {stated}, this version reads {FORMAT}; train it again"
+        )
     return state

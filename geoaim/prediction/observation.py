@@ -59,12 +59,13 @@ def render_observation(
         view: size, resolution and width of lights.
         ground: the map.
         segments: sizes, presence and lights of all agents.
-        controlled: agents whose views to render.
-        states: of all agents at the step.
-        step: number of the step.
+        controlled: the E agents whose views to render.
+        states: (B, N, 4) of all agents at the step.
+        step: index of the step.
 
     Returns:
-        `CHANNELS` channels between 0 and 1: ground, vehicles, pedestrians, lights.
+        A view of each of the E controlled agents, in 7 channels between 0 and 1: ground (RGB),
+        vehicles, pedestrians, red and yellow lights, green lights.
     """
     poses = states[controlled.segment, :, :3]  # (E, N, 3)
     itself = torch.arange(states.shape[1], device=states.device) == controlled.agent[:, None]

@@ -43,7 +43,7 @@ def predict(
     config, total = model.config, len(scene.times)
     start = total - 1 if start is None else start
     if not 0 <= start < total:
-        raise ValueError(f"step {start} is not among the scene's {total}")
+        raise ValueError(f"start={start}, but the scene has steps 0 to {total - 1}")
     if total > 1 and abs(scene.dt - config.dt) > DT_TOLERANCE_S:
         raise ValueError(
             f"the scene's dt is {scene.dt:g} s and the model's {config.dt:g} s; resample the tracks"

@@ -46,7 +46,7 @@ def render(
     Args:
         view: size and resolution of the pictures.
         cameras: (B, 3) x and y, metres, and heading, radians.
-        ground: from `make_ground`; by `prefilter_ground` where it is finer than the view.
+        ground: from `make_ground`; `prefilter_ground` it first where it is finer than the view.
         boxes: agents, lights, ... in paint order.
 
     Returns:
@@ -176,7 +176,7 @@ def _check_inputs(
         dtypes |= {layer.poses.dtype, layer.sizes.dtype, layer.colours.dtype}
     if len(dtypes) > 1:
         names = ", ".join(sorted(map(str, dtypes)))
-        raise ValueError(f"numbers of {names} in one picture; bring all to one of them")
+        raise ValueError(f"tensors have dtypes {names}; convert them to one dtype")
     if not torch.isfinite(cameras).all():
         raise ValueError("a camera's pose is not finite")
     for layer in boxes:
@@ -184,7 +184,7 @@ def _check_inputs(
 
 
 def _check_shapes(layer: OrientedBoxes, cameras: int) -> None:
-    """Refuse boxes of other views than the cameras', or of shapes that do not match."""
+    """Refuse boxes whose number of views or shapes do not match."""
     views, count = layer.poses.shape[:2]
     if views != cameras:
         raise ValueError(f"boxes of {views} views for {cameras} cameras")
@@ -202,5 +202,5 @@ def _check_shapes(layer: OrientedBoxes, cameras: int) -> None:
     ):
         if tuple(shape) not in allowed:
             raise ValueError(
-                f"{name} for {tuple(shape)} boxes, where {views} views have {count} each"
+                f"{name} has shape {tuple(shape)}; expected (views, boxes) = {per_view}"
             )

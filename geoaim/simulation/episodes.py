@@ -156,7 +156,7 @@ def _count_infractions(
 ) -> dict[str, float]:
     """Compute rates of collisions of all controlled agents, and of infractions of the vehicles.
 
-    Everything that is no pedestrian counts as a vehicle here, cyclists too.
+    All agents other than pedestrians count as vehicles here, cyclists too.
     """
     poses = scene.poses.transpose(0, 1)[HISTORY_STEPS - 1 :]  # (1 + S, A, 3)
     present = scene.present.t()[HISTORY_STEPS - 1 :]

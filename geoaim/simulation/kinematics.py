@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 WHEELBASE_PER_LENGTH = 0.6  # the axles lie symmetrically about the box's centre
-MIN_DISTANCE_M = 1e-6  # a shorter way in a step determines no curvature
+MIN_DISTANCE_M = 1e-6  # a shorter step determines no curvature
 MAX_SIN_SLIP = 0.999
 State = Float[Tensor, "... 4"]
 Action = Float[Tensor, "... 2"]
@@ -133,7 +133,7 @@ def step_agents(
     Returns:
         (..., 4) states after the step.
     """
-    drive = torch.where(pedestrian[..., None], 0.0, action)  # a turn rate is no steering angle
+    drive = torch.where(pedestrian[..., None], 0.0, action)  # a turn rate is not a steering angle
     safe_length = torch.where(pedestrian, 1.0, length)  # gradients stay finite where it is 0
     driven = bicycle.step(state, drive, safe_length, dt)
     return torch.where(pedestrian[..., None], unicycle.step(state, action, length, dt), driven)

@@ -14,9 +14,9 @@ from geoaim.simulation.simulator import Policy, Scenario
 DRIVER = DriverParameters(acceleration=1.5, deceleration=2.0, standstill_gap=2.0, headway=1.5)
 MAX_LEADER_OFFSET_M = 2.0  # from the route, within which another agent is in the way
 STOP_GAP_M = 0.5  # before a stop line
-MAX_STOP_DECELERATION_MPS2 = 4.0  # who would have to brake harder for a light passes it
+MAX_STOP_DECELERATION_MPS2 = 4.0  # vehicles that would have to brake harder pass the light
 MAX_DECELERATION_MPS2 = 8.0
-CROSSING_OVERLAP = 1e-4  # by which segments are longer, so that no stop line slips in between
+CROSSING_OVERLAP = 1e-4  # share of a segment; no stop line falls between two of them
 MIN_LOOKAHEAD_M, LOOKAHEAD_S = 4.0, 0.8  # to the point of the route that is steered at
 MAX_STEERING_RAD = 0.6
 MIN_SEGMENT_M = 1e-6
@@ -176,7 +176,7 @@ def _pursue(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> T
 
 
 def _interpolate(routes: Float[Tensor, "B A P 2"], along: Float[Tensor, "B A"]) -> Tensor:
-    """Find the points (B, A, 2) so many metres along the routes; beyond their ends straight on."""
+    """Find the points (B, A, 2) so many metres along the routes; straight on beyond their ends."""
     segments = routes.diff(dim=2)
     length = segments.norm(dim=-1).clamp_min(MIN_SEGMENT_M)
     ends = length.cumsum(-1)

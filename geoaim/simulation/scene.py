@@ -93,7 +93,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     poses = tracks.states[..., :3]
     check_near_origin("map", aim.corners)
     if not tracks.present.any():
-        raise TracksError("the tracks have no agent that is present")
+        raise TracksError("no agent is present in the tracks at any time")
     bounds = np.stack([aim.corners.min(axis=0), aim.corners.max(axis=0)])
     check_touches_map("track", poses[tracks.present][:, :2], bounds)
     lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
@@ -213,7 +213,7 @@ def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Arra
         raise TracksError(
             f"no {name} touches the map: they lie between {_format_point(points.min(axis=0))} and "
             f"{_format_point(points.max(axis=0))} m, the map between {_format_point(low)} and "
-            f"{_format_point(high)} m. Are both of one place?"
+            f"{_format_point(high)} m. Do both show the same place?"
         )
 
 
@@ -227,7 +227,7 @@ def check_near_origin(name: str, points: Float[Array, "n 2"]) -> None:
     if distance > MAX_ORIGIN_DISTANCE_M:
         raise MapError(
             f"the {name} lies {distance / 1000:,.0f} km from its world's origin, where tensors are "
-            f"inexact; at most {MAX_ORIGIN_DISTANCE_M / 1000:g} km will do. Give a World whose "
+            f"inexact; at most {MAX_ORIGIN_DISTANCE_M / 1000:g} km are allowed. Give a World whose "
             "origin is near, as geoaim.world.choose_world does"
         )
 
@@ -249,7 +249,7 @@ def _sample_light_states(lights: Lights, tracks: Tracks) -> Int[Array, "T L"]:
     if (states == UNKNOWN).all():
         raise TracksError(
             f"the lights' states begin at {lights.times[0]:g} s, the tracks end at "
-            f"{tracks.times[-1]:g} s. Are both of one recording?"
+            f"{tracks.times[-1]:g} s. Are both from the same recording?"
         )
     return states
 

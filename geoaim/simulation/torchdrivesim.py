@@ -99,7 +99,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         return self
 
     def expand(self, n: int) -> "ImageMapRenderer":
-        """Make a renderer of `n` times the batch."""
+        """Make a renderer that repeats each batch element `n` times."""
         return self._copy(self.world_center.repeat_interleave(n, dim=0))
 
     def select_batch_elements(self, idx: Tensor) -> "ImageMapRenderer":

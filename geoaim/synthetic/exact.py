@@ -26,7 +26,7 @@ def round_reproducibly(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def blur(image: UInt8[Array, "H W *c"], sigma: float) -> UInt8[Array, "H W *c"]:
-    """Blur by a Gaussian, which OpenCV computes in integers for bytes."""
+    """Blur by a Gaussian; OpenCV's integer arithmetic for uint8 is the same on all machines."""
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma)) if sigma > 0 else image
 
 

@@ -195,7 +195,7 @@ def _make_grid(
 def _apply_sensor(
     still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
-    """Reduce a drawn place to the sensor's resolution, with its blur, tone, colours and noise."""
+    """Reduce an image from `draw_place` to what a sensor records: resolution, tone, noise."""
     width, height = (round(side / sensor.resolution) for side in (WIDTH_M, HEIGHT_M))
     small = blur(resize(still, (width, height)), sensor.blur)
     levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)

@@ -80,12 +80,12 @@ def draw_place(
 
 
 def world_from_image(place: Place, resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
-    """Compute the transform from pixels of a drawn place to its world."""
+    """Compute the transform from pixels of the image from `draw_place` to its world."""
     return place.world_from_plan @ plan_from_image(resolution)
 
 
 def plan_from_image(resolution: float = RESOLUTION) -> Float[Array, "3 3"]:
-    """Compute the transform from pixels of a drawn place to plan metres."""
+    """Compute the transform from pixels of the image from `draw_place` to plan metres."""
     m = resolution
     left, top = (-m * round(side / m) / 2 for side in (WIDTH_M, HEIGHT_M))
     return np.array([[m, 0, left], [0, -m, -top], [0, 0, 1.0]])

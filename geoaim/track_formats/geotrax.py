@@ -23,7 +23,7 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
 
     Headings and speeds are derived from the positions over half a second; a size that was not
     measured is the median of its class. `crs` is that of Local_X (east) and Local_Y (north), None
-    for a plane without a place on the Earth; the world's origin is near the mean position.
+    for a local plane without a CRS; the world's origin is near the mean position.
 
     Raises:
         TracksError: columns are missing, or a value is not a number.

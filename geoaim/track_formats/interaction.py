@@ -37,7 +37,7 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
 
     Where psi_rad (heading), length or width are missing, as for pedestrians, the heading is that
     of the motion and the size is typical of the type. `world` is the plane of x and y; None for a
-    plane without a place on the Earth.
+    local plane without a CRS.
 
     Raises:
         TracksError: columns are missing, or a value is not a number.
@@ -63,7 +63,7 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
     """Read one of a SinD recording's files `SIND_FILES`, or both from the recording's folder.
 
     Vehicles have the heading yaw_rad; pedestrians, which are points, that of their motion. `world`
-    is the plane of x and y; None for a plane without a place on the Earth.
+    is the plane of x and y; None for a local plane without a CRS.
 
     Raises:
         TracksError: a folder has neither file, columns are missing, or a value is not a number.

@@ -86,7 +86,7 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     """Read a recording of highD: `frame, id, x, y, width, height, xVelocity, yVelocity, ...`.
 
     In the file y points down and (x, y) is a corner of the box; in the tracks y points up and
-    (x, y) is the middle, in a plane without a place on the Earth. The heading is that of the
+    (x, y) is the middle, in a local plane without a CRS. The heading is that of the
     motion, or that of the carriageway for an agent that hardly moves.
 
     Raises:

@@ -54,7 +54,7 @@ def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
     check_columns(path, table, numbers=COLUMNS[:-1])
     table = table[table["lost"] == 0]
     if len(table) == 0:
-        raise TracksError(f"{Path(path)}: all agents are lost in all rows")
+        raise TracksError(f"{Path(path)}: every row is marked as lost")
     sizes = np.array([SIZES.get(label, OTHER_SIZE) for label in table["label"]])
     rows = pd.DataFrame(
         {

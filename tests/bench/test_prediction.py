@@ -10,7 +10,7 @@ def test_models_are_timed(monkeypatch):
     joined = prediction.join_agents(concat([drive(20, 3)] * 7))
     assert joined.states.shape == (1, 20, 20, 4)
     monkeypatch.setattr(prediction, "make_junction_scene", lambda config: SceneStub)
-    monkeypatch.setattr(prediction, "fit_ground", lambda ground, resolution: hill())
+    monkeypatch.setattr(prediction, "prefilter_ground", lambda ground, resolution: hill())
     monkeypatch.setattr(
         prediction, "cut_segments", lambda scene, kind, steps, stride: drive(steps, 20)
     )

@@ -27,7 +27,7 @@ def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, giv
     result = run(app, given)
     assert result.exit_code == 1
     output = " ".join(result.output.split())
-    assert "would replace the input" in output or "is read as well" in output
+    assert "would replace the input" in output or "is also an input" in output
     assert (tmp_path / given[-1]).exists() == (given[-1] == "points.tif")
     for name in ("shot.png", "points.tif", "points.csv", "tiles/19/7.png"):
         assert (tmp_path / name).read_text() == name
@@ -37,11 +37,11 @@ def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, giv
     ("options", "message"),
     [
         (["draw", "samples/map.osm", "-o", "a.png"], "ends in .tif or .tiff"),
-        (["draw", "a.tif", "-o", "a.tif"], "is read as well"),
-        (["draw", "samples/map.osm", "--aim", "a.tif", "-o", "./a.tif"], "is read as well"),
+        (["draw", "a.tif", "-o", "a.tif"], "is also an input"),
+        (["draw", "samples/map.osm", "--aim", "a.tif", "-o", "./a.tif"], "is also an input"),
         (["render", "a.tif", "--tracks", "t", "--ego", "1", "-o", "a.avi"], "ends in .mp4"),
         (["simulate", "a.tif", "--tracks", "t", "-o", "a.txt"], "ends in .csv or .parquet"),
-        (["simulate", "a.tif", "--tracks", "t.csv", "-o", "t.csv"], "is read as well"),
+        (["simulate", "a.tif", "--tracks", "t.csv", "-o", "t.csv"], "is also an input"),
         (
             ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--video", "f.png"],
             "ends in .mp4 or .gif",

@@ -99,7 +99,7 @@ def test_tile_that_cannot_be_read_is_a_hole_with_a_warning(tmp_path, damage):
     file = tmp_path / "t" / f"{z}/{x}/{y}.png"
     whole = file.read_bytes()
     file.write_bytes({"cut": whole[: len(whole) // 2], "text": b"sorry", "empty": b""}[damage])
-    with pytest.warns(GeoaimWarning, match=rf"left as a hole: .*{y}\.png"):
+    with pytest.warns(GeoaimWarning, match=rf"file skipped, its area stays empty: .*{y}\.png"):
         aim = read_imagery(tmp_path / "t", world=WORLD, corners=BOX, resolution=0.5)
     assert 0 < (aim.coverage == 0).mean() < 1
     assert aim.report["imagery"][0]["unreadable"] == [str(file)]

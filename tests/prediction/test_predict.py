@@ -105,7 +105,7 @@ def test_scenes_that_cannot_be_predicted_are_rejected(scene):
     model = ITRA(TINY).eval()
     with pytest.raises(ValueError, match="resample the tracks"):
         predict(ITRA(replace(TINY, dt=0.4)), scene, horizon=2, generator=noise())
-    with pytest.raises(ValueError, match="step 999 is not among"):
+    with pytest.raises(ValueError, match="start=999, but the scene has steps 0 to"):
         predict(model, scene, horizon=2, start=999, generator=noise())
     empty = replace(scene, types=("pedestrian",) * len(scene.types))
     with pytest.raises(TracksError, match="no vehicle is present"):

@@ -62,7 +62,7 @@ def _read_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]
         return _read_masked_picture(path)
     image, *others = [frame.image for frame in islice(open_video(str(path)), 2)]
     if others:
-        raise ValueError(f"{path} holds several pictures; control points are of one")
+        raise ValueError(f"{path} has several images; control points refer to one")
     return image, np.ones(image.shape[:2], bool)
 
 

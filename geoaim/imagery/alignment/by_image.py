@@ -252,7 +252,7 @@ def _refuse_ambiguity(candidates: list[_Candidate], level: Level) -> None:
         if far and other.agreeing > MAX_RIVAL_SHARE * best.agreeing:
             raise AlignmentError(
                 f"the imagery fits in two ways, {distance:.1f} m apart: {best.agreeing} and "
-                f"{other.agreeing} of {best.windows} windows agree. Name a smaller range, or give "
+                f"{other.agreeing} of {best.windows} windows agree. Pass a smaller prior, or give "
                 "control points"
             )
 
@@ -269,8 +269,8 @@ def _refuse_beyond_prior(
         or abs(np.log(scale)) > PRIOR_MARGIN * prior.max_scaling + 0.01
     ):
         raise AlignmentError(
-            f"the best place is {shift:.1f} m, {np.degrees(rotation):.1f} degrees and "
-            f"{100 * (scale - 1):.1f} % off, beyond the range that was searched. Name a wider one"
+            f"the best fit is {shift:.1f} m, {np.degrees(rotation):.1f} degrees and "
+            f"{100 * (scale - 1):.1f} % away, beyond the searched range. Pass a larger prior"
         )
 
 

@@ -91,8 +91,8 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
     poses = sample_poses(tracks)
     if len(poses) < MIN_POSES:
         raise AlignmentError(
-            f"moving vehicles pass {len(poses)} places of a metre; {MIN_POSES} or more are needed "
-            "to align imagery with tracks. Give more tracks, control points, or an AIM"
+            f"tracks of moving vehicles cover {len(poses)} cells of 1 m; {MIN_POSES} are needed to "
+            "align imagery to them. Give more tracks, control points, or an AIM"
         )
     center = (poses[:, :2].min(axis=0) + poses[:, :2].max(axis=0)) / 2
     half = float(np.abs(poses[:, :2] - center).max())
@@ -104,7 +104,7 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
 
 
 def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:
-    """Poses x, y, heading of moving vehicles, one for each cell of place and heading."""
+    """Sample poses of moving vehicles: x, y, heading; one per cell of position (m) and heading."""
     vehicles = np.array([agent_type in VEHICLE_TYPES for agent_type in tracks.types])
     moving = tracks.present & vehicles[:, None]
     moving[moving] = np.abs(tracks.states[moving][:, 3]) > MIN_SPEED_M_S
@@ -287,15 +287,15 @@ def _refuse_weak(weight: Float[Array, "n n"], poses: int, max_shift: float) -> N
     best, worst = np.sqrt(variances)
     if best > min(MAX_SIGMA_M, MAX_SIGMA_SHARE * max_shift / 2):
         raise AlignmentError(
-            f"the tracks pass {poses} places, and do not tell where the imagery lies: to "
-            f"{best:.1f} m at best, {worst:.1f} m at worst (one sigma). Is it the same place? Give "
-            "more tracks, a smaller range, control points, or an AIM"
+            f"the tracks cover {poses} cells of 1 m, which do not determine the position: it is "
+            f"only known to {best:.1f} m (1 sigma, best direction) and {worst:.1f} m (worst). Do "
+            "both show the same place? Give more tracks, a smaller prior, control points, or an AIM"
         )
     for sigma, axis in zip((best, worst), axes.T, strict=True):
         if sigma <= MAX_SIGMA_M and abs(shift @ axis) > max_shift - 2 * sigma:
             raise AlignmentError(
-                f"the best place is {np.linalg.norm(shift):.1f} m off, at the end of the "
-                f"{max_shift:g} m that were searched. Name a wider range"
+                f"the best shift is {np.linalg.norm(shift):.1f} m, at the limit of the search of "
+                f"{max_shift:g} m; pass a larger prior.max_shift (--max-shift)"
             )
 
 

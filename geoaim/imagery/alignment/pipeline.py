@@ -120,9 +120,9 @@ def _read_picture(
     tiles: Source | Sequence[Source], gcps: Any, world: World | None, options: ReadOptions
 ) -> AIM:
     if not isinstance(tiles, str | os.PathLike):
-        raise ValueError("control points are pixels of one picture; give one file")
+        raise ValueError("control points are pixels of one image; give one file")
     if "bands" in options:
-        raise TypeError("bands are chosen for imagery that is read as a mosaic, not for a picture")
+        raise TypeError("`bands` cannot be combined with `gcps`")
     picture = georeference_picture(Path(tiles), gcps, world=world, crs=options.get("crs"))
     resolution = options.get("resolution")
     return picture if resolution is None else rectify(picture, resolution)

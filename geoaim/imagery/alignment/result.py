@@ -18,12 +18,12 @@ MAX_SIGMA_M = 1.0  # a direction of greater standard deviation counts as undeter
 
 @dataclass(frozen=True)
 class Prior:
-    """How far off imagery may be.
+    """The largest expected error of the imagery's position.
 
     Attributes:
         max_shift: metres.
         max_rotation: radians.
-        max_scaling: share of its size.
+        max_scaling: change of scale as a share: 0.05 is 5 %.
 
     Raises:
         ValueError: the shift is not positive, the rotation is beyond pi, or the scaling beyond 0.5.
@@ -53,7 +53,7 @@ class ImageryAlignment:
     """How imagery has to be moved to its true place.
 
     Attributes:
-        true_from_stated: (3, 3) metres where the imagery places ground to where it lies.
+        true_from_stated: (3, 3) metres; stated = by the image's own georeference.
         model: the simplest motion model that the evidence supports.
         covariance: (2, 2) of a point of the imagery, square metres.
         center: (2,) of the ground that the evidence comes from, metres.

@@ -35,13 +35,13 @@ def average_frames(
         size: (height, width) of the image, pixels.
         detections: boxes to leave out of a frame, grown by 12 %. A frame of which nothing is
             known (None) is left out as a whole.
-        bands: that the image is divided into.
+        bands: number of horizontal bands of the image.
 
     Returns:
         The background.
 
     Raises:
-        BackgroundError: not one frame.
+        BackgroundError: no frame.
     """
     mean = RunningMean(size, detections=detections, bands=bands)
     for frame, image_from_frame in frames:
@@ -50,9 +50,9 @@ def average_frames(
 
 
 def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Background:
-    """Average what `traffic_removal` takes for ground in registered frames.
+    """Average the pixels of registered frames that `traffic_removal` classifies as ground.
 
-    Some 30 to 60 frames spread over the video are enough. Memory grows by 5 to 8 MB with each.
+    Some 30 to 60 frames spread over the video suffice. Each takes 5 to 8 MB of memory.
 
     Args:
         frames: each with its image_from_frame (3, 3); read twice, so no one-shot iterator.

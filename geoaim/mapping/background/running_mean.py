@@ -181,7 +181,7 @@ def add_masked(
 
 
 def finish_mean(mean: RunningMean) -> Background:
-    """Compute the image of a mean; its sums are overwritten.
+    """Compute the image of a mean, which cannot be used afterwards.
 
     Raises:
         BackgroundError: no frame was added.

@@ -68,8 +68,8 @@ def find_traffic(stack: Stack, seen: Masks) -> Traffic:
 
     Args:
         stack: (K, h, w, 3) frames warped to one image, at one exposure, any colour space, any
-            order; pixels that a frame does not see are overwritten.
-        seen: (K, h, w) where each frame shows the image at all.
+            order; modified in place where `seen` is False.
+        seen: (K, h, w) where the frame covers the image.
 
     Raises:
         ValueError: fewer than 4 frames.

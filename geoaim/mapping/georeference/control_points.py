@@ -8,7 +8,7 @@
 | rasterio or GDAL GroundControlPoint | corner origin (GDAL's pixel and line) | the argument |
 | pairs `((u, v), (lon, lat))`, mappings with the CSV's names | corner origin | lon, lat unless the argument says otherwise |
 
-`crs="local"` means a metric plane of its own, without a place on the Earth.
+`crs="local"` means a local metric plane without CRS.
 """  # noqa: E501
 
 import re
@@ -41,7 +41,7 @@ class ControlPoints:
     Attributes:
         pixels: (M, 2) u right, v down, origin at the image's corner.
         coordinates: (M, 2) x, y (or longitude, latitude) in `crs`.
-        crs: of the coordinates; None for a metric plane of its own.
+        crs: of the coordinates; None for a local metric plane.
         names: (M,) of the points, for messages.
         frames: (M,) image name or frame index that each was picked on; None is the video's
             first.
@@ -70,8 +70,8 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
     Args:
         source: a path, ControlPoints, a sequence of rasterio GroundControlPoint (or the pair with
             its CRS that `dataset.gcps` gives), of `((u, v), (lon, lat))`, or of mappings.
-        crs: CRS of the coordinates where the source does not state it; "local" for a plane of its
-            own. Where both state it, they must agree.
+        crs: CRS of the coordinates where the source does not state it; "local" for a local
+            plane. Where both state it, they must agree.
 
     Returns:
         The control points.
@@ -114,7 +114,7 @@ def _read_objects(items: Iterable[Any], crs: str | None) -> list[PointRow]:
             try:
                 (u, v), (x, y) = item
             except (TypeError, ValueError):
-                raise TypeError(f"{source}: {item!r} is no ((u, v), (lon, lat)) pair.") from None
+                raise TypeError(f"{source}: {item!r} is not a ((u, v), (lon, lat)) pair") from None
             values = {"u": u, "v": v, "x": x, "y": y, "crs": crs or LONLAT}
             rows.append(make_row(values, source))
     return rows
@@ -127,7 +127,7 @@ def _collect_points(rows: list[PointRow], crs: str | None, source: str) -> Contr
     if None in stated:
         raise GeoreferenceError(
             f"{rows[stated.index(None)].source}: no coordinate reference system. Pass crs="
-            "'EPSG:n', write '# crs: EPSG:n' in the file, or use 'local' for a plane of its own."
+            "'EPSG:n', write '# crs: EPSG:n' in the file, or use 'local' for a local plane."
         )
     frames = [row.frame.strip() for row in rows]
     return ControlPoints(
@@ -156,10 +156,10 @@ def _merge_crs(stated: Sequence[Any]) -> str | None:
 
 
 def merge_observations(points: ControlPoints) -> ControlPoints:
-    """Merge observations of the same place on several frames: the mean of its pixels.
+    """Merge points with equal coordinates on several frames: their pixels are averaged.
 
-    The pixels must refer to one image already. A place that appears twice on the same frame is kept
-    as it is, for `estimate_georeference` to refuse.
+    The name and the frame of the first are kept. The pixels must refer to one image already. Points
+    that appear twice on the same frame stay unmerged; `estimate_georeference` refuses them.
     """
     _, group = np.unique(points.coordinates, axis=0, return_inverse=True)
     keep, pixels = [], []

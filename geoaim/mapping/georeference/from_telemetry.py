@@ -66,7 +66,7 @@ def approximate_georeference(
 
 
 def make_local_georeference(*, resolution: float, size: tuple[int, int]) -> Georeference:
-    """Make a georeference in a plane of its own: origin at the image's centre, x right, y up.
+    """Make a georeference in a local plane: origin at the image's centre, x right, y up.
 
     Args:
         resolution: metres per pixel.

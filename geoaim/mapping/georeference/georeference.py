@@ -57,7 +57,7 @@ class Georeference:
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:
-    """Transform pixels, lens distortion included, to world metres."""
+    """Transform distorted pixels (m, 2) to world metres (m, 2), correcting the distortion."""
     size = (georeference.height, georeference.width)
     undistorted = undistort_points(pixels, georeference.radial, *size)
     return transform_points(georeference.world_from_image, undistorted)

@@ -36,7 +36,7 @@ class NoisePrior:
 
     Attributes:
         sigma: one standard deviation of a coordinate, in units of the normalised plane.
-        dof: degrees of freedom that it counts for; 0 leaves the noise to the residuals.
+        dof: degrees of freedom of the prior; 0: the residuals alone determine the noise.
     """
 
     sigma: float

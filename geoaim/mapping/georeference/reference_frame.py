@@ -101,7 +101,7 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
         raise GeoreferenceError(
             f"{video.source}: no control points were given and there is no telemetry beside it (a "
             "DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
-            "points, or a resolution for a map in a plane of its own"
+            "points, or a resolution for a map in a local plane"
         )
     nearest = int(np.argmin(np.abs(telemetry.time - reference.time)))
     if abs(telemetry.pitch[nearest] + np.pi / 2) > MAX_TILT:

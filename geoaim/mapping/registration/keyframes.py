@@ -209,7 +209,7 @@ def _propose_starts(
 def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> FrameRegistration:
     """Reject an alignment that cannot be trusted; chain a good one to the reference."""
     if alignment is None:
-        return _reject("no overlap with the reference, or nothing in common")
+        return _reject("too few patches match the reference")
     in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))

@@ -2,7 +2,8 @@
 
 All frames are registered to the same reference, each search starting from the frame before, so that
 errors do not accumulate. Where the view leaves the reference another keyframe is made; its
-uncertainty is added to that of the frames that are registered to it.
+uncertainty is added to that of the frames that are registered to it. `keyframes.py` registers a
+single frame, and decides whether it is rejected.
 """
 
 import os

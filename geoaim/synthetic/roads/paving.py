@@ -54,7 +54,7 @@ class Paving:
         drive: asphalt of the driveway, across the pavement.
         lot: asphalt of the car park.
         pavement: for pedestrians, on both sides of the roads, with its verges.
-        plots: what lies between, one polygon a plot.
+        plots: the remaining ground of at least 60 m², one polygon per plot.
     """
 
     carriageway: Geometry
@@ -76,8 +76,8 @@ def make_paving(
 
     Args:
         layout: approaches and corners.
-        lanes: all lanes, which carriageway and islands leave room for.
-        car_park: beside an approach, or None.
+        lanes: all lanes; the carriageway contains them and islands do not overlap them.
+        car_park: None without a car park.
         extent: the part of the plan that is drawn, which the plots fill.
         pavement_width: metres.
 

@@ -45,10 +45,10 @@ def react_to_vehicles(
 
     Args:
         pedestrians: all.
-        outlook: of these pedestrians.
+        outlook: their targets, and which of them are on or near which crossing.
         crossings: of the place.
         placed: the vehicles.
-        tables: over their paths.
+        tables: lengths, limits and conflicts of the vehicles' paths.
         lights: state of each traffic light.
 
     Returns:
