@@ -32,8 +32,12 @@ from geoaim.bench.alignment_pairs import (
     measure_error,
     misplace_picture,
 )
-from geoaim.bench.alignment_real import measure_rotterdam, measure_zooms
-from geoaim.bench.alignment_tracks import measure_songdo, measure_synthetic
+from geoaim.bench.alignment_real import (
+    measure_rotterdam,
+    measure_songdo,
+    measure_synthetic,
+    measure_zooms,
+)
 from geoaim.bench.data import find_data
 from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.errors import AlignmentError

@@ -45,14 +45,7 @@ MAX_UPSAMPLING = 3.0  # of a source's pixels to those of the image, without a wa
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """A layer of the mosaic, with what was measured of it.
-
-    Attributes:
-        layer: its rasters in the region.
-        resolution: metres a pixel of the finest of them.
-        stretch: of its values to 8 bits.
-        unreadable: errors of the rasters that could not be read, by their names.
-    """
+    """A layer, its finest resolution (m a pixel), its stretch, and errors of unreadable rasters."""
 
     layer: Layer
     resolution: float
@@ -101,7 +94,9 @@ def read_imagery(
     """
     several = not isinstance(sources, str | os.PathLike | Tiles)
     listed: list[Source] = list(sources) if several else [sources]  # type: ignore[list-item, arg-type]
-    _check_options(listed, resolution, bands)
+    if not listed:
+        raise ValueError("no source of imagery was given: name at least one")
+    _check_options(resolution, bands)
     _check_region(world, corners)
     region = None if corners is None or world is None else make_region(world, corners)
     options: dict[str, Any] = {"resolution": resolution, "crs": crs, "bands": bands}
@@ -124,11 +119,7 @@ def read_imagery(
     return aim
 
 
-def _check_options(
-    sources: Sequence[Source], resolution: float | None, bands: Sequence[int] | None
-) -> None:
-    if not sources:
-        raise ValueError("no source of imagery was given: name at least one")
+def _check_options(resolution: float | None, bands: Sequence[int] | None) -> None:
     if resolution is not None and not (np.isfinite(resolution) and resolution > 0):
         raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
     if bands is not None and len(bands) not in (1, 3):

@@ -63,16 +63,14 @@ def describe_raster(
         path: what GDAL opens.
         crs: for a raster that names no CRS.
         bands: one or three band numbers, from 1; by colour interpretation when None.
-        georeference: CRS, and matrix from the unit square over the raster to coordinates in it;
-            the raster's own when None.
+        georeference: CRS and its matrix from the raster's unit square; its own when None.
         options: of GDAL's driver.
 
     Returns:
         The raster; no pixel has been read.
 
     Raises:
-        ImageryError: the file is not a raster, has no georeference or CRS and none was given,
-            lacks these bands, or has a block of more than a gigapixel.
+        ImageryError: the file is no raster, lacks bands, georeference or CRS, or is too large.
     """
     options = dict(options or {})
     with open_raster(path, path, options) as dataset:

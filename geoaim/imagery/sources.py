@@ -67,9 +67,8 @@ class Layer:
         rasters: all of them, or the tiles that show the region.
         outlines: of all that the source has, wherever it lies.
         zoom: of tiles.
-        single: whether it is one file or service. That one must be readable; of many files, those
-            that cannot be read are left out with a warning.
-        unreadable: names of the files that were left out.
+        single: whether it is one file or service, which must be readable.
+        unreadable: names of those of many files that were left out with a warning.
     """
 
     name: str
@@ -91,8 +90,7 @@ def describe_source(
     """List the rasters of a source.
 
     Args:
-        source: a file, a folder, a pattern with `*`, tiles, a service's address with {z}, {x}
-            and {y}, or anything that GDAL opens.
+        source: a file, folder, pattern, address of a service, `Tiles`, or what GDAL opens.
         region: where imagery is wanted; everywhere when None.
         resolution: wanted metres a pixel, for the zoom level of tiles.
         crs: for rasters that name no CRS.

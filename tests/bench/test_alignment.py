@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geoaim.aim import AIM
-from geoaim.bench import alignment, alignment_pairs, alignment_real, alignment_tracks
+from geoaim.bench import alignment, alignment_pairs, alignment_real
 from geoaim.bench.alignment_pairs import Pair, measure_error, misplace_picture
 from geoaim.geometry import translation
 from geoaim.imagery.alignment.result import ImageryAlignment
@@ -60,7 +60,7 @@ def test_tracks_row_counts_errors_and_refusals(monkeypatch):
         stated = moved.world_from_image @ pair.picture.grid.grid_from_world
         return ImageryAlignment(np.linalg.inv(stated), "rigid", np.eye(2), np.zeros(2))
 
-    monkeypatch.setattr(alignment_tracks, "align_tracks", align)
-    row = alignment_tracks._measure_tracks("a", pair.picture, tracks, 3)
+    monkeypatch.setattr(alignment_real, "align_tracks", align)
+    row = alignment_real._measure_tracks("a", pair.picture, tracks, 3)
     assert (row["cases"], row["refused"], row["in the 95 % region"]) == (3, 0, 3)
     assert row["largest, m"] == pytest.approx(0, abs=1e-9)

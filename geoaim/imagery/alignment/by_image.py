@@ -12,24 +12,23 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 from scipy.special import bdtrc
 
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import make_similarity, transform_points, translation
-from geoaim.grid import pad_grid
-from geoaim.imagery.alignment.pyramid import (
-    WINDOW_PX,
-    Level,
-    build_pyramid,
-    match_near_windows,
-    orient_image,
-    search_windows,
-)
+from geoaim.grid import Grid, pad_grid
+from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
-from geoaim.imagery.alignment.template_matching import correlate
+from geoaim.imagery.alignment.template_matching import (
+    GreyImage,
+    WindowShifts,
+    compute_orientation,
+    match_windows,
+    resample_grey,
+)
 from geoaim.mapping.registration.motion_models import (
     Model,
     Motion,
@@ -59,13 +58,7 @@ PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refuse
 
 
 class _Candidate(NamedTuple):
-    """A candidate place of the imagery, and its windows.
-
-    Attributes:
-        stated_from_true: (3, 3) metres where ground lies to where the imagery places it.
-        matches: of the windows that agree with the candidate.
-        windows: how many could be compared.
-    """
+    """A place of the imagery, the windows that agree with it, and how many were compared."""
 
     stated_from_true: Float[Array, "3 3"]
     matches: PointMatches
@@ -120,7 +113,8 @@ def _search_grid(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     for rotation in _list_steps(prior.max_rotation, step):
         for log_scale in _list_steps(float(np.log1p(prior.max_scaling)), step):
             similarity = make_similarity(center, rotation, float(np.exp(log_scale)))
-            scores = correlate(level.reference, orient_image(level.image, similarity, padded))
+            channels = _orient_image(level.image, similarity, padded)
+            scores = cv2.matchTemplate(channels, level.reference, cv2.TM_CCORR_NORMED)
             row, column = np.unravel_index(scores.argmax(), scores.shape)
             shift = translation((column - reach) * grid.resolution, (reach - row) * grid.resolution)
             scored.append((float(scores.max()), similarity @ shift))
@@ -152,8 +146,8 @@ def _refine_candidates(
     """Refine places (stated_from_true) on a grid; those at which far fewer windows agree go."""
     grid, refined = level.grid, []
     for candidate in candidates:
-        shifts = search_windows(level, candidate, REFINE_SEARCH_PX)
-        matches = match_near_windows(shifts, candidate, grid, np.inf)
+        shifts = _search_windows(level, candidate, REFINE_SEARCH_PX)
+        matches = _match_near_windows(shifts, candidate, grid, np.inf)
         if len(matches.source) >= MIN_WINDOWS:
             motion = fit_matches(matches, "similarity", size=grid.shape)
             matrix = grid.world_from_grid @ motion.matrix @ grid.grid_from_world
@@ -171,14 +165,15 @@ def _find_repetitions(
     level: Level, best: Float[Array, "3 3"], prior: Prior
 ) -> list[Float[Array, "3 3"]]:
     """Other places (stated_from_true) where the windows that agree with the best one fit too."""
-    grid, shifts, half = level.grid, search_windows(level, best, REFINE_SEARCH_PX), level.side // 2
+    grid, shifts, half = level.grid, _search_windows(level, best, REFINE_SEARCH_PX), level.side // 2
     agreeing = np.zeros(grid.shape, np.float32)
     near = np.linalg.norm(shifts.shifts, axis=1) < AGREEMENT_PX
     for u, v in shifts.centers[near].astype(int):
         agreeing[v - half : v + half, u - half : u + half] = 1
     reach = int(np.ceil(2 * prior.max_shift / grid.resolution))
-    channels = orient_image(level.image, best, pad_grid(grid, reach))
-    scores = correlate(level.reference * agreeing[..., None], channels)
+    channels = _orient_image(level.image, best, pad_grid(grid, reach))
+    template = level.reference * agreeing[..., None]
+    scores = cv2.matchTemplate(channels, template, cv2.TM_CCORR_NORMED)
     square = np.ones((2 * int(3 * AGREEMENT_PX) + 1,) * 2, np.uint8)
     peaks = np.argwhere(scores >= cv2.dilate(scores, square))
     peaks = peaks[np.linalg.norm(peaks - reach, axis=1) > 3 * AGREEMENT_PX]
@@ -189,9 +184,36 @@ def _find_repetitions(
 
 def _count_agreements(level: Level, stated_from_true: Float[Array, "3 3"]) -> _Candidate:
     """Search all windows widely, and keep those that are found where the place says."""
-    shifts = search_windows(level, stated_from_true, VERIFY_SEARCH_PX)
-    matches = match_near_windows(shifts, stated_from_true, level.grid, AGREEMENT_PX)
+    shifts = _search_windows(level, stated_from_true, VERIFY_SEARCH_PX)
+    matches = _match_near_windows(shifts, stated_from_true, level.grid, AGREEMENT_PX)
     return _Candidate(stated_from_true, matches, len(shifts.centers))
+
+
+def _orient_image(
+    image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
+) -> Float32[Array, "H W 2"]:
+    """Orientation channels of an image on a grid, as if it had been moved."""
+    return compute_orientation(*resample_grey(image, stated_from_true, grid), grid.resolution)
+
+
+def _search_windows(
+    level: Level, stated_from_true: Float[Array, "3 3"], search_px: int
+) -> WindowShifts:
+    """Find windows of the AIM in the imagery, as if that had been moved."""
+    channels = _orient_image(level.image, stated_from_true, level.grid)
+    sizes = {"side": level.side, "stride": level.stride}
+    return match_windows(level.reference, channels, search=search_px, **sizes)
+
+
+def _match_near_windows(
+    shifts: WindowShifts, stated_from_true: Float[Array, "3 3"], grid: Grid, max_shift_px: float
+) -> PointMatches:
+    """Windows found near their place, as pixels of the AIM and pixels where the imagery is."""
+    near = np.linalg.norm(shifts.shifts, axis=1) < max_shift_px
+    matrix = grid.grid_from_world @ stated_from_true @ grid.world_from_grid
+    source = shifts.centers[near]
+    target = transform_points(matrix, source + shifts.shifts[near])
+    return PointMatches(source, target, shifts.information[near])
 
 
 def _verify_candidates(candidates: list[_Candidate], level: Level, prior: Prior) -> float:

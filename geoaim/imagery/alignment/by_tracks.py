@@ -56,13 +56,10 @@ MIN_GRID_VALID_SHARE = 0.05  # of the ground around the tracks
 
 
 class _PathTemplate(NamedTuple):
-    """What the paths of vehicles expect of imagery.
+    """What the paths of vehicles expect of imagery, from a row and a column of the grid on.
 
-    Attributes:
-        channels: (H, W, 4) wanted orientation (2 channels), unwanted edge strength, and how often
-            a pixel is driven over.
-        top: row of the grid at which the template begins.
-        left: column of the grid at which it begins.
+    The channels are wanted orientation (2), unwanted edge strength, and how often a pixel is driven
+    over.
     """
 
     channels: Float32[Array, "h w 4"]
@@ -122,7 +119,10 @@ def _estimate_posterior(
 ) -> Float[Array, "t n n"]:
     """Probabilities of rotations and shifts, learning surfaces and places in turn."""
     half = float(np.abs(poses[:, :2] - center).max())
-    grid = _make_square_grid(center, half * np.sqrt(2) + 2 * TEMPLATE_REACH_M + prior.max_shift)
+    reach = half * np.sqrt(2) + 2 * TEMPLATE_REACH_M + prior.max_shift
+    left, top = center[0] - reach, center[1] + reach
+    matrix = np.array([[RESOLUTION, 0, left], [0, -RESOLUTION, top], [0, 0, 1.0]])
+    grid = Grid((int(np.ceil(2 * reach / RESOLUTION)),) * 2, matrix)
     edges, classes = _classify_ground(imagery, grid)
     steps = round(prior.max_shift / RESOLUTION)
     shifts = np.full((2 * steps + 1,) * 2, (2 * steps + 1.0) ** -2)
@@ -135,13 +135,6 @@ def _estimate_posterior(
         posterior = _normalise(scores, prior.max_shift)
         shifts = posterior.sum(axis=0)
     return posterior
-
-
-def _make_square_grid(center: Float[Array, "2"], reach: float) -> Grid:
-    side = int(np.ceil(2 * reach / RESOLUTION))
-    left, top = center[0] - reach, center[1] + reach
-    matrix = np.array([[RESOLUTION, 0, left], [0, -RESOLUTION, top], [0, 0, 1.0]])
-    return Grid((side, side), matrix)
 
 
 def _rotate_poses(

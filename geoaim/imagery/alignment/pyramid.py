@@ -3,24 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
-from geoaim.geometry import transform_points
 from geoaim.grid import Grid, make_north_up_grid
 from geoaim.imagery.alignment.result import Prior
 from geoaim.imagery.alignment.template_matching import (
     GreyImage,
-    WindowShifts,
     compute_orientation,
     find_edges,
-    match_windows,
     reduce_to_grey,
     resample_grey,
 )
-from geoaim.mapping.registration.motion_models import PointMatches
 
 WINDOW_PX = 64  # side of a window
 COARSEST_PX = 128  # longer side of the coarsest grid, at most about
@@ -94,61 +90,6 @@ def build_pyramid(imagery: AIM, aim: AIM, prior: Prior) -> list[Level]:
         reference = compute_orientation(grey, valid, grid.resolution)
         levels.append(Level(grid, reference, reduce_to_grey(imagery, grid.resolution)))
     return levels
-
-
-def orient_image(
-    image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
-) -> Float32[Array, "H W 2"]:
-    """Compute the orientation channels of an image on a grid, as if it had been moved.
-
-    Args:
-        image: to be resampled.
-        stated_from_true: (3, 3) metres where ground lies to metres where the image places it.
-        grid: in the world.
-
-    Returns:
-        (H, W, 2) channels.
-    """
-    return compute_orientation(*resample_grey(image, stated_from_true, grid), grid.resolution)
-
-
-def search_windows(
-    level: Level, stated_from_true: Float[Array, "3 3"], search_px: int
-) -> WindowShifts:
-    """Find windows of the AIM in the imagery, as if it had been moved.
-
-    Args:
-        level: of the pyramid.
-        stated_from_true: (3, 3) metres where ground lies to metres where the imagery places it.
-        search_px: largest shift in x and in y.
-
-    Returns:
-        The shifts of the windows.
-    """
-    channels = orient_image(level.image, stated_from_true, level.grid)
-    sizes = {"side": level.side, "stride": level.stride}
-    return match_windows(level.reference, channels, search=search_px, **sizes)
-
-
-def match_near_windows(
-    shifts: WindowShifts, stated_from_true: Float[Array, "3 3"], grid: Grid, max_shift_px: float
-) -> PointMatches:
-    """Keep windows that were found near their place, as pixels of the AIM and of the imagery.
-
-    Args:
-        shifts: of the windows.
-        stated_from_true: (3, 3) metres, at which they were searched.
-        grid: whose pixels they are.
-        max_shift_px: of the windows that are kept.
-
-    Returns:
-        From pixels where ground lies to pixels where the imagery places it.
-    """
-    near = np.linalg.norm(shifts.shifts, axis=1) < max_shift_px
-    matrix = grid.grid_from_world @ stated_from_true @ grid.world_from_grid
-    source = shifts.centers[near]
-    target = transform_points(matrix, source + shifts.shifts[near])
-    return PointMatches(source, target, shifts.information[near])
 
 
 def _describe_bounds(aim: AIM) -> str:

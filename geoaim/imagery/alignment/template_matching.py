@@ -133,13 +133,6 @@ def find_edges(channels: Float32[Array, "H W 2"]) -> Bool[Array, "H W"]:
     return (channels[..., 0] != 0) | (channels[..., 1] != 0)
 
 
-def correlate(
-    template: Float32[Array, "h w 2"], image: Float32[Array, "H W 2"]
-) -> Float32[Array, "_ _"]:
-    """Normalised cross-correlation of a template at all places of a larger image."""
-    return cv2.matchTemplate(image, template, cv2.TM_CCORR_NORMED)
-
-
 def match_windows(
     reference: Float32[Array, "H W 2"],
     image: Float32[Array, "H W 2"],
@@ -174,9 +167,10 @@ def match_windows(
         if share[top, left] >= MIN_WINDOW_VALID_SHARE
     ]
     scores = [
-        correlate(
-            reference[top : top + side, left : left + side],
+        cv2.matchTemplate(
             padded[top : top + reach, left : left + reach],
+            reference[top : top + side, left : left + side],
+            cv2.TM_CCORR_NORMED,
         )
         for top, left in corners
     ]

@@ -72,6 +72,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
             raise VideoError(f"{path}: no frame could be decoded; the file is damaged")
         count, count_is_exact = _read_frame_count(container, stream)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
+        by_time = any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
         return VideoFile(
             path=path,
             threads=threads,
@@ -81,7 +82,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
             rate=_read_rate(stream),
             count=count,
             count_is_exact=count_is_exact,
-            seekable=stamped and count > 0 and _is_seekable(container),
+            seekable=stamped and count > 0 and by_time,
         )
 
 
@@ -185,10 +186,6 @@ def _read_orientation(frame: Any) -> Orientation:
     a, b, _, c, d = np.frombuffer(matrix, "<i4")[:5].tolist()
     transpose = abs(b) > abs(a)
     return Orientation(transpose, (b if transpose else d) < 0, (c if transpose else a) < 0)
-
-
-def _is_seekable(container: Any) -> bool:
-    return any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
 
 
 def _read_rate(stream: Any) -> float:

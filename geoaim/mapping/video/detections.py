@@ -13,19 +13,15 @@ from geoaim.mapping.video.frames import Frame
 BOX_SCALE = 1.12  # detectors' boxes leave out shadows and mirrors
 # Boxes of a frame as (N, 4) left, top, right, bottom in pixels; None for a frame without labels.
 Detections = Callable[[Frame], Float[Array, "N 4"] | None]
-
-
 DetectionSource = str | Path | Sequence[Float[Array, "N 4"]] | Detections
 
 
 def read_detections(source: DetectionSource) -> Detections:
     """Read detections from a folder of YOLO text files, or from arrays in the order of the frames.
 
-    Detections are returned as they are.
-
-    A text file is named like the frame's image, or by the frame's index (`000123.txt` or
-    `123.txt`), and has one row per box: class, centre x, centre y, width, height; all but the class
-    are shares of the image's size.
+    Detections are returned as they are. A text file is named like the frame's image, or by the
+    frame's index (`000123.txt` or `123.txt`), and has one row per box: class, centre x, centre y,
+    width, height; all but the class are shares of the image's size.
 
     Raises:
         GeoaimError: the folder holds no text files, or a row has another form.

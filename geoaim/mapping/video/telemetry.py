@@ -99,7 +99,6 @@ def angle_from_compass(degrees: float) -> float:
 
 def _make_telemetry(times: list[float], rows: list[dict[str, float]], source: str) -> Telemetry:
     table = np.array([[row.get(name, math.nan) for name in FIELDS] for row in rows], np.float64)
-    table = table.reshape(-1, len(FIELDS))
     table[(table[:, 0] == 0) & (table[:, 1] == 0), :2] = np.nan  # DJI writes (0, 0) without a fix
     if not np.isfinite(table[:, :2]).all(axis=1).any():
         raise GeoreferenceError(f"{source}: no latitude and longitude found")
