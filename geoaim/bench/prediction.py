@@ -29,7 +29,7 @@ from geoaim.track_changes import resample_tracks
 
 AGENTS, SAMPLES, BATCH_SIZE = 20, 6, 48
 REPEATS = 25
-RESOLUTION = 0.2  # metres a pixel
+RESOLUTION = 0.2  # metres per pixel
 
 
 def make_junction_scene(config: Config) -> Scene:

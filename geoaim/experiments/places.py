@@ -44,9 +44,9 @@ TEST: Mapping[str, Places] = {
     "pedestrian": (*NEW_ROADS, *NEW_PARKS),
 }
 RECORDING_MINUTES = 10.0
-RESOLUTION = 0.1  # metres a pixel of drawn places
+RESOLUTION = 0.1  # metres per pixel of drawn places
 LANES, FULL = "map.osm", "map_full.osm"  # lanes; walkways, car parks and private roads as well
-DEGRADED_RESOLUTION = 1.0  # metres a pixel of blur and noise: that of vehicles' views
+DEGRADED_RESOLUTION = 1.0  # metres per pixel of blur and noise: that of vehicles' views
 NOISE = 0.2  # standard deviation, of full brightness, as in the paper
 
 

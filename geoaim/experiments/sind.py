@@ -99,7 +99,7 @@ FINE_TUNING = configure_fine_tuning("pedestrian", steps=150, batch_size=48)
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """Real pedestrians of SinD on HD maps and on images, zero-shot and fine-tuned."""
+    """Evaluate SinD's pedestrians on HD maps and images, zero-shot and fine-tuned."""
     junctions = {name: georeference_junction(name) for name in JUNCTIONS}
     metrics: dict[str, Metrics] = {}
     by_seed: dict[str, list[dict[str, float]]] = {}

@@ -48,7 +48,7 @@ MAX_DRAWN_PIXELS = 400_000_000  # for more, the map should be cut, or the resolu
 
 
 def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
-    """Draw an HD map as a north-up image with `resolution` metres a pixel, in the world of the map.
+    """Draw an HD map as a north-up image in the map's world, `resolution` metres per pixel.
 
     Surfaces are below lines, lines below stop lines; arrows show the direction of one-way lanes.
     The colours are `SURFACES`, `LINES`, `ROAD`, `ARROW` and `GROUND`. Coverage is 1 everywhere.

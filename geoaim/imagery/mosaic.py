@@ -77,7 +77,7 @@ def read_imagery(
         sources: one or several, the topmost first.
         world: plane of the image; when None, the UTM zone of the imagery.
         corners: (N, 2) world metres, whose bounds are covered; when None, all the imagery.
-        resolution: metres a pixel; that of the finest source there, to four digits, when None.
+        resolution: metres per pixel; that of the finest source there, to four digits, when None.
         crs: for sources that name no CRS, such as images with world files.
         bands: number of the grey band or of the red, green and blue ones, from 1; when None, by
             their colour interpretation, else the first three (or one of fewer).

@@ -92,7 +92,7 @@ def describe_source(
     Args:
         source: a file, folder, pattern, address of a service, `Tiles`, or what GDAL opens.
         region: where imagery is wanted; everywhere when None.
-        resolution: wanted metres a pixel, for the zoom level of tiles.
+        resolution: wanted metres per pixel, for the zoom level of tiles.
         crs: for rasters that name no CRS.
         bands: numbers of one or three bands, from 1.
 

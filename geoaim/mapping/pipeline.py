@@ -69,7 +69,8 @@ def build_aim(
             files, or a function of a frame. None removes traffic by the frames themselves.
         frames: how many frames are used. "auto" samples up to 64 over the video, and stops when the
             background has converged. "all" averages every frame, and traffic too if there are no
-            detections; in a long video each frame covers one stripe, and a pixel 50 frames or more.
+            detections; in a long video each frame adds one stripe, so that a pixel averages at
+            least 50 frames.
         crs: of the map, projected and in metres, if control points place it; None keeps that of
             the points, or takes their UTM zone.
         progress: called with the stage, the frames done and the frames in all.

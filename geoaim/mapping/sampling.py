@@ -19,7 +19,7 @@ FrameCount = int | Literal["auto", "all"]
 FIRST_BATCH_FRAMES = 16  # of "auto"; doubled until the background has converged
 MAX_AUTO_FRAMES = 64
 CONVERGED_GREY_LEVELS = 3.0  # by which the second half of the frames may change the background
-MIN_FRAMES_PER_BAND = 50  # of "all"; bands of rows share the frames, which doubles the speed
+MIN_FRAMES_PER_BAND = 50  # of "all"; each frame fills one band of rows: twice as fast
 MAX_BANDS = 12
 
 

@@ -22,7 +22,7 @@ class Config:
         use_observations: whether the model gets rendered views; without them it knows the agent's
             own motion and size only.
         view_size: side of a view, pixels.
-        resolution: metres a pixel of a view.
+        resolution: metres per pixel of a view.
         surface_contrast: whether views have a channel of the colour distance to the ground under
             the agent.
         light_width: width of a light's bar on its stop line, metres.

@@ -41,7 +41,7 @@ class Windows:
         segments: each with one pedestrian. No headings are measured: the heading at all steps is
             that of the last observed displacement.
         ground: the maps of all scenes.
-        resolutions: (B,) metres a pixel of each window's scene.
+        resolutions: (B,) metres per pixel of each window's scene.
         scenes: the scene of each window.
     """
 

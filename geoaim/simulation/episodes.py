@@ -41,7 +41,8 @@ SIMPLE_POLICIES: Mapping[str, Policy] = {
 }
 POLICY_NAMES = ("idm", *SIMPLE_POLICIES)
 HISTORY_STEPS = 5  # in which all agents replay
-REVERSING_SPEED_MPS = -0.1  # vehicles that are ever slower replay: no policy drives backwards
+# vehicles whose speed is ever below this replay the recording: no policy drives backwards
+REVERSING_SPEED_MPS = -0.1
 
 
 @dataclass(frozen=True, eq=False)

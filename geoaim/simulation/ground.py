@@ -19,7 +19,7 @@ class View:
     Attributes:
         height: pixels.
         width: pixels.
-        resolution: metres a pixel.
+        resolution: metres per pixel.
 
     Raises:
         ValueError: a side or the resolution is not positive.
@@ -248,6 +248,6 @@ def _shift_origin(image_from_world: Float[Tensor, "2 3"], pixels: float) -> Floa
 
 
 def _compute_resolution(image_from_world: Float[Tensor, "2 3"]) -> float:
-    """Compute metres a pixel; 0 of a singular transform."""
+    """Compute metres per pixel; 0 of a singular transform."""
     area = abs(float(torch.linalg.det(image_from_world[:, :2].double())))
     return 1 / math.sqrt(area) if area > 0 else 0.0

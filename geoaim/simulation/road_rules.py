@@ -43,7 +43,7 @@ def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Ro
 
 
 def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
-    """Rasterize the signed distance from the edge of the drivable area, in metres a pixel.
+    """Rasterize the signed distance from the edge of the drivable area, in metres per pixel.
 
     Raises:
         MapError: the area lies too far from the world's origin.

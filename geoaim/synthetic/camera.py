@@ -195,7 +195,10 @@ def list_boxes(clip: HoverClip, index: int) -> Float[Array, "n 4"]:
 
 
 def list_boxed_agents(clip: HoverClip, index: int) -> tuple[Int[Array, "n"], Float[Array, "n 4"]]:
-    """List the indices and boxes of the agents in a frame."""
+    """List the indices (rows of `clip.traffic`) and boxes of the agents visible in a frame.
+
+    Boxes are (left, top, right, bottom) in pixels, clipped to the frame, of at least 2 px.
+    """
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     corners = clip.traffic.sizes[present][:, None] / 2 * np.array(CORNERS)

@@ -32,7 +32,7 @@ class ReadOptions(TypedDict, total=False):
     """Options of `align_tiles` for reading imagery.
 
     Attributes:
-        resolution: metres a pixel; with control points the picture is resampled north up.
+        resolution: metres per pixel; with control points the picture is resampled north up.
         crs: of imagery, or of control points, that name none.
         bands: numbers of the grey band, or of the red, green and blue ones, from 1.
     """

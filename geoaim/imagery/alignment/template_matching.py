@@ -56,7 +56,7 @@ class GreyImage(NamedTuple):
 
 
 def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
-    """Grey values of an image, reduced and smoothed for grids of so many metres a pixel."""
+    """Grey values of an image, reduced and smoothed for grids of so many metres per pixel."""
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
     matrix, step = aim.grid.grid_from_world, resolution / aim.resolution
@@ -110,7 +110,7 @@ def compute_orientation(
     Args:
         grey: (H, W) brightness.
         valid: (H, W) where it is valid.
-        resolution: metres a pixel.
+        resolution: metres per pixel.
 
     Returns:
         (H, W, 2) channels; 0 where invalid.

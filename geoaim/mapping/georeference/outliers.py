@@ -19,7 +19,7 @@ from geoaim.mapping.georeference.transform_models import (
 
 MAX_CHANCE = 0.005  # points are inconsistent when chance explains them less often than this
 CLEAR_CHANCE = 0.3  # above this, to first order, the test with refits is not needed
-MIN_SUSPICION = 0.05  # likelihood, relative to the most suspicious point, of another suspect
+MIN_SUSPICION = 0.05  # least likelihood of a further suspect, relative to the first
 
 
 def find_used_points(
@@ -48,7 +48,7 @@ def find_used_points(
         suspects += np.flatnonzero(used)[more].tolist()
     if len(suspects) > 1 or used.all():
         raise GeoreferenceError(
-            f"The control points contradict each other; wrong may be"
+            f"The control points contradict each other; may be wrong:"
             f" {', '.join(names[i] for i in suspects)}. Check these first, or add points so that"
             " the wrong ones can be told apart."
         )
