@@ -19,11 +19,11 @@ from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
 from geoaim.geometry import transform_points, translation
 from geoaim.grid import Grid, make_north_up_grid
-from geoaim.imagery.rasters import intersects_bounds
-from geoaim.imagery.region import (
+from geoaim.imagery.rasters import (
     Region,
     describe_extent,
     enclose_outlines,
+    intersects_bounds,
     make_region,
     measure_resolution,
 )

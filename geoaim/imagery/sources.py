@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, ImageryError
-from geoaim.imagery.rasters import Raster, describe_raster, outline_raster
-from geoaim.imagery.region import Outline, Region
+from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
 
 GDAL_STRING = re.compile("<|://|^/vsi|^[A-Z0-9_]{2,}:")  # what GDAL opens that is not a file
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
