@@ -1,7 +1,6 @@
 """Real stills for hover videos: cars removed from them, and the same cars cut out as sprites.
 
-The stills (Songdo Vision, CC BY 4.0) are read from the folder of real data; nothing made from them
-belongs in the repository.
+The stills (Songdo Vision, CC BY 4.0) are real data: nothing made from them is in the repository.
 """
 
 import os

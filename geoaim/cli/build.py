@@ -23,8 +23,7 @@ def build(
     ] = "auto",
     crs: Annotated[str | None, typer.Option(help="CRS of the map, such as EPSG:32635")] = None,
     resolution: Annotated[
-        float | None,
-        options.resolution("metres per pixel of the map; as in the video if omitted"),
+        float | None, options.resolution("metres per pixel of the map; as in the video if omitted")
     ] = None,
     frame_resolution: Annotated[
         float | None,

@@ -142,7 +142,7 @@ def test_segments_that_do_not_fit_the_model_are_rejected():
         model(replace(KINDS["slide with proposals"], horizon=4))(
             replace(segments, present=absent), hill(), 2, noise()
         )
-    with pytest.raises(ValueError, match="proposals from 1 observed steps"):
+    with pytest.raises(ValueError, match="two or more observed steps; history is 1"):
         model(replace(KINDS["slide with proposals"], history=1))
     with pytest.raises(ValueError, match="6 of 6 steps are observed"):
         model()(segments, hill(), 6, noise())

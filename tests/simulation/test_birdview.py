@@ -279,13 +279,13 @@ def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
         ({"poses": torch.zeros(3, 4, 3).double()}, "boxes of 3 views for 2 cameras"),
         (
             {"sizes": torch.ones(3, 2).double()},
-            r"sizes for \(3,\) boxes, where 2 views have 4 each",
+            r"sizes has shape \(3,\); expected \(views, boxes\) = \(2, 4\)",
         ),
         ({"colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
         ({"heading_colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
         ({"sizes": torch.full((4, 2), torch.inf).double()}, "a size that is not"),
-        ({"sizes": torch.ones(4, 2)}, "numbers of torch.float32, torch.float64 in one picture"),
-        ({"present": torch.ones(4).bool()}, r"present for \(4,\) boxes"),
+        ({"sizes": torch.ones(4, 2)}, "tensors have dtypes torch.float32, torch.float64"),
+        ({"present": torch.ones(4).bool()}, r"present has shape \(4,\)"),
     ],
 )
 def test_what_would_give_a_wrong_picture_is_refused(changed, message, without_shape_checks):

@@ -159,7 +159,7 @@ def test_imagery_is_not_misplaced_by_a_drawn_hd_map(aim):
 
 
 def test_control_points_need_one_picture():
-    with pytest.raises(ValueError, match="pixels of one picture; give one file"):
+    with pytest.raises(ValueError, match="pixels of one image; give one file"):
         align_tiles(["a.tif", "b.tif"], gcps="gcps.csv")
     with pytest.raises(GeoreferenceError):
         align_tiles("samples/background.jpg", gcps=[])
@@ -208,7 +208,7 @@ def test_at_most_two_frames_of_a_video_are_read(tmp_path, monkeypatch):
             yield SimpleNamespace(image=np.zeros((4, 6, 3), np.uint8))
 
     monkeypatch.setattr("geoaim.imagery.alignment.by_control_points.open_video", lambda _: frames())
-    with pytest.raises(ValueError, match="holds several pictures"):
+    with pytest.raises(ValueError, match="has several images"):
         align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
 
 
