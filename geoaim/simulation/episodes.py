@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from geoaim.agent_types import select_group
 from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
 from geoaim.simulation.infractions import (
@@ -98,7 +99,7 @@ def simulate_scene(
     act = _make_policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
     result = rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
     simulated = apply_rollout(scene, result, first)
-    rates = _count_infractions(simulated, scenario, controlled, rules)
+    rates = _count_infractions(simulated, controlled, rules)
     return Episode(simulated, scenario, controlled, rates)
 
 
@@ -153,19 +154,16 @@ def _make_policy(
 
 
 def _count_infractions(
-    scene: Scene, scenario: Scenario, controlled: Bool[Tensor, "A"], rules: RoadRules
+    scene: Scene, controlled: Bool[Tensor, "A"], rules: RoadRules
 ) -> dict[str, float]:
-    """Compute rates of collisions of all controlled agents, and of infractions of the vehicles.
-
-    All agents other than pedestrians count as vehicles here, cyclists too.
-    """
+    """Compute rates of collisions of all controlled agents, and of infractions of the vehicles."""
     poses = scene.poses.transpose(0, 1)[HISTORY_STEPS - 1 :]  # (1 + S, A, 3)
     present = scene.present.t()[HISTORY_STEPS - 1 :]
     last_poses, poses = poses[:-1], poses[1:]
     last_present, present = present[:-1], present[1:]
     sizes = scene.sizes.expand(len(poses), -1, -1)
     counted = present & controlled  # (S, A)
-    vehicles = counted & ~scenario.pedestrian[0]
+    vehicles = counted & torch.from_numpy(select_group(scene.types, "vehicle")).to(counted.device)
     # by name, (S, A) infractions and (S, A) chances to commit them
     found = {"collision": (compute_collision_iou(poses, sizes, present) > 0, counted)}
     states = scene.light_states[HISTORY_STEPS:]
