@@ -25,7 +25,7 @@ NORTH_UP = torch.tensor([[2.0, 0.0, 32.0], [0.0, -2.0, 32.0]], dtype=torch.float
 
 @pytest.fixture
 def without_shape_checks(monkeypatch):
-    """As users run it: shapes are checked by the code alone."""
+    """Disable the shape checks of jaxtyping, as in use."""
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
 
 
@@ -52,17 +52,17 @@ def _scene(seed=0, views=2, count=4):
 
 
 @pytest.mark.parametrize("resolution", [0.25, 0.5, 1.0])
-def test_picture_is_that_of_many_points_a_pixel(resolution):
+def test_picture_agrees_with_the_supersampled_reference(resolution):
     cameras, boxes = _scene()
     view = View(48, 40, resolution)
     plain = _ground(0.5)  # as grey as what is outside of it
-    found = render(view, cameras, plain, [boxes])
-    apart = (found - supersample(view, cameras, plain, boxes)).abs() * 255
+    result = render(view, cameras, plain, [boxes])
+    apart = (result - supersample(view, cameras, plain, boxes)).abs() * 255
     assert apart.mean() < 0.2
     assert apart.max() < 8
 
 
-def test_ahead_is_up_and_left_is_left():
+def test_forward_is_up_and_left_is_left():
     camera = torch.tensor([[3.0, -2.0, np.pi / 2]])
     spots = torch.tensor([[[3.0, 4.0, 0.0], [-1.0, -2.0, 0.0]]])  # 6 m ahead, 4 m to the left
     boxes = OrientedBoxes(spots, torch.tensor([1.0, 1.0]).expand(2, 2), torch.eye(3)[:2])
@@ -76,7 +76,7 @@ def _single(colour):
     return make_ground(ground.image[:, 1:-1, 1:-1].float(), NORTH_UP.float())
 
 
-def test_pixel_of_the_ground_is_where_its_transform_says():
+def test_pixel_of_the_ground_lies_where_its_transform_maps_it():
     image = torch.zeros(1, 64, 64)
     image[0, 20, 45] = 1.0  # x 6.75, y 5.75
     ground = make_ground(image, NORTH_UP.float())
@@ -87,7 +87,7 @@ def test_pixel_of_the_ground_is_where_its_transform_says():
     assert (4.5 + right, 4.0 + ahead) == (6.75, 5.75)
 
 
-def test_later_boxes_and_layers_lie_above():
+def test_later_boxes_and_layers_are_painted_over_earlier_ones():
     pose = torch.zeros(1, 2, 3)
     two = OrientedBoxes(pose, torch.full((2, 2), 4.0), torch.eye(3)[:2])
     top = OrientedBoxes(pose[:, :1], torch.full((1, 2), 2.0), torch.eye(3)[2:])
@@ -109,11 +109,11 @@ def test_absent_boxes_are_not_drawn_and_may_be_nan():
         heading_colours=boxes.heading_colours[rest],
     )
     view, camera = View(32, 32, 0.7), torch.zeros(1, 3).double()
-    found = render(view, camera, _ground(), [some])
-    torch.testing.assert_close(found, render(view, camera, _ground(), [only]))
+    result = render(view, camera, _ground(), [some])
+    torch.testing.assert_close(result, render(view, camera, _ground(), [only]))
 
 
-def test_gradients_are_those_of_the_picture():
+def test_gradients_agree_with_finite_differences():
     cameras, boxes = _scene(views=2, count=3)
     weight = torch.rand(2, 3, 12, 14, generator=torch.Generator().manual_seed(3)).double()
     view = View(12, 14, 1.3)
@@ -126,7 +126,7 @@ def test_gradients_are_those_of_the_picture():
     assert torch.autograd.gradcheck(loss, given, eps=1e-6, atol=2e-4, rtol=2e-3)
 
 
-def test_gradient_by_the_texture_reaches_what_is_seen():
+def test_gradient_by_the_texture_is_zero_outside_the_view():
     image = _ground().image[:, 1:-1, 1:-1].clone().requires_grad_()
     ground = prefilter_ground(make_ground(image, NORTH_UP), 1.5)
     render(View(8, 8, 1.5), torch.zeros(1, 3).double(), ground).sum().backward()
@@ -152,7 +152,7 @@ def test_overlapping_boxes_have_right_gradients():
     assert torch.autograd.gradcheck(loss, poses.requires_grad_(), eps=1e-6, atol=2e-4)
 
 
-def test_outside_of_the_ground_is_grey_and_said():
+def test_pixels_beyond_the_ground_are_grey_and_not_covered():
     far = torch.tensor([[500.0, 0.0, 0.0]])
     view = View(8, 8, 1.0)
     assert (render(view, far, _single(0.0)) == 0.5).all()
@@ -161,7 +161,7 @@ def test_outside_of_the_ground_is_grey_and_said():
 
 
 @pytest.mark.parametrize("resolution", [0.7, 1.5, 4.0])
-def test_fitted_ground_does_not_shimmer(resolution):
+def test_prefiltered_ground_does_not_alias(resolution):
     """A fine checkerboard stays grey wherever the camera is."""
     board = ((torch.arange(512)[:, None] + torch.arange(512)) % 2).float().expand(1, 512, 512)
     ground = make_ground(board, torch.tensor([[4.0, 0, 256], [0, -4.0, 256]]))  # 0.25 m
@@ -172,15 +172,15 @@ def test_fitted_ground_does_not_shimmer(resolution):
     assert (render(View(8, 8, resolution), cameras, ground) - 0.5).abs().max() > 0.3
 
 
-def test_fitted_ground_stays_in_place():
+def test_prefiltered_ground_stays_in_place():
     ground, camera = _ground(), torch.tensor([[1.0, 2.0, 0.5]]).double()
     view = View(10, 10, 2.0)
     fine = avg_pool2d(render(View(160, 160, 0.125), camera, ground), 16)
-    found = render(view, camera, prefilter_ground(ground, 2.0))
-    assert (found - fine).abs().max() < 0.06
+    result = render(view, camera, prefilter_ground(ground, 2.0))
+    assert (result - fine).abs().max() < 0.06
 
 
-def test_absent_boxes_have_no_gradient_whatever_they_hold():
+def test_absent_boxes_have_no_gradient_even_if_nan():
     cameras, boxes = _scene(views=1)
     poses, sizes, colours = boxes.poses.clone(), boxes.sizes.clone(), boxes.colours.clone()
     poses[0, 1], sizes[3], colours[1] = torch.nan, torch.nan, torch.nan
@@ -212,7 +212,7 @@ def test_edges_on_the_borders_of_pixels_have_gradients(size):
     torch.testing.assert_close(of_size[0].flip(0), box[0].detach(), rtol=0.06, atol=0)
 
 
-def test_long_thin_box_costs_its_own_pixels_only():
+def test_long_thin_box_touches_few_pixels():
     with torch.no_grad():
         axis = torch.tensor([[0.8, -0.6]])
         view, middle = View(512, 512, 1.0), torch.tensor([[256.0, 256.0]])
@@ -232,7 +232,7 @@ def test_path_has_no_gaps_where_its_lines_meet():
 
 
 @pytest.mark.parametrize("ratio", [2.0, 8.0, 60.0])
-def test_rim_of_a_fitted_ground_is_as_soft_as_a_pixel(ratio):
+def test_edge_of_a_prefiltered_ground_is_one_pixel_soft(ratio):
     white = make_ground(
         torch.ones(1, 50, 50).double(),
         torch.tensor([[1.0, 0, 0], [0, -1.0, 50]]).double(),
@@ -240,11 +240,13 @@ def test_rim_of_a_fitted_ground_is_as_soft_as_a_pixel(ratio):
     )
     view, camera = View(24, 24, ratio), torch.tensor([[1.0, 2.0, 0.4]]).double()
     fine = View(24 * 24, 24 * 24, ratio / 24)
-    wanted = avg_pool2d(render(fine, camera, white), 24)
+    expected = avg_pool2d(render(fine, camera, white), 24)
     fitted = prefilter_ground(white, ratio)
-    assert (render(view, camera, fitted) - wanted).abs().max() < 0.16
-    assert float(render(view, camera, fitted).sum()) == pytest.approx(float(wanted.sum()), rel=0.03)
-    assert (render_coverage(view, camera, fitted) - wanted).abs().max() < 0.16
+    assert (render(view, camera, fitted) - expected).abs().max() < 0.16
+    assert float(render(view, camera, fitted).sum()) == pytest.approx(
+        float(expected.sum()), rel=0.03
+    )
+    assert (render_coverage(view, camera, fitted) - expected).abs().max() < 0.16
 
 
 def test_no_map_is_a_plain_colour():
@@ -256,7 +258,7 @@ def test_no_map_is_a_plain_colour():
 
 
 @pytest.mark.parametrize("ratio", [1.0, 2.0, 4.0, 8.0, 16.0])
-def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
+def test_prefiltered_ground_is_close_to_the_mean_over_a_rotated_pixel(ratio):
     """A scene of hard edges, at most as fine as the camera that took it."""
     generator = torch.Generator().manual_seed(2)
     scene = torch.rand(1, 1, 32, 32, generator=generator, dtype=torch.float64).round()
@@ -264,9 +266,9 @@ def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
     ground = make_ground(image, torch.tensor([[1.0, 0, 128], [0, -1.0, 128]]).double())
     view, camera = View(10, 10, ratio), torch.tensor([[0.3, -0.4, 0.6]]).double()
     fine = View(160, 160, ratio / 16)
-    wanted = avg_pool2d(render(fine, camera, ground), 16)
-    apart = (render(view, camera, prefilter_ground(ground, ratio)) - wanted).abs() * 255
-    plain = (render(view, camera, ground) - wanted).abs() * 255
+    expected = avg_pool2d(render(fine, camera, ground), 16)
+    apart = (render(view, camera, prefilter_ground(ground, ratio)) - expected).abs() * 255
+    plain = (render(view, camera, ground) - expected).abs() * 255
     assert apart.mean() < 2 * math.sqrt(ratio)
     assert apart.mean() < 0.8 * plain.mean()
 
@@ -288,7 +290,7 @@ def test_fitted_ground_is_close_to_the_mean_over_a_turned_pixel(ratio):
         ({"present": torch.ones(4).bool()}, r"present has shape \(4,\)"),
     ],
 )
-def test_what_would_give_a_wrong_picture_is_refused(changed, message, without_shape_checks):
+def test_invalid_boxes_are_refused(changed, message, without_shape_checks):
     cameras, boxes = _scene()
     with pytest.raises(ValueError, match=message):
         render(View(8, 8, 1.0), cameras, _ground(), [replace(boxes, **changed)])
@@ -314,7 +316,7 @@ def test_second_derivatives_are_refused():
         first.sum().backward()
 
 
-def test_pictures_do_not_depend_on_autocast():
+def test_autocast_does_not_change_pictures():
     cameras = _scene(views=1)[0].float()
     waves = _ground()
     ground = make_ground(waves.image[:, 1:-1, 1:-1].float(), NORTH_UP.float())
@@ -324,12 +326,12 @@ def test_pictures_do_not_depend_on_autocast():
     assert torch.equal(half, plain)
 
 
-def test_camera_that_is_nowhere_is_refused():
+def test_camera_that_is_not_finite_is_refused():
     with pytest.raises(ValueError, match="camera's pose is not finite"):
         render(View(8, 8, 1.0), torch.tensor([[0.0, torch.inf, 0.0]]), _single(0.0))
 
 
-def test_texture_that_is_none_is_refused(without_shape_checks):
+def test_invalid_textures_are_refused(without_shape_checks):
     with pytest.raises(ValueError, match="must be invertible"):
         make_ground(torch.zeros(1, 4, 4), torch.zeros(2, 3))
     with pytest.raises(ValueError, match="pixels that are not finite"):
@@ -338,13 +340,13 @@ def test_texture_that_is_none_is_refused(without_shape_checks):
         make_ground(torch.zeros(1, 4, 4), NORTH_UP, coverage=torch.ones(4, 5).bool())
 
 
-def test_no_boxes_are_a_picture_of_the_ground():
+def test_without_boxes_the_picture_is_the_ground():
     none = OrientedBoxes(torch.empty(1, 0, 3), torch.empty(0, 2), torch.empty(0, 3))
     picture = render(View(8, 8, 1.0), torch.zeros(1, 3), _single(0.3), [none])
     torch.testing.assert_close(picture, torch.full_like(picture, 0.3))
 
 
-def test_layers_painted_at_once_are_those_painted_alone():
+def test_layers_rendered_together_equal_those_rendered_alone():
     generator = torch.Generator().manual_seed(0)
     ground, view, cameras = _ground(), View(24, 24, 0.7), torch.tensor([[0.0, 0.0, 0.3]] * 3)
     cameras = cameras.to(ground.image)

@@ -17,21 +17,21 @@ def _boxes(count, seed=0):
 
 def test_coverage_is_the_area_in_the_pixel():
     corners, square = _boxes(500), shapely.box(0, 0, 1, 1)
-    wanted = [shapely.Polygon(box).intersection(square).area for box in corners]
-    np.testing.assert_allclose(compute_pixel_coverage(torch.tensor(corners)), wanted, atol=1e-12)
-    found = compute_pixel_coverage(torch.tensor(corners, dtype=torch.float32))
-    np.testing.assert_allclose(found, wanted, atol=3e-4)
+    expected = [shapely.Polygon(box).intersection(square).area for box in corners]
+    np.testing.assert_allclose(compute_pixel_coverage(torch.tensor(corners)), expected, atol=1e-12)
+    result = compute_pixel_coverage(torch.tensor(corners, dtype=torch.float32))
+    np.testing.assert_allclose(result, expected, atol=3e-4)
 
 
 @pytest.mark.parametrize(
     ("corners", "area"),
     [([[0, 0], [0, 1], [1, 1], [1, 0]], -1), ([[0, 0], [1, 0], [1, 1], [0, 1]], 1)],
 )
-def test_the_sense_is_the_sign_and_edges_may_lie_on_the_rim(corners, area):
+def test_orientation_is_the_sign_and_edges_may_lie_on_the_border(corners, area):
     assert compute_pixel_coverage(torch.tensor([corners], dtype=torch.float64)).item() == area
 
 
-def test_gradient_is_that_of_the_area():
+def test_gradient_agrees_with_finite_differences():
     corners = torch.tensor(_boxes(300, seed=1))
     share = compute_pixel_coverage(corners)
     some = corners[(share > 0.01) & (share < 0.99)].requires_grad_()

@@ -23,20 +23,20 @@ def hdmap():
 
 @pytest.fixture(scope="module")
 def scene(hdmap):
-    """The bundled tracks on their HD map, which is read as any other map."""
+    """The bundled tracks on their HD map, rendered as an image."""
     tracks = read_tracks("samples/tracks.csv")
     lights = read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
     return make_scene(draw_hdmap(hdmap, resolution=0.5), tracks, lights)
 
 
-def test_replayed_traffic_breaks_no_rules(scene, hdmap):
+def test_replayed_traffic_commits_few_infractions(scene, hdmap):
     episode = simulate_scene(scene, "replay", start=5.0, duration=8.0, rules=make_road_rules(hdmap))
     assert episode.rates["red light"] < 0.001
     assert episode.rates["wrong way"] < 0.01
     assert episode.rates["collision"] < 0.02  # a step of replayed actions may touch in a queue
 
 
-def test_ego_stays_the_only_one_that_departs_from_the_recording(scene):
+def test_only_the_ego_departs_from_the_recording(scene):
     episode = simulate_scene(scene, "constant-velocity", ego="12", start=4.0, duration=6.0)
     agent = scene.ids.index("12")
     recorded = episode.scenario.states[0].transpose(0, 1)
@@ -80,14 +80,14 @@ def test_rules_of_another_place_are_refused(scene):
         simulate_scene(scene, "replay", rules=RoadRules(lanes=lanes))
 
 
-def test_what_cannot_be_counted_has_no_rate(scene):
+def test_infractions_that_cannot_occur_have_no_rate(scene):
     unknown = replace(scene, light_states=torch.full_like(scene.light_states, UNKNOWN))
     aside = Lanes(scene.stop_lines[:1, 0] + 15, torch.zeros(1), torch.full((1,), 0.01))
     episode = simulate_scene(unknown, "replay", start=5.0, rules=RoadRules(lanes=aside))
     assert list(episode.rates) == ["collision"]
 
 
-def test_controlled_are_those_who_are_moved(scene):
+def test_controlled_agents_are_present_in_simulated_steps(scene):
     episode = simulate_scene(scene, "replay", start=5.0, duration=2.0)
     there = episode.scenario.present[0, HISTORY_STEPS - 1 :]
     assert not there.any(dim=0).all()

@@ -26,22 +26,22 @@ def _drivable(resolution=0.2):
     return Drivable(torch.tensor(distance), matrix)
 
 
-def test_distance_is_that_of_the_polygon():
+def test_distance_agrees_with_shapely():
     generator = np.random.default_rng(0)
     points = generator.uniform([-55, -20], [55, 20], (500, 2))
     outline = AREA.boundary
-    wanted = [(-1) ** AREA.contains(Point(p)) * outline.distance(Point(p)) for p in points]
-    found = sample_distance(_drivable(), torch.tensor(points, dtype=torch.float32))
-    assert np.abs(found.numpy() - wanted).max() < 0.15  # at the bends of the distance
-    assert np.abs(found.numpy() - wanted).mean() < 0.02
+    expected = [(-1) ** AREA.contains(Point(p)) * outline.distance(Point(p)) for p in points]
+    result = sample_distance(_drivable(), torch.tensor(points, dtype=torch.float32))
+    assert np.abs(result.numpy() - expected).max() < 0.15  # at the bends of the distance
+    assert np.abs(result.numpy() - expected).mean() < 0.02
 
 
-def test_distance_goes_on_beyond_the_raster():
+def test_distance_continues_beyond_the_raster():
     near, far = sample_distance(_drivable(), torch.tensor([[0.0, 24.0], [0.0, 124.0]]))
     assert float(far - near) == pytest.approx(100, abs=0.2)
 
 
-def test_corner_furthest_out_counts():
+def test_offroad_distance_is_that_of_the_furthest_corner():
     poses = torch.tensor([[20.0, 3.5, 0.0], [20.0, 4.5, 0.0], [torch.nan] * 3])
     present = torch.tensor([True, True, False])
     metres = compute_offroad_distance(_drivable(), poses, CAR.expand(3, 2), present)
@@ -58,9 +58,9 @@ def test_gradient_leads_back_to_the_road():
 
 def test_collision_is_the_largest_overlap():
     poses = torch.tensor([[[0.0, 0, 0], [3.0, 0, 0], [3.5, 0, 0], [0.0, 30, 0]]])
-    found = compute_collision_iou(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())[0]
-    wanted = torch.tensor([1 / 7, 3.5 / 4.5, 3.5 / 4.5, 0])
-    torch.testing.assert_close(found, wanted, atol=1e-4, rtol=0)
+    result = compute_collision_iou(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())[0]
+    expected = torch.tensor([1 / 7, 3.5 / 4.5, 3.5 / 4.5, 0])
+    torch.testing.assert_close(result, expected, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_collision_is_the_largest_overlap():
         (1.0, 3.0, RED, False),  # long past it
     ],
 )
-def test_red_light_counts_when_the_front_crosses_its_line(start, end, state, ran):
+def test_red_light_is_run_when_the_front_crosses_its_line(start, end, state, ran):
     line = torch.tensor([[[0.0, -2.0], [0.0, 2.0]]])
     before, after = torch.tensor([[[start, 0.0, 0.0]]]), torch.tensor([[[end, 0.0, 0.0]]])
     lengths, there = torch.full((1, 1), 4.0), torch.ones(1, 1).bool()
@@ -85,7 +85,7 @@ def test_red_light_counts_when_the_front_crosses_its_line(start, end, state, ran
     )
 
 
-def test_wrong_way_is_against_every_lane_below():
+def test_wrong_way_is_against_every_lane_at_the_agent():
     lanes = Lanes(
         torch.tensor([[0.0, 0.0], [2.0, 0.0], [0.0, 3.0]]),
         torch.tensor([0.0, 0.0, np.pi]),
@@ -99,7 +99,7 @@ def test_wrong_way_is_against_every_lane_below():
     assert not detect_wrong_way(lanes, poses, ~there).any()
 
 
-def test_half_floats_around_it_change_nothing():
+def test_autocast_does_not_change_infractions():
     poses = torch.tensor([[[20.3, 4.7, 0.4], [21.9, 5.1, 0.1], [-31.7, -6.2, 2.0]]])
     sizes, there = CAR.expand(1, 3, 2), torch.ones(1, 3, dtype=torch.bool)
     drivable = _drivable()
@@ -117,7 +117,7 @@ def test_half_floats_around_it_change_nothing():
     assert all(torch.equal(one, two) for one, two in zip(plain, half, strict=True))
 
 
-def test_rate_is_the_share_of_those_present():
+def test_rate_is_the_share_of_present_agents():
     wrong, present = (
         torch.tensor([True, True, False, False]),
         torch.tensor([True, False, True, True]),
@@ -126,7 +126,7 @@ def test_rate_is_the_share_of_those_present():
     assert float(compute_rate(wrong, torch.zeros(4).bool())) == 0
 
 
-def test_double_floats_give_the_same():
+def test_float64_gives_the_same_infractions():
     poses, there = torch.tensor([[20.0, 4.5, 0.0]]), torch.ones(1, dtype=torch.bool)
     single, double = (
         compute_offroad_distance(_drivable(), poses.to(kind), CAR[None].to(kind), there)
@@ -143,7 +143,7 @@ def test_scenes_without_agents_have_no_collisions():
     assert compute_collision_iou(*no_agents).shape == (3, 0)
 
 
-def test_lanes_far_from_the_origin_are_as_wide_as_near():
+def test_lanes_far_from_the_origin_keep_their_width():
     apart = torch.tensor([[0.0, 1.7], [0.0, 1.9]]).repeat(20, 1)
     far = torch.tensor([9000.0, -9000.0])
     lanes = Lanes(far + torch.zeros(30, 2), torch.full((30,), np.pi), torch.full((30,), 1.8))

@@ -31,17 +31,17 @@ def test_inverse_undoes_each_step(x, y, heading, speed, acceleration, turn, dt):
     torch.testing.assert_close(again, driven, atol=1e-6, rtol=0)
     for motion in (unicycle, displacement):
         moved = motion.step(state, action, LENGTH, dt)
-        found = motion.inverse(state, moved, LENGTH, dt)
-        torch.testing.assert_close(found, action, atol=1e-6, rtol=0)
+        result = motion.inverse(state, moved, LENGTH, dt)
+        torch.testing.assert_close(result, action, atol=1e-6, rtol=0)
 
 
-def test_action_of_a_moving_bicycle_comes_back():
+def test_inverse_recovers_the_action_of_a_moving_bicycle():
     state = _state(0, 0, 0.3, 0.5)
     for action in ([1.0, 0.3], [-2.0, -0.5], [0.0, 0.0]):
-        wanted = torch.tensor(action, dtype=torch.float64)
-        after = bicycle.step(state, wanted, LENGTH, 0.1)
-        found = bicycle.inverse(state, after, LENGTH, 0.1)
-        torch.testing.assert_close(found, wanted, atol=1e-9, rtol=0)
+        expected = torch.tensor(action, dtype=torch.float64)
+        after = bicycle.step(state, expected, LENGTH, 0.1)
+        result = bicycle.inverse(state, after, LENGTH, 0.1)
+        torch.testing.assert_close(result, expected, atol=1e-9, rtol=0)
 
 
 def test_bicycle_drives_the_circle_of_its_front_wheel():
@@ -58,7 +58,7 @@ def test_bicycle_drives_the_circle_of_its_front_wheel():
     torch.testing.assert_close(away, torch.full_like(away, radius), atol=1e-9, rtol=0)
 
 
-def test_one_long_step_is_many_short_ones():
+def test_one_long_step_equals_many_short_ones():
     state, action = _state(0, 0, 0.1, 0.4), torch.tensor([1.0, 0.0]).double()
     many = state
     for _ in range(10):

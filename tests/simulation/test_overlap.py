@@ -6,7 +6,7 @@ from geoaim.simulation.overlap import box_iou, compute_box_corners, compute_inte
 
 
 def _pairs(count=4000):
-    """Random ones, the same box twice, boxes in line and across."""
+    """Random pairs, equal boxes, boxes in line and at right angles."""
     generator = torch.Generator().manual_seed(0)
     poses = torch.rand(count, 2, 3, generator=generator, dtype=torch.float64) * 4
     sizes = torch.rand(count, 2, 2, generator=generator, dtype=torch.float64) * 4 + 0.5
@@ -17,18 +17,18 @@ def _pairs(count=4000):
     return poses, sizes
 
 
-def _by_shapely(poses, sizes):
+def _compute_with_shapely(poses, sizes):
     polygons = shapely.polygons(compute_box_corners(poses, sizes).numpy())
     shared = shapely.area(shapely.intersection(polygons[:, 0], polygons[:, 1]))
     return shared, shared / (sizes.prod(-1).sum(1).numpy() - shared)
 
 
-def test_overlap_is_shapelys():
+def test_overlap_agrees_with_shapely():
     poses, sizes = _pairs()
-    _, wanted = _by_shapely(poses, sizes)
+    _, expected = _compute_with_shapely(poses, sizes)
     for dtype in (torch.float64, torch.float32):
         iou = box_iou(poses.to(dtype), sizes.to(dtype), torch.ones(len(poses), 2).bool())
-        assert np.abs(iou[:, 0, 1].double().numpy() - wanted).max() < 1e-5
+        assert np.abs(iou[:, 0, 1].double().numpy() - expected).max() < 1e-5
 
 
 def test_overlap_does_not_depend_on_where_it_is():
@@ -43,7 +43,7 @@ def test_overlap_has_right_gradients():
     assert torch.autograd.gradcheck(compute_intersection_area, (poses, sizes))
 
 
-def test_absent_and_distant_agents_hit_no_other():
+def test_absent_and_distant_agents_do_not_overlap():
     poses = torch.tensor([[[0.0, 0, 0], [1.0, 0, 0], [torch.nan] * 3, [50.0, 0, 0]]])
     sizes = torch.tensor([4.0, 2.0]).expand(1, 4, 2)
     present = torch.tensor([[True, True, False, True]])
@@ -54,8 +54,8 @@ def test_absent_and_distant_agents_hit_no_other():
     assert iou.count_nonzero() == 2
 
 
-def test_nearly_the_same_boxes_overlap_smoothly():
-    """In float32 edges that nearly lie on each other would not cancel."""
+def test_overlap_of_nearly_equal_boxes_is_smooth():
+    """In float32, edges that nearly coincide would not cancel."""
     generator = torch.Generator().manual_seed(0)
     base = torch.rand(2000, 1, 3, generator=generator) * torch.tensor([80.0, 80.0, 6.28])
     nudge = torch.randn(2000, 1, 3, generator=generator) * 1e-6

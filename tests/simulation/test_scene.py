@@ -60,7 +60,7 @@ def _lights(world=OTHER):
     return Lights(("a", "b"), lines, np.array([0.0, 0.1]), states, world)
 
 
-def test_tracks_come_into_the_maps_world():
+def test_tracks_are_transformed_to_the_maps_world():
     scene = make_scene(_aim(), _tracks())
     torch.testing.assert_close(scene.poses[0, 0], torch.tensor([30.0, 20.0, np.pi / 4]))
     assert scene.present.tolist() == [[True] * 3, [False, True, True]]
@@ -77,7 +77,7 @@ def test_tracks_in_another_crs_lie_at_the_same_place():
     assert 0.1 < abs(apart[2]) < 0.4
 
 
-def test_ego_is_in_the_middle_and_heads_up():
+def test_ego_is_in_the_centre_and_heads_up():
     scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
     step, ego = torch.tensor([1]), torch.tensor([0])
     picture = render(
@@ -101,24 +101,24 @@ def test_light_is_a_bar_of_its_states_colour():
     scene, view = make_scene(_aim(), _tracks(), _lights()), View(60, 60, 0.25)
     steps = torch.tensor([0, 1])
     cameras = scene.poses[0, 1].expand(2, 3)
-    found = render(view, cameras, scene.ground, [make_light_boxes(scene, steps)])
-    before, after = found[:, :, 16, 30]  # 3.5 m ahead
+    result = render(view, cameras, scene.ground, [make_light_boxes(scene, steps)])
+    before, after = result[:, :, 16, 30]  # 3.5 m ahead
     torch.testing.assert_close(before, torch.full((3,), 60 / 255))
     torch.testing.assert_close(after, torch.tensor([0.9, 0.1, 0.1]))
 
 
-def test_trail_shows_where_agents_of_the_step_have_been():
+def test_trail_shows_past_positions_of_present_agents():
     scene, view = make_scene(_aim(), _tracks()), View(60, 60, 0.25)
     steps = torch.tensor([0, 2])
     cameras = scene.poses[0, 2].expand(2, 3)
-    found = render(view, cameras, scene.ground, [make_trail_boxes(scene, steps, duration=0.2)])
+    result = render(view, cameras, scene.ground, [make_trail_boxes(scene, steps, duration=0.2)])
     ground = torch.full((3,), 60 / 255)
-    torch.testing.assert_close(found[0, :, 37, 30], ground)  # nothing before the first step
-    assert found[1, 2, 37, 30] > 0.7
-    torch.testing.assert_close(found[1, :, 20, 30], ground)
+    torch.testing.assert_close(result[0, :, 37, 30], ground)  # nothing before the first step
+    assert result[1, 2, 37, 30] > 0.7
+    torch.testing.assert_close(result[1, :, 20, 30], ground)
 
 
-def test_layers_hold_one_kind_each():
+def test_each_layer_shows_one_agent_type():
     scene, view = make_scene(_aim(), _tracks(), _lights()), View(60, 60, 0.25)
     step, ego = torch.tensor([1]), torch.tensor([0])
     layers = make_layers(scene, step, ego)
@@ -134,7 +134,7 @@ def test_layers_hold_one_kind_each():
     torch.testing.assert_close(planes[:3], plain)
 
 
-def test_film_has_a_picture_for_each_step():
+def test_video_has_a_picture_for_each_step():
     scene = make_scene(_aim(), _tracks())
     agent = find_agent(scene, "b")
     pictures = list(render_agent_video(scene, agent, View(32, 40, 0.5), torch.tensor([1, 2])))
@@ -144,7 +144,7 @@ def test_film_has_a_picture_for_each_step():
     assert int(find_agent_step(scene, agent, 0.19)) == 2
 
 
-def test_agent_that_is_not_there_is_named():
+def test_absent_agents_are_refused():
     scene = make_scene(_aim(), _tracks())
     with pytest.raises(TracksError, match="no agent 'c' among 2: 7, b"):
         find_agent(scene, "c")

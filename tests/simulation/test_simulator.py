@@ -39,36 +39,36 @@ def _recording(steps=21, dtype=torch.float64):
 ALL_AGENTS = torch.ones(1, 3, dtype=torch.bool)
 
 
-def test_replayed_actions_are_the_recording():
+def test_replay_reproduces_the_recording():
     scenario = _recording()
-    found = rollout(scenario, replay, ALL_AGENTS)
-    apart = (found.states - scenario.states)[..., :2].norm(dim=-1)
+    result = rollout(scenario, replay, ALL_AGENTS)
+    apart = (result.states - scenario.states)[..., :2].norm(dim=-1)
     assert apart[scenario.present].max() < 1e-6
-    assert torch.equal(found.present, scenario.present)
-    assert found.actions.shape == (1, 20, 3, 2)
+    assert torch.equal(result.present, scenario.present)
+    assert result.actions.shape == (1, 20, 3, 2)
 
 
-def test_uncontrolled_agents_do_what_was_recorded():
+def test_agents_that_are_not_controlled_replay_the_recording():
     scenario = _recording()
 
     def wild(scenario, path):
         return torch.full_like(path[:, -1, :, :2], 0.5)
 
     controlled = torch.tensor([[True, False, False]])
-    found = rollout(scenario, wild, controlled)
-    torch.testing.assert_close(found.states[:, :, 1:], scenario.states[:, :, 1:])
-    assert (found.states[0, -1, 0] - scenario.states[0, -1, 0]).norm() > 1
+    result = rollout(scenario, wild, controlled)
+    torch.testing.assert_close(result.states[:, :, 1:], scenario.states[:, :, 1:])
+    assert (result.states[0, -1, 0] - scenario.states[0, -1, 0]).norm() > 1
 
 
-def test_agents_enter_where_they_were_recorded_to():
+def test_agents_enter_in_the_recorded_state():
     scenario = _recording()
-    found = rollout(scenario, constant_velocity, ALL_AGENTS)
-    torch.testing.assert_close(found.states[0, 5, 2], scenario.states[0, 5, 2])
-    torch.testing.assert_close(found.states[0, 14, 2], scenario.states[0, 14, 2])
-    assert not found.states[0, 15:, 2].any()
+    result = rollout(scenario, constant_velocity, ALL_AGENTS)
+    torch.testing.assert_close(result.states[0, 5, 2], scenario.states[0, 5, 2])
+    torch.testing.assert_close(result.states[0, 14, 2], scenario.states[0, 14, 2])
+    assert not result.states[0, 15:, 2].any()
 
 
-def test_simple_policies_go_straight_on_and_round():
+def test_simple_policies_keep_velocity_or_turn_rate():
     scenario = _recording()
     straight = rollout(scenario, constant_velocity, ALL_AGENTS, history=5)
     round_on = rollout(scenario, constant_turn_rate, ALL_AGENTS, history=5)
@@ -77,7 +77,7 @@ def test_simple_policies_go_straight_on_and_round():
     assert (round_on.states - scenario.states)[0, -1, 1, :2].norm() < 1e-6
 
 
-def test_intelligent_driver_follows_its_route_and_stops_behind_others():
+def test_idm_follows_its_route_and_stops_behind_others():
     steps = 300
     still = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
     still[:, :, 0, 3], still[:, :, 1, 0] = 8.0, 80.0
@@ -87,16 +87,16 @@ def test_intelligent_driver_follows_its_route_and_stops_behind_others():
     bend = torch.linspace(0, 80, 81).double()
     route = torch.stack([bend, 6 * torch.sin(bend / 80 * np.pi)], -1).expand(1, 2, 81, 2)
     policy = make_idm_policy(route, torch.full((1, 2), 12.0).double())
-    found = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
-    assert found[:, 3].max() > 9
-    assert found[-1, 3].abs() < 0.1
-    gap = 80 - float(found[-1, 0]) - 4.5
+    result = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    assert result[:, 3].max() > 9
+    assert result[-1, 3].abs() < 0.1
+    gap = 80 - float(result[-1, 0]) - 4.5
     assert 1.5 < gap < 3.5
-    near = torch.cdist(found[:, :2], route[0, 0]).min(dim=1).values
+    near = torch.cdist(result[:, :2], route[0, 0]).min(dim=1).values
     assert near.max() < 1.0
 
 
-def test_intelligent_driver_waits_for_green():
+def test_idm_waits_for_green():
     steps = 200
     states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
     states[:, :, :, 3] = 8.0
@@ -111,15 +111,15 @@ def test_intelligent_driver_waits_for_green():
     light = torch.full((1, steps, 1), RED)
     light[:, 120:] = GREEN
     policy = make_idm_policy(route, torch.full((1, 2), 8.0).double(), line, light)
-    found = rollout(scenario, policy, torch.ones(1, 2).bool()).states[0]
-    front = found[:, 0, 0] + 4.5 / 2
+    result = rollout(scenario, policy, torch.ones(1, 2).bool()).states[0]
+    front = result[:, 0, 0] + 4.5 / 2
     assert front[:120].max() < 40
     assert front[119] > 37
-    assert found[-1, 0, 0] > 60
-    assert found[119, 1, 0] > 80
+    assert result[-1, 0, 0] > 60
+    assert result[119, 1, 0] > 80
 
 
-def test_gradients_through_ten_steps_of_looking_and_driving():
+def test_gradients_through_ten_steps_of_rendering_and_driving():
     """Render, policy, kinematics, closed loop, against central differences."""
     scenario = _recording(steps=11)
     v, u = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
@@ -143,11 +143,11 @@ def test_gradients_through_ten_steps_of_looking_and_driving():
     for row, column in ((3, 0), (20, 1), (36, 0), (50, 1)):
         step = torch.zeros_like(weights)
         step[row, column] = 1e-5
-        wanted = (last(weights + step).sum() - last(weights - step).sum()) / 2e-5
-        assert float(gradient[row, column]) == pytest.approx(float(wanted), rel=2e-3, abs=1e-4)
+        expected = (last(weights + step).sum() - last(weights - step).sum()) / 2e-5
+        assert float(gradient[row, column]) == pytest.approx(float(expected), rel=2e-3, abs=1e-4)
 
 
-def test_lean_rollout_has_the_same_gradients():
+def test_checkpointing_gives_the_same_gradients():
     scenario = _recording()
     push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
 
@@ -175,7 +175,7 @@ def test_what_cannot_be_simulated_is_refused():
         rollout(scenario, lost, ALL_AGENTS)
 
 
-def test_lean_rollout_draws_the_same_noise_again():
+def test_checkpointing_draws_the_same_noise_again():
     scenario, generator = _recording(), torch.Generator().manual_seed(0)
     push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
 
@@ -185,8 +185,8 @@ def test_lean_rollout_draws_the_same_noise_again():
 
     def gradient(**given):
         generator.manual_seed(1)
-        found = rollout(scenario, policy, ALL_AGENTS, **given)
-        (gradient,) = torch.autograd.grad(found.states.sum(), push)
+        result = rollout(scenario, policy, ALL_AGENTS, **given)
+        (gradient,) = torch.autograd.grad(result.states.sum(), push)
         return gradient, torch.rand(1, generator=generator)
 
     full, after = gradient()
@@ -197,20 +197,20 @@ def test_lean_rollout_draws_the_same_noise_again():
         gradient(checkpointing=True)
 
 
-def test_padding_without_sizes_has_gradients():
+def test_padded_agents_without_sizes_have_gradients():
     scenario = _recording()
     present = scenario.present.clone()
     present[..., 2] = False
     sizes = scenario.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
     states = scenario.states.clone().requires_grad_()
     padded = Scenario(states, present, sizes, torch.zeros_like(scenario.pedestrian), DT)
-    found = rollout(padded, constant_velocity, ALL_AGENTS).states
-    (gradient,) = torch.autograd.grad(found.sum(), states)
+    result = rollout(padded, constant_velocity, ALL_AGENTS).states
+    (gradient,) = torch.autograd.grad(result.sum(), states)
     assert torch.isfinite(gradient).all()
 
 
 def _waiting(far):
-    """A car that drives 30 m east, then waits and shakes by 1 mm; another one parked on its way."""
+    """A car that drives 30 m east, then waits with 1 mm of jitter; another one parked on its route."""
     steps, time = 200, torch.arange(200, dtype=torch.float64) * DT
     states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
     shaking = torch.randn(steps, generator=torch.Generator().manual_seed(0)).double() * 1e-3
@@ -224,21 +224,21 @@ def _waiting(far):
 
 
 @pytest.mark.parametrize("far", [20.0, 500.0])
-def test_routes_go_straight_on_where_recordings_wait(far):
+def test_routes_extend_straight_on_where_agents_wait(far):
     scenario = _waiting(far)
     route = extract_routes(scenario)
     assert route.diff(dim=2).norm(dim=-1).min() > 0.99
     policy = make_idm_policy(route, torch.full((1, 2), 8.0).double())
-    found = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
-    assert found[:, 1].abs().max() < 0.2
+    result = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    assert result[:, 1].abs().max() < 0.2
     if far < 100:
-        assert 1.5 < 30 + far - float(found[-1, 0]) - 4.5 < 4
+        assert 1.5 < 30 + far - float(result[-1, 0]) - 4.5 < 4
     else:
-        assert found[-1, 0] > 150
+        assert result[-1, 0] > 150
 
 
 def _at_a_light(x, line, speed=8.0):
-    """One step of a car at x on its way east, at a red light."""
+    """Acceleration of a car at x that drives east towards a red light."""
     states = torch.tensor([[x, 0.0, 0.0, speed]]).double().expand(1, 2, 1, 4)
     sizes = torch.tensor([[[4.5, 1.9]]]).double()
     there = torch.ones(1, 2, 1, dtype=torch.bool)
@@ -249,7 +249,7 @@ def _at_a_light(x, line, speed=8.0):
     return float(policy(scenario, scenario.states[:, :1])[0, 0, 0])
 
 
-def test_only_lines_before_the_front_and_across_the_way_stop():
+def test_vehicles_stop_only_at_lines_ahead_that_cross_their_route():
     across = [[40.0, -2.0], [40.0, 2.0]]
     assert _at_a_light(20.0, across) < -1
     assert _at_a_light(39.0, across, speed=1.0) > 0  # its front is past the line
@@ -260,7 +260,7 @@ def test_only_lines_before_the_front_and_across_the_way_stop():
 
 def test_absent_agents_of_a_simulated_scene_are_nan():
     scenario = _recording()
-    found = rollout(scenario, constant_velocity, ALL_AGENTS)
+    result = rollout(scenario, constant_velocity, ALL_AGENTS)
     empty = torch.zeros(3, 21)
     scene = Scene(
         make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2]),
@@ -274,6 +274,6 @@ def test_absent_agents_of_a_simulated_scene_are_nan():
         torch.zeros(0, 2, 2),
         torch.zeros(21, 0, dtype=torch.int8),
     )
-    after = apply_rollout(scene, replace(found, states=found.states.float()), 0)
+    after = apply_rollout(scene, replace(result, states=result.states.float()), 0)
     assert torch.equal(torch.isfinite(after.speeds), after.present)
     assert torch.equal(torch.isfinite(after.poses).all(dim=2), after.present)

@@ -26,8 +26,8 @@ def _black(**options):
     return ImageMapRenderer(black, RendererConfig(**options), batch_size=2, res=RES, fov=40.0)
 
 
-def _theirs(options, states, sizes, xy, sc, *, controls, mask=None):
-    """One camera after the other: with more than one it fails, and gives a black picture."""
+def _render_with_torchdrivesim(options, states, sizes, xy, sc, *, controls, mask=None):
+    """Render one camera after the other: with more than one, torchdrivesim gives a black picture."""
     renderer = CV2Renderer(
         CV2RendererConfig(**options), batch_size=1, res=RES, fov=40.0, device="cpu"
     )
@@ -65,14 +65,14 @@ def _controls():
 
 
 def _assert_alike(ours, theirs):
-    """Theirs has hard edges on whole pixels: squares of pixels are compared."""
+    """Compare means of 8 x 8 pixels, since torchdrivesim has hard edges on whole pixels."""
     apart = (avg_pool2d(ours, 8) - avg_pool2d(theirs, 8)).abs().amax(dim=1)
     assert apart.max() < 60
     assert (avg_pool2d(theirs, 8).amax(dim=1) > 30).float().mean() > 0.01
 
 
 @pytest.mark.parametrize("options", [{}, {"left_handed_coordinates": True}])
-def test_picture_is_torchdrivesims_with_better_edges(options):
+def test_picture_agrees_with_torchdrivesim_except_at_edges(options):
     states, sizes = _traffic()
     ours = _black(**options).render_frame(
         states, sizes, traffic_controls={"traffic_light": _controls()}
@@ -80,11 +80,13 @@ def test_picture_is_torchdrivesims_with_better_edges(options):
     assert ours.shape == (2, 3, 3, 96, 96)
     poses = torch.cat([states["vehicle"], states["pedestrian"]], 1)
     sc = torch.stack([poses[..., 2].sin(), poses[..., 2].cos()], -1)
-    theirs = _theirs(options, states, sizes, poses[..., :2], sc, controls=_controls())
+    theirs = _render_with_torchdrivesim(
+        options, states, sizes, poses[..., :2], sc, controls=_controls()
+    )
     _assert_alike(ours.flatten(0, 1), theirs)
 
 
-def test_cameras_may_be_anywhere_and_masks_hide():
+def test_given_cameras_and_masks_are_used():
     states, sizes = _traffic()
     xy = torch.tensor([[[4.0, 2.0]], [[0.0, 5.0]]])
     psi = torch.tensor([[[0.7]], [[-2.0]]])
@@ -97,12 +99,12 @@ def test_cameras_may_be_anywhere_and_masks_hide():
     ours = _black().render_frame(
         states, sizes, xy, sc, rendering_mask=mask, traffic_controls=controls
     )
-    theirs = _theirs({}, states, sizes, xy, sc, controls=_controls(), mask=mask)
+    theirs = _render_with_torchdrivesim({}, states, sizes, xy, sc, controls=_controls(), mask=mask)
     assert ours.shape == (2, 3, 96, 96)
     _assert_alike(ours, theirs)
 
 
-def test_map_is_seen_and_gradients_reach_poses():
+def test_map_is_rendered_and_gradients_reach_poses():
     image = torch.rand(3, 40, 40, generator=torch.Generator().manual_seed(0))
     ground = make_ground(image, torch.tensor([[0.5, 0, 20], [0, -0.5, 20]]))
     renderer = ImageMapRenderer(ground, batch_size=2, res=RES, fov=40.0)
@@ -117,7 +119,7 @@ def test_map_is_seen_and_gradients_reach_poses():
     assert (gradient[..., :3].abs() > 0).all()
 
 
-def test_renderer_grows_and_shrinks_with_the_batch():
+def test_batch_of_the_renderer_can_be_expanded_and_selected():
     renderer = _black().expand(3).select_batch_elements(torch.tensor([0, 4]))
     states, sizes = _traffic()
     assert renderer.render_frame(states, sizes).shape == (2, 3, 3, 96, 96)
