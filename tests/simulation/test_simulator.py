@@ -210,7 +210,7 @@ def test_padded_agents_without_sizes_have_gradients():
 
 
 def _waiting(far):
-    """A car that drives 30 m east, then waits with 1 mm of jitter; another one parked on its route."""
+    """A car that drives 30 m east, then waits with 1 mm of jitter; another parked on its route."""
     steps, time = 200, torch.arange(200, dtype=torch.float64) * DT
     states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
     shaking = torch.randn(steps, generator=torch.Generator().manual_seed(0)).double() * 1e-3

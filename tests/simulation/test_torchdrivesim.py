@@ -27,7 +27,7 @@ def _black(**options):
 
 
 def _render_with_torchdrivesim(options, states, sizes, xy, sc, *, controls, mask=None):
-    """Render one camera after the other: with more than one, torchdrivesim gives a black picture."""
+    """Render camera by camera: with more than one, torchdrivesim gives a black picture."""
     renderer = CV2Renderer(
         CV2RendererConfig(**options), batch_size=1, res=RES, fov=40.0, device="cpu"
     )
