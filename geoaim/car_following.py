@@ -26,10 +26,7 @@ class DriverParameters:
 
 
 def compute_gap_ratio(
-    driver: DriverParameters,
-    speed: ArrayOrTensor,
-    closing_speed: ArrayOrTensor,
-    gap: ArrayOrTensor,
+    driver: DriverParameters, speed: ArrayOrTensor, closing_speed: ArrayOrTensor, gap: ArrayOrTensor
 ) -> ArrayOrTensor:
     """Divide the gap that a driver desires by the one it has: s* / s.
 

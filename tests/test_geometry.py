@@ -4,13 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoaim.geometry import (
-    from_opencv,
-    image_corners,
-    to_opencv,
-    transform_boxes,
-    transform_points,
-)
+from geoaim.geometry import from_opencv, image_corners, to_opencv, transform_boxes, transform_points
 
 numbers = st.floats(-100.0, 100.0)
 TILTED = np.array([[1.1, 0.2, 30.0], [-0.1, 0.9, 5.0], [1e-4, 2e-4, 1.0]])

@@ -17,10 +17,7 @@ from geoaim.lights import (
 from geoaim.world import World
 from tests.geojson_files import write_features
 
-LINES = (
-    StopLine("a", np.array([[0.0, 0], [3, 0]])),
-    StopLine("b", np.array([[0.0, 9], [3, 9]])),
-)
+LINES = (StopLine("a", np.array([[0.0, 0], [3, 0]])), StopLine("b", np.array([[0.0, 9], [3, 9]])))
 WORLD = World(None)
 TABLE = "time,signal,state\n0,a,green\n2,b,red\n24.5,a,yellow\n27,a,red\n0,walk,green\n"
 

@@ -17,12 +17,7 @@ from geoaim.geometry import transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import read_lights
-from geoaim.mapping import (
-    build_aim,
-    open_video,
-    read_detections,
-    transform_boxes,
-)
+from geoaim.mapping import build_aim, open_video, read_detections, transform_boxes
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_pretrained

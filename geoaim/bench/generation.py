@@ -17,14 +17,7 @@ import typer
 
 from geoaim.bench.report import format_table, time_medians, write_rows
 from geoaim.geometry import to_opencv
-from geoaim.synthetic import (
-    VIDEOS,
-    draw_place,
-    make_place,
-    make_sample,
-    render_frame,
-    write_video,
-)
+from geoaim.synthetic import VIDEOS, draw_place, make_place, make_sample, render_frame, write_video
 from geoaim.synthetic.traffic.simulate import DT, WARM_UP_S, prepare_traffic, simulate_traffic
 
 RATES = {"usual": {}, "busy": {"lane_rate": 0.13, "pedestrian_rate": 0.26}}

@@ -77,9 +77,7 @@ def _measure_corner_distance(
     return np.linalg.norm(distance, axis=-1).mean(-1)
 
 
-def main(
-    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
-) -> None:
+def main(json: Annotated[Path | None, typer.Option(help="JSON to write")] = None) -> None:
     """Measure all sequences, with and without the vehicles' boxes."""
     data = require_data("hover")
     rows = []

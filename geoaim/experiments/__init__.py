@@ -1,14 +1,6 @@
 """The paper's tables and public benchmarks, each by its name in `geoaim experiment`."""
 
-from geoaim.experiments import (
-    ablations,
-    pedestrians,
-    pretrained,
-    sind,
-    songdo,
-    stanford,
-    vehicles,
-)
+from geoaim.experiments import ablations, pedestrians, pretrained, sind, songdo, stanford, vehicles
 
 EXPERIMENTS = {
     "pretrained": pretrained.run,

@@ -11,12 +11,7 @@ from geoaim.experiments.places import TRAIN, make_places
 from geoaim.experiments.protocol import SAMPLES, VEHICLES, make_places_dataset
 from geoaim.experiments.resnet import build_resnet18
 from geoaim.experiments.results import Workspace, compute_differences, write_results
-from geoaim.prediction.config import (
-    MAX_HISTORY_STEPS,
-    Config,
-    TrainConfig,
-    configure_training,
-)
+from geoaim.prediction.config import MAX_HISTORY_STEPS, Config, TrainConfig, configure_training
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA, BuildEncoder

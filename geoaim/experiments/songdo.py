@@ -31,11 +31,7 @@ def run(workspace: Workspace) -> list[Path]:
     progress = workspace.progress
     model = train_model("vehicle_aim", workspace)
     tuned = train_once(
-        model,
-        FINE_TUNING,
-        lambda: dataset,
-        workspace.models / "vehicle_songdo",
-        progress=progress,
+        model, FINE_TUNING, lambda: dataset, workspace.models / "vehicle_songdo", progress=progress
     )
     options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
     predictors = {"zero-shot": model.sample, "fine-tuned": tuned.sample, **BASELINES}

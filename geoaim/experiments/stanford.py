@@ -65,11 +65,7 @@ TRAINING = TrainConfig(
     colour_jitter=0.2,
 )
 SEEDS = {"map": 3, "no map": 3}  # seeds differ as much as maps help; other models have one
-PAIRS = (
-    ("map", "no map"),
-    ("map, blurred and noisy", "map"),
-    ("no map", "no map, no proposals"),
-)
+PAIRS = (("map", "no map"), ("map, blurred and noisy", "map"), ("no map", "no map, no proposals"))
 # minADE and minFDE of 20 samples on the standard test scenes, pixels, by their authors or by later
 # papers
 PUBLISHED = {
@@ -134,12 +130,7 @@ def _describe(metrics: Mapping[str, Metrics], windows: Windows) -> dict[str, Any
 
 
 def _train(
-    name: str,
-    scenes: list[str],
-    workspace: Workspace,
-    *,
-    seed: int = 0,
-    label: str | None = None,
+    name: str, scenes: list[str], workspace: Workspace, *, seed: int = 0, label: str | None = None
 ) -> ITRA:
     """Train one of `MODELS` on windows of some scenes, forwards and reversed."""
     config = MODELS[name]

@@ -60,12 +60,7 @@ def _predict_with_policy(
 
 
 def _predict_with_noise(
-    segments: Segments,
-    ground: Ground,
-    *,
-    history: int,
-    samples: int,
-    generator: torch.Generator,
+    segments: Segments, ground: Ground, *, history: int, samples: int, generator: torch.Generator
 ) -> Float[Tensor, "B K T N 4"]:
     """Continue at constant velocity after noise on heading and speed at the last observed step.
 

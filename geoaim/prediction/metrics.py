@@ -143,8 +143,7 @@ def concat(parts: Sequence[Mapping[str, Metric]]) -> dict[str, Metric]:
     for name in dict.fromkeys(name for part in parts for name in part):
         rows = [part[name] if name in part else _make_empty(part) for part in parts]
         metrics[name] = Metric(
-            np.concatenate([row.sums for row in rows]),
-            np.concatenate([row.counts for row in rows]),
+            np.concatenate([row.sums for row in rows]), np.concatenate([row.counts for row in rows])
         )
     return metrics
 

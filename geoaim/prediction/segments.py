@@ -87,9 +87,7 @@ def scale(segments: Segments, factors: Float[Tensor, "2"]) -> Segments:
     size, sign = factors.abs().mean(), factors.sign().prod()
     change = torch.stack([factors[0], factors[1], sign, size]).to(segments.states)
     return replace(
-        segments,
-        states=segments.states * change,
-        stop_lines=segments.stop_lines * change[:2],
+        segments, states=segments.states * change, stop_lines=segments.stop_lines * change[:2]
     )
 
 

@@ -16,12 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
-from geoaim.prediction.batches import (
-    compute_kl_weight,
-    compute_top_k,
-    draw_batch,
-    join_processes,
-)
+from geoaim.prediction.batches import compute_kl_weight, compute_top_k, draw_batch, join_processes
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset

@@ -29,10 +29,7 @@ FORMATS = (PLAIN, SDD, SIND, INTERACTION, IND, HIGHD, GEOTRAX, TRAJNET)
 
 
 def read_tracks(
-    path: str | os.PathLike[str],
-    *,
-    world: World | None = None,
-    resolution: float | None = None,
+    path: str | os.PathLike[str], *, world: World | None = None, resolution: float | None = None
 ) -> Tracks:
     """Read tracks from a file in any known format; the format is detected from its first line.
 

@@ -1,13 +1,7 @@
 import cv2
 import pytest
 
-from geoaim.experiments.places import (
-    DEGRADED_RESOLUTION,
-    MAPS,
-    TEST,
-    TRAIN,
-    read_map,
-)
+from geoaim.experiments.places import DEGRADED_RESOLUTION, MAPS, TEST, TRAIN, read_map
 from geoaim.hdmap.rasterize import GROUND, ROAD, SURFACES
 
 

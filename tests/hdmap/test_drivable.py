@@ -8,11 +8,7 @@ from shapely.geometry import mapping
 
 from geoaim.errors import MapError
 from geoaim.geojson import Feature
-from geoaim.hdmap.drivable import (
-    find_drivable_area,
-    read_drivable_area,
-    sample_lane_directions,
-)
+from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area, sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine, read_hdmap
 from geoaim.track_formats import read_tracks
 from geoaim.world import World

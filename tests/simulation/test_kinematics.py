@@ -4,13 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geoaim.simulation.kinematics import (
-    bicycle,
-    displacement,
-    invert_agents,
-    step_agents,
-    unicycle,
-)
+from geoaim.simulation.kinematics import bicycle, displacement, invert_agents, step_agents, unicycle
 
 LENGTH = torch.tensor(4.5, dtype=torch.float64)
 number = st.floats(-1, 1)

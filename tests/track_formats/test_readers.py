@@ -108,11 +108,7 @@ def test_a_standing_agent_keeps_its_direction(tmp_path):
         (read_interaction, SHORT + "1,0,car,0,0,1,0,9\n", "more fields"),
         (read_geotrax, GEOTRAX, "has no rows"),
         (read_geotrax, GEOTRAX + "1,noon,0,0,0,1,2,37,126,4,2,0\n", "Timestamp is not a time"),
-        (
-            partial(read_sdd, resolution=0.1),
-            "0 1 2 3 4 5 1 0 0 Biker\n",
-            "row is marked as lost",
-        ),
+        (partial(read_sdd, resolution=0.1), "0 1 2 3 4 5 1 0 0 Biker\n", "row is marked as lost"),
         (partial(read_sdd, resolution=0.1), "0 1 2 3\n", "4 columns; 10 are needed"),
     ],
 )

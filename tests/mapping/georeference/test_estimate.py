@@ -10,14 +10,7 @@ from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.world import World, lonlat_from_world
-from tests.mapping.georeference.points import (
-    GRID,
-    SIZE,
-    TILTED,
-    TRUTH,
-    UTM,
-    make_points,
-)
+from tests.mapping.georeference.points import GRID, SIZE, TILTED, TRUTH, UTM, make_points
 
 
 @pytest.mark.parametrize(("truth", "model"), [(TRUTH, "similarity"), (TILTED, "homography")])
