@@ -179,7 +179,7 @@ def _evaluate(predictor: Predictor, scenes: list[Scene]) -> dict[str, Metric]:
 
 def _summarise_fit(fit: Georeference) -> Mapping[str, Any]:
     rms = math.sqrt(float((fit.residuals**2).sum(axis=1).mean()))
-    return {"model": fit.model, "points": len(fit.names), "rms of residuals, m": rms}
+    return {"model": fit.model, "points": len(fit.residuals), "rms of residuals, m": rms}
 
 
 def _read_image(path: Path) -> Array:

@@ -48,7 +48,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         given = fitted - georeference.residuals
         rows = [
             {
-                "name": georeference.names[i],
+                "name": points.names[i],
                 "u": points.pixels[i, 0],
                 "v": points.pixels[i, 1],
                 "x": given[i, 0],

@@ -73,9 +73,6 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
         crs: CRS of the coordinates where the source does not state it; "local" for a local
             plane. Where both state it, they must agree.
 
-    Returns:
-        The control points.
-
     Raises:
         GeoreferenceError: a line cannot be read, is not finite, or the CRS is missing or mixed.
 
@@ -86,14 +83,10 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
         return source if crs is None else replace(source, crs=_merge_crs([source.crs, crs]))
     if isinstance(source, str | Path):
         return _collect_points(read_point_file(Path(source)), crs, str(source))
-    if isinstance(source, tuple) and len(source) == 2 and _are_gcps(source[0]):
+    if isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], CRS | None):
         source, dataset_crs = source
         crs = crs or (dataset_crs.to_string() if dataset_crs else None)
     return _collect_points(_read_objects(source, crs), crs, "control points")
-
-
-def _are_gcps(items: Any) -> bool:
-    return isinstance(items, Sequence) and len(items) > 0 and hasattr(items[0], "row")
 
 
 def _read_objects(items: Iterable[Any], crs: str | None) -> list[PointRow]:

@@ -1,14 +1,8 @@
 """Estimate a georeference from ground control points."""
 
-import warnings
-from dataclasses import dataclass
-
 import numpy as np
-from jaxtyping import Bool, Float
-from numpy import ndarray as Array
-from scipy.special import chdtrc
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.errors import GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
@@ -18,9 +12,13 @@ from geoaim.mapping.georeference.normalised_plane import (
     half_diagonal,
     normalise_pixels,
 )
-from geoaim.mapping.georeference.outliers import find_used_points
-from geoaim.mapping.georeference.point_checks import check_coordinates, check_layout
-from geoaim.mapping.georeference.posterior import NoisePrior, fit_posterior
+from geoaim.mapping.georeference.outliers import reject_outlier
+from geoaim.mapping.georeference.point_checks import (
+    PICKING_SIGMA_PX,
+    check_coordinates,
+    check_layout,
+)
+from geoaim.mapping.georeference.posterior import fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     Candidate,
     PointPairs,
@@ -40,10 +38,6 @@ from geoaim.world import (
     world_from_crs,
 )
 
-DEFAULT_ACCURACY = 2.0  # px, one sigma of a picked point where the caller states none
-DEFAULT_ACCURACY_DOF = 3.0  # degrees of freedom that this counts for in the search for outliers
-STATED_ACCURACY_DOF = 50.0  # and that an accuracy stated by the caller counts for
-MIN_ACCURACY_CHANCE = 0.00135  # a stated accuracy less likely than this (3 sigma) is refuted
 MAX_NOISE = 0.02  # of half the diagonal: 22 px at 1080p, beyond any picking error
 MIN_POINTS_UNUSUAL = 6  # points that prove more stretch or perspective than these two:
 MAX_STRETCH, MAX_PERSPECTIVE = 0.08, 0.45
@@ -51,35 +45,8 @@ MIN_DENOMINATOR = 0.1  # of the transform at the image's corners: above the hori
 MAX_RADIAL = 0.3  # lens term; beyond it the lens folds the image
 
 
-@dataclass(frozen=True)
-class _Problem:
-    """Control points to fit, in world metres and in the normalised plane."""
-
-    points: ControlPoints
-    world: World
-    targets: Points
-    pairs: PointPairs
-    world_from_plane: Float[Array, "3 3"]
-    size: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """Points that were used, and the models fitted to them."""
-
-    used: Bool[Array, "m"]
-    posterior: Posterior
-    candidates: list[Candidate]
-    best: Candidate
-
-
 def estimate_georeference(
-    points: ControlPoints,
-    *,
-    height: int,
-    width: int,
-    world: World | None = None,
-    accuracy: float | None = None,
+    points: ControlPoints, *, height: int, width: int, world: World | None = None
 ) -> Georeference:
     """Estimate the transform from an image to the world from control points picked on it.
 
@@ -92,26 +59,51 @@ def estimate_georeference(
         height: of the image, pixels.
         width: of the image, pixels.
         world: the target plane; None keeps the points' CRS if it is metric, else chooses UTM.
-        accuracy: one sigma of a point's coordinates, pixels, picking and survey together. None
-            assumes 2 px in the search for wrong points, and estimates it from the residuals.
 
     Returns:
-        The georeference.
+        The georeference, with the residual of each point and the uncertainty of any pixel.
 
     Raises:
         GeoreferenceError: the points are too few, repeated, on a line, mirrored, outside the
             image, at an impossible scale, or one is wrong and it cannot be told which.
     """
-    if accuracy is not None and not accuracy > 0.0:
-        raise ValueError(f"accuracy is {accuracy}; it is a positive number of pixels.")
     size = (height, width)
     world, targets = _project_points(points, world)
-    check_layout(points, targets, size, max(accuracy or DEFAULT_ACCURACY, 1.0))
+    check_layout(points, targets, size)
     plane = normalise_pixels(points.pixels, size)
     world_from_plane = fit_similarity(plane, targets)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
-    problem = _Problem(points, world, targets, pairs, world_from_plane, size)
-    return _assemble_georeference(problem, _fit_models(problem, accuracy))
+    sigma = PICKING_SIGMA_PX / half_diagonal(*size)
+    used = reject_outlier(points.names, pairs, sigma)
+    inliers = select_points(points, np.flatnonzero(used).tolist())
+    if not used.all():
+        check_layout(inliers, targets[used], size)
+    posterior, candidates = _fit_models(inliers.names, select_pairs(pairs, used), sigma, size)
+    best = choose_model(candidates)
+    scale = world_from_plane[:2, :2]
+    metres = float(np.sqrt(np.linalg.det(scale)))
+    residuals = apply_terms(best.terms, plane) - pairs.ground
+    leave_one_out = np.linalg.norm(residuals, axis=1)
+    leave_one_out[used] = np.linalg.norm(best.leave_one_out, axis=1)
+    return Georeference(
+        world_from_image=compose_world_from_image(world_from_plane, best.terms, size),
+        world=world,
+        model=best.model,
+        radial=float(best.terms[8]),
+        height=height,
+        width=width,
+        residuals=residuals @ scale.T,
+        leave_one_out=leave_one_out * metres,
+        used=used,
+        candidates={
+            c.model: float(np.sqrt(np.mean(np.sum(c.leave_one_out**2, axis=1)))) * metres
+            for c in candidates
+        },
+        noise=posterior.noise * metres,
+        terms=best.terms,
+        posterior=posterior,
+        world_from_plane=world_from_plane,
+    )
 
 
 def _project_points(points: ControlPoints, world: World | None) -> tuple[World, Points]:
@@ -133,47 +125,15 @@ def _project_points(points: ControlPoints, world: World | None) -> tuple[World, 
     return world, world_from_crs(world, points.coordinates, points.crs)
 
 
-def _fit_models(problem: _Problem, accuracy: float | None) -> _Fit:
-    """Leave out a wrong point, decide on the noise, and fit the models to the others."""
-    points, pairs, size = problem.points, problem.pairs, problem.size
-    prior = _choose_noise_prior(pairs, accuracy, size)
-    used = find_used_points(points.names, pairs, prior)
-    if not used.all():
-        points = select_points(points, np.flatnonzero(used).tolist())
-        pairs = select_pairs(pairs, used)
-        check_layout(points, problem.targets[used], size, max(accuracy or DEFAULT_ACCURACY, 1.0))
-        if prior.dof != STATED_ACCURACY_DOF:
-            prior = _choose_noise_prior(pairs, accuracy, size)
-    if prior.dof != STATED_ACCURACY_DOF:
-        prior = NoisePrior(prior.sigma, 0.0)
-        if accuracy is not None:
-            warnings.warn(
-                f"The control points disagree by more than the stated accuracy of {accuracy:g} px"
-                " allows; the uncertainty follows their disagreement.",
-                GeoaimWarning,
-                stacklevel=3,
-            )
-    posterior = fit_posterior(pairs, prior)
+def _fit_models(
+    names: tuple[str, ...], pairs: PointPairs, sigma: float, size: tuple[int, int]
+) -> tuple[Posterior, list[Candidate]]:
+    """Fit the posterior and each transform model, and check that they are possible."""
+    posterior = fit_posterior(pairs, sigma, 0.0)
     candidates = fit_candidates(pairs, posterior)
-    best = choose_model(candidates)
-    _check_horizon(best, posterior, size)
-    _check_plausibility(points.names, posterior)
-    return _Fit(used, posterior, candidates, best)
-
-
-def _choose_noise_prior(
-    pairs: PointPairs, accuracy: float | None, size: tuple[int, int]
-) -> NoisePrior:
-    """Trust a stated accuracy, unless a chi-square test of the residuals refutes it."""
-    sigma = (accuracy or DEFAULT_ACCURACY) / half_diagonal(*size)
-    if accuracy is None:
-        return NoisePrior(sigma, DEFAULT_ACCURACY_DOF)
-    stated = NoisePrior(sigma, STATED_ACCURACY_DOF)
-    posterior = fit_posterior(pairs, stated)
-    freedom = max(posterior.dof - STATED_ACCURACY_DOF, 0.5)
-    squares = posterior.noise**2 * posterior.dof / sigma**2 - STATED_ACCURACY_DOF
-    refuted = chdtrc(freedom, max(squares, 0.0)) < MIN_ACCURACY_CHANCE
-    return NoisePrior(sigma, DEFAULT_ACCURACY_DOF) if refuted else stated
+    _check_horizon(choose_model(candidates), posterior, size)
+    _check_plausibility(names, posterior)
+    return posterior, candidates
 
 
 def _check_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int]) -> None:
@@ -203,33 +163,3 @@ def _check_plausibility(names: tuple[str, ...], posterior: Posterior) -> None:
             " steep slant: one of them is likely wrong. Check them;"
             f" {MIN_POINTS_UNUSUAL} points would prove it."
         )
-
-
-def _assemble_georeference(problem: _Problem, fit: _Fit) -> Georeference:
-    """Convert the fit to world metres."""
-    scale, best = problem.world_from_plane[:2, :2], fit.best
-    metres = float(np.sqrt(np.linalg.det(scale)))
-    matrix = compose_world_from_image(problem.world_from_plane, best.terms, problem.size)
-    residuals = apply_terms(best.terms, problem.pairs.image) - problem.pairs.ground
-    leave_one_out = np.linalg.norm(residuals, axis=1)
-    leave_one_out[fit.used] = np.linalg.norm(best.leave_one_out, axis=1)
-    return Georeference(
-        world_from_image=matrix,
-        world=problem.world,
-        model=best.model,
-        radial=float(best.terms[8]),
-        height=problem.size[0],
-        width=problem.size[1],
-        residuals=residuals @ scale.T,
-        leave_one_out=leave_one_out * metres,
-        used=fit.used,
-        names=problem.points.names,
-        candidates={
-            c.model: float(np.sqrt(np.mean(np.sum(c.leave_one_out**2, axis=1)))) * metres
-            for c in fit.candidates
-        },
-        noise=fit.posterior.noise * metres,
-        terms=best.terms,
-        posterior=fit.posterior,
-        world_from_plane=problem.world_from_plane,
-    )

@@ -98,7 +98,6 @@ def _assume_georeference(
         residuals=np.empty((0, 2)),
         leave_one_out=np.empty(0),
         used=np.empty(0, bool),
-        names=(),
         candidates={},
         noise=np.nan,
         terms=np.zeros(9),

@@ -29,7 +29,6 @@ class Georeference:
         residuals: (M, 2) fitted minus given, metres, of every control point, used or not.
         leave_one_out: (M,) distance of each point from a fit without it, metres.
         used: (M,) False for a point that was found to be wrong.
-        names: (M,) of the points.
         candidates: root mean square leave-one-out error of each model that was tried, metres.
         noise: one sigma of one coordinate of a control point, metres.
         terms: (9,) the terms of the chosen model (`transform_models`), zero where it has none.
@@ -47,7 +46,6 @@ class Georeference:
     residuals: Points
     leave_one_out: Float[Array, "m"]
     used: Bool[Array, "m"]
-    names: tuple[str, ...]
     candidates: Mapping[str, float] = field(repr=False)
     noise: float
     terms: Float[Array, "9"] = field(repr=False)

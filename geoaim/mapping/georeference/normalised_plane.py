@@ -35,12 +35,12 @@ def fit_similarity(
     One point that is kilometres off would otherwise spoil the scale of everything that follows.
 
     Args:
-        points: (M, 2) points of the normalised plane.
-        targets: (M, 2) their places.
+        points: of the normalised plane.
+        targets: their places.
         mirrored: mirror the points first, y to -y.
 
     Returns:
-        The similarity (3, 3), and its sum of squared residuals.
+        The similarity, targets from points, and its sum of squared residuals.
     """
     z = points[:, 0] + 1j * points[:, 1]
     z = z.conj() if mirrored else z
@@ -61,16 +61,16 @@ def _fit_complex_line(z: Array, q: Array) -> tuple[float, complex, complex]:
 
 
 def undistort_points(pixels: Points, radial: float, height: int, width: int) -> Points:
-    """Remove the radial lens distortion: p (1 + k |p|^2) in the normalised plane.
+    """Remove radial lens distortion: p (1 + k |p|^2) in the normalised plane.
 
     Args:
-        pixels: (M, 2) as they lie in the image.
+        pixels: u, v as they lie in the image.
         radial: k.
         height: of the image, pixels.
         width: of the image, pixels.
 
     Returns:
-        (M, 2) undistorted pixels.
+        Undistorted pixels.
 
     >>> undistort_points(np.array([[0.0, 0.0]]), 0.01, 60, 80)
     array([[-0.4, -0.3]])
@@ -85,13 +85,13 @@ def distort_points(pixels: Points, radial: float, height: int, width: int) -> Po
     """Invert `undistort_points`, by Newton's method on the radius.
 
     Args:
-        pixels: (M, 2) undistorted pixels.
-        radial: k.
+        pixels: undistorted u, v.
+        radial: k of `undistort_points`.
         height: of the image, pixels.
         width: of the image, pixels.
 
     Returns:
-        (M, 2) pixels as they lie in the image.
+        Pixels as they lie in the image.
     """
     centre = np.array([width, height]) / 2.0
     offset = np.asarray(pixels, np.float64) - centre

@@ -8,7 +8,7 @@ from numpy import ndarray as Array
 from scipy.special import fdtrc
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError
-from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, NoisePrior, fit_posterior
+from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,
     Posterior,
@@ -17,34 +17,33 @@ from geoaim.mapping.georeference.transform_models import (
     term_jacobian,
 )
 
+SIGMA_DOF = 3.0  # degrees of freedom that the expected noise counts for
 MAX_CHANCE = 0.005  # points are inconsistent when chance explains them less often than this
 CLEAR_CHANCE = 0.3  # above this, to first order, the test with refits is not needed
 MIN_SUSPICION = 0.05  # least likelihood of a further suspect, relative to the first
 
 
-def find_used_points(
-    names: tuple[str, ...], pairs: PointPairs, prior: NoisePrior
-) -> Bool[Array, "m"]:
-    """Mark all points as used but one that is clearly wrong, with a warning.
+def reject_outlier(names: tuple[str, ...], pairs: PointPairs, sigma: float) -> Bool[Array, "m"]:
+    """Leave out one point that is clearly wrong, with a warning.
 
     Args:
         names: (M,) of the points, for messages.
-        pairs: points in the image and on the ground.
-        prior: expected noise.
+        pairs: the points.
+        sigma: expected noise of a coordinate, in units of the normalised plane.
 
     Returns:
-        (M,) False for the wrong point.
+        (M,) whether each point is used: False for the wrong one.
 
     Raises:
         GeoreferenceError: a point is wrong and it cannot be told which, or several are.
     """
     used = np.ones(len(names), bool)
-    suspects = _find_suspects(pairs, prior)
+    suspects = _find_suspects(pairs, sigma)
     if not suspects:
         return used
     if len(suspects) == 1 and len(names) > 4:
         used[suspects[0]] = False
-        more = _find_suspects(select_pairs(pairs, used), prior)
+        more = _find_suspects(select_pairs(pairs, used), sigma)
         suspects += np.flatnonzero(used)[more].tolist()
     if len(suspects) > 1 or used.all():
         raise GeoreferenceError(
@@ -52,31 +51,33 @@ def find_used_points(
             f" {', '.join(names[i] for i in suspects)}. Check these first, or add points so that"
             " the wrong ones can be told apart."
         )
-    terms = fit_posterior(select_pairs(pairs, used), prior).mean
-    offset = (apply_terms(terms, pairs.image) - pairs.ground)[suspects[0]] / prior.sigma
+    terms = fit_posterior(select_pairs(pairs, used), sigma, SIGMA_DOF).mean
+    offset = (apply_terms(terms, pairs.image) - pairs.ground)[suspects[0]] / sigma
     warnings.warn(
         f"{names[suspects[0]]} is left out: it lies {np.linalg.norm(offset):.3g} times the picking"
         f" error from where the other {used.sum()} points put it. Check its pixel and its"
         " coordinates.",
         GeoaimWarning,
-        stacklevel=4,
+        stacklevel=3,
     )
     return used
 
 
-def _find_suspects(pairs: PointPairs, prior: NoisePrior) -> list[int]:
+def _find_suspects(pairs: PointPairs, sigma: float) -> list[int]:
     """Indices of points of which one must be wrong, the most suspicious first.
 
     Leaving out a point is judged by an F test of the fall in misfit with 2 and n degrees of freedom
     (Cook and Weisberg 1982, 2.2.2), with Bonferroni's correction for the number of points.
     """
     count = len(pairs.image)
-    posterior = fit_posterior(pairs, prior)
-    freedom = prior.dof + 2 * count - 6
+    posterior = fit_posterior(pairs, sigma, SIGMA_DOF)
+    freedom = SIGMA_DOF + 2 * count - 6
     if _is_clearly_consistent(pairs, posterior, freedom):
         return []
     others = ~np.eye(count, dtype=bool)
-    misfits = np.array([fit_posterior(select_pairs(pairs, o), prior).misfit for o in others])
+    misfits = np.array(
+        [fit_posterior(select_pairs(pairs, o), sigma, SIGMA_DOF).misfit for o in others]
+    )
     if count * _fall_by_chance(posterior.misfit, misfits.min(), freedom) > MAX_CHANCE:
         return []
     likelihood = (misfits / misfits.min()) ** (-freedom / 2.0)

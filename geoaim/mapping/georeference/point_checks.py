@@ -16,6 +16,7 @@ from geoaim.mapping.georeference.normalised_plane import (
 from geoaim.world import LONLAT, parse_crs, transform_crs
 
 MIN_POINTS = 4
+PICKING_SIGMA_PX = 2.0  # assumed of a picked point's coordinates
 MIN_PIXEL_DISTANCE = 0.5  # px between two points
 MIN_GROUND_DISTANCE = 1e-3  # m between two points
 MAX_CORNER_ERROR = 0.05  # of half the diagonal: the 95 % region of an affine fit, worst corner
@@ -57,16 +58,13 @@ def _is_in_area(crs: str, coordinates: Points) -> bool:
     return bool(((lonlat >= low) & (lonlat <= high)).all())
 
 
-def check_layout(
-    points: ControlPoints, targets: Points, size: tuple[int, int], accuracy: float
-) -> None:
-    """Check that the points' layout can fix a transform.
+def check_layout(points: ControlPoints, targets: Points, size: tuple[int, int]) -> None:
+    """Check that control points on one image of (height, width) can fix a transform.
 
     Args:
-        points: control points, all on one image.
-        targets: (M, 2) where they lie, metres.
-        size: height and width of the image, pixels.
-        accuracy: one sigma of a picked point, pixels.
+        points: the control points.
+        targets: where they lie, metres.
+        size: of the image, pixels.
 
     Raises:
         GeoreferenceError: the points are too few, on several frames, repeated, on a line, close
@@ -75,7 +73,7 @@ def check_layout(
     _check_count(points)
     _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
     _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
-    _check_spread(points, size, accuracy)
+    _check_spread(points, size)
     _check_mirroring(points, targets, size)
     _check_inside(points, size)
     scale = fit_similarity(normalise_pixels(points.pixels, size), targets)[0][:2, 0]
@@ -112,22 +110,22 @@ def _check_distances(names: tuple[str, ...], values: Points, limit: float, quant
         )
 
 
-def _check_spread(points: ControlPoints, size: tuple[int, int], accuracy: float) -> None:
+def _check_spread(points: ControlPoints, size: tuple[int, int]) -> None:
     """Check the error at the image's corners by an affine fit without any prior."""
     plane = normalise_pixels(points.pixels, size)
     middle = plane.mean(axis=0)
     _, spread, axes = np.linalg.svd(plane - middle, full_matrices=False)
     corners = (normalise_pixels(image_corners(*size), size) - middle) @ axes.T
     leverage = 1.0 / len(plane) + np.sum((corners / np.maximum(spread, 1e-12)) ** 2, axis=1)
-    error = GAUSSIAN_ELLIPSE * accuracy * np.sqrt(leverage).max()
+    error = GAUSSIAN_ELLIPSE * PICKING_SIGMA_PX * np.sqrt(leverage).max()
     if error <= MAX_CORNER_ERROR * half_diagonal(*size):
         return
     layout, remedy = "close together", "far away"
     if spread[1] < 0.2 * spread[0]:
         layout, remedy = "nearly on a line", "off that line"
     raise GeoreferenceError(
-        f"{_list_names(points.names)} lie {layout}: with {accuracy:g} px of picking error the"
-        f" image's corners would be off by {min(error, 1e6):.0f} px. Add a point {remedy}."
+        f"{_list_names(points.names)} lie {layout}: with {PICKING_SIGMA_PX:g} px of picking error"
+        f" the image's corners would be off by {min(error, 1e6):.0f} px. Add a point {remedy}."
     )
 
 

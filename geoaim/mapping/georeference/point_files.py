@@ -31,23 +31,14 @@ Lines = list[tuple[int, str]]  # with their numbers in the file
 
 @dataclass(frozen=True)
 class PointRow:
-    """One control point as a file states it.
+    """One control point as a file states it."""
 
-    Attributes:
-        pixel: u, v with the origin at the image's corner.
-        coordinates: x, y in `crs`.
-        source: file and line, for messages.
-        crs: of the coordinates; None where the file does not state it.
-        name: of the point, or empty.
-        frame: image name or frame index, or empty.
-    """
-
-    pixel: tuple[float, float]
-    coordinates: tuple[float, float]
-    source: str
-    crs: str | None = None
+    pixel: tuple[float, float]  # u, v with the origin at the image's corner
+    coordinates: tuple[float, float]  # x, y in `crs`
+    source: str  # file and line, for messages
+    crs: str | None = None  # None where the file does not state it
     name: str = ""
-    frame: str = ""
+    frame: str = ""  # image name or frame index
 
 
 def read_point_file(path: Path) -> list[PointRow]:

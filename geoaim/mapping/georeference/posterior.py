@@ -6,8 +6,6 @@ covariance of the chosen model ignores the tilt that, say, eight clustered point
 is too small at the corners.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -30,36 +28,24 @@ PRIOR_GROUPS = ([4, 5], [6, 7], [8])  # terms that share a scale
 MAX_ITERATIONS = 30
 
 
-@dataclass(frozen=True)
-class NoisePrior:
-    """The expected noise of a control point (a scaled inverse chi-square prior).
-
-    Attributes:
-        sigma: one standard deviation of a coordinate, in units of the normalised plane.
-        dof: degrees of freedom of the prior; 0: the residuals alone determine the noise.
-    """
-
-    sigma: float
-    dof: float
-
-
-def fit_posterior(pairs: PointPairs, prior: NoisePrior) -> Posterior:
+def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterior:
     """Estimate all nine terms with their prior, and the noise, by iterative reweighting.
 
     The variance of the noise is the mean of the residuals' variance and the expected one, weighted
-    by their degrees of freedom.
+    by their degrees of freedom (a scaled inverse chi-square prior).
 
     Args:
-        pairs: points in the image and on the ground.
-        prior: expected noise; with `dof` 0, any noise from a hundredth of it to three times it or
-            more is possible.
+        pairs: control points.
+        sigma: expected standard deviation of a coordinate, in units of the normalised plane.
+        sigma_dof: degrees of freedom that this counts for; 0: any noise from a hundredth of it to
+            three times it or more is possible, and the residuals alone determine it.
 
     Returns:
-        The posterior.
+        Mean and covariance of the terms, the noise, and the misfit that outliers raise.
     """
     # Start with a wide prior, so that a strong lens is not suppressed.
     precision = 1.0 / np.concatenate([np.full(4, np.inf), 5.0 * PRIOR_SIGMA]) ** 2
-    variance, terms, start = prior.sigma**2, np.full(9, np.nan), None
+    variance, terms, start = sigma**2, np.full(9, np.nan), None
     for _ in range(MAX_ITERATIONS):
         previous = terms
         terms = fit_terms(pairs, list(range(9)), precision * variance, start)
@@ -68,12 +54,12 @@ def fit_posterior(pairs: PointPairs, prior: NoisePrior) -> Posterior:
         inverse = invert_normal_matrix(normal + np.diag(precision * variance))
         squares = float(np.sum((pairs.ground - apply_terms(terms, pairs.image)) ** 2))
         freedom = float(2 * len(pairs.image) - np.trace(inverse @ normal))
-        variance, dof = _estimate_noise(squares, freedom, prior)
+        variance, dof = _estimate_noise(squares, freedom, sigma, sigma_dof)
         precision = _reweight_prior(terms)
         if np.abs(terms - previous).max() < 1e-7:
             break
         start = terms
-    misfit = prior.dof * prior.sigma**2 + squares + variance * float(np.sum(precision * terms**2))
+    misfit = sigma_dof * sigma**2 + squares + variance * float(np.sum(precision * terms**2))
     noise = float(np.sqrt(variance))
     return Posterior(terms, inverse * variance, precision, noise, dof, misfit)
 
@@ -87,23 +73,25 @@ def _reweight_prior(terms: Float[Array, "9"]) -> Float[Array, "9"]:
     return precision
 
 
-def _estimate_noise(squares: float, freedom: float, prior: NoisePrior) -> tuple[float, float]:
+def _estimate_noise(
+    squares: float, freedom: float, sigma: float, sigma_dof: float
+) -> tuple[float, float]:
     """Variance of the noise and its degrees of freedom, from squared residuals and the prior.
 
-    Without degrees of freedom of the prior, the density of sigma is 1 / sigma. Its posterior,
-    integrated numerically, is matched by the scaled inverse chi-square of the same mean and
-    variance (Gelman et al. 2013, Bayesian Data Analysis, 2.6).
+    For `sigma_dof` 0 the density of sigma is 1 / sigma. Its posterior, integrated numerically, is
+    matched by the scaled inverse chi-square of the same mean and variance (Gelman et al. 2013,
+    Bayesian Data Analysis, 2.6).
     """
-    if prior.dof > 0:
-        dof = prior.dof + freedom
-        return (prior.dof * prior.sigma**2 + squares) / dof, dof
-    largest = max(3.0 * prior.sigma, 3.0 * float(np.sqrt(squares / max(freedom, 1.0))))
-    sigma = np.geomspace(0.01 * prior.sigma, largest, 100)
-    logarithm = -freedom * np.log(sigma) - squares / (2.0 * sigma**2)
+    if sigma_dof > 0:
+        dof = sigma_dof + freedom
+        return (sigma_dof * sigma**2 + squares) / dof, dof
+    largest = max(3.0 * sigma, 3.0 * float(np.sqrt(squares / max(freedom, 1.0))))
+    sigmas = np.geomspace(0.01 * sigma, largest, 100)
+    logarithm = -freedom * np.log(sigmas) - squares / (2.0 * sigmas**2)
     weight = np.exp(logarithm - logarithm.max())
     weight /= weight.sum()
-    mean = float(weight @ sigma**2)
-    spread = float(weight @ (sigma**2 - mean) ** 2)
+    mean = float(weight @ sigmas**2)
+    spread = float(weight @ (sigmas**2 - mean) ** 2)
     dof = 4.0 + 2.0 * mean**2 / max(spread, 1e-12 * mean**2)
     return mean * (dof - 2.0) / dof, dof
 

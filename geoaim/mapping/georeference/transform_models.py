@@ -39,41 +39,24 @@ class PointPairs:
 
 @dataclass(frozen=True)
 class Posterior:
-    """All nine terms with their uncertainty, and the noise of the control points.
+    """All nine terms with their uncertainty, and the noise of the control points."""
 
-    Attributes:
-        mean: (9,) most probable terms.
-        covariance: (9, 9) of the terms, at the estimated noise.
-        precision: (9,) inverse variances of the prior, zero for the free similarity terms.
-        noise: standard deviation of one coordinate of one point.
-        dof: degrees of freedom of the noise estimate.
-        misfit: sum of squared residuals, of squared terms over their prior variance, and of the
-            expected noise; in squared units of the plane. An outlier raises it.
-    """
-
-    mean: Terms
-    covariance: Float[Array, "9 9"]
-    precision: Terms
-    noise: float
-    dof: float
-    misfit: float
+    mean: Terms  # most probable terms
+    covariance: Float[Array, "9 9"]  # at the estimated noise
+    precision: Terms  # inverse variances of the prior, zero for the free similarity terms
+    noise: float  # standard deviation of one coordinate of one point
+    dof: float  # degrees of freedom of the noise estimate
+    misfit: float  # squared residuals, and terms over their prior, in the plane; outliers raise it
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One transform model fitted to the points.
+    """One transform model fitted to the points."""
 
-    Attributes:
-        model: "similarity", "affine" or "homography".
-        terms: (9,) zero where the model has no such term.
-        leave_one_out: (M, 2) residual of each point from a fit without it.
-        misfit: squared residuals and squared terms over their prior, in noise variances.
-    """
-
-    model: str
-    terms: Terms
-    leave_one_out: Points
-    misfit: float
+    model: str  # "similarity", "affine" or "homography"
+    terms: Terms  # zero where the model has no such term
+    leave_one_out: Points  # residual of each point from a fit without it
+    misfit: float  # squared residuals, and terms over their prior, in noise variances
 
 
 def select_pairs(pairs: PointPairs, keep: Bool[Array, "m"]) -> PointPairs:
@@ -114,15 +97,15 @@ def _linear_part(terms: Array) -> Array:
 def compose_world_from_image(
     world_from_plane: Float[Array, "3 3"], terms: Terms, size: tuple[int, int]
 ) -> Float[Array, "3 3"]:
-    """Compose the homography of the first eight terms with the normalisations on both sides.
+    """Compose the homography from undistorted pixels to world metres.
 
     Args:
-        world_from_plane: (3, 3) similarity from the normalised plane to world metres.
-        terms: (9,) the nine terms; the lens term is not part of a homography.
+        world_from_plane: similarity from the normalised plane to world metres.
+        terms: of which the lens term is not part of a homography.
         size: height and width of the image, pixels.
 
     Returns:
-        (3, 3) undistorted pixels to world metres.
+        The homography, scaled to 1 in its last element.
     """
     plane = np.eye(3)
     plane[:2, :2], plane[:2, 2], plane[2, :2] = _linear_part(terms), terms[:2], terms[6:8]
@@ -136,13 +119,13 @@ def fit_terms(
     """Fit some of the nine terms by regularised least squares (Levenberg-Marquardt).
 
     Args:
-        pairs: points in the image and on the ground.
+        pairs: control points.
         free: indices of the terms to fit; the others stay zero.
-        ridge: (9,) inverse variances of the terms' prior times the variance of the noise.
-        start: (9,) first values; None starts at zero, the similarity that normalised the points.
+        ridge: inverse variances of the terms' prior times the variance of the noise.
+        start: first values; None starts at zero, the similarity that normalised the points.
 
     Returns:
-        (9,) the terms.
+        All nine terms.
     """
     terms = np.zeros(9)
     root = np.sqrt(ridge[free])
@@ -205,10 +188,9 @@ def choose_model(candidates: list[Candidate]) -> Candidate:
     """
     first = candidates[0]
     considered = [
-        c
-        for c in candidates
-        if first.misfit - c.misfit
-        >= MIN_MISFIT_DROP * (TERM_COUNTS[c.model] - TERM_COUNTS[first.model])
+        candidate
+        for candidate in candidates
+        if first.misfit - candidate.misfit >= MIN_MISFIT_DROP * (TERM_COUNTS[candidate.model] - 4)
     ]
     errors = [float(np.linalg.norm(c.leave_one_out, axis=1).mean()) for c in considered]
     limit = (1.0 + LEAVE_ONE_OUT_MARGIN / len(first.leave_one_out)) * min(errors)

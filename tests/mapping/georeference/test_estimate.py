@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.errors import GeoreferenceError
 from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
@@ -64,12 +64,6 @@ def test_four_points_that_need_an_unusual_transform_are_refused():
     points.coordinates[1] += (30.0, 15.0)
     with pytest.raises(GeoreferenceError, match="gcp0, gcp3, gcp8, gcp11"):
         estimate_georeference(points, **SIZE)
-
-
-def test_an_understated_accuracy_warns():
-    with pytest.warns(GeoaimWarning, match="stated accuracy"):
-        result = estimate_georeference(make_points(noise=6.0), accuracy=0.5, **SIZE)
-    assert result.noise > 0.15
 
 
 def test_local_points_and_a_world_with_a_crs_are_refused():

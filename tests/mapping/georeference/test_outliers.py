@@ -41,4 +41,4 @@ def test_points_left_on_a_line_by_a_wrong_one_are_refused():
     points.coordinates[4] += (400.0, -300.0)
     left_out = pytest.warns(GeoaimWarning, match="gcp6 is left out")
     with left_out, pytest.raises(GeoreferenceError, match="nearly on a line"):
-        estimate_georeference(points, accuracy=1.5, **SIZE)
+        estimate_georeference(points, **SIZE)

@@ -1,6 +1,6 @@
 import numpy as np
 
-from geoaim.mapping.georeference.posterior import NoisePrior, fit_posterior
+from geoaim.mapping.georeference.posterior import fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,
     apply_terms,
@@ -15,7 +15,7 @@ def test_leave_one_out_agrees_with_a_true_refit():
     points = generator.uniform(-0.7, 0.7, (9, 2))
     targets = points + 1e-3 * generator.normal(size=(9, 2))
     pairs = PointPairs(points, targets)
-    posterior = fit_posterior(pairs, NoisePrior(1e-3, 2.0))
+    posterior = fit_posterior(pairs, 1e-3, 2.0)
     ridge = posterior.precision * posterior.noise**2
     for candidate, size in zip(fit_candidates(pairs, posterior), (4, 6, 8), strict=True):
         keep = np.arange(9) != 4
