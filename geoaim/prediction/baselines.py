@@ -95,4 +95,4 @@ def _roll_out(policy: Policy, segments: Segments, history: int) -> Float[Tensor,
         segments.layers == PEDESTRIAN,
         segments.dt,
     )
-    return rollout(scenario, policy, segments.controlled, history=history).states
+    return rollout(scenario, policy, segments.controlled, history=history)

@@ -13,8 +13,6 @@ from geoaim.lights import UNKNOWN
 from geoaim.simulation.infractions import (
     compute_collision_iou,
     compute_offroad_distance,
-    compute_rate,
-    detect_on_lanes,
     detect_red_light_running,
     detect_wrong_way,
 )
@@ -52,14 +50,12 @@ class Episode:
 
     Attributes:
         scene: what happened in the simulation.
-        scenario: what had been recorded, as a batch of one.
         controlled: (A,) agents that the policy moved.
         rates: share of the controlled agents' simulated steps with an infraction, by its name;
             an infraction that could not occur is left out.
     """
 
     scene: Scene
-    scenario: Scenario
     controlled: Bool[Tensor, "A"]
     rates: Mapping[str, float]
 
@@ -97,10 +93,10 @@ def simulate_scene(
     rest = make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
     controlled = _select_controlled(scene, first, steps, ego)
     act = _make_policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
-    result = rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
-    simulated = apply_rollout(scene, result, first)
+    states = rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
+    simulated = apply_rollout(scene, states[0], first)
     rates = _count_infractions(simulated, controlled, rules)
-    return Episode(simulated, scenario, controlled, rates)
+    return Episode(simulated, controlled, rates)
 
 
 def _find_steps(scene: Scene, start: float | None, duration: float) -> tuple[int, int]:
@@ -176,6 +172,12 @@ def _count_infractions(
     if rules.drivable is not None:
         offroad = compute_offroad_distance(rules.drivable, poses, sizes, vehicles) > 0
         found["off road"] = offroad, vehicles
-    if rules.lanes is not None and detect_on_lanes(rules.lanes, poses, vehicles).any():
-        found["wrong way"] = detect_wrong_way(rules.lanes, poses, vehicles), vehicles
-    return {name: float(compute_rate(*pair)) for name, pair in found.items() if pair[1].any()}
+    if rules.lanes is not None:
+        wrong, on_lane = detect_wrong_way(rules.lanes, poses, vehicles)
+        if on_lane.any():
+            found["wrong way"] = wrong, vehicles
+    return {
+        name: float((infractions & chances).sum() / chances.sum())
+        for name, (infractions, chances) in found.items()
+        if chances.any()
+    }

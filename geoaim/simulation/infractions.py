@@ -93,15 +93,13 @@ def compute_collision_iou(
     """Compute the largest intersection over union of each agent's box with another agent's.
 
     Args:
-        poses: (B, A, 3) x, y, heading.
+        poses: (B, A, 3) x, y, heading of one agent or more.
         sizes: (B, A, 2) length and width, metres.
         present: (B, A).
 
     Returns:
         (B, A); an agent collides where it is positive.
     """
-    if poses.shape[1] == 0:
-        return poses.new_zeros(poses.shape[:2])
     return box_iou(poses, sizes, present).amax(dim=-1)
 
 
@@ -120,7 +118,7 @@ def detect_red_light_running(
         poses: (B, A, 3) at its end.
         lengths: (B, A) of the agents, metres.
         present: (B, A) agents present at both.
-        stop_lines: (L, 2, 2) both ends of each line, metres; or (B, L, 2, 2).
+        stop_lines: (L, 2, 2) or (B, L, 2, 2) both ends of each line, metres.
         states: (B, L) of the lights, as in `geoaim.lights`.
 
     Returns:
@@ -140,8 +138,8 @@ def detect_red_light_running(
 
 def detect_wrong_way(
     lanes: Lanes, poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
-) -> Bool[Tensor, "..."]:
-    """Mark agents on one-way lanes whose heading follows none of these lanes.
+) -> tuple[Bool[Tensor, "..."], Bool[Tensor, "..."]]:
+    """Mark agents whose heading follows none of the one-way lanes that they are on.
 
     Args:
         lanes: directions of one-way lanes.
@@ -149,43 +147,16 @@ def detect_wrong_way(
         present: (...).
 
     Returns:
-        (...).
+        (...) agents that drive the wrong way; (...) agents on any one-way lane, which could.
     """
     safe = torch.where(present[..., None], poses, 0.0).reshape(-1, 3)
-    on_lane = _match_lanes(lanes, safe[:, :2])  # (n, M)
-    follows = torch.cos(safe[:, 2:] - lanes.directions) > math.cos(WRONG_WAY_ANGLE_RAD)
-    wrong = on_lane.any(dim=1) & ~(on_lane & follows).any(dim=1)
-    return wrong.view(present.shape) & present
-
-
-def detect_on_lanes(
-    lanes: Lanes, poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
-) -> Bool[Tensor, "..."]:
-    """Mark agents on one-way lanes: those that could drive the wrong way.
-
-    Args:
-        lanes: directions of one-way lanes.
-        poses: (..., 3) x, y, heading.
-        present: (...).
-
-    Returns:
-        (...).
-    """
-    safe = torch.where(present[..., None], poses, 0.0).reshape(-1, 3)
-    return _match_lanes(lanes, safe[:, :2]).any(dim=1).view(present.shape) & present
-
-
-def compute_rate(
-    infractions: Bool[Tensor, "..."], present: Bool[Tensor, "..."]
-) -> Float[Tensor, ""]:
-    """Compute the share of present agents and steps with an infraction; 0 without any."""
-    return (infractions & present).sum() / present.sum().clamp_min(1)
-
-
-def _match_lanes(lanes: Lanes, points: Float[Tensor, "n 2"]) -> Bool[Tensor, "n M"]:
-    """Mark the lane points within whose radius each point lies."""
     exact = "donot_use_mm_for_euclid_dist"  # matrix products are inexact far from the origin
-    return torch.cdist(points, lanes.points.to(points), compute_mode=exact) < lanes.radii
+    distances = torch.cdist(safe[:, :2], lanes.points.to(safe), compute_mode=exact)
+    matches = distances < lanes.radii  # (n, M)
+    follows = torch.cos(safe[:, 2:] - lanes.directions) > math.cos(WRONG_WAY_ANGLE_RAD)
+    on_lane = matches.any(dim=1)
+    wrong = on_lane & ~(matches & follows).any(dim=1)
+    return wrong.view(present.shape) & present, on_lane.view(present.shape) & present
 
 
 def _locate_fronts(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 WHEELBASE_PER_LENGTH = 0.6  # the axles lie symmetrically about the box's centre
@@ -112,55 +112,6 @@ def agent_from_world(state: State, points: Float[Tensor, "... 2"]) -> Float[Tens
     x, y = (points - state[..., :2]).unbind(-1)
     cosine, sine = state[..., 2].cos(), state[..., 2].sin()
     return torch.stack([x * cosine + y * sine, y * cosine - x * sine], dim=-1)
-
-
-def step_agents(
-    state: State,
-    action: Action,
-    length: Float[Tensor, "..."],
-    pedestrian: Bool[Tensor, "..."],
-    dt: float,
-) -> State:
-    """Move vehicles by the bicycle and pedestrians by the unicycle model, in one batch.
-
-    Args:
-        state: (..., 4) before the step.
-        action: (..., 2) of each agent's motion model.
-        length: (...) of the agents, metres.
-        pedestrian: (...) agents that move by the unicycle model.
-        dt: of the step, seconds.
-
-    Returns:
-        (..., 4) states after the step.
-    """
-    drive = torch.where(pedestrian[..., None], 0.0, action)  # a turn rate is not a steering angle
-    safe_length = torch.where(pedestrian, 1.0, length)  # gradients stay finite where it is 0
-    driven = bicycle.step(state, drive, safe_length, dt)
-    return torch.where(pedestrian[..., None], unicycle.step(state, action, length, dt), driven)
-
-
-def invert_agents(
-    state: State,
-    next_state: State,
-    length: Float[Tensor, "..."],
-    pedestrian: Bool[Tensor, "..."],
-    dt: float,
-) -> Action:
-    """Find the actions whose `step_agents` reaches the next states' speeds and headings.
-
-    Args:
-        state: (..., 4) before the step.
-        next_state: (..., 4) after it.
-        length: (...) of the agents, metres.
-        pedestrian: (...) agents that move by the unicycle model.
-        dt: of the step, seconds.
-
-    Returns:
-        (..., 2) the action of each agent's motion model.
-    """
-    walked = unicycle.inverse(state, next_state, length, dt)
-    driven = bicycle.inverse(state, next_state, length, dt)
-    return torch.where(pedestrian[..., None], walked, driven)
 
 
 def wrap_angle(angle: Float[Tensor, "..."]) -> Float[Tensor, "..."]:

@@ -6,9 +6,9 @@ from torch import Tensor
 
 from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.lights import RED, YELLOW
-from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, invert_agents
+from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH
 from geoaim.simulation.overlap import cross
-from geoaim.simulation.simulator import Policy, Scenario
+from geoaim.simulation.simulator import Policy, Scenario, invert_step
 
 # calmer than in `geoaim.synthetic.traffic`, where brisk drivers empty short green phases
 DRIVER = DriverParameters(acceleration=1.5, deceleration=2.0, standstill_gap=2.0, headway=1.5)
@@ -35,15 +35,13 @@ def constant_turn_rate(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Te
     now = path.shape[1] - 1
     present = scenario.present[:, now - 1] & scenario.present[:, now]
     last = torch.where(present[..., None], path[:, -2], path[:, -1])
-    lengths = scenario.sizes[..., 0]
-    actions = invert_agents(last, path[:, -1], lengths, scenario.pedestrian, scenario.dt)
+    actions = invert_step(scenario, last, path[:, -1])
     return torch.stack([torch.zeros_like(actions[..., 0]), actions[..., 1]], dim=-1)
 
 
 def replay(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
     """Reach the recorded speed and heading of the next step."""
-    recorded, lengths = scenario.states[:, path.shape[1]], scenario.sizes[..., 0]
-    return invert_agents(path[:, -1], recorded, lengths, scenario.pedestrian, scenario.dt)
+    return invert_step(scenario, path[:, -1], scenario.states[:, path.shape[1]])
 
 
 def make_idm_policy(

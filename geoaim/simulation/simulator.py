@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from geoaim.agent_types import select_group
-from geoaim.simulation.kinematics import step_agents
-from geoaim.simulation.scene import Scene
+from geoaim.simulation.kinematics import bicycle, unicycle
+from geoaim.simulation.scene import Scene, slice_scene
 
 ROUTE_SPACING_M = 1.0  # above the jitter in the recorded positions of waiting agents
-RECOMPUTATION_TOLERANCE = 1e-3  # between an action and the same action computed again
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +37,7 @@ class Scenario:
     dt: float
 
 
-@dataclass(frozen=True, eq=False)
-class Rollout:
-    """What happened in a simulation.
-
-    Attributes:
-        states: (B, T, A, 4) x, y, heading, speed.
-        present: (B, T, A).
-        actions: (B, S, A, 2) of the S simulated steps, the last of the T.
-    """
-
-    states: Float[Tensor, "B T A 4"]
-    present: Bool[Tensor, "B T A"]
-    actions: Float[Tensor, "B S A 2"]
-
-
-# from a scenario and the states so far to the actions of all agents
+# from a scenario and the states so far, until the step t, to the actions of all agents
 Policy = Callable[[Scenario, Float[Tensor, "B t A 4"]], Float[Tensor, "B A 2"]]
 
 
@@ -88,30 +71,21 @@ def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenari
     return Scenario(states, present, sizes, pedestrian.expand(count, -1), scene.dt)
 
 
-def apply_rollout(scene: Scene, rollout: Rollout, start: int, index: int = 0) -> Scene:
+def apply_rollout(scene: Scene, states: Float[Tensor, "T A 4"], start: int) -> Scene:
     """Make a scene of a simulation, to render it or to write its tracks.
 
     Args:
         scene: in which it was simulated.
-        rollout: a batch of simulations.
+        states: (T, A, 4) x, y, heading, speed of all agents, from `rollout`.
         start: step of the scene at which the simulation begins.
-        index: of the simulation in the batch.
 
     Returns:
-        The scene of the simulated steps, with agents as simulated.
+        The scene of the T simulated steps; agents are present as in the recording.
     """
-    steps = slice(start, start + rollout.states.shape[1])
-    present = rollout.present[index].t()
-    states = rollout.states[index].detach().transpose(0, 1)
-    states = torch.where(present[..., None], states, torch.nan)
-    return replace(
-        scene,
-        times=scene.times[steps],
-        poses=states[..., :3],
-        speeds=states[..., 3],
-        present=present,
-        light_states=scene.light_states[steps],
-    )
+    part = slice_scene(scene, slice(start, start + len(states)))
+    states = states.detach().transpose(0, 1)
+    states = torch.where(part.present[..., None], states, torch.nan)
+    return replace(part, poses=states[..., :3], speeds=states[..., 3])
 
 
 def extract_routes(scenario: Scenario) -> Float[Tensor, "B A P 2"]:
@@ -161,97 +135,68 @@ def step(
     Args:
         scenario: the recording.
         index: of the step from which it leads to the next.
-        states: (B, A, 4) at that step.
-        actions: (B, A, 2) accelerations, and steering angles or turn rates.
+        states: (B, A, 4) x, y, heading, speed at that step.
+        actions: (B, A, 2) acceleration, m/s², and steering angle, radians; of pedestrians turn
+            rate, rad/s.
         controlled: (B, A) agents that the actions move.
 
     Returns:
         (B, A, 4) states at the next step.
     """
     moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
+    drives = moved & ~scenario.pedestrian
+    safe_lengths = torch.where(drives, scenario.sizes[..., 0], 1.0)  # of padded agents it may be 0
+    steering = torch.where(drives[..., None], actions, 0.0)  # a turn rate is not a steering angle
+    driven = bicycle.step(states, steering, safe_lengths, scenario.dt)
     safe_actions = torch.where(moved[..., None], actions, 0.0)
-    lengths = torch.where(moved, scenario.sizes[..., 0], 1.0)  # of padded agents it may be 0
-    acted = step_agents(states, safe_actions, lengths, scenario.pedestrian, scenario.dt)
+    walked = unicycle.step(states, safe_actions, safe_lengths, scenario.dt)
+    acted = torch.where(drives[..., None], driven, walked)
     return torch.where(moved[..., None], acted, scenario.states[:, index + 1])
 
 
-def rollout(
-    scenario: Scenario,
-    policy: Policy,
-    controlled: Bool[Tensor, "B A"],
-    *,
-    history: int = 1,
-    checkpointing: bool = False,
-    generator: torch.Generator | None = None,
-) -> Rollout:
-    """Simulate a scenario to its end.
+def invert_step(
+    scenario: Scenario, states: Float[Tensor, "B A 4"], next_states: Float[Tensor, "B A 4"]
+) -> Float[Tensor, "B A 2"]:
+    """Find the actions by which `step` reaches the next states' speeds and headings.
 
     Args:
         scenario: the recording.
-        policy: from the scenario and the states so far, (B, t, A, 4), to the actions of all agents,
-            (B, A, 2); it must not read later steps of the scenario.
-        controlled: (B, A) agents that the policy moves.
-        history: first steps, in which all agents replay.
-        checkpointing: store states only and compute each step again in the backward pass, as
-            `torch.utils.checkpoint` does.
-        generator: of the policy's noise; with checkpointing, the backward pass draws it again.
+        states: (B, A, 4) x, y, heading, speed before the step.
+        next_states: (B, A, 4) after it.
 
     Returns:
-        States, presence and actions.
+        (B, A, 2) actions, as of `step`.
+    """
+    given = states, next_states, scenario.sizes[..., 0], scenario.dt
+    walks = scenario.pedestrian[..., None]
+    return torch.where(walks, unicycle.inverse(*given), bicycle.inverse(*given))
+
+
+def rollout(
+    scenario: Scenario, policy: Policy, controlled: Bool[Tensor, "B A"], *, history: int = 1
+) -> Float[Tensor, "B T A 4"]:
+    """Simulate a scenario to its end; differentiable back to its first state.
+
+    Args:
+        scenario: the recording.
+        policy: gives the actions of all agents; it must not read later steps of the scenario.
+        controlled: (B, A) agents that the policy moves.
+        history: first steps, in which all agents replay.
+
+    Returns:
+        (B, T, A, 4) x, y, heading, speed of all agents at all steps.
 
     Raises:
-        ValueError: no step is left to simulate, or an action is not finite; in the backward pass
-            with checkpointing, the policy gives another action than before.
+        ValueError: no step is left to simulate, or an action is not finite.
     """
     total = scenario.states.shape[1]
     if not 1 <= history < total:
         raise ValueError(f"{history} of {total} steps are history; from 1 to {total - 1} can be")
     path = list(scenario.states[:, :history].unbind(1))
-    actions = []
-
-    def advance(act: Policy, index: int, *path: Tensor) -> tuple[Tensor, Tensor]:
-        action = act(scenario, torch.stack(path, dim=1))
-        return step(scenario, index, path[-1], action, controlled), action
-
     for index in range(history - 1, total - 1):
-        if checkpointing:
-            repeatable = _make_repeatable(policy, generator or torch.default_generator)
-            states, action = checkpoint(advance, repeatable, index, *path, use_reentrant=False)
-        else:
-            states, action = advance(policy, index, *path)
+        actions = policy(scenario, torch.stack(path, dim=1))
         moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
-        if not torch.isfinite(action[moved]).all():
+        if not torch.isfinite(actions[moved]).all():
             raise ValueError(f"at step {index} the policy gives an action that is not finite")
-        path.append(states)
-        actions.append(action)
-    return Rollout(torch.stack(path, dim=1), scenario.present, torch.stack(actions, dim=1))
-
-
-def _make_repeatable(policy: Policy, generator: torch.Generator) -> Policy:
-    """Wrap a policy for one step: later calls draw the noise of the first one.
-
-    Later calls leave the generator as it was, even where torch interrupts them because it has
-    recomputed all it needs.
-    """
-    first_state, first_action = generator.get_state(), list[Tensor]()
-
-    def act(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-        if not first_action:
-            action = policy(scenario, path)
-            first_action.append(action.detach())
-            return action
-        state = generator.get_state()
-        generator.set_state(first_state)
-        try:
-            action = policy(scenario, path)
-        finally:
-            generator.set_state(state)
-        tolerance = RECOMPUTATION_TOLERANCE
-        if not torch.allclose(action, first_action[0], tolerance, tolerance, equal_nan=True):
-            raise ValueError(
-                f"computed again at step {path.shape[1] - 1}, the policy gives another action: "
-                "give rollout its generator, draw its noise beforehand, or disable checkpointing"
-            )
-        return action
-
-    return act
+        path.append(step(scenario, index, path[-1], actions, controlled))
+    return torch.stack(path, dim=1)

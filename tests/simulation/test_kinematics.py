@@ -4,7 +4,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geoaim.simulation.kinematics import bicycle, displacement, invert_agents, step_agents, unicycle
+from geoaim.simulation.kinematics import bicycle, displacement, unicycle
 
 LENGTH = torch.tensor(4.5, dtype=torch.float64)
 number = st.floats(-1, 1)
@@ -78,16 +78,6 @@ def test_steps_have_right_gradients(motion):
     assert torch.autograd.gradcheck(lambda s, a: motion.step(s, a, LENGTH, 0.2), (state, action))
 
 
-def test_mask_selects_the_motion_model():
-    state = torch.stack([_state(0, 0, 0.2, 0.5)] * 2)
-    action = torch.tensor([[1.0, 0.3], [1.0, 2.5]]).double()
-    pedestrian, lengths = torch.tensor([False, True]), LENGTH.expand(2)
-    after = step_agents(state, action, lengths, pedestrian, 0.1)
-    torch.testing.assert_close(after[0], bicycle.step(state[0], action[0], LENGTH, 0.1))
-    torch.testing.assert_close(after[1], unicycle.step(state[1], action[1], LENGTH, 0.1))
-    torch.testing.assert_close(invert_agents(state, after, lengths, pedestrian, 0.1), action)
-
-
 def test_displacement_has_gradients_at_standstill():
     state = _state(0, 0, 0.3, 0)
     action = torch.zeros(2, dtype=torch.float64, requires_grad=True)
@@ -97,10 +87,3 @@ def test_displacement_has_gradients_at_standstill():
     turn = torch.tensor([[np.cos(0.93), -np.sin(0.93)], [np.sin(0.93), np.cos(0.93)]])
     torch.testing.assert_close(jacobian[:2], turn.double())
     assert not jacobian[2:].any()
-
-
-def test_pedestrians_without_a_length_have_gradients():
-    state, pedestrian = torch.zeros(1, 4, requires_grad=True), torch.tensor([True])
-    after = step_agents(state, torch.ones(1, 2), torch.zeros(1), pedestrian, 0.1)
-    (gradient,) = torch.autograd.grad(after.sum(), state)
-    assert torch.isfinite(gradient).all()

@@ -1,19 +1,24 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
 
 from geoaim.lights import GREEN, RED
 from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, render
-from geoaim.simulation.kinematics import bicycle
+from geoaim.simulation.kinematics import bicycle, unicycle
 from geoaim.simulation.policies import (
     constant_turn_rate,
     constant_velocity,
     make_idm_policy,
     replay,
 )
-from geoaim.simulation.simulator import Scenario, apply_rollout, extract_routes, rollout
+from geoaim.simulation.simulator import (
+    Scenario,
+    apply_rollout,
+    extract_routes,
+    invert_step,
+    rollout,
+    step,
+)
 
 DT = 0.1
 
@@ -42,10 +47,25 @@ ALL_AGENTS = torch.ones(1, 3, dtype=torch.bool)
 def test_replay_reproduces_the_recording():
     scenario = _recording()
     result = rollout(scenario, replay, ALL_AGENTS)
-    apart = (result.states - scenario.states)[..., :2].norm(dim=-1)
+    apart = (result - scenario.states)[..., :2].norm(dim=-1)
     assert apart[scenario.present].max() < 1e-6
-    assert torch.equal(result.present, scenario.present)
-    assert result.actions.shape == (1, 20, 3, 2)
+
+
+def test_pedestrians_move_by_the_unicycle_and_all_others_by_the_bicycle():
+    states = torch.tensor([[8.0, 1.0, 0.6, 4.0], [8.0, 1.0, 0.6, 4.0]]).double()
+    actions = torch.tensor([[1.0, 0.3], [1.0, 2.5]]).double()
+    sizes = torch.tensor([[4.5, 1.9], [0.0, 0.0]]).double()  # a padded pedestrian has no length
+    both = torch.ones(1, 2, 2, dtype=torch.bool)
+    pedestrian = torch.tensor([[False, True]])
+    scenario = Scenario(states.expand(1, 2, 2, 4), both, sizes[None], pedestrian, DT)
+    start = states[None].requires_grad_()
+    after = step(scenario, 0, start, actions[None], both[:, 0])
+    length = sizes[0, 0]
+    torch.testing.assert_close(after[0, 0], bicycle.step(states[0], actions[0], length, DT))
+    torch.testing.assert_close(after[0, 1], unicycle.step(states[1], actions[1], length, DT))
+    torch.testing.assert_close(invert_step(scenario, states[None], after)[0], actions)
+    (gradient,) = torch.autograd.grad(after.sum(), start)
+    assert torch.isfinite(gradient).all()
 
 
 def test_agents_that_are_not_controlled_replay_the_recording():
@@ -56,25 +76,25 @@ def test_agents_that_are_not_controlled_replay_the_recording():
 
     controlled = torch.tensor([[True, False, False]])
     result = rollout(scenario, wild, controlled)
-    torch.testing.assert_close(result.states[:, :, 1:], scenario.states[:, :, 1:])
-    assert (result.states[0, -1, 0] - scenario.states[0, -1, 0]).norm() > 1
+    torch.testing.assert_close(result[:, :, 1:], scenario.states[:, :, 1:])
+    assert (result[0, -1, 0] - scenario.states[0, -1, 0]).norm() > 1
 
 
 def test_agents_enter_in_the_recorded_state():
     scenario = _recording()
     result = rollout(scenario, constant_velocity, ALL_AGENTS)
-    torch.testing.assert_close(result.states[0, 5, 2], scenario.states[0, 5, 2])
-    torch.testing.assert_close(result.states[0, 14, 2], scenario.states[0, 14, 2])
-    assert not result.states[0, 15:, 2].any()
+    torch.testing.assert_close(result[0, 5, 2], scenario.states[0, 5, 2])
+    torch.testing.assert_close(result[0, 14, 2], scenario.states[0, 14, 2])
+    assert not result[0, 15:, 2].any()
 
 
 def test_simple_policies_keep_velocity_or_turn_rate():
     scenario = _recording()
     straight = rollout(scenario, constant_velocity, ALL_AGENTS, history=5)
     round_on = rollout(scenario, constant_turn_rate, ALL_AGENTS, history=5)
-    torch.testing.assert_close(straight.states[:, :, 0], scenario.states[:, :, 0])
-    assert (straight.states - scenario.states)[0, -1, 1, :2].norm() > 0.5
-    assert (round_on.states - scenario.states)[0, -1, 1, :2].norm() < 1e-6
+    torch.testing.assert_close(straight[:, :, 0], scenario.states[:, :, 0])
+    assert (straight - scenario.states)[0, -1, 1, :2].norm() > 0.5
+    assert (round_on - scenario.states)[0, -1, 1, :2].norm() < 1e-6
 
 
 def test_idm_follows_its_route_and_stops_behind_others():
@@ -87,7 +107,7 @@ def test_idm_follows_its_route_and_stops_behind_others():
     bend = torch.linspace(0, 80, 81).double()
     route = torch.stack([bend, 6 * torch.sin(bend / 80 * np.pi)], -1).expand(1, 2, 81, 2)
     policy = make_idm_policy(route, torch.full((1, 2), 12.0).double())
-    result = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    result = rollout(scenario, policy, torch.tensor([[True, False]]))[0, :, 0]
     assert result[:, 3].max() > 9
     assert result[-1, 3].abs() < 0.1
     gap = 80 - float(result[-1, 0]) - 4.5
@@ -111,7 +131,7 @@ def test_idm_waits_for_green():
     light = torch.full((1, steps, 1), RED)
     light[:, 120:] = GREEN
     policy = make_idm_policy(route, torch.full((1, 2), 8.0).double(), line, light)
-    result = rollout(scenario, policy, torch.ones(1, 2).bool()).states[0]
+    result = rollout(scenario, policy, torch.ones(1, 2).bool())[0]
     front = result[:, 0, 0] + 4.5 / 2
     assert front[:120].max() < 40
     assert front[119] > 37
@@ -136,7 +156,7 @@ def test_gradients_through_ten_steps_of_rendering_and_driving():
             pictures = [render(view, now[:, a, :3], ground, [everyone]) for a in range(3)]
             return torch.stack([picture.flatten(1) @ weights for picture in pictures], 1)
 
-        return rollout(scenario, policy, ALL_AGENTS).states[:, -1, :2]
+        return rollout(scenario, policy, ALL_AGENTS)[:, -1, :2]
 
     given = weights.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(last(given).sum(), given)
@@ -145,22 +165,6 @@ def test_gradients_through_ten_steps_of_rendering_and_driving():
         step[row, column] = 1e-5
         expected = (last(weights + step).sum() - last(weights - step).sum()) / 2e-5
         assert float(gradient[row, column]) == pytest.approx(float(expected), rel=2e-3, abs=1e-4)
-
-
-def test_checkpointing_gives_the_same_gradients():
-    scenario = _recording()
-    push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
-
-    def policy(scenario, path):
-        return push * torch.ones_like(path[:, -1, :, :2])
-
-    full, lean = (
-        torch.autograd.grad(
-            rollout(scenario, policy, ALL_AGENTS, checkpointing=lean).states.sum(), push
-        )[0]
-        for lean in (False, True)
-    )
-    torch.testing.assert_close(full, lean)
 
 
 def test_what_cannot_be_simulated_is_refused():
@@ -175,28 +179,6 @@ def test_what_cannot_be_simulated_is_refused():
         rollout(scenario, lost, ALL_AGENTS)
 
 
-def test_checkpointing_draws_the_same_noise_again():
-    scenario, generator = _recording(), torch.Generator().manual_seed(0)
-    push = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
-
-    def policy(scenario, path):
-        now = path[:, -1, :, :2]
-        return push * torch.randn(now.shape, generator=generator, dtype=now.dtype)
-
-    def gradient(**given):
-        generator.manual_seed(1)
-        result = rollout(scenario, policy, ALL_AGENTS, **given)
-        (gradient,) = torch.autograd.grad(result.states.sum(), push)
-        return gradient, torch.rand(1, generator=generator)
-
-    full, after = gradient()
-    lean, same = gradient(checkpointing=True, generator=generator)
-    torch.testing.assert_close(full, lean)
-    assert torch.equal(after, same)  # the way back leaves the generator where it was
-    with pytest.raises(ValueError, match="give rollout its generator"):
-        gradient(checkpointing=True)
-
-
 def test_padded_agents_without_sizes_have_gradients():
     scenario = _recording()
     present = scenario.present.clone()
@@ -204,7 +186,7 @@ def test_padded_agents_without_sizes_have_gradients():
     sizes = scenario.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
     states = scenario.states.clone().requires_grad_()
     padded = Scenario(states, present, sizes, torch.zeros_like(scenario.pedestrian), DT)
-    result = rollout(padded, constant_velocity, ALL_AGENTS).states
+    result = rollout(padded, constant_velocity, ALL_AGENTS)
     (gradient,) = torch.autograd.grad(result.sum(), states)
     assert torch.isfinite(gradient).all()
 
@@ -229,7 +211,7 @@ def test_routes_extend_straight_on_where_agents_wait(far):
     route = extract_routes(scenario)
     assert route.diff(dim=2).norm(dim=-1).min() > 0.99
     policy = make_idm_policy(route, torch.full((1, 2), 8.0).double())
-    result = rollout(scenario, policy, torch.tensor([[True, False]])).states[0, :, 0]
+    result = rollout(scenario, policy, torch.tensor([[True, False]]))[0, :, 0]
     assert result[:, 1].abs().max() < 0.2
     if far < 100:
         assert 1.5 < 30 + far - float(result[-1, 0]) - 4.5 < 4
@@ -274,6 +256,6 @@ def test_absent_agents_of_a_simulated_scene_are_nan():
         torch.zeros(0, 2, 2),
         torch.zeros(21, 0, dtype=torch.int8),
     )
-    after = apply_rollout(scene, replace(result, states=result.states.float()), 0)
+    after = apply_rollout(scene, result[0].float(), 0)
     assert torch.equal(torch.isfinite(after.speeds), after.present)
     assert torch.equal(torch.isfinite(after.poses).all(dim=2), after.present)
