@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import av
-import numpy as np
 
 from geoaim.errors import GeoaimWarning, VideoError
-from geoaim.mapping.video.frames import UPRIGHT, Frame, Orientation
+from geoaim.mapping.video.frames import Frame
 
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 DEFAULT_RATE = 25  # frames per second, where a file states none
@@ -23,29 +22,17 @@ MIN_END_TOLERANCE_S = 0.25  # by which a file may last beyond the time of its la
 
 @dataclass(frozen=True)
 class VideoFile:
-    """A video file that can be decoded, and the properties that it states.
-
-    Attributes:
-        path: the file.
-        threads: decoding threads; None leaves the number to the decoder.
-        stored_size: (height, width) of the decoded frames, before `orientation` is applied.
-        orientation: how decoded frames become upright.
-        start: presentation time of the first frame, seconds; NaN where frames carry no time.
-        rate: average frames per second.
-        count: number of frames that the file states; 0 when it states none.
-        count_is_exact: whether `count` is a count of frames, not duration times rate.
-        seekable: whether frames can be found by time; not in raw streams and AVI.
-    """
+    """A video file that can be decoded, and the properties that it states."""
 
     path: Path
-    threads: int | None
-    stored_size: tuple[int, int]
-    orientation: Orientation
-    start: float
-    rate: float
-    count: int
-    count_is_exact: bool
-    seekable: bool
+    threads: int | None  # for decoding; None leaves the number to the decoder
+    stored_size: tuple[int, int]  # (height, width) of decoded frames, before they are turned
+    quarter_turns: int  # counter-clockwise, that turn a decoded frame upright
+    start: float  # presentation time of the first frame, seconds; NaN where frames carry none
+    rate: float  # frames per second, on average
+    count: int  # of frames that the file states; 0 when it states none
+    count_is_exact: bool  # whether `count` is a count of frames, not duration times rate
+    seekable: bool  # whether frames can be found by time; not in raw streams and AVI
 
 
 @dataclass(frozen=True)
@@ -70,16 +57,17 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         first = next((frame for frame in decoded if frame is not None), None)
         if first is None:
             raise VideoError(f"{path}: no frame could be decoded; the file is damaged")
-        count, count_is_exact = _read_frame_count(container, stream)
+        rate = float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
+        count, count_is_exact = _read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
         by_time = any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
         return VideoFile(
             path=path,
             threads=threads,
             stored_size=(first.height, first.width),
-            orientation=_read_orientation(first),
+            quarter_turns=round(first.rotation / 90),
             start=float(first.pts * stream.time_base) if stamped else math.nan,
-            rate=_read_rate(stream),
+            rate=rate,
             count=count,
             count_is_exact=count_is_exact,
             seekable=stamped and count > 0 and by_time,
@@ -109,18 +97,10 @@ def read_frames(file: VideoFile) -> Iterator[Frame]:
 
 
 def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterator[Frame]:
-    """Yield the frames displayed at given times, in order and each once.
+    """Yield the frames displayed at given times (s, ascending), each once.
 
     For each time only the frames from the preceding keyframe on are decoded, or a single keyframe
-    where one lies within `slack` seconds of the time.
-
-    Args:
-        file: the file.
-        times: seconds, in ascending order.
-        slack: seconds; 0 decodes exactly the frame at each time.
-
-    Yields:
-        The frames; their index is estimated from the time.
+    where one lies within `slack` seconds of the time. The index is estimated from the time.
     """
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)
@@ -178,29 +158,15 @@ def _select_stream(container: Any, path: Path, threads: int | None) -> Any:
     return streams[0]
 
 
-def _read_orientation(frame: Any) -> Orientation:
-    """From the display matrix: stored (x, y) is shown at (a x + c y, b x + d y)."""
-    matrix = frame.side_data.get("DISPLAYMATRIX")
-    if matrix is None:
-        return UPRIGHT
-    a, b, _, c, d = np.frombuffer(matrix, "<i4")[:5].tolist()
-    transpose = abs(b) > abs(a)
-    return Orientation(transpose, (b if transpose else d) < 0, (c if transpose else a) < 0)
-
-
-def _read_rate(stream: Any) -> float:
-    return float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
-
-
-def _read_frame_count(container: Any, stream: Any) -> tuple[int, bool]:
+def _read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:
     """Number of frames that the file states, and whether it is a count, not a duration."""
     if stream.frames and "mov" in container.format.name:  # an edit list may hide some of them
         return sum(not entry.is_discard for entry in stream.index_entries), True
     if stream.frames:
         return stream.frames, True
     if stream.duration is not None:
-        return round(stream.duration * stream.time_base * _read_rate(stream)), False
-    return round((container.duration or 0) / av.time_base * _read_rate(stream)), False
+        return round(stream.duration * stream.time_base * rate), False
+    return round((container.duration or 0) / av.time_base * rate), False
 
 
 def _decode(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
@@ -239,7 +205,7 @@ def _make_frame(file: VideoFile, decoded: Any, index: int, time: float) -> Frame
             f"{file.path}: frame {index} has {decoded.height} x {decoded.width} pixels (height x "
             f"width), the first has {file.stored_size[0]} x {file.stored_size[1]}; split the file"
         )
-    return Frame(index, time, None, decoded, file.orientation)
+    return Frame(index, time, None, decoded, file.quarter_turns)
 
 
 def _warn_of_gaps(file: VideoFile, gaps: list[str], index: int, time: float) -> None:

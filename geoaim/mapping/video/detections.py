@@ -65,13 +65,9 @@ def mask_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Bool[Array,
 def _read_yolo(file: Path, size: tuple[int, int]) -> Float[Array, "N 4"]:
     """Boxes in pixels of a (height, width) image."""
     rows = [line.split() for line in file.read_text().splitlines() if line.strip()]
-    malformed = [row for row in rows if len(row) not in (5, 6)]
-    if malformed:
-        raise GeoaimError(
-            f"{file}: a row has {len(malformed[0])} fields; class, x, y, width and height are "
-            "needed (a confidence may follow)"
-        )
     try:
+        if not all(len(row) in (5, 6) for row in rows):
+            raise ValueError("5 fields are needed, a confidence may follow")
         values = np.array([[float(value) for value in row[1:5]] for row in rows]).reshape(-1, 4)
     except ValueError as error:
         raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error

@@ -20,23 +20,12 @@ BT601 = (0.299, 0.114)
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 
 
-class Orientation(NamedTuple):
-    """How to turn stored pixels upright: transpose, then flip."""
-
-    transpose: bool = False
-    flip_rows: bool = False
-    flip_columns: bool = False
-
-
 class YuvEncoding(NamedTuple):
     """How YUV encodes RGB: weights of red and blue in luma, and whether luma spans 0 to 255."""
 
     red: float
     blue: float
     full_range: bool
-
-
-UPRIGHT = Orientation()
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +38,14 @@ class Frame:
         time: seconds since the first frame, from presentation timestamps.
         name: file name of an image, None for a frame of a video.
         decoded: the frame of PyAV, or the array, that holds the pixels.
-        orientation: how to turn the pixels upright.
+        quarter_turns: counter-clockwise, that turn the pixels upright.
     """
 
     index: int
     time: float
     name: str | None
     decoded: Any
-    orientation: Orientation = UPRIGHT
+    quarter_turns: int = 0
 
     @cached_property
     def grey(self) -> UInt8[Array, "H W"]:
@@ -69,7 +58,7 @@ class Frame:
             return self.decoded if is_grey else cv2.cvtColor(self.decoded, cv2.COLOR_RGB2GRAY)
         as_stored = self.decoded.format.name in LUMA_FIRST
         luma = self.decoded if as_stored else self.decoded.reformat(format="yuv420p")
-        return _set_upright(_view_plane(luma, 0), self.orientation)
+        return _turn(_view_plane(luma, 0), self.quarter_turns)
 
     @cached_property
     def image(self) -> UInt8[Array, "H W 3"]:
@@ -77,7 +66,7 @@ class Frame:
         if isinstance(self.decoded, Array):
             is_grey = self.decoded.ndim == 2
             return cv2.cvtColor(self.decoded, cv2.COLOR_GRAY2RGB) if is_grey else self.decoded
-        return _set_upright(self.decoded.to_ndarray(format="rgb24"), self.orientation)
+        return _turn(self.decoded.to_ndarray(format="rgb24"), self.quarter_turns)
 
     @property
     def planes(self) -> tuple[UInt8[Array, "H W"], UInt8[Array, "h w"], UInt8[Array, "h w"]] | None:
@@ -85,7 +74,7 @@ class Frame:
 
         `image_from_planes(y, u, v, frame.encoding)` converts them, or means of them, to RGB.
         """
-        if isinstance(self.decoded, Array) or self.orientation != UPRIGHT:
+        if isinstance(self.decoded, Array) or self.quarter_turns:
             return None
         if self.decoded.format.name not in ("yuv420p", "yuvj420p"):
             return None
@@ -116,7 +105,7 @@ def image_from_planes(
         encoding: of the planes, as `Frame.encoding` states it.
 
     Returns:
-        The image.
+        (H, W, 3) RGB.
 
     >>> half = np.full((1, 1), 128.0)
     >>> image_from_planes(np.full((2, 2), 235.0), half, half, YuvEncoding(0.3, 0.1, False))[0, 0]
@@ -138,15 +127,9 @@ def image_from_planes(
     return image
 
 
-def _set_upright(
-    pixels: UInt8[Array, "H W *C"], orientation: Orientation
-) -> UInt8[Array, "h w *C"]:
-    """Turn stored pixels upright; upright pixels are returned without a copy."""
-    if orientation == UPRIGHT:
-        return pixels
-    turned = pixels.swapaxes(0, 1) if orientation.transpose else pixels
-    rows, columns = (-1 if flip else 1 for flip in orientation[1:])
-    return np.ascontiguousarray(turned[::rows, ::columns])
+def _turn(pixels: UInt8[Array, "H W *C"], quarter_turns: int) -> UInt8[Array, "h w *C"]:
+    """Turn counter-clockwise; 0 quarter turns give the pixels themselves, not a copy."""
+    return np.ascontiguousarray(np.rot90(pixels, quarter_turns)) if quarter_turns else pixels
 
 
 def _view_plane(frame: Any, index: int) -> UInt8[Array, "H W"]:

@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 
 from geoaim.errors import GeoreferenceError
+from geoaim.geometry import wrap_angle
 
 FIELDS = ("latitude", "longitude", "height", "altitude", "yaw", "pitch", "focal_length")
 TIME_LINE = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->.*")
@@ -88,16 +89,8 @@ def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | 
     return _make_telemetry(times, rows, f"{paths[0]} and the images with it")
 
 
-def angle_from_compass(degrees: float) -> float:
-    """Convert degrees clockwise from north to radians counter-clockwise from east, in [-pi, pi).
-
-    >>> angle_from_compass(90.0), angle_from_compass(-90.0)   # east, west
-    (0.0, -3.141592653589793)
-    """
-    return (math.radians(90.0 - degrees) + math.pi) % (2 * math.pi) - math.pi
-
-
 def _make_telemetry(times: list[float], rows: list[dict[str, float]], source: str) -> Telemetry:
+    """From fields as they are stated, with angles in degrees and yaw clockwise from north."""
     table = np.array([[row.get(name, math.nan) for name in FIELDS] for row in rows], np.float64)
     table[(table[:, 0] == 0) & (table[:, 1] == 0), :2] = np.nan  # DJI writes (0, 0) without a fix
     if not np.isfinite(table[:, :2]).all(axis=1).any():
@@ -108,6 +101,8 @@ def _make_telemetry(times: list[float], rows: list[dict[str, float]], source: st
             f"{source}: latitude up to {largest_latitude:g} and longitude up to "
             f"{largest_longitude:g} degrees: not a place on the Earth; are they swapped?"
         )
+    table[:, 4] = wrap_angle(np.radians(90.0 - table[:, 4]))
+    table[:, 5] = np.radians(table[:, 5])
     return Telemetry(np.array(times, np.float64), *table.T)
 
 
@@ -124,14 +119,6 @@ def _parse_srt_entry(text: str) -> dict[str, float]:
             # Older models write the focal length in tenths: "focal_len : 240" is 24 mm.
             tenths = name == "focal_length" and "." not in stated
             row[name] = float(stated) / 10 if tenths else float(stated)
-    return _convert_angles(row)
-
-
-def _convert_angles(row: dict[str, float]) -> dict[str, float]:
-    if "yaw" in row:
-        row["yaw"] = angle_from_compass(row["yaw"])
-    if "pitch" in row:
-        row["pitch"] = math.radians(row["pitch"])
     return row
 
 
@@ -156,7 +143,7 @@ def _read_exif_entry(path: Path) -> dict[str, float]:
     for name, tag in drone.items():
         if found := re.search(rf"drone-dji:{tag}(?:=[\"']|>){NUMBER}", xmp):
             row[name] = float(found[1])
-    return _convert_angles(row)
+    return row
 
 
 def _parse_numbers(text: str) -> list[float]:

@@ -144,7 +144,7 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
 
 def _open_file(path: Path, threads: int | None) -> Video:
     file = open_video_file(path, threads)
-    height, width = file.stored_size[::-1] if file.orientation.transpose else file.stored_size
+    height, width = file.stored_size[::-1] if file.quarter_turns % 2 else file.stored_size
     return Video(
         source=str(path),
         height=height,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geoaim.errors import GeoreferenceError
-from geoaim.mapping.video.telemetry import angle_from_compass, read_exif, read_srt
+from geoaim.mapping.video.telemetry import read_exif, read_srt
 from geoaim.mapping.video.video import open_video
 
 BRACKETS = """\ufeff1\r
@@ -96,12 +96,6 @@ def test_zero_position_is_no_fix(tmp_path: Path) -> None:
 def test_file_without_a_place_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(GeoreferenceError, match=message):
         read_srt(write(tmp_path, text))
-
-
-def test_north_is_a_quarter_turn_from_east() -> None:
-    assert angle_from_compass(0.0) == pytest.approx(math.pi / 2)
-    assert angle_from_compass(180.0) == pytest.approx(-math.pi / 2)
-    assert angle_from_compass(-180.0) == pytest.approx(-math.pi / 2)
 
 
 def test_exif_and_xmp_of_a_photo_are_read(tmp_path: Path) -> None:
