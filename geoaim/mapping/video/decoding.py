@@ -97,10 +97,18 @@ def read_frames(file: VideoFile) -> Iterator[Frame]:
 
 
 def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterator[Frame]:
-    """Yield the frames displayed at given times (s, ascending), each once.
+    """Yield the frames displayed at given times, each once.
 
     For each time only the frames from the preceding keyframe on are decoded, or a single keyframe
-    where one lies within `slack` seconds of the time. The index is estimated from the time.
+    where one lies within `slack` seconds of the time.
+
+    Args:
+        file: the file.
+        times: seconds, in ascending order.
+        slack: seconds; 0 decodes exactly the frame at each time.
+
+    Yields:
+        The frames; their index is estimated from the time.
     """
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)
