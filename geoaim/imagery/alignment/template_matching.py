@@ -24,6 +24,7 @@ SHADOW_RADIUS_M = 10.0  # of the local mean, to which darker pixels are raised
 GRADIENT_SIGMA_PX = 0.7  # of the Gaussian before the gradient
 EROSION_PX = 5  # side of the square of valid pixels that a gradient needs around it
 MIN_WINDOW_VALID_SHARE = 0.6  # of a window's pixels
+STEP_TOLERANCE = 1e-6  # of a grid's pixels to those of an image, whose resolution is rounded
 MIN_CURVATURE = 1e-4  # of a correlation peak: a flatter one has no position
 
 
@@ -60,12 +61,13 @@ def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
     matrix, step = aim.grid.grid_from_world, resolution / aim.resolution
-    if step >= 2:  # means of whole pixels first
+    reduction = int(step + STEP_TOLERANCE)
+    if reduction >= 2:  # means of whole pixels first
         height, width = grey.shape
-        size = round(width / int(step)), round(height / int(step))
+        size = round(width / reduction), round(height / reduction)
         grey, valid = (cv2.resize(x, size, interpolation=cv2.INTER_AREA) for x in (grey, valid))
         matrix = np.diag([size[0] / width, size[1] / height, 1.0]) @ matrix
-        step /= int(step)
+        step /= reduction
     return GreyImage(smooth_for_step(grey.astype(np.float32), step), valid, matrix)
 
 

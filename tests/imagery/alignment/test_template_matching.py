@@ -1,6 +1,12 @@
 import numpy as np
 
-from geoaim.imagery.alignment.template_matching import compute_orientation, match_windows
+from geoaim.aim import AIM
+from geoaim.imagery.alignment.template_matching import (
+    compute_orientation,
+    match_windows,
+    reduce_to_grey,
+)
+from geoaim.world import World
 from tests.conftest import textured
 
 
@@ -27,3 +33,14 @@ def test_windows_are_found_to_a_fraction_of_a_pixel():
     found = match_windows(*fields, side=64, search=6, stride=48)
     assert len(found.centers) > 10
     np.testing.assert_allclose(np.nanmedian(found.shifts, axis=0), [-2, 3], atol=0.1)
+
+
+def test_a_rounding_error_of_the_resolution_changes_no_grey_value():
+    image = textured(np.random.default_rng(0), 40, 60)
+    exact, rounded = (
+        AIM.from_image(image, np.diag([size, -size, 1.0]), World(None), "test")
+        for size in (0.2, 0.20000000000000284)
+    )
+    expected = reduce_to_grey(exact, 0.4).grey
+    assert expected.shape == (20, 30)
+    np.testing.assert_array_equal(reduce_to_grey(rounded, 0.4).grey, expected)
