@@ -15,18 +15,15 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
 from geoaim.errors import MapError, TracksError
 from geoaim.geojson import read_features
 from geoaim.world import World
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 GREEN, YELLOW, RED = 0, 1, 2
 STATES = ("green", "yellow", "red")
@@ -140,7 +137,7 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
     )
 
 
-def _check_rows(path: Path, rows: "pd.DataFrame") -> None:
+def _check_rows(path: Path, rows: pd.DataFrame) -> None:
     """Refuse unknown states, missing times, and two states of a signal at one time."""
     finite = np.isfinite(rows["time"].to_numpy(np.float64))
     invalid = ~rows["state"].isin(STATES).to_numpy() | ~finite
@@ -157,10 +154,8 @@ def _check_rows(path: Path, rows: "pd.DataFrame") -> None:
         raise TracksError(f"{path}: a signal has two states at one time: {first}; keep one")
 
 
-def _read_rows(path: Path) -> "pd.DataFrame":
+def _read_rows(path: Path) -> pd.DataFrame:
     """Read the table's `COLUMNS` from either format; a time that is not a number is NaN."""
-    import pandas as pd
-
     try:
         with warnings.catch_warnings():  # a row may end in a comma, but not in an extra field
             warnings.simplefilter("error", pd.errors.ParserWarning)

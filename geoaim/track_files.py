@@ -16,18 +16,15 @@ import os
 import warnings
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from geoaim.errors import TracksError
 from geoaim.files import atomic_write
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import COLUMNS, TICKS_PER_S, Tracks
 from geoaim.world import World
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
 MIN_CSV_DT_S = 1e-3
@@ -90,7 +87,7 @@ def read_table(
     delimiter: str = ",",
     header: bool = True,
     skip_rows: int = 0,
-) -> "DataFrame":
+) -> pd.DataFrame:
     """Read a text table strictly: each row must have as many fields as there are columns.
 
     Args:
@@ -101,13 +98,12 @@ def read_table(
         skip_rows: number of lines above the table.
 
     Returns:
-        The table; missing values of the columns that are not text are NaN.
+        The table; missing values of the columns that are not text are NaN. Its index is the row in
+        the file, counted from 1.
 
     Raises:
         TracksError: the file is empty, or a row has more fields than there are columns.
     """
-    import pandas as pd
-
     names = 0 if header else None
     with warnings.catch_warnings():
         warnings.simplefilter("error", pd.errors.ParserWarning)
@@ -115,7 +111,7 @@ def read_table(
             top = pd.read_csv(
                 path, index_col=False, nrows=1, sep=delimiter, header=names, skiprows=skip_rows
             )
-            return pd.read_csv(
+            table = pd.read_csv(
                 path,
                 index_col=False,
                 dtype=dict.fromkeys(set(top.columns) & set(text), str),
@@ -130,9 +126,11 @@ def read_table(
             extra = isinstance(error, pd.errors.ParserWarning)
             reason = "a row has more fields than there are columns" if extra else str(error).strip()
             raise TracksError(f"{Path(path)} is not a table of tracks: {reason}") from error
+    table.index += skip_rows + header + 1
+    return table
 
 
-def _read_csv(path: Path) -> tuple["DataFrame", World]:
+def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
     with open(path, encoding="utf-8-sig") as file:
         lines = list(takewhile(lambda line: line.startswith("#"), file))
     pairs = (line[1:].partition(":") for line in lines)
@@ -146,7 +144,7 @@ def _read_csv(path: Path) -> tuple["DataFrame", World]:
     return frame, _make_world(fields["crs"], origin)
 
 
-def _write_csv(frame: "DataFrame", world: World, path: Path) -> None:
+def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(format_world(world))
         for name, decimals in CSV_DECIMALS.items():
@@ -154,7 +152,7 @@ def _write_csv(frame: "DataFrame", world: World, path: Path) -> None:
         frame.to_csv(file, index=False, lineterminator="\n")
 
 
-def _read_parquet(path: Path) -> tuple["DataFrame", World]:
+def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
     import pyarrow.parquet as parquet
 
     table = parquet.read_table(path)
@@ -165,7 +163,7 @@ def _read_parquet(path: Path) -> tuple["DataFrame", World]:
     return table.to_pandas(), _make_world(world["crs"], world["origin"])
 
 
-def _write_parquet(frame: "DataFrame", world: World, path: Path) -> None:
+def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:
     import pyarrow
     import pyarrow.parquet as parquet
 

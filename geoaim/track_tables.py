@@ -1,8 +1,7 @@
 """Tables with one row for each agent and time -> `Tracks`."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -11,27 +10,22 @@ from geoaim.geometry import wrap_angle
 from geoaim.tracks import COLUMNS, MAX_STATES, TICKS_PER_S, Tracks
 from geoaim.world import World
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
-def make_tracks(rows: "DataFrame", world: World) -> Tracks:
+def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
     """Make tracks from a table with the columns `COLUMNS`, one row for each agent and time.
 
     An agent's type and size are those of its first row, and agents are in the order of their first
-    rows.
+    rows. Messages name a row by its label in the table's index, for which `read_table` gives its
+    number in the file.
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in
             radians, a size is not positive, an agent has two rows at one time, or the table is
             too large.
     """
-    import pandas as pd
-
     values = _read_values(rows)
-    _check_values(rows, values)
     heading = values[:, 3]
     heading = np.where(np.abs(heading) < np.pi, heading, wrap_angle(heading))
     ticks = np.rint(values[:, 0] * TICKS_PER_S).astype(np.int64)
@@ -63,37 +57,27 @@ def make_tracks(rows: "DataFrame", world: World) -> Tracks:
     )
 
 
-def _read_values(rows: "DataFrame") -> Float[Array, "M 7"]:
-    """Read the numeric columns, from time on; refuse missing values."""
+def _read_values(rows: pd.DataFrame) -> Float[Array, "M 7"]:
+    """Read the numeric columns, from time on; refuse values that are missing or impossible."""
     if len(rows) == 0:
         raise TracksError("the table has no rows; one row for each agent and time is needed")
-    try:
-        values = rows[list(COLUMNS[2:])].to_numpy(np.float64)
-    except (ValueError, TypeError) as error:
-        raise TracksError(f"a value is not a number: {error}") from error
-    missing = ~np.isfinite(values)
-    if missing.any():
-        row, column = np.argwhere(missing)[0]
-        raise TracksError(
-            f"{missing.any(axis=1).sum()} rows have missing values; the first is "
-            f"{COLUMNS[2 + column]} in row {row}. Leave out the rows of absent agents, and give "
-            "each present agent a full state"
-        )
-    return values
-
-
-def _check_values(rows: "DataFrame", values: Float[Array, "M 7"]) -> None:
-    """Refuse rows without a name or type, and numbers in other units."""
+    values = rows[list(COLUMNS[2:])].apply(pd.to_numeric, errors="coerce").astype(np.float64)
+    absent = "is not a number; leave out rows of absent agents, and give the others a full state"
+    for name in values:
+        _refuse_rows(rows, name, ~np.isfinite(values[name]), absent)
     for name in ("id", "type"):
         empty = rows[name].isna() | (rows[name].astype(str) == "")
-        if empty.any():
-            raise TracksError(f"{empty.sum()} rows have no {name}; give each agent one")
-    for wrong, problem in (
-        (np.abs(values[:, 0]) > MAX_TIME_S, f"a time beyond {MAX_TIME_S:g}; seconds are needed"),
-        (np.abs(values[:, 3]) > 2 * np.pi, "a heading beyond a full turn; radians are needed"),
-        ((values[:, 5:] <= 0).any(axis=1), "a length or width that is not positive"),
-    ):
-        if wrong.any():
-            raise TracksError(
-                f"{wrong.sum()} rows have {problem}; the first is row {wrong.argmax()}"
-            )
+        _refuse_rows(rows, name, empty, "is missing; give each agent one")
+    _refuse_rows(rows, "time", values["time"].abs() > MAX_TIME_S, "is not in seconds")
+    _refuse_rows(rows, "heading", values["heading"].abs() > 2 * np.pi, "is not in radians")
+    for name in ("length", "width"):
+        _refuse_rows(rows, name, values[name] <= 0, "is not positive")
+    return values.to_numpy()
+
+
+def _refuse_rows(rows: pd.DataFrame, name: str, wrong: "pd.Series[bool]", problem: str) -> None:
+    """Raise TracksError if values of a column are wrong; the index has the rows of the file."""
+    if wrong.any():
+        first = int(wrong.argmax())
+        row, value = rows.index[first], rows[name].iloc[first]
+        raise TracksError(f"row {row}: {name} '{value}' {problem} ({wrong.sum()} such rows)")

@@ -1,16 +1,13 @@
 """Tracks: the states of agents over time."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.world import World
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width")
 TICKS_PER_S = 1e6  # times that fall on the same tick are one time
@@ -68,10 +65,8 @@ class Tracks:
         if not np.isfinite(self.states[self.present]).all():
             raise ValueError("a state is not finite where its agent is present")
 
-    def to_frame(self) -> "DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row for each agent and each time at which it is present; columns are `COLUMNS`."""
-        import pandas as pd
-
         agent, step = np.nonzero(self.present)
         values = np.column_stack([self.times[step], self.states[agent, step], self.sizes[agent]])
         frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))

@@ -61,8 +61,14 @@ def test_the_file_states_crs_origin_and_columns(tmp_path):
         ("# crs: local\nid,type,time\n1,car,0\n", "lacks the columns x, y, heading"),
         ("# crs: local\n# origin: 5\nid\n", "origin '5' is not two numbers"),
         ("# crs: local\n" + ",".join(COLUMNS) + "\n", "no rows"),
-        ("# crs: local\n" + ",".join(COLUMNS) + "\n1,car,0,a,2,3,4,5,6\n", "is not a number"),
-        ("# crs: local\n" + ",".join(COLUMNS) + "\n1,car,0,,2,3,4,5,6\n", "is x in row 0"),
+        (
+            "# crs: local\n" + ",".join(COLUMNS) + "\n1,car,0,a,2,3,4,5,6\n",
+            "row 3: x 'a' is not a number",
+        ),
+        (
+            "# crs: local\n" + ",".join(COLUMNS) + "\n1,car,0,,2,3,4,5,6\n",
+            "row 3: x 'nan' is not a number",
+        ),
         (
             "# crs: local\n" + ",".join(COLUMNS) + 2 * "\n1,car,0,1,2,3,4,5,6",
             "1 rows repeat an agent's time",

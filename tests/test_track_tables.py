@@ -27,12 +27,12 @@ def test_ids_keep_the_order_of_their_first_rows():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"id": ""}, "no id"),
-        ({"id": None}, "no id"),
-        ({"type": np.nan}, "no type"),
-        ({"heading": 90}, "radians are needed"),
-        ({"length": 0}, "not positive"),
-        ({"time": 1.7e18}, "seconds are needed"),
+        ({"id": ""}, "id '' is missing"),
+        ({"id": None}, "id 'None' is missing"),
+        ({"type": np.nan}, "type 'nan' is missing"),
+        ({"heading": 90}, "row 0: heading '90' is not in radians"),
+        ({"length": 0}, "length '0' is not positive"),
+        ({"time": 1.7e18}, "is not in seconds"),
     ],
 )
 def test_rows_with_missing_or_impossible_values_are_refused(changed, message):

@@ -1,4 +1,4 @@
-"""Tracks from the files of public datasets; `geoaim.read_tracks` detects the format.
+'''Tracks from the files of public datasets; `geoaim.read_tracks` detects the format.
 
 To add a format:
 
@@ -11,18 +11,24 @@ To add a format:
 
        from geoaim.track_files import read_table
        from geoaim.track_formats.motion import make_tracks_from_positions
-       from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns
-       from geoaim.track_formats.shared import fill_sizes, map_types
+       from geoaim.track_formats.shared import (
+           TrackFormat,
+           check_columns,
+           fill_sizes,
+           has_columns,
+           map_types,
+       )
        from geoaim.tracks import Tracks
        from geoaim.world import World
 
 
        def read_example(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
+           """Read an example .csv: `id;class;ms;u;v`, in pixels of `resolution` metres."""
            table = read_table(path, text=("id", "class"), delimiter=";")
            check_columns(path, table, numbers=("ms", "u", "v"), others=("id", "class"))
            columns = {"id": table["id"], "type": map_types(table["class"])}
-           columns |= {"time": table["ms"] / 1000}
-           columns |= {"x": resolution * table["u"], "y": -resolution * table["v"]}
+           columns |= {"time": table["ms"] / 1000, "x": resolution * table["u"]}
+           columns |= {"y": -resolution * table["v"]}
            rows = pd.DataFrame(columns).assign(length=np.nan, width=np.nan)
            rows[["length", "width"]] = fill_sizes(rows)
            return make_tracks_from_positions(rows, World(None), half_window=0.5)
@@ -47,7 +53,7 @@ To add a format:
 3. Export the reader below. Test it in `tests/track_formats/test_<name>.py`, and add a first line
    of the format to the cases of `tests/track_formats/test_formats.py`.
 4. Add a row to the table of `docs/formats/tracks.md` and a line to `CHANGELOG.md`.
-"""
+'''
 
 from geoaim.track_formats.formats import read_tracks
 from geoaim.track_formats.geotrax import read_geotrax

@@ -2,7 +2,9 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
@@ -10,9 +12,6 @@ from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns
 from geoaim.tracks import Tracks
 from geoaim.world import World
-
-if TYPE_CHECKING:
-    from pandas import Series
 
 VEHICLE_CLASSES = {0: "car", 1: "bus", 2: "truck", 3: "motorcycle"}
 SIZES = ("Vehicle_Length", "Vehicle_Width")
@@ -28,8 +27,6 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
     Raises:
         TracksError: columns are missing, or a value is not a number.
     """
-    import pandas as pd
-
     table = read_table(path, text=("Vehicle_ID",))
     numbers = ("Local_X", "Local_Y", "Vehicle_Class", *SIZES)
     check_columns(path, table, numbers=numbers, others=("Vehicle_ID", "Timestamp"))
@@ -52,10 +49,8 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
     return make_tracks_from_positions(rows, World(crs, origin), half_window=0.25)
 
 
-def _parse_times(path: str | os.PathLike[str], stamps: "Series[Any]") -> "Series[float]":
+def _parse_times(path: str | os.PathLike[str], stamps: "pd.Series[Any]") -> "pd.Series[float]":
     """Convert time stamps, which are dates with times or numbers, to seconds."""
-    import pandas as pd
-
     if pd.api.types.is_numeric_dtype(stamps):
         return stamps.astype(float)
     try:

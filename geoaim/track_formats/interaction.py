@@ -3,9 +3,9 @@
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_files import read_table
@@ -24,9 +24,6 @@ from geoaim.track_formats.shared import (
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import MIN_HEADING_SPEED, Tracks
 from geoaim.world import World
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 NUMBERS = ("timestamp_ms", "x", "y", "vx", "vy")
 SIND_FILES = ("Veh_smoothed_tracks.csv", "Ped_smoothed_tracks.csv")
@@ -68,8 +65,6 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
     Raises:
         TracksError: a folder has neither file, columns are missing, or a value is not a number.
     """
-    import pandas as pd
-
     path = Path(path)
     files = (
         [path / name for name in SIND_FILES if (path / name).exists()] if path.is_dir() else [path]
@@ -94,7 +89,7 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
     return tracks
 
 
-def _read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
+def _read_states(path: str | os.PathLike[str], *, heading: str) -> pd.DataFrame:
     """Read and check a file's table; headings may be absent, absent lengths and widths are NaN."""
     table = read_table(path, text=("track_id", "agent_type", "case_id"))
     optional = tuple(name for name in (heading, "length", "width") if name in table)
@@ -104,10 +99,8 @@ def _read_states(path: str | os.PathLike[str], *, heading: str) -> "DataFrame":
     return table
 
 
-def _convert_states(table: "DataFrame", *, heading: str) -> "DataFrame":
+def _convert_states(table: pd.DataFrame, *, heading: str) -> pd.DataFrame:
     """Convert a file's table to rows for `make_tracks`; fill missing headings and sizes."""
-    import pandas as pd
-
     rows = pd.DataFrame(
         {
             "id": table["track_id"],

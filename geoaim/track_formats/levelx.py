@@ -6,9 +6,10 @@ Beside `00_tracks.csv` are `00_tracksMeta.csv` with the type of each agent and
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
@@ -29,14 +30,8 @@ from geoaim.track_tables import make_tracks
 from geoaim.tracks import Tracks
 from geoaim.world import World, find_utm_crs
 
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
-
 SUFFIX = "_tracks.csv"
-IND_COLUMNS = (
-    *("frame", "xCenter", "yCenter", "heading"),
-    *("width", "length", "xVelocity", "yVelocity"),
-)
+IND_NUMBERS = ("xCenter", "yCenter", "heading", "width", "length", "xVelocity", "yVelocity")
 IND_RECORDING = ("frameRate", "latLocation", "lonLocation", "xUtmOrigin", "yUtmOrigin")
 HIGHD_COLUMNS = ("frame", "x", "y", "width", "height", "xVelocity", "yVelocity")
 HIGHD_MIN_HEADING_SPEED = 2.0  # m/s; slower motion on a motorway has no usable direction
@@ -52,10 +47,8 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
         TracksError: a file or columns are missing, or a value is not a number.
         GeoreferenceError: the recording's location lies in no UTM zone.
     """
-    import pandas as pd
-
     table = read_table(path, text=("trackId",))
-    check_columns(path, table, numbers=IND_COLUMNS, others=("trackId",))
+    check_columns(path, table, numbers=("frame", *IND_NUMBERS), others=("trackId",))
     recording = _read_recording(path, IND_RECORDING)
     heading = wrap_angle(np.radians(table["heading"].to_numpy(np.float64)))
     velocity = table[["xVelocity", "yVelocity"]].to_numpy(np.float64)
@@ -92,8 +85,6 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     Raises:
         TracksError: a file or columns are missing, or a value is not a number.
     """
-    import pandas as pd
-
     table = read_table(path, text=("id",))
     check_columns(path, table, numbers=HIGHD_COLUMNS, others=("id",))
     recording = _read_recording(path, ("frameRate",))
@@ -117,19 +108,18 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     return make_tracks(fill_headings(rows), World(None))
 
 
-def _find_carriageway_heading(path: str | os.PathLike[str], table: "DataFrame") -> Any:
+def _find_carriageway_heading(path: str | os.PathLike[str], table: pd.DataFrame) -> Any:
     """Find each row's heading: the upper carriageway (1) leads to the left, the lower (2) right."""
     direction = _look_up_agents(path, table["id"], "drivingDirection")
-    unknown = ~direction.isin(["1", "2"])
-    if unknown.any():
-        value = direction[unknown].iloc[0]
-        raise TracksError(f"{Path(path)}: drivingDirection {value!r} is neither 1 nor 2")
+    unknown = set(direction) - {"1", "2"}
+    if unknown:
+        raise TracksError(f"{path}: drivingDirection {min(unknown)!r} is neither 1 nor 2")
     return np.where(direction == "1", -np.pi, 0.0)
 
 
 def _read_sibling(
     path: str | os.PathLike[str], kind: str, text: tuple[str, ...] = ()
-) -> "DataFrame":
+) -> pd.DataFrame:
     """Read another table of the same recording."""
     path = Path(path)
     name = f"{path.name.removesuffix(SUFFIX)}_{kind}.csv"
@@ -151,7 +141,9 @@ def _read_recording(path: str | os.PathLike[str], names: tuple[str, ...]) -> dic
     return recording
 
 
-def _look_up_agents(path: str | os.PathLike[str], ids: "Series[Any]", column: str) -> "Series[Any]":
+def _look_up_agents(
+    path: str | os.PathLike[str], ids: "pd.Series[Any]", column: str
+) -> "pd.Series[Any]":
     """Look up a column of the table of agents for each row of the tracks."""
     id_column = str(ids.name)
     meta = _read_sibling(path, "tracksMeta", (id_column, column))

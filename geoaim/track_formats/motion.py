@@ -4,9 +4,9 @@ import os
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
@@ -14,9 +14,6 @@ from geoaim.errors import GeoaimWarning
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import COLUMNS, Tracks, estimate_heading
 from geoaim.world import World
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 CHECK_HALF_WINDOW_S = 0.25
 MIN_CHECKED_SPEED = 1.0  # m/s; the direction of slower motion is too noisy to check a heading
@@ -35,7 +32,7 @@ def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
     return replace(tracks, states=states)
 
 
-def make_tracks_from_positions(rows: "DataFrame", world: World, *, half_window: float) -> Tracks:
+def make_tracks_from_positions(rows: pd.DataFrame, world: World, *, half_window: float) -> Tracks:
     """Make tracks from rows without heading and speed; both are derived from the positions.
 
     Args:
@@ -63,7 +60,7 @@ def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2
     return velocity
 
 
-def fill_headings(rows: "DataFrame") -> "DataFrame":
+def fill_headings(rows: pd.DataFrame) -> pd.DataFrame:
     """Fill headings that are NaN: with the agent's last known one, else its next one, else 0."""
     headings = rows.sort_values("time").groupby("id")["heading"]
     return rows.assign(heading=headings.ffill().fillna(headings.bfill()).fillna(0.0))

@@ -4,17 +4,15 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
 from geoaim.tracks import Tracks
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 # names of agent types in datasets -> ours; all others are only written in lower case
 AGENT_TYPES = {
@@ -60,7 +58,7 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
     return matches
 
 
-def map_types(names: "Series[Any]") -> "Series[Any]":
+def map_types(names: "pd.Series[Any]") -> "pd.Series[Any]":
     """Map a dataset's names of agent types to ours."""
     lower = names.str.lower()
     return lower.map(AGENT_TYPES).fillna(lower)
@@ -68,7 +66,7 @@ def map_types(names: "Series[Any]") -> "Series[Any]":
 
 def check_columns(
     path: str | os.PathLike[str],
-    table: "DataFrame",
+    table: pd.DataFrame,
     *,
     numbers: tuple[str, ...],
     others: tuple[str, ...] = (),
@@ -81,8 +79,6 @@ def check_columns(
         numbers: required columns of numbers.
         others: required columns of any type.
     """
-    import pandas as pd
-
     missing = [name for name in (*others, *numbers) if name not in table.columns]
     if missing:
         columns = ", ".join(map(str, table.columns[:20]))
@@ -94,8 +90,9 @@ def check_columns(
         raise TracksError(f"{Path(path)} has no rows")
     for name in numbers:
         if not pd.api.types.is_numeric_dtype(table[name]):
-            text = table[name][pd.to_numeric(table[name], errors="coerce").isna()].iloc[0]
-            raise TracksError(f"{Path(path)}: {name} is {text!r} in a row; a number is needed")
+            wrong = pd.to_numeric(table[name], errors="coerce").isna() & table[name].notna()
+            row, value = wrong.idxmax(), table[name][wrong].iloc[0]
+            raise TracksError(f"{Path(path)}: {name} is {value!r} in row {row}; a number is needed")
 
 
 def check_resolution(resolution: float) -> None:
@@ -104,7 +101,7 @@ def check_resolution(resolution: float) -> None:
         raise ValueError(f"resolution is {resolution}; a positive number of metres is needed")
 
 
-def fill_sizes(rows: "DataFrame") -> Float[Array, "m 2"]:
+def fill_sizes(rows: pd.DataFrame) -> Float[Array, "m 2"]:
     """Length and width in metres; where a size is 0 or missing, the typical one of the type."""
     typical = np.array([TYPICAL_SIZES.get(name, OTHER_SIZE) for name in rows["type"]])
     sizes = rows[["length", "width"]].to_numpy(np.float64)

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from geoaim.errors import TracksError
 from geoaim.track_files import read_table
@@ -41,8 +42,6 @@ def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
     Raises:
         TracksError: the file does not have this format, or all agents are lost in it.
     """
-    import pandas as pd
-
     check_resolution(resolution)
     table = read_table(path, text=(9,), delimiter=" ", header=False)
     if table.shape[1] != len(COLUMNS):
@@ -88,8 +87,6 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
         TracksError: columns are missing, or a value is not a number.
         ValueError: the resolution is neither given nor in `scenes.csv`.
     """
-    import pandas as pd
-
     if resolution is None:
         resolution = _look_up_resolution(Path(path))
     check_resolution(resolution)
@@ -112,8 +109,6 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
 
 def _look_up_resolution(path: Path) -> float:
     """Look up the resolution of the scene that has the file's name."""
-    import pandas as pd
-
     for folder in (path.parent, path.parent.parent):
         if (folder / "scenes.csv").exists():
             scenes = pd.read_csv(folder / "scenes.csv", dtype={"scene": str})

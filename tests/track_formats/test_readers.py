@@ -104,7 +104,7 @@ def test_a_standing_agent_keeps_its_direction(tmp_path):
     [
         (read_interaction, "", "not a table of tracks"),
         (read_interaction, SHORT, "has no rows"),
-        (read_interaction, SHORT + "1,soon,car,0,0,1,0\n", "timestamp_ms is 'soon'"),
+        (read_interaction, SHORT + "1,soon,car,0,0,1,0\n", "timestamp_ms is 'soon' in row 2"),
         (read_interaction, SHORT + "1,0,car,0,0,1,0,9\n", "more fields"),
         (read_geotrax, GEOTRAX, "has no rows"),
         (read_geotrax, GEOTRAX + "1,noon,0,0,0,1,2,37,126,4,2,0\n", "Timestamp is not a time"),
