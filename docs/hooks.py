@@ -6,6 +6,7 @@
 - A formula between `$$` becomes a picture, so that pages need no script from another server.
 """
 
+import ast
 import inspect
 import io
 import re
@@ -57,6 +58,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     markdown = re.sub(r"<!-- table: (\w+) -->", lambda m: write_results(m[1]), markdown)
     markdown = markdown.replace("<!-- decisions -->", write_decisions())
     markdown = markdown.replace("<!-- packages -->", write_packages())
+    markdown = markdown.replace("<!-- modules -->", write_modules())
     return re.sub(r"^\$\$\n(.+?)\n\$\$$", lambda m: draw_formula(m[1]), markdown, flags=re.M | re.S)
 
 
@@ -89,6 +91,15 @@ def write_packages() -> str:
         names = ", ".join(f"`{name.rpartition('.')[2]}`" for name in modules if name != package)
         lines.append(f"| [{package}]({package}.md) | {names} |")
     return "| package | modules |\n|---|---|\n" + "\n".join(lines)
+
+
+def write_modules() -> str:
+    """The files beside the folders of the package, with the first sentence of each."""
+    lines = ["| file | holds |", "|---|---|"]
+    for path in sorted(PACKAGE.glob("[a-z]*.py")):
+        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+        lines.append(f"| `{path.stem}` | {text.splitlines()[0]} |")
+    return "\n".join(lines)
 
 
 def write_options(command: str) -> str:

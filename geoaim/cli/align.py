@@ -10,6 +10,9 @@ from geoaim.cli import options
 from geoaim.cli.console import print_table, report_errors
 from geoaim.cli.inputs import read_any_tracks
 from geoaim.cli.outputs import check_map_output
+from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+
+DEFAULT_ROTATION_DEGREES = float(np.degrees(DEFAULT_PRIOR.max_rotation))
 
 
 def align(
@@ -27,13 +30,15 @@ def align(
     crs: Annotated[
         str | None, typer.Option(help="CRS of imagery or control points that state none")
     ] = None,
-    max_shift: Annotated[float, typer.Option(help="largest expected shift, m", min=1)] = 15.0,
+    max_shift: Annotated[
+        float, typer.Option(help="largest expected shift, m", min=1)
+    ] = DEFAULT_PRIOR.max_shift,
     max_rotation: Annotated[
         float, typer.Option(help="largest expected rotation, degrees", min=0, max=45)
-    ] = 5.0,
+    ] = DEFAULT_ROTATION_DEGREES,
     max_scaling: Annotated[
         float, typer.Option(help="largest expected change of scale, percent", min=0, max=30)
-    ] = 5.0,
+    ] = 100 * DEFAULT_PRIOR.max_scaling,
 ) -> None:
     """Correct the position of orthophotos or map tiles, and write them as an AIM.
 
@@ -47,7 +52,6 @@ def align(
     from geoaim.aim_summary import summarize_aim
     from geoaim.files import write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
-    from geoaim.imagery.alignment.result import Prior
     from geoaim.quicklook import draw_alignment
     from geoaim.track_changes import to_world
 

@@ -1,12 +1,8 @@
-import inspect
-
 import numpy as np
 from typer.testing import CliRunner
 
 from geoaim.aim_files import read_aim
 from geoaim.cli import app
-from geoaim.cli.align import align
-from geoaim.imagery.alignment.result import DEFAULT_PRIOR, Prior
 
 run = CliRunner().invoke
 
@@ -23,12 +19,6 @@ def test_align_corrects_an_orthophoto_by_tracks(tmp_path):
     assert output.with_suffix(".png").stat().st_size > 50_000
     east, north = read_aim(output).report["alignment"]["tracks"]["shift_m"]
     assert np.hypot(east + 4.26, north + 2.63) < 1
-
-
-def test_default_ranges_are_those_of_the_library():
-    default = {name: value.default for name, value in inspect.signature(align).parameters.items()}
-    rotation, scaling = np.radians(default["max_rotation"]), default["max_scaling"] / 100
-    assert Prior(default["max_shift"], float(rotation), scaling) == DEFAULT_PRIOR
 
 
 def test_align_writes_nothing_after_an_error(tmp_path):

@@ -20,8 +20,9 @@ from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import make_similarity, transform_points, translation
 from geoaim.grid import Grid, pad_grid
+from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
 from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
-from geoaim.imagery.alignment.result import DEFAULT_PRIOR, ImageryAlignment, Prior
+from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.alignment.template_matching import (
     GreyImage,
     WindowShifts,

@@ -23,7 +23,8 @@ from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import make_similarity, to_opencv, transform_points
 from geoaim.grid import Grid
-from geoaim.imagery.alignment.result import DEFAULT_PRIOR, MAX_SIGMA_M, ImageryAlignment, Prior
+from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
 from geoaim.imagery.alignment.template_matching import (
     compute_orientation,
     reduce_to_grey,

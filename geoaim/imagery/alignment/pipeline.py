@@ -17,7 +17,8 @@ from geoaim.geometry import transform_points
 from geoaim.imagery.alignment.by_control_points import georeference_picture
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
-from geoaim.imagery.alignment.result import CHI2_2D, DEFAULT_PRIOR, ImageryAlignment, Prior
+from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+from geoaim.imagery.alignment.result import CHI2_2D, ImageryAlignment
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
 from geoaim.rectification import rectify

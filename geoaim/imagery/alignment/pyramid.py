@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.grid import Grid, make_north_up_grid
-from geoaim.imagery.alignment.result import Prior
+from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.alignment.template_matching import (
     GreyImage,
     compute_orientation,

@@ -8,7 +8,7 @@ from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
 from geoaim.imagery.alignment.by_image import align_image, count_false_alarms
 from geoaim.imagery.alignment.pipeline import apply_alignment
-from geoaim.imagery.alignment.result import Prior
+from geoaim.imagery.alignment.prior import Prior
 from geoaim.world import World
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import PHOTO, as_aim, made, misplaced

@@ -7,7 +7,7 @@ import pytest
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
 from geoaim.imagery.alignment.by_tracks import align_tracks, sample_poses
-from geoaim.imagery.alignment.result import Prior
+from geoaim.imagery.alignment.prior import Prior
 from geoaim.tracks import Tracks
 from geoaim.world import World
 from tests.conftest import textured

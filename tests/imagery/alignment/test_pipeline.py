@@ -20,7 +20,7 @@ from geoaim.geometry import make_similarity, transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
-from geoaim.imagery.alignment.result import Prior
+from geoaim.imagery.alignment.prior import Prior
 from geoaim.quicklook import draw_alignment
 from geoaim.track_changes import to_world
 from geoaim.world import World, lonlat_from_world
