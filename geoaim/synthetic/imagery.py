@@ -25,40 +25,24 @@ IMAGERY = 30  # stream of random numbers
 
 @dataclass(frozen=True)
 class Sensor:
-    """A satellite's or an aeroplane's sensor.
+    """A satellite's or an aeroplane's sensor."""
 
-    Attributes:
-        resolution: metres per pixel on the ground.
-        blur: standard deviation of its blur, pixels.
-        noise: standard deviation of its noise, grey levels.
-        gamma: exponent of its grey levels.
-        balance: gain of red, green and blue.
-        mix: how far its channels are mixed with grey, 0 to 1.
-    """
-
-    resolution: float = 0.2
-    blur: float = 0.6
-    noise: float = 2.5
-    gamma: float = 0.9
-    balance: tuple[float, float, float] = (1.04, 1.0, 0.93)
-    mix: float = 0.15
+    resolution: float = 0.2  # metres per pixel on the ground
+    blur: float = 0.6  # standard deviation of its blur, pixels
+    noise: float = 2.5  # standard deviation of its noise, grey levels
+    gamma: float = 0.9  # exponent of its grey levels
+    balance: tuple[float, float, float] = (1.04, 1.0, 0.93)  # gain of red, green and blue
+    mix: float = 0.15  # how far its channels are mixed with grey, 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
 class Imagery:
-    """A georeferenced image.
+    """A georeferenced image."""
 
-    Attributes:
-        image: (H, W, 3) the image.
-        covered: (H, W) pixels that show the place.
-        crs: a projected CRS.
-        crs_from_image: (3, 3) pixels (corner origin) to stated coordinates.
-    """
-
-    image: UInt8[Array, "H W 3"]
-    covered: Bool[Array, "H W"]
-    crs: str
-    crs_from_image: Float[Array, "3 3"]
+    image: UInt8[Array, "H W 3"]  # the image
+    covered: Bool[Array, "H W"]  # pixels that show the place
+    crs: str  # a projected CRS
+    crs_from_image: Float[Array, "3 3"]  # pixels (corner origin) to stated coordinates
 
 
 def make_other_day(place: Place) -> Day:

@@ -19,34 +19,21 @@ GUTTER_M = 0.45  # between the edge of the outer lane and the kerb
 
 @dataclass(frozen=True)
 class Approach:
-    """A road from the centre outwards.
+    """A road from the centre outwards."""
 
-    Attributes:
-        name: "east", "north", ...
-        angle: its direction at the centre, radians.
-        curvature: of the reference line, 1/m, positive to the left.
-        turns: the turns that each inbound lane serves, from the inner lane outwards: letters of
-            "LSR" for left, straight on, right.
-        outbound_lanes: their number.
-        lane_width: metres.
-        median: width of the median between the two directions, metres.
-        mouth: s where lanes end and the lanes through the junction begin.
-        crossing: s of the crossing's nearer edge; NaN: there is none.
-        stop: s of the stop or give-way line; NaN: there is none.
-        speed_limit: m/s.
-    """
-
-    name: str
-    angle: float
-    curvature: float
+    name: str  # "east", "north", ...
+    angle: float  # its direction at the centre, radians
+    curvature: float  # of the reference line, 1/m, positive to the left
+    # the turns that each inbound lane serves, from the inner lane outwards: letters of "LSR"
+    # for left, straight on, right
     turns: tuple[str, ...]
-    outbound_lanes: int
-    lane_width: float = 3.3
-    median: float = 0.0
-    mouth: float = 0.0
-    crossing: float = np.nan
-    stop: float = np.nan
-    speed_limit: float = 13.9
+    outbound_lanes: int  # their number
+    lane_width: float = 3.3  # metres
+    median: float = 0.0  # width of the median between the two directions, metres
+    mouth: float = 0.0  # s where lanes end and the lanes through the junction begin
+    crossing: float = np.nan  # s of the crossing's nearer edge; NaN: there is none
+    stop: float = np.nan  # s of the stop or give-way line; NaN: there is none
+    speed_limit: float = 13.9  # m/s
 
     @property
     def divider(self) -> float:

@@ -29,36 +29,22 @@ CAR_PARK_SPEED = 5.0  # m/s
 
 @dataclass(frozen=True)
 class CarPark:
-    """A car park on the right of an approach's outbound lanes.
+    """A car park on the right of an approach's outbound lanes."""
 
-    Attributes:
-        approach: its name.
-        s: of the middle of the driveway on the approach, metres.
-        open_bays: the bays that traffic uses, on the side of positive coordinates.
-        plan_from_lot: (3, 3) lot coordinates to plan metres.
-    """
-
-    approach: str
-    s: float
-    open_bays: tuple[int, ...]
-    plan_from_lot: Float[Array, "3 3"]
+    approach: str  # its name
+    s: float  # of the middle of the driveway on the approach, metres
+    open_bays: tuple[int, ...]  # the bays that traffic uses, on the side of positive coordinates
+    plan_from_lot: Float[Array, "3 3"]  # lot coordinates to plan metres
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """The path into or out of a bay.
+    """The path into or out of a bay."""
 
-    Attributes:
-        name: "into bay 3", "out of bay 3".
-        line: of the rear axle; its first or last point is on the road.
-        forward: (L,) whether the vehicle drives forward there.
-        bay: number of the bay.
-    """
-
-    name: str
-    line: Polyline
-    forward: Bool[Array, "L"]
-    bay: int
+    name: str  # "into bay 3", "out of bay 3"
+    line: Polyline  # of the rear axle; its first or last point is on the road
+    forward: Bool[Array, "L"]  # whether the vehicle drives forward there
+    bay: int  # number of the bay
 
 
 def make_car_park(approach: Approach, s: float) -> CarPark:

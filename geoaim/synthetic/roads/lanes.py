@@ -32,38 +32,23 @@ RING_SPEED_LIMIT = 8.3  # m/s
 
 @dataclass(frozen=True)
 class Lane:
-    """A lane in the direction of its traffic.
+    """A lane in the direction of its traffic."""
 
-    Attributes:
-        name: "east in 0", "east 0 to north 0", "north out 0", "ring past east", ...
-        centreline: equally spaced points, plan metres.
-        width: (start, end) metres.
-        speed_limit: m/s.
-        turn: L, S or R through the junction; "" elsewhere.
-    """
-
-    name: str
-    centreline: Polyline
-    width: tuple[float, float]
-    speed_limit: float = 13.9
-    turn: str = ""
+    name: str  # "east in 0", "east 0 to north 0", "north out 0", "ring past east", ...
+    centreline: Polyline  # equally spaced points, plan metres
+    width: tuple[float, float]  # metres
+    speed_limit: float = 13.9  # m/s
+    turn: str = ""  # L, S or R through the junction; "" elsewhere
 
 
 @dataclass(frozen=True)
 class Route:
-    """The sequence of lanes from one approach to another.
+    """The sequence of lanes from one approach to another."""
 
-    Attributes:
-        origin: name of the approach where it begins.
-        destination: name of the approach where it ends.
-        lanes: their names, in the order of travel.
-        turn: L, S or R.
-    """
-
-    origin: str
-    destination: str
-    lanes: tuple[str, ...]
-    turn: str
+    origin: str  # name of the approach where it begins
+    destination: str  # name of the approach where it ends
+    lanes: tuple[str, ...]  # their names, in the order of travel
+    turn: str  # L, S or R
 
 
 def make_lanes(layout: Layout) -> tuple[tuple[Lane, ...], tuple[Route, ...]]:

@@ -25,24 +25,16 @@ MAX_CORNER_ANGLE = 0.8 * np.pi  # radians; approaches further apart form one str
 
 @dataclass(frozen=True)
 class Layout:
-    """The approaches of a place and how they meet.
+    """The approaches of a place and how they meet."""
 
-    Attributes:
-        kind: one of `PLACE_KINDS`.
-        approaches: counter-clockwise.
-        corner_radius: of the kerbs where two approaches meet, metres.
-        ring_radius: of the centreline of a roundabout's lane, metres; 0: no roundabout.
-        signalised: whether traffic lights control it.
-        informal_crossings: approaches that pedestrians cross where nothing is marked, and s there.
-        private: names of approaches through private ground, which lane maps leave out.
-    """
-
-    kind: PlaceKind
-    approaches: tuple[Approach, ...]
-    corner_radius: float
-    ring_radius: float = 0.0
-    signalised: bool = False
+    kind: PlaceKind  # one of `PLACE_KINDS`
+    approaches: tuple[Approach, ...]  # counter-clockwise
+    corner_radius: float  # of the kerbs where two approaches meet, metres
+    ring_radius: float = 0.0  # of the centreline of a roundabout's lane, metres; 0: no roundabout
+    signalised: bool = False  # whether traffic lights control it
+    # approaches that pedestrians cross where nothing is marked, and s there
     informal_crossings: tuple[tuple[str, float], ...] = ()
+    # names of approaches through private ground, which lane maps leave out
     private: tuple[str, ...] = ()
 
 

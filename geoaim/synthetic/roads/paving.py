@@ -27,42 +27,25 @@ MIN_PLOT_M2 = 60.0
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where pedestrians cross a road.
+    """Where pedestrians cross a road."""
 
-    Attributes:
-        name: of its approach, or "drive", or "east on foot" where nothing is marked.
-        ends: its ends on the kerbs, plan metres; that at larger t first.
-        width: metres along the road.
-        marked: whether stripes are painted.
-        signalised: whether traffic lights control it.
-    """
-
-    name: str
-    ends: Float[Array, "2 2"]
-    width: float
-    marked: bool
-    signalised: bool
+    name: str  # of its approach, or "drive", or "east on foot" where nothing is marked
+    ends: Float[Array, "2 2"]  # its ends on the kerbs, plan metres; that at larger t first
+    width: float  # metres along the road
+    marked: bool  # whether stripes are painted
+    signalised: bool  # whether traffic lights control it
 
 
 @dataclass(frozen=True)
 class Paving:
-    """Surfaces as polygons in plan metres that do not overlap.
+    """Surfaces as polygons in plan metres that do not overlap."""
 
-    Attributes:
-        carriageway: asphalt between the kerbs.
-        islands: raised ground within it.
-        drive: asphalt of the driveway, across the pavement.
-        lot: asphalt of the car park.
-        pavement: for pedestrians, on both sides of the roads, with its verges.
-        plots: the remaining ground of at least 60 m², one polygon per plot.
-    """
-
-    carriageway: Geometry
-    islands: Geometry
-    drive: Geometry
-    lot: Geometry
-    pavement: Geometry
-    plots: tuple[Polygon, ...]
+    carriageway: Geometry  # asphalt between the kerbs
+    islands: Geometry  # raised ground within it
+    drive: Geometry  # asphalt of the driveway, across the pavement
+    lot: Geometry  # asphalt of the car park
+    pavement: Geometry  # for pedestrians, on both sides of the roads, with its verges
+    plots: tuple[Polygon, ...]  # the remaining ground of at least 60 m², one polygon per plot
 
 
 def make_paving(

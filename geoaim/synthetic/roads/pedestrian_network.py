@@ -31,34 +31,22 @@ MAX_BULGE = 0.2  # of its length, by which a park path leaves the straight line
 
 @dataclass(frozen=True)
 class WalkEdge:
-    """An edge of the pedestrian network, walked in either direction.
+    """An edge of the pedestrian network, walked in either direction."""
 
-    Attributes:
-        line: equally spaced points, plan metres.
-        crossing: index of the crossing that it leads over; -1: a pavement or footpath.
-        start: node at its start.
-        end: node at its end.
-    """
-
-    line: Polyline
-    crossing: int
-    start: int
-    end: int
+    line: Polyline  # equally spaced points, plan metres
+    crossing: int  # index of the crossing that it leads over; -1: a pavement or footpath
+    start: int  # node at its start
+    end: int  # node at its end
 
 
 @dataclass(frozen=True, eq=False)
 class PedestrianNetwork:
-    """What pedestrians walk on.
+    """What pedestrians walk on."""
 
-    Attributes:
-        edges: pavements, crossings and footpaths between nodes.
-        spawn_nodes: where pedestrians enter and leave: outside the extent, doors, ends of paths.
-        surface: the paved ground of the footpaths.
-    """
-
-    edges: tuple[WalkEdge, ...]
+    edges: tuple[WalkEdge, ...]  # pavements, crossings and footpaths between nodes
+    # where pedestrians enter and leave: outside the extent, doors, ends of paths
     spawn_nodes: tuple[int, ...]
-    surface: Geometry
+    surface: Geometry  # the paved ground of the footpaths
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,27 +20,16 @@ CAR_PARK_S: Mapping[PlaceKind, float] = {"junction": 46.0, "t": 42.0, "street": 
 
 @dataclass(frozen=True, eq=False)
 class Roads:
-    """The plan of a place, in metres from its centre: x right and y up as drawn.
+    """The plan of a place, in metres from its centre: x right and y up as drawn."""
 
-    Attributes:
-        layout: approaches, corners, roundabout.
-        lanes: all lanes of the roads.
-        routes: all routes of vehicles through the place.
-        car_park: beside the east approach, or None.
-        crossings: of pedestrians.
-        paving: surfaces.
-        footpaths: the network that pedestrians walk on.
-        extent: the part of the plan that is drawn.
-    """
-
-    layout: Layout
-    lanes: tuple[Lane, ...]
-    routes: tuple[Route, ...]
-    car_park: CarPark | None
-    crossings: tuple[Crossing, ...]
-    paving: Paving
-    footpaths: PedestrianNetwork
-    extent: Polygon
+    layout: Layout  # approaches, corners, roundabout
+    lanes: tuple[Lane, ...]  # all lanes of the roads
+    routes: tuple[Route, ...]  # all routes of vehicles through the place
+    car_park: CarPark | None  # beside the east approach, or None
+    crossings: tuple[Crossing, ...]  # of pedestrians
+    paving: Paving  # surfaces
+    footpaths: PedestrianNetwork  # the network that pedestrians walk on
+    extent: Polygon  # the part of the plan that is drawn
 
 
 def make_roads(kind: PlaceKind, generator: np.random.Generator) -> Roads:

@@ -31,20 +31,13 @@ Window: TypeAlias = tuple[slice, slice]
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """The image being drawn (changed in place), with the noise for its textures.
+    """The image being drawn (changed in place), with the noise for its textures."""
 
-    Attributes:
-        image: (H, W, 3) grey levels.
-        image_from_plan: (3, 3) plan metres to pixels, a scale and a flip.
-        resolution: metres per pixel.
-        generator: source of randomness.
-        fields: noise of four slopes; each stroke crops another part.
-    """
-
-    image: Float32[Array, "H W 3"]
-    image_from_plan: Float[Array, "3 3"]
-    resolution: float
-    generator: np.random.Generator
+    image: Float32[Array, "H W 3"]  # grey levels
+    image_from_plan: Float[Array, "3 3"]  # plan metres to pixels, a scale and a flip
+    resolution: float  # metres per pixel
+    generator: np.random.Generator  # source of randomness
+    # noise of four slopes; each stroke crops another part
     fields: tuple[Float32[Array, "_ _"], ...]
 
     @property

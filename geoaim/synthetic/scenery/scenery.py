@@ -47,32 +47,17 @@ class Parcel:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """All scenery of a place, on any day.
+    """All scenery of a place, on any day."""
 
-    Attributes:
-        parcels: the uses of the plots.
-        verges: grass between kerb and pavement.
-        slabs: paved yards and squares.
-        gravel: paths of parcels that are parks.
-        ponds: water.
-        soil: bare ground of fields.
-        buildings: houses and blocks.
-        trees: trees, then shrubs.
-        hedges: polygons.
-        lamps: foot and tip of each, and of the masts of the signals.
-        spots: for parked cars.
-        spare: rectangles where a container may stand on another day.
-    """
-
-    parcels: tuple[Parcel, ...]
-    verges: Geometry
-    slabs: Geometry
-    gravel: Geometry
-    ponds: Geometry
-    soil: Geometry
-    buildings: tuple[Building, ...]
-    trees: tuple[Tree, ...]
-    hedges: tuple[Float[Array, "4 2"], ...]
-    lamps: Float[Array, "L 2 2"]
-    spots: tuple[Spot, ...]
-    spare: tuple[Float[Array, "4 2"], ...]
+    parcels: tuple[Parcel, ...]  # the uses of the plots
+    verges: Geometry  # grass between kerb and pavement
+    slabs: Geometry  # paved yards and squares
+    gravel: Geometry  # paths of parcels that are parks
+    ponds: Geometry  # water
+    soil: Geometry  # bare ground of fields
+    buildings: tuple[Building, ...]  # houses and blocks
+    trees: tuple[Tree, ...]  # trees, then shrubs
+    hedges: tuple[Float[Array, "4 2"], ...]  # polygons
+    lamps: Float[Array, "L 2 2"]  # foot and tip of each, and of the masts of the signals
+    spots: tuple[Spot, ...]  # for parked cars
+    spare: tuple[Float[Array, "4 2"], ...]  # rectangles where a container may stand on another day

@@ -38,46 +38,30 @@ class ConflictZones:
     """Ground that two paths share, each seen from both paths (Z entries).
 
     Distances are metres along a path.
-
-    Attributes:
-        wait: where vehicles of the path wait for those of the other.
-        start: where the zone begins on the path.
-        end: where it ends.
-        other_start: where it begins on the other path.
-        other_end: where it ends.
-        yields: whether vehicles of the path yield to those of the other.
-        same_direction: whether both paths have the same direction there.
     """
 
-    wait: Float[Array, "Z"]
-    start: Float[Array, "Z"]
-    end: Float[Array, "Z"]
-    other_start: Float[Array, "Z"]
-    other_end: Float[Array, "Z"]
-    yields: Bool[Array, "Z"]
-    same_direction: Bool[Array, "Z"]
+    wait: Float[Array, "Z"]  # where vehicles of the path wait for those of the other
+    start: Float[Array, "Z"]  # where the zone begins on the path
+    end: Float[Array, "Z"]  # where it ends
+    other_start: Float[Array, "Z"]  # where it begins on the other path
+    other_end: Float[Array, "Z"]  # where it ends
+    yields: Bool[Array, "Z"]  # whether vehicles of the path yield to those of the other
+    same_direction: Bool[Array, "Z"]  # whether both paths have the same direction there
 
 
 @dataclass(frozen=True)
 class PathConflicts:
-    """What R paths share with each other and with C crossings.
+    """What R paths share with each other and with C crossings."""
 
-    Attributes:
-        projection: (R, R, K) s on path a of a vehicle at the k-th metre of path b, if it drives
-            in a's lane and direction; infinite otherwise.
-        zone_index: (R, R, 2) conflict zones of two paths; -1: none.
-        zones: all conflict zones.
-        crossing_span: (R, C, 2) s where a crossing begins and ends; NaN: not crossed.
-        crossing_offset: (R, C) metres from the crossing's first end to the path.
-        crossing_side: (R, C) 1 where the path leads to the left of pedestrians who walk from the
-            first end, -1 where to their right.
-    """
-
+    # s on path a of a vehicle at the k-th metre of path b, if it drives in a's lane and
+    # direction; infinite otherwise
     projection: Float32[Array, "R R K"]
-    zone_index: Int[Array, "R R 2"]
-    zones: ConflictZones
-    crossing_span: Float[Array, "R C 2"]
-    crossing_offset: Float[Array, "R C"]
+    zone_index: Int[Array, "R R 2"]  # conflict zones of two paths; -1: none
+    zones: ConflictZones  # all conflict zones
+    crossing_span: Float[Array, "R C 2"]  # s where a crossing begins and ends; NaN: not crossed
+    crossing_offset: Float[Array, "R C"]  # metres from the crossing's first end to the path
+    # 1 where the path leads to the left of pedestrians who walk from the first end, -1 where
+    # to their right
     crossing_side: Float[Array, "R C"]
 
 

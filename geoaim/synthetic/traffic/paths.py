@@ -35,35 +35,20 @@ PARKING_SHARE = 0.03  # of a lane's vehicles, for each bay
 
 @dataclass(frozen=True)
 class VehiclePath:
-    """The path of a vehicle's rear axle (L points).
+    """The path of a vehicle's rear axle (L points)."""
 
-    Attributes:
-        name: "east in 0 to south", "into bay 3", ...
-        line: equally spaced points, plan metres.
-        heading: direction of motion, radians, unwrapped.
-        forward: whether a vehicle drives forward there.
-        curvature: 1/m.
-        speed_limit: of lanes, curves and reversals, m/s.
-        priority: at each point, vehicles yield to paths with a lower number.
-        stop: s of the stop or give-way line, metres; infinite where there is none.
-        signal: name of the traffic light that controls it, or "".
-        entry: name of the lane where vehicles enter; "": a bay.
-        share: of the vehicles that enter there.
-        bay: number of the bay where the path begins or ends; -1: none.
-    """
-
-    name: str
-    line: Polyline
-    heading: Float[Array, "L"]
-    forward: Bool[Array, "L"]
-    curvature: Float[Array, "L"]
-    speed_limit: Float[Array, "L"]
-    priority: Int[Array, "L"]
-    stop: float = np.inf
-    signal: str = ""
-    entry: str = ""
-    share: float = 0.0
-    bay: int = -1
+    name: str  # "east in 0 to south", "into bay 3", ...
+    line: Polyline  # equally spaced points, plan metres
+    heading: Float[Array, "L"]  # direction of motion, radians, unwrapped
+    forward: Bool[Array, "L"]  # whether a vehicle drives forward there
+    curvature: Float[Array, "L"]  # 1/m
+    speed_limit: Float[Array, "L"]  # of lanes, curves and reversals, m/s
+    priority: Int[Array, "L"]  # at each point, vehicles yield to paths with a lower number
+    stop: float = np.inf  # s of the stop or give-way line, metres; infinite where there is none
+    signal: str = ""  # name of the traffic light that controls it, or ""
+    entry: str = ""  # name of the lane where vehicles enter; "": a bay
+    share: float = 0.0  # of the vehicles that enter there
+    bay: int = -1  # number of the bay where the path begins or ends; -1: none
 
 
 @dataclass(frozen=True)

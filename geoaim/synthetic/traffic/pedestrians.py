@@ -35,118 +35,70 @@ MIN_CROSSING_SPEED = 0.8  # m/s that vehicles expect on a crossing
 
 @dataclass(frozen=True)
 class Pedestrians:
-    """The pedestrians and cyclists at one time (n of them).
+    """The pedestrians and cyclists at one time (n of them)."""
 
-    Attributes:
-        trip: index of the pedestrian's trip.
-        position: plan metres.
-        velocity: m/s in x and y.
-        path: equally spaced points; the last one is repeated.
-        crossing: index of the crossing at each point of the path; -1: none.
-        last: index of the path's last point.
-        s: metres of the path walked so far.
-        lateral_offset: metres to the left of the path where they prefer to walk.
-        desired_speed: m/s.
-        radius: of the body, metres.
-    """
-
-    trip: Int[Array, "n"]
-    position: Float[Array, "n 2"]
-    velocity: Float[Array, "n 2"]
-    path: Float[Array, "n K 2"]
-    crossing: Int[Array, "n K"]
-    last: Int[Array, "n"]
-    s: Float[Array, "n"]
-    lateral_offset: Float[Array, "n"]
-    desired_speed: Float[Array, "n"]
-    radius: Float[Array, "n"]
+    trip: Int[Array, "n"]  # index of the pedestrian's trip
+    position: Float[Array, "n 2"]  # plan metres
+    velocity: Float[Array, "n 2"]  # m/s in x and y
+    path: Float[Array, "n K 2"]  # equally spaced points; the last one is repeated
+    crossing: Int[Array, "n K"]  # index of the crossing at each point of the path; -1: none
+    last: Int[Array, "n"]  # index of the path's last point
+    s: Float[Array, "n"]  # metres of the path walked so far
+    lateral_offset: Float[Array, "n"]  # metres to the left of the path where they prefer to walk
+    desired_speed: Float[Array, "n"]  # m/s
+    radius: Float[Array, "n"]  # of the body, metres
 
 
 @dataclass(frozen=True)
 class PavementMap:
-    """Distances to the edge of the pavement on a grid over the plan, whose rows run upwards.
+    """Distances to the edge of the pavement on a grid over the plan, whose rows run upwards."""
 
-    Attributes:
-        table: (H, W, 3) metres to the nearest edge, 0 off the pavement; and the unit vector
-            away from that edge.
-        corner: plan coordinates of the first cell's outer corner.
-    """
-
+    # metres to the nearest edge, 0 off the pavement; and the unit vector away from that edge
     table: Float[Array, "H W 3"]
-    corner: Float[Array, "2"]
+    corner: Float[Array, "2"]  # plan coordinates of the first cell's outer corner
 
 
 @dataclass(frozen=True)
 class CrossingTable:
-    """The crossings of a place (C of them).
+    """The crossings of a place (C of them)."""
 
-    Attributes:
-        first: (C, 2) their first ends, plan metres.
-        direction: (C, 2) unit vectors to the other end.
-        signal: index of the pedestrians' traffic light; -1: none.
-        marked: whether vehicles stop for pedestrians who want to cross.
-        priority: whether pedestrians never wait: a pavement that a driveway crosses.
-    """
-
-    first: Float[Array, "C 2"]
-    direction: Float[Array, "C 2"]
-    signal: Int[Array, "C"]
-    marked: Bool[Array, "C"]
-    priority: Bool[Array, "C"]
+    first: Float[Array, "C 2"]  # their first ends, plan metres
+    direction: Float[Array, "C 2"]  # unit vectors to the other end
+    signal: Int[Array, "C"]  # index of the pedestrians' traffic light; -1: none
+    marked: Bool[Array, "C"]  # whether vehicles stop for pedestrians who want to cross
+    priority: Bool[Array, "C"]  # whether pedestrians never wait: a pavement that a driveway crosses
 
 
 @dataclass(frozen=True)
 class CrossingPedestrians:
-    """Pedestrians on a crossing or stepping on it, as vehicles see them (m of them).
+    """Pedestrians on a crossing or stepping on it, as vehicles see them (m of them)."""
 
-    Attributes:
-        crossing: its index.
-        offset: metres from its first end.
-        speed: m/s along it, positive away from the first end; not 0.
-        radius: of the body along the crossing, metres.
-    """
-
-    crossing: Int[Array, "m"]
-    offset: Float[Array, "m"]
-    speed: Float[Array, "m"]
-    radius: Float[Array, "m"]
+    crossing: Int[Array, "m"]  # its index
+    offset: Float[Array, "m"]  # metres from its first end
+    speed: Float[Array, "m"]  # m/s along it, positive away from the first end; not 0
+    radius: Float[Array, "m"]  # of the body along the crossing, metres
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What is ahead of n pedestrians, of whom m are on a crossing or near one.
+    """What is ahead of n pedestrians, of whom m are on a crossing or near one."""
 
-    Attributes:
-        on_crossing: (n,) whether they are on a crossing.
-        target: (n, 2) the point of the path that they head for.
-        direction: (n, 2) of the path there.
-        near: (m,) indices of those on a crossing or near one.
-        crossing: (m,) its index.
-        offset: (m,) metres from its first end.
-        sign: (m,) 1 for those who walk away from the first end, else -1.
-        visible: those of the m whom vehicles notice.
-    """
-
-    on_crossing: Bool[Array, "n"]
-    target: Float[Array, "n 2"]
-    direction: Float[Array, "n 2"]
-    near: Int[Array, "m"]
-    crossing: Int[Array, "m"]
-    offset: Float[Array, "m"]
-    sign: Float[Array, "m"]
-    visible: CrossingPedestrians
+    on_crossing: Bool[Array, "n"]  # whether they are on a crossing
+    target: Float[Array, "n 2"]  # the point of the path that they head for
+    direction: Float[Array, "n 2"]  # of the path there
+    near: Int[Array, "m"]  # indices of those on a crossing or near one
+    crossing: Int[Array, "m"]  # its index
+    offset: Float[Array, "m"]  # metres from its first end
+    sign: Float[Array, "m"]  # 1 for those who walk away from the first end, else -1
+    visible: CrossingPedestrians  # those of the m whom vehicles notice
 
 
 @dataclass(frozen=True)
 class Reaction:
-    """How pedestrians react to vehicles and lights (n pedestrians).
+    """How pedestrians react to vehicles and lights (n pedestrians)."""
 
-    Attributes:
-        waits: whether they stand still.
-        detour: metres to the left of the path by which they walk around a vehicle; 0: none.
-    """
-
-    waits: Bool[Array, "n"]
+    waits: Bool[Array, "n"]  # whether they stand still
+    # metres to the left of the path by which they walk around a vehicle; 0: none
     detour: Float[Array, "n"]
 
 

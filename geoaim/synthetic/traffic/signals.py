@@ -17,21 +17,14 @@ MIN_WALK_S = 5.0  # of a pedestrians' green
 
 @dataclass(frozen=True)
 class Signals:
-    """Traffic lights with a fixed cycle.
+    """Traffic lights with a fixed cycle."""
 
-    Attributes:
-        names: "east", "east left", ... for vehicles, "walk north" for pedestrians.
-        cycle: seconds; 0: there are no lights.
-        green: start and end of each light's green within the cycle, seconds.
-        yellow: seconds of each light's yellow after green.
-        phase: position in the cycle at time 0, seconds.
-    """
-
-    names: tuple[str, ...]
-    cycle: float
+    names: tuple[str, ...]  # "east", "east left", ... for vehicles, "walk north" for pedestrians
+    cycle: float  # seconds; 0: there are no lights
+    # start and end of each light's green within the cycle, seconds
     green: tuple[tuple[float, float], ...]
-    yellow: tuple[float, ...]
-    phase: float = 0.0
+    yellow: tuple[float, ...]  # seconds of each light's yellow after green
+    phase: float = 0.0  # position in the cycle at time 0, seconds
 
 
 @dataclass(frozen=True)

@@ -61,50 +61,29 @@ VEHICLE_TYPES = {
 
 @dataclass(frozen=True, eq=False)
 class TrafficModel:
-    """What the simulation of a place's traffic needs, computed once.
+    """What the simulation of a place's traffic needs, computed once."""
 
-    Attributes:
-        roads: the plan.
-        paths: of vehicles.
-        tables: over these paths.
-        signals: the traffic lights.
-        pavement: where pedestrians may walk.
-        crossings: of pedestrians.
-    """
-
-    roads: Roads
-    paths: tuple[VehiclePath, ...]
-    tables: PathTables
-    signals: Signals
-    pavement: PavementMap
-    crossings: CrossingTable
+    roads: Roads  # the plan
+    paths: tuple[VehiclePath, ...]  # of vehicles
+    tables: PathTables  # over these paths
+    signals: Signals  # the traffic lights
+    pavement: PavementMap  # where pedestrians may walk
+    crossings: CrossingTable  # of pedestrians
 
 
 @dataclass(frozen=True, eq=False)
 class TrafficRecording:
-    """The simulated traffic: one row for each agent and step.
+    """The simulated traffic: one row for each agent and step."""
 
-    Attributes:
-        times: (T,) seconds.
-        signals: the traffic lights during it.
-        vehicle_trips: of all vehicles.
-        pedestrian_trips: of all pedestrians and cyclists.
-        vehicle_rows: (V, 2) step and index of the trip.
-        vehicle_paths: (V,) index of the path.
-        vehicle_motion: (V, 2) s along the path in metres, and speed in m/s.
-        pedestrian_rows: (P, 2) step and index of the trip.
-        pedestrian_positions: (P, 2) plan metres.
-    """
-
-    times: Float[Array, "T"]
-    signals: Signals
-    vehicle_trips: tuple[VehicleTrip, ...]
-    pedestrian_trips: tuple[PedestrianTrip, ...]
-    vehicle_rows: Int[Array, "V 2"]
-    vehicle_paths: Int[Array, "V"]
-    vehicle_motion: Float[Array, "V 2"]
-    pedestrian_rows: Int[Array, "P 2"]
-    pedestrian_positions: Float[Array, "P 2"]
+    times: Float[Array, "T"]  # seconds
+    signals: Signals  # the traffic lights during it
+    vehicle_trips: tuple[VehicleTrip, ...]  # of all vehicles
+    pedestrian_trips: tuple[PedestrianTrip, ...]  # of all pedestrians and cyclists
+    vehicle_rows: Int[Array, "V 2"]  # step and index of the trip
+    vehicle_paths: Int[Array, "V"]  # index of the path
+    vehicle_motion: Float[Array, "V 2"]  # s along the path in metres, and speed in m/s
+    pedestrian_rows: Int[Array, "P 2"]  # step and index of the trip
+    pedestrian_positions: Float[Array, "P 2"]  # plan metres
 
 
 def prepare_traffic(roads: Roads, generator: np.random.Generator) -> TrafficModel:

@@ -23,46 +23,27 @@ State = TypeVar("State", Vehicles, Pedestrians)
 
 @dataclass(frozen=True)
 class VehicleTrip:
-    """A vehicle and its driver's parameters.
+    """A vehicle and its driver's parameters."""
 
-    Attributes:
-        time: of its departure, seconds.
-        path: index of its path.
-        kind: name of the vehicle type.
-        size: length and width, metres.
-        speed_factor: its desired speed as a share of the speed limit.
-        headway: desired time gap behind others, seconds.
-        drift_phases: of the waves in which it drifts within its lane, radians.
-    """
-
-    time: float
-    path: int
-    kind: str
-    size: tuple[float, float]
-    speed_factor: float
-    headway: float
-    drift_phases: tuple[float, float]
+    time: float  # of its departure, seconds
+    path: int  # index of its path
+    kind: str  # name of the vehicle type
+    size: tuple[float, float]  # length and width, metres
+    speed_factor: float  # its desired speed as a share of the speed limit
+    headway: float  # desired time gap behind others, seconds
+    drift_phases: tuple[float, float]  # of the waves in which it drifts within its lane, radians
 
 
 @dataclass(frozen=True)
 class PedestrianTrip:
-    """A pedestrian or cyclist and their route.
+    """A pedestrian or cyclist and their route."""
 
-    Attributes:
-        time: of departure, seconds.
-        kind: "pedestrian" or "cyclist".
-        path: (K, 2) equally spaced points, plan metres.
-        crossing: (K,) index of the crossing at each point; -1: none.
-        lateral_offset: metres to the left of the path where they prefer to walk.
-        desired_speed: m/s.
-    """
-
-    time: float
-    kind: str
-    path: Float[Array, "K 2"]
-    crossing: Int[Array, "K"]
-    lateral_offset: float
-    desired_speed: float
+    time: float  # of departure, seconds
+    kind: str  # "pedestrian" or "cyclist"
+    path: Float[Array, "K 2"]  # equally spaced points, plan metres
+    crossing: Int[Array, "K"]  # index of the crossing at each point; -1: none
+    lateral_offset: float  # metres to the left of the path where they prefer to walk
+    desired_speed: float  # m/s
 
 
 @dataclass(frozen=True)
@@ -75,19 +56,13 @@ class Agents:
 
 @dataclass(frozen=True)
 class Trips:
-    """All trips of a simulation; spawning moves them from the queues to the lists.
+    """All trips of a simulation; spawning moves them from the queues to the lists."""
 
-    Attributes:
-        vehicle_queues: trips from each entry that have not begun, in the order of time.
-        pedestrian_queue: trips that have not begun, in the order of time.
-        vehicles: trips that have begun.
-        pedestrians: trips that have begun.
-    """
-
+    # trips from each entry that have not begun, in the order of time
     vehicle_queues: list[list[VehicleTrip]]
-    pedestrian_queue: list[PedestrianTrip]
-    vehicles: list[VehicleTrip]
-    pedestrians: list[PedestrianTrip]
+    pedestrian_queue: list[PedestrianTrip]  # trips that have not begun, in the order of time
+    vehicles: list[VehicleTrip]  # trips that have begun
+    pedestrians: list[PedestrianTrip]  # trips that have begun
 
 
 def spawn_agents(

@@ -18,99 +18,60 @@ ANTICIPATED_BRAKING = 0.8 * COMFORTABLE_BRAKING  # m/s2, before lower speed limi
 
 @dataclass(frozen=True)
 class Vehicles:
-    """The vehicles at one time (n of them).
+    """The vehicles at one time (n of them)."""
 
-    Attributes:
-        trip: index of the vehicle's trip.
-        path: index of its path.
-        s: metres of its rear axle along the path.
-        speed: m/s along the path.
-        acceleration: m/s2.
-        length: metres.
-        speed_factor: its desired speed as a share of the speed limit.
-        headway: desired time gap behind others, seconds.
-        parked_until: when it leaves its bay, seconds; infinite while it drives.
-    """
-
-    trip: Int[Array, "n"]
-    path: Int[Array, "n"]
-    s: Float[Array, "n"]
-    speed: Float[Array, "n"]
-    acceleration: Float[Array, "n"]
-    length: Float[Array, "n"]
-    speed_factor: Float[Array, "n"]
-    headway: Float[Array, "n"]
-    parked_until: Float[Array, "n"]
+    trip: Int[Array, "n"]  # index of the vehicle's trip
+    path: Int[Array, "n"]  # index of its path
+    s: Float[Array, "n"]  # metres of its rear axle along the path
+    speed: Float[Array, "n"]  # m/s along the path
+    acceleration: Float[Array, "n"]  # m/s2
+    length: Float[Array, "n"]  # metres
+    speed_factor: Float[Array, "n"]  # its desired speed as a share of the speed limit
+    headway: Float[Array, "n"]  # desired time gap behind others, seconds
+    parked_until: Float[Array, "n"]  # when it leaves its bay, seconds; infinite while it drives
 
 
 @dataclass(frozen=True)
 class PlacedVehicles:
-    """Vehicles, and the ground that they occupy.
+    """Vehicles, and the ground that they occupy."""
 
-    Attributes:
-        state: the n vehicles.
-        front: (n,) s of their foremost points along their paths, metres.
-        rear: (n,) s of their rearmost points.
-    """
-
-    state: Vehicles
-    front: Float[Array, "n"]
-    rear: Float[Array, "n"]
+    state: Vehicles  # the n vehicles
+    front: Float[Array, "n"]  # s of their foremost points along their paths, metres
+    rear: Float[Array, "n"]  # s of their rearmost points
 
 
 @dataclass(frozen=True)
 class PathTables:
-    """All paths side by side (R paths of up to K points).
+    """All paths side by side (R paths of up to K points)."""
 
-    Attributes:
-        conflicts: what paths share.
-        speed_limit: (R, K) from which later limits are reached with comfortable braking, m/s.
-        forward: (R, K) whether vehicles drive forward there.
-        length: (R,) of each path, metres.
-        stop: (R,) s of the stop line; infinite where there is none.
-        signal: (R,) index of the traffic light that controls the path; -1: none.
-        entry: (R,) index of the lane where its vehicles enter; -1: a bay.
-        bay: (R,) number of the bay where the path begins or ends; -1: none.
-        into_bay: (R,) whether it ends in a bay.
-        projection: `conflicts.projection` as one row, followed by a row of infinities.
-    """
-
-    conflicts: PathConflicts
+    conflicts: PathConflicts  # what paths share
+    # from which later limits are reached with comfortable braking, m/s
     speed_limit: Float[Array, "R K"]
-    forward: Bool[Array, "R K"]
-    length: Float[Array, "R"]
-    stop: Float[Array, "R"]
-    signal: Int[Array, "R"]
-    entry: Int[Array, "R"]
-    bay: Int[Array, "R"]
-    into_bay: Bool[Array, "R"]
+    forward: Bool[Array, "R K"]  # whether vehicles drive forward there
+    length: Float[Array, "R"]  # of each path, metres
+    stop: Float[Array, "R"]  # s of the stop line; infinite where there is none
+    signal: Int[Array, "R"]  # index of the traffic light that controls the path; -1: none
+    entry: Int[Array, "R"]  # index of the lane where its vehicles enter; -1: a bay
+    bay: Int[Array, "R"]  # number of the bay where the path begins or ends; -1: none
+    into_bay: Bool[Array, "R"]  # whether it ends in a bay
+    # `conflicts.projection` as one row, followed by a row of infinities
     projection: Float32[Array, "_"]
 
 
 @dataclass(frozen=True)
 class VehiclePairs:
-    """Pairs of vehicles whose paths conflict (P pairs of n vehicles); constant while paths are.
+    """Pairs of vehicles whose paths conflict (P pairs of n vehicles); constant while paths are."""
 
-    Attributes:
-        projection_row: (n, n) where the projections of each other vehicle begin in
-            `PathTables.projection`.
-        vehicle: (P,) indices of vehicles.
-        other: (P,) indices of vehicles on a path that conflicts with theirs.
-        zones: (P,) their conflict zones.
-        other_wait: (P,) s where the other one would wait for the vehicle.
-        signal: (n,) index of the traffic light that controls each vehicle's path; -1: none.
-        stop: (n,) s of the stop line.
-        crossing_span: (n, C, 2) s where crossings begin and end.
-    """
-
+    # where the projections of each other vehicle begin in `PathTables.projection`
     projection_row: Int[Array, "n n"]
-    vehicle: Int[Array, "P"]
-    other: Int[Array, "P"]
-    zones: ConflictZones
-    other_wait: Float[Array, "P"]
+    vehicle: Int[Array, "P"]  # indices of vehicles
+    other: Int[Array, "P"]  # indices of vehicles on a path that conflicts with theirs
+    zones: ConflictZones  # their conflict zones
+    other_wait: Float[Array, "P"]  # s where the other one would wait for the vehicle
+    # index of the traffic light that controls each vehicle's path; -1: none
     signal: Int[Array, "n"]
-    stop: Float[Array, "n"]
-    crossing_span: Float[Array, "n C 2"]
+    stop: Float[Array, "n"]  # s of the stop line
+    crossing_span: Float[Array, "n C 2"]  # s where crossings begin and end
 
 
 def make_path_tables(
