@@ -17,6 +17,7 @@ from geoaim.bench import (
     registration_methods,
     registration_real,
     report,
+    scenery_ablation,
 )
 from geoaim.encode import write_video
 from geoaim.mapping.registration.register import register
@@ -102,3 +103,18 @@ def test_reports_hold_the_command_the_machine_and_the_rows(tmp_path):
 
 def test_figures_draw_the_kinds_of_place_in_four_seasons():
     assert len({day.season for day in figures.DAYS.values()}) == 4
+
+
+def test_each_plain_part_of_the_scenery_replaces_one_that_exists():
+    for changes in scenery_ablation.PARTS.values():
+        for module, name, _ in changes:
+            assert hasattr(module, name), f"{module.__name__} has no {name}"
+
+
+def test_place_without_a_part_is_aligned_and_registered(monkeypatch):
+    monkeypatch.setattr(scenery_ablation, "_measure_model", lambda *_: 0.0)
+    tracks = {"street": tracks_of(make_sample(914, kind="street", minutes=0.3, video=None))}
+    row = scenery_ablation.measure_without(["crowns of trees"], tracks)
+    assert row["plain"] == "crowns of trees"
+    assert row["by image, m"] < 0.5
+    assert row["registration, px"] < 0.1
