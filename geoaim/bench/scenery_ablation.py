@@ -79,7 +79,7 @@ def _drop_shrubs(*given: Any) -> Any:
 
 def _draw_plain_tar(to: Any, roads: Any) -> None:
     paving = roads.paving
-    for area in (paving.carriageway, paving.drive, paving.lot):
+    for area in (paving.carriageway, paving.driveway, paving.parking_lot):
         fill(to, area, ground.TAR, grain=[(canvas.GRAIN, 5.5)])
 
 
@@ -136,7 +136,7 @@ PARTS: Mapping[str, list[Patch]] = {
     "shrubs": [(place, "place_scenery", _drop_shrubs)],
     "hedges": [(plots, "_make_hedges", lambda *_: [])],
     "lamps": [(plots, "_make_lamps", lambda _: np.empty((0, 2, 2)))],
-    "containers": [(plots, "_make_spare_rectangles", lambda *_: [])],
+    "containers": [(plots, "_make_container_areas", lambda *_: [])],
     "parked cars": [(objects, "_park_cars", lambda *_: [])],
     "verges": [(plots, "_make_verges", lambda _: Polygon())],
     "parks and plazas": [

@@ -44,8 +44,8 @@ def write_maps(sample: Sample, folder: Path) -> None:
         "carriageway": paving.carriageway,
         "island": paving.islands,
         "pavement": shapely.union_all([paving.pavement, place.roads.footpaths.surface]),
-        "drive": paving.drive,
-        "car park": paving.lot,
+        "drive": paving.driveway,
+        "car park": paving.parking_lot,
     }
     features = [_make_feature(place, area, {"kind": kind}) for kind, area in surfaces.items()]
     for crossing in place.roads.crossings:

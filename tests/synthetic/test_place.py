@@ -81,7 +81,7 @@ def test_clouds_take_the_shadows():
 
 
 def test_nothing_stands_on_the_roads(place):
-    road = shapely.union_all([place.roads.paving.carriageway, place.roads.paving.drive])
+    road = shapely.union_all([place.roads.paving.carriageway, place.roads.paving.driveway])
     for building in place.scenery.buildings:
         assert road.distance(shapely.Point(building.centre)) > 3
     for tree in place.scenery.trees:

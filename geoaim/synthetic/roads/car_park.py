@@ -1,7 +1,8 @@
 """A car park beside an approach: its driveway, aisle and bays, and the vehicles' manoeuvres.
 
-Lot coordinates: metres along the kerb from the middle of the driveway (outwards), and metres deep
-from the kerb. Vehicles enter on the side with negative coordinates, as traffic drives on the right.
+Car park coordinates: metres along the kerb from the middle of the driveway (outwards), and metres
+deep from the kerb. Vehicles enter on the side with negative coordinates, as traffic drives on the
+right.
 """
 
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ DRIVEWAY_WIDTH_M = 7.0
 AISLE_WIDTH_M = 6.8  # between the rows of bays
 BAY_SIZE_M = (2.6, 5.0)  # width and depth
 FIRST_BAY_M = 6.5  # from the kerb
-LOT_DEPTH_M = FIRST_BAY_M + BAYS * BAY_SIZE_M[0] + 2.0  # from the kerb to the end of the aisle
+CAR_PARK_DEPTH_M = FIRST_BAY_M + BAYS * BAY_SIZE_M[0] + 2.0  # from the kerb to the end of the aisle
 PATH_OFFSET_M = 1.7  # from the middle of the driveway to the path of vehicles
 DRIVEWAY_TURN_M = 7.6  # along the road, of a turn into the driveway
 BAY_TURN_M = 5.0  # along the aisle, of a turn into a bay
@@ -34,7 +35,7 @@ class CarPark:
     approach: str  # its name
     s: float  # of the middle of the driveway on the approach, metres
     open_bays: tuple[int, ...]  # the bays that traffic uses, on the side of positive coordinates
-    plan_from_lot: Float[Array, "3 3"]  # lot coordinates to plan metres
+    plan_from_car_park: Float[Array, "3 3"]  # car park coordinates to plan metres
 
 
 @dataclass(frozen=True)
@@ -56,18 +57,18 @@ def make_car_park(approach: Approach, s: float) -> CarPark:
     kerb, next_point = plan_from_road(approach, np.array([[s, t], [s + 1, t]]))
     along = (next_point - kerb) / np.hypot(*(next_point - kerb))
     deep = np.array([along[1], -along[0]])
-    plan_from_lot = np.eye(3)
-    plan_from_lot[:2] = np.stack([along, deep, kerb], axis=1)
-    return CarPark(approach.name, s, tuple(range(2, BAYS - 2, 2)), plan_from_lot)
+    plan_from_car_park = np.eye(3)
+    plan_from_car_park[:2] = np.stack([along, deep, kerb], axis=1)
+    return CarPark(approach.name, s, tuple(range(2, BAYS - 2, 2)), plan_from_car_park)
 
 
-def outline_lot_part(
+def outline_car_park_part(
     car_park: CarPark, along: tuple[float, float], deep: tuple[float, float]
 ) -> Polyline:
     """The corners of a rectangle.
 
     Args:
-        car_park: whose lot coordinates are used.
+        car_park: whose car park coordinates are used.
         along: ends of the rectangle along the kerb, metres.
         deep: its ends away from the kerb, metres.
 
@@ -76,7 +77,7 @@ def outline_lot_part(
     """
     (x0, x1), (y0, y1) = along, deep
     corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    return transform_points(car_park.plan_from_lot, corners)
+    return transform_points(car_park.plan_from_car_park, corners)
 
 
 def make_manoeuvres(car_park: CarPark, approach: Approach) -> list[Manoeuvre]:
@@ -97,14 +98,14 @@ def make_manoeuvres(car_park: CarPark, approach: Approach) -> list[Manoeuvre]:
 
 def _enter_driveway(car_park: CarPark, approach: Approach) -> Polyline:
     """From the outer outbound lane into the driveway."""
-    end = _plan_from_lot(car_park, [[-PATH_OFFSET_M, DRIVEWAY_TURN_M - 2.0]])[0]
+    end = _plan_from_car_park(car_park, [[-PATH_OFFSET_M, DRIVEWAY_TURN_M - 2.0]])[0]
     start = _locate_lane_pose(approach, car_park.s - PATH_OFFSET_M - DRIVEWAY_TURN_M)
     return connect_poses(*start, end, _compute_heading(car_park, deep=1))
 
 
 def _leave_driveway(car_park: CarPark, approach: Approach) -> Polyline:
     """From the driveway into the same lane."""
-    start = _plan_from_lot(car_park, [[PATH_OFFSET_M, DRIVEWAY_TURN_M - 2.0]])[0]
+    start = _plan_from_car_park(car_park, [[PATH_OFFSET_M, DRIVEWAY_TURN_M - 2.0]])[0]
     end = _locate_lane_pose(approach, car_park.s + PATH_OFFSET_M + DRIVEWAY_TURN_M)
     return connect_poses(start, _compute_heading(car_park, deep=-1), *end)
 
@@ -130,16 +131,16 @@ def _locate_bay_path(car_park: CarPark, bay: int, turn: float) -> Polyline:
     """Where a turn begins `turn` metres deeper than a bay, where it ends, where vehicles rest."""
     deep = FIRST_BAY_M + (bay + 0.5) * BAY_SIZE_M[0]
     points = [[-PATH_OFFSET_M, deep + turn], [BAY_TURN_M - PATH_OFFSET_M, deep]]
-    return _plan_from_lot(car_park, [*points, [REST_OFFSET_M, deep]])
+    return _plan_from_car_park(car_park, [*points, [REST_OFFSET_M, deep]])
 
 
-def _plan_from_lot(car_park: CarPark, points: list[list[float]]) -> Polyline:
-    return transform_points(car_park.plan_from_lot, np.array(points))
+def _plan_from_car_park(car_park: CarPark, points: list[list[float]]) -> Polyline:
+    return transform_points(car_park.plan_from_car_park, np.array(points))
 
 
 def _compute_heading(car_park: CarPark, *, along: float = 0.0, deep: float = 0.0) -> float:
-    """The heading in the plan of a direction in lot coordinates."""
-    x, y = car_park.plan_from_lot[:2, :2] @ [along, deep]
+    """The heading in the plan of a direction in car park coordinates."""
+    x, y = car_park.plan_from_car_park[:2, :2] @ [along, deep]
     return float(np.arctan2(y, x))
 
 

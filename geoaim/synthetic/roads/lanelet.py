@@ -74,7 +74,7 @@ def make_lanelet_map(
     if complete:
         _add_walkways(draft, roads)
     if complete and roads.car_park is not None:
-        ground = shapely.union_all([roads.paving.lot, roads.paving.drive])
+        ground = shapely.union_all([roads.paving.parking_lot, roads.paving.driveway])
         _add_area(draft, ground, {"type": "multipolygon", "subtype": "parking"})
     root = ET.Element("osm", version="0.6", generator="geoaim")
     lonlat = lonlat_from_world(world, transform_points(world_from_plan, np.array(draft.points)))

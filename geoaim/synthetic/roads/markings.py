@@ -18,7 +18,7 @@ from geoaim.synthetic.roads.car_park import (
     BAYS,
     FIRST_BAY_M,
     CarPark,
-    outline_lot_part,
+    outline_car_park_part,
 )
 from geoaim.synthetic.roads.curves import Polyline
 from geoaim.synthetic.roads.lanes import LANE_END_M
@@ -249,5 +249,5 @@ def _make_bay_lines(car_park: CarPark) -> list[Polyline]:
         deep = FIRST_BAY_M + bay * BAY_SIZE_M[0]
         for side in (1, -1):
             along = (side * AISLE_WIDTH_M / 2, side * (AISLE_WIDTH_M / 2 + BAY_SIZE_M[1]))
-            lines.append(outline_lot_part(car_park, along, (deep - 0.06, deep + 0.06)))
+            lines.append(outline_car_park_part(car_park, along, (deep - 0.06, deep + 0.06)))
     return lines

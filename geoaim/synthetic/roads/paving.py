@@ -12,10 +12,10 @@ from geoaim.synthetic.roads.approaches import GUTTER_M, Approach, outline_strip,
 from geoaim.synthetic.roads.car_park import (
     AISLE_WIDTH_M,
     BAY_SIZE_M,
+    CAR_PARK_DEPTH_M,
     DRIVEWAY_WIDTH_M,
-    LOT_DEPTH_M,
     CarPark,
-    outline_lot_part,
+    outline_car_park_part,
 )
 from geoaim.synthetic.roads.lanes import LANE_END_M, Lane, compute_lane_bounds
 from geoaim.synthetic.roads.layouts import CROSSING_WIDTH_M, RING_LANE_WIDTH_M, Layout
@@ -42,8 +42,8 @@ class Paving:
 
     carriageway: Geometry  # asphalt between the kerbs
     islands: Geometry  # raised ground within it
-    drive: Geometry  # asphalt of the driveway, across the pavement
-    lot: Geometry  # asphalt of the car park
+    driveway: Geometry  # asphalt of the driveway, across the pavement
+    parking_lot: Geometry  # asphalt of the car park
     pavement: Geometry  # for pedestrians, on both sides of the roads, with its verges
     plots: tuple[Polygon, ...]  # the remaining ground of at least 60 m², one polygon per plot
 
@@ -71,12 +71,12 @@ def make_paving(
     bounds = [compute_lane_bounds(lane) for lane in lanes]
     driven = [Polygon(np.concatenate([left, right[::-1]])).buffer(0) for left, right in bounds]
     islands = shapely.union_all(_make_islands(layout)).difference(shapely.union_all(driven))
-    drive, lot = _make_drive_and_lot(car_park, road)
+    driveway, parking_lot = _make_driveway_and_parking_lot(car_park, road)
     paved = road.buffer(pavement_width, quad_segs=32)
-    pavement = paved.difference(shapely.union_all([road, drive, lot]))
-    rest = extent.difference(shapely.union_all([paved, drive, lot.buffer(1.0)]))
+    pavement = paved.difference(shapely.union_all([road, driveway, parking_lot]))
+    rest = extent.difference(shapely.union_all([paved, driveway, parking_lot.buffer(1.0)]))
     plots = tuple(part for part in shapely.get_parts(rest) if part.area > MIN_PLOT_M2)
-    paving = Paving(road.difference(islands), islands, drive, lot, pavement, plots)
+    paving = Paving(road.difference(islands), islands, driveway, parking_lot, pavement, plots)
     return paving, _make_crossings(layout, car_park, paving)
 
 
@@ -97,7 +97,7 @@ def _make_crossings(
         crossings.append(Crossing(f"{name} on foot", ends, 2.0, False, False))
     if car_park is not None:
         half = DRIVEWAY_WIDTH_M / 2 + 2.0
-        ends = outline_lot_part(car_park, (half, -half), (2.8, 2.8))[:2]
+        ends = outline_car_park_part(car_park, (half, -half), (2.8, 2.8))[:2]
         crossings.append(Crossing("drive", ends, 2.5, False, False))
     return tuple(crossings)
 
@@ -159,18 +159,20 @@ def _make_islands(layout: Layout) -> list[Geometry]:
     return islands
 
 
-def _make_drive_and_lot(car_park: CarPark | None, road: Geometry) -> tuple[Geometry, Geometry]:
+def _make_driveway_and_parking_lot(
+    car_park: CarPark | None, road: Geometry
+) -> tuple[Geometry, Geometry]:
     """The driveway with rounded kerbs, and the car park; both empty without a car park."""
     if car_park is None:
         return Polygon(), Polygon()
     half = DRIVEWAY_WIDTH_M / 2
-    lane = Polygon(outline_lot_part(car_park, (-half, half), (-3.0, 12.0)))
+    lane = Polygon(outline_car_park_part(car_park, (-half, half), (-3.0, 12.0)))
     near = lane.buffer(12.0)
     mouth = shapely.union_all([lane, road.intersection(near)])
     mouth = mouth.buffer(FLARE_RADIUS_M, quad_segs=16).buffer(-FLARE_RADIUS_M, quad_segs=16)
     half = AISLE_WIDTH_M / 2 + BAY_SIZE_M[1] + 0.4
-    lot = Polygon(outline_lot_part(car_park, (-half, half), (6.0, LOT_DEPTH_M)))
-    lot = lot.difference(road)
-    reach = Polygon(outline_lot_part(car_park, (-12.0, 12.0), (0.0, 6.5)))
-    drive = shapely.union_all([mouth.intersection(near).intersection(reach)])
-    return drive.difference(shapely.union_all([road, lot])), lot
+    parking_lot = Polygon(outline_car_park_part(car_park, (-half, half), (6.0, CAR_PARK_DEPTH_M)))
+    parking_lot = parking_lot.difference(road)
+    reach = Polygon(outline_car_park_part(car_park, (-12.0, 12.0), (0.0, 6.5)))
+    driveway = shapely.union_all([mouth.intersection(near).intersection(reach)])
+    return driveway.difference(shapely.union_all([road, parking_lot])), parking_lot

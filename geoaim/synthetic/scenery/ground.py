@@ -129,7 +129,9 @@ def _draw_joints(canvas: Canvas, area: Geometry, step: float, share: float) -> N
 
 def _draw_tar(canvas: Canvas, roads: Roads) -> None:
     """Draw tar of several ages with wheel tracks, oil, patches, cracks and manholes."""
-    road = shapely.union_all([roads.paving.carriageway, roads.paving.drive, roads.paving.lot])
+    road = shapely.union_all(
+        [roads.paving.carriageway, roads.paving.driveway, roads.paving.parking_lot]
+    )
     window, mask = rasterize_shape(canvas, road)
     patch, blotch, grain, hill = (sample_noise(canvas, k, window) for k in TAR_NOISE)
     grey = np.float32(4) * patch + np.float32(2.5) * blotch
@@ -166,7 +168,7 @@ def _vary_age(canvas: Canvas, roads: Roads, window: Window) -> Float[Array, "h w
         for span in ((middle, half), (-half, middle)):
             ends = (approach.mouth, cut), (cut, LANE_END_M)
             shapes += [outline_strip(approach, s, span) for s in ends]
-    for shape in [*shapes, roads.paving.lot]:
+    for shape in [*shapes, roads.paving.parking_lot]:
         mask = rasterize_shape(canvas, shape, within=window)[1]
         change += np.float32(canvas.generator.uniform(-11, 9) / 255) * mask.astype(np.float32)
     return change
@@ -263,17 +265,17 @@ def _draw_islands(canvas: Canvas, roads: Roads, day: Day) -> None:
 
 
 def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
-    """Draw kerbstones along the road, except at the drive."""
+    """Draw kerbstones along the road, except at the driveway."""
     islands = shapely.get_parts(roads.paving.islands)
     rims = [outline_road(roads.paving).exterior, *(island.boundary for island in islands)]
     stones = shapely.union_all([rim.buffer(0.11) for rim in rims])
-    stones = stones.difference(roads.paving.drive.buffer(0.3))
+    stones = stones.difference(roads.paving.driveway.buffer(0.3))
     fill(canvas, stones, KERB, strength=0.9, grain=[(GRAIN, 5)])
 
 
 def _draw_paint(canvas: Canvas, roads: Roads) -> None:
     """Draw markings and cycle lanes, with worn paint."""
-    tar = shapely.union_all([roads.paving.carriageway, roads.paving.lot]).buffer(-0.05)
+    tar = shapely.union_all([roads.paving.carriageway, roads.paving.parking_lot]).buffer(-0.05)
     _draw_paint_with_wear(canvas, make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
     _draw_paint_with_wear(canvas, make_markings(roads), WHITE, 0.9, tar)
 

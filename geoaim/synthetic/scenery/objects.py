@@ -67,7 +67,7 @@ def draw_objects(
     standing = _remove_felled(scenery.trees, day, generator)
     trees = [_place_tree(canvas, tree, day) for tree in standing]
     cars = _park_cars(canvas, scenery, generator)
-    boxes = list(scenery.spare[: max(day.changes // 2, 0)])
+    boxes = list(scenery.container_areas[: max(day.changes // 2, 0)])
     _cast_shadows(canvas, scenery, [*trees, *cars], boxes, day)
     for car in cars:
         _paste(canvas, car)

@@ -17,7 +17,7 @@ from geoaim.synthetic.roads.car_park import (
     BAY_SIZE_M,
     BAYS,
     FIRST_BAY_M,
-    outline_lot_part,
+    outline_car_park_part,
 )
 from geoaim.synthetic.roads.paving import VERGE_WIDTH_M, outline_crossing, outline_road
 from geoaim.synthetic.roads.plan import Roads
@@ -40,8 +40,10 @@ def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
     for plot in roads.paving.plots:
         angle = _find_angle(roads, plot)
         for area in _divide(plot, angle, generator):
-            beside_lot = area.distance(roads.paving.lot) < 3 if roads.car_park else False
-            small = beside_lot or area.area < 350
+            beside_parking_lot = (
+                area.distance(roads.paving.parking_lot) < 3 if roads.car_park else False
+            )
+            small = beside_parking_lot or area.area < 350
             rough = small or roads.layout.kind == "park"  # lawns and ponds have paths of their own
             use = "field" if rough else USES[int(generator.integers(len(USES)))]
             parcels.append(Parcel(use, area))
@@ -80,10 +82,10 @@ def _find_angle(roads: Roads, plot: Polygon) -> float:
 
 
 def _make_verges(roads: Roads) -> Geometry:
-    """Make strips of grass along the kerbs, interrupted at crossings and drives."""
+    """Make strips of grass along the kerbs, interrupted at crossings and driveways."""
     whole = outline_road(roads.paving)
     band = whole.buffer(VERGE_WIDTH_M + 0.3).difference(whole.buffer(0.35))
-    doors = [roads.footpaths.surface.buffer(0.8), roads.paving.drive.buffer(0.4)]
+    doors = [roads.footpaths.surface.buffer(0.8), roads.paving.driveway.buffer(0.4)]
     gaps = [outline_crossing(crossing).buffer(3.2) for crossing in roads.crossings]
     keep = [Point(0, 0).buffer(max(approach.mouth for approach in roads.layout.approaches) + 3.0)]
     doors += [
@@ -137,7 +139,9 @@ def _list_bay_spots(roads: Roads) -> tuple[Spot, ...]:
                 continue
             beside = side * (AISLE_WIDTH_M + BAY_SIZE_M[1]) / 2
             deep = FIRST_BAY_M + (bay + 0.5) * BAY_SIZE_M[0]
-            place, ahead = outline_lot_part(car_park, (beside, beside + 1), (deep, deep + 1))[:2]
+            place, ahead = outline_car_park_part(car_park, (beside, beside + 1), (deep, deep + 1))[
+                :2
+            ]
             heading = float(np.arctan2(*(ahead - place)[::-1]))
             spots.append(Spot((float(place[0]), float(place[1])), heading, 0.7))
     return tuple(spots)
@@ -161,7 +165,7 @@ def _make_block(
         buildings=(*scenery.buildings, *buildings),
         trees=(*scenery.trees, *trees),
         spots=(*scenery.spots, *_make_parking_row(rest, angle, generator)),
-        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
+        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
     )
 
 
@@ -178,8 +182,8 @@ def _make_parking_row(area: Geometry, angle: float, generator: np.random.Generat
 def _make_houses(
     scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
 ) -> Scenery:
-    """Add pitched roofs in gardens, with drives and hedges."""
-    buildings, spots, drives = [], [], []
+    """Add pitched roofs in gardens, with driveways and hedges."""
+    buildings, spots, driveways = [], [], []
     left = plot.buffer(-2.0)
     for _ in range(3):
         size = generator.uniform(11, 14.5), generator.uniform(8, 10)
@@ -192,20 +196,22 @@ def _make_houses(
         side = outline[1] + 0.5 * (outline[2] - outline[1])
         out = (outline[1] - outline[0]) / size[0]
         middle = side + 2.2 * out
-        drive = make_rectangle(middle, (3.4, size[1] + 3.0), angle)
-        drives.append(Polygon(drive).intersection(plot))
+        driveway = make_rectangle(middle, (3.4, size[1] + 3.0), angle)
+        driveways.append(Polygon(driveway).intersection(plot))
         spots.append(Spot((float(middle[0]), float(middle[1])), angle + np.pi / 2, 0.6))
-        left = left.difference(Polygon(outline).buffer(6.0)).difference(Polygon(drive).buffer(1.0))
+        left = left.difference(Polygon(outline).buffer(6.0)).difference(
+            Polygon(driveway).buffer(1.0)
+        )
     trees = _scatter_trees(left, 7, (1.6, 3.2), 4.0, generator)
     trees += _scatter_trees(left, 16, (0.5, 1.1), 2.0, generator)
     return replace(
         scenery,
-        slabs=shapely.union_all([scenery.slabs, *drives]),
+        slabs=shapely.union_all([scenery.slabs, *driveways]),
         buildings=(*scenery.buildings, *buildings),
         trees=(*scenery.trees, *trees),
         hedges=(*scenery.hedges, *_make_hedges(plot, generator)),
         spots=(*scenery.spots, *spots),
-        spare=(*scenery.spare, *_make_spare_rectangles(left, angle, generator)),
+        container_areas=(*scenery.container_areas, *_make_container_areas(left, angle, generator)),
     )
 
 
@@ -237,7 +243,7 @@ def _make_park(
         gravel=scenery.gravel.union(gravel),
         ponds=scenery.ponds.union(pond),
         trees=(*scenery.trees, *trees),
-        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
+        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
     )
 
 
@@ -259,7 +265,7 @@ def _make_plaza(
         slabs=scenery.slabs.union(square.buffer(1.4)),
         buildings=(*scenery.buildings, *buildings),
         trees=(*scenery.trees, *trees),
-        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
+        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
     )
 
 
@@ -276,7 +282,7 @@ def _make_field(
         scenery,
         soil=scenery.soil.union(shapely.union_all(soil).intersection(plot)),
         trees=(*scenery.trees, *trees),
-        spare=(*scenery.spare, *_make_spare_rectangles(rest, angle, generator)),
+        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
     )
 
 
@@ -359,7 +365,7 @@ def _make_hedges(plot: Polygon, generator: np.random.Generator) -> list[Float[Ar
     return hedges
 
 
-def _make_spare_rectangles(
+def _make_container_areas(
     area: Geometry, angle: float, generator: np.random.Generator
 ) -> list[Float[Array, "4 2"]]:
     """Make rectangles of the size of a container or a tent."""

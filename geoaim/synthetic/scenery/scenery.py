@@ -9,19 +9,19 @@ from shapely import Geometry, Polygon
 
 @dataclass(frozen=True)
 class Building:
-    """A building: a rectangle (length and width along its angle, metres) and its height."""
+    """A building with a rectangular outline, in plan metres and radians."""
 
     centre: tuple[float, float]
-    size: tuple[float, float]
-    angle: float
+    size: tuple[float, float]  # length and width
+    angle: float  # of the length, counter-clockwise from +x
     height: float
-    flat: bool
-    colour: int
+    flat: bool  # whether the roof is flat, not pitched
+    colour: int  # index of the roof's colour
 
 
 @dataclass(frozen=True)
 class Tree:
-    """A tree or a shrub: position and crown radius (metres), and the seed of its shape."""
+    """A tree or a shrub: position and crown radius (plan metres), and the seed of its shape."""
 
     place: tuple[float, float]
     radius: float
@@ -30,7 +30,7 @@ class Tree:
 
 @dataclass(frozen=True)
 class Spot:
-    """A parking spot: position, heading, and the share of days on which it is occupied."""
+    """A parking spot: plan metres, radians, and the share of days on which it is occupied."""
 
     place: tuple[float, float]
     heading: float
@@ -39,7 +39,7 @@ class Spot:
 
 @dataclass(frozen=True, eq=False)
 class Parcel:
-    """A piece of ground with one use, one of `USES`."""
+    """A piece of ground (plan metres) with one use, one of `USES`."""
 
     use: str
     area: Polygon
@@ -47,7 +47,7 @@ class Parcel:
 
 @dataclass(frozen=True, eq=False)
 class Scenery:
-    """All scenery of a place, on any day."""
+    """All scenery of a place, on any day; all shapes and positions are in plan metres."""
 
     parcels: tuple[Parcel, ...]  # the uses of the plots
     verges: Geometry  # grass between kerb and pavement
@@ -58,6 +58,6 @@ class Scenery:
     buildings: tuple[Building, ...]  # houses and blocks
     trees: tuple[Tree, ...]  # trees, then shrubs
     hedges: tuple[Float[Array, "4 2"], ...]  # polygons
-    lamps: Float[Array, "L 2 2"]  # foot and tip of each, and of the masts of the signals
+    lamps: Float[Array, "L 2 2"]  # foot and tip of lamp posts and signal masts
     spots: tuple[Spot, ...]  # for parked cars
-    spare: tuple[Float[Array, "4 2"], ...]  # rectangles where a container may stand on another day
+    container_areas: tuple[Float[Array, "4 2"], ...]  # where containers may stand on other days

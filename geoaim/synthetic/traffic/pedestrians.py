@@ -105,7 +105,7 @@ class Reaction:
 def make_pavement_map(roads: Roads) -> PavementMap:
     """Rasterise the pavements, footpaths and driveway of a place."""
     paving = roads.paving
-    walkable = shapely.union_all([paving.pavement, paving.drive, roads.footpaths.surface])
+    walkable = shapely.union_all([paving.pavement, paving.driveway, roads.footpaths.surface])
     left, bottom, right, top = roads.extent.buffer(MAP_MARGIN_M).bounds
     corner = np.array([left, bottom])
     mask = np.zeros((round((top - bottom) / CELL_M), round((right - left) / CELL_M)), np.uint8)

@@ -1,14 +1,14 @@
 import numpy as np
 
 from geoaim.synthetic.roads.approaches import Approach
-from geoaim.synthetic.roads.car_park import make_car_park, make_manoeuvres, outline_lot_part
+from geoaim.synthetic.roads.car_park import make_car_park, make_manoeuvres, outline_car_park_part
 
 EAST = Approach("east", 0.0, 0.0, ("S",), 1)
 
 
 def test_car_park_lies_right_of_the_outbound_lanes():
     car_park = make_car_park(EAST, 40.0)
-    outline = outline_lot_part(car_park, (-3.0, 3.0), (0.0, 10.0))
+    outline = outline_car_park_part(car_park, (-3.0, 3.0), (0.0, 10.0))
     np.testing.assert_allclose(outline[0], [37.0, -EAST.half_width], atol=1e-9)
     np.testing.assert_allclose(outline[2], [43.0, -EAST.half_width - 10.0], atol=1e-9)
 

@@ -33,7 +33,13 @@ def test_vehicles_in_lanes_touch_no_kerb(roads):
 
 def test_surfaces_do_not_overlap(roads):
     paving = roads.paving
-    parts = [paving.carriageway, paving.islands, paving.drive, paving.lot, paving.pavement]
+    parts = [
+        paving.carriageway,
+        paving.islands,
+        paving.driveway,
+        paving.parking_lot,
+        paving.pavement,
+    ]
     for k, part in enumerate(parts):
         for other in parts[:k]:
             assert part.intersection(other).area < 0.01

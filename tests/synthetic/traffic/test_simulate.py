@@ -58,7 +58,9 @@ def test_no_vehicle_hits_a_pedestrian(recorded):
 def test_vehicles_stay_on_the_asphalt(recorded):
     sample, tracks = recorded
     paving = sample.place.roads.paving
-    asphalt = shapely.union_all([paving.carriageway, paving.drive, paving.lot]).buffer(0.3)
+    asphalt = shapely.union_all([paving.carriageway, paving.driveway, paving.parking_lot]).buffer(
+        0.3
+    )
     asphalt = _in_world(sample, asphalt)
     shapely.prepare(asphalt)
     corners = _bodies(tracks, _is(tracks, *VEHICLES))[tracks.present[_is(tracks, *VEHICLES)]]
@@ -68,7 +70,7 @@ def test_vehicles_stay_on_the_asphalt(recorded):
 def test_pedestrians_stay_on_pavements_and_crossings(recorded):
     sample, tracks = recorded
     roads = sample.place.roads
-    allowed = [roads.paving.pavement, roads.footpaths.surface, roads.paving.drive]
+    allowed = [roads.paving.pavement, roads.footpaths.surface, roads.paving.driveway]
     allowed += [outline_crossing(crossing).buffer(0.6) for crossing in roads.crossings]
     ground = _in_world(sample, shapely.union_all(allowed).buffer(0.1))
     pedestrians = _is(tracks, "pedestrian", "cyclist")
