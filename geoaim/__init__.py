@@ -109,22 +109,14 @@ _MODULE_OF_NAME = {
     "write_aim": "geoaim.aim_files",
     "write_tracks": "geoaim.track_files",
 }
-_SUBPACKAGES = (
-    "hdmap",
-    "imagery",
-    "mapping",
-    "prediction",
-    "simulation",
-    "synthetic",
-    "track_formats",
-)
-__all__ = [*_MODULE_OF_NAME, *_SUBPACKAGES]
+_ROOMS = ["hdmap", "imagery", "mapping", "prediction", "simulation", "synthetic", "track_formats"]
+__all__ = [*_MODULE_OF_NAME, *_ROOMS]
 
 
 def __getattr__(name: str) -> Any:
     if name in _MODULE_OF_NAME:
         return getattr(import_module(_MODULE_OF_NAME[name]), name)
-    if name in _SUBPACKAGES:
+    if name in _ROOMS:
         return import_module(f"geoaim.{name}")
     raise AttributeError(f"module 'geoaim' has no attribute {name!r}")
 

@@ -49,7 +49,9 @@ class AIM:
         if height * width == 0:
             raise ValueError(f"image has no pixels: its shape is {self.image.shape}")
         _check_transform(self.world_from_image, height, width)
-        object.__setattr__(self, "report", _to_plain_json(self.report))
+        text = json.dumps(dict(self.report), default=lambda value: value.tolist())
+        plain = json.loads(text, parse_constant=lambda _: None)
+        object.__setattr__(self, "report", plain)
 
     @classmethod
     def from_image(
@@ -111,8 +113,3 @@ def _check_transform(world_from_image: Float[Array, "3 3"], height: int, width: 
             f"{np.round(depth, 3).tolist()} of both signs; crop it to the ground, or give control "
             "points that are spread over the whole image"
         )
-
-
-def _to_plain_json(report: Mapping[str, Any]) -> dict[str, Any]:
-    text = json.dumps(dict(report), default=lambda value: value.tolist())
-    return json.loads(text, parse_constant=lambda _: None)

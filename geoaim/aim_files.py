@@ -47,6 +47,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
     if resolution is not None or not aim.is_affine:
         aim = rectify(aim, resolution)
     height, width = aim.coverage.shape
+    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
     profile = {
         "driver": "COG",
         "height": height,
@@ -54,7 +55,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
         "count": len(BANDS),
         "dtype": "uint8",
         "crs": aim.world.crs,
-        "transform": rasterio.Affine(*_add_origin(aim.world, aim.world_from_image)[:2].flat),
+        "transform": rasterio.Affine(*crs_from_image[:2].flat),
         "compress": "deflate",
         "predictor": "yes",
         "num_threads": "all_cpus",
@@ -103,11 +104,6 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
         raise AimError(f"{path} is not a readable GeoTIFF: {error}") from error
 
 
-def _add_origin(world: World, world_from_image: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-    """Convert a matrix to world metres into one to coordinates of the world's CRS."""
-    return translation(*world.origin) @ world_from_image
-
-
 @contextmanager
 def _allow_identity_transform() -> Iterator[None]:
     # rasterio warns of an identity transform, which an AIM with pixels of one metre has
@@ -154,7 +150,7 @@ def _read_transform(
     """Read world_from_image: the exact matrix of the tag, unless the file was cropped since."""
     written = np.array(frame["world_from_image"], np.float64)
     crs_from_image = np.array(dataset.transform, np.float64).reshape(3, 3)
-    if np.allclose(crs_from_image, _add_origin(world, written), rtol=1e-12, atol=1e-9):
+    if np.allclose(crs_from_image, translation(*world.origin) @ written, rtol=1e-12, atol=1e-9):
         return written
     crs = dataset.crs and CRS(dataset.crs.to_wkt())
     if crs != (world.crs and CRS(world.crs)):

@@ -4,7 +4,6 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
 
 import rich.progress
 from rich.console import Console
@@ -39,7 +38,9 @@ def report_errors() -> Iterator[None]:
     """Print warnings as yellow lines; print an error as one red line and exit with code 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", GeoaimWarning)
-        warnings.showwarning = _print_warning
+        warnings.showwarning = lambda message, *_, **__: console.print(
+            Text.assemble(("warning", "yellow"), f": {message}")
+        )
         try:
             yield
         except (GeoaimError, OSError, ValueError) as error:
@@ -53,7 +54,3 @@ def print_table(title: str, lines: Mapping[str, str]) -> None:
     for name, value in lines.items():
         table.add_row(name, value)
     console.print(table)
-
-
-def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    console.print(Text.assemble(("warning", "yellow"), f": {message}"))

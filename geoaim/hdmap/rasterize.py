@@ -13,7 +13,7 @@ from geoaim.aim import AIM
 from geoaim.geometry import transform_points
 from geoaim.grid import make_north_up_grid
 from geoaim.hdmap.drivable import NOT_DRIVABLE, outline_lanelet, sample_borders, to_polygons
-from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
+from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 
 Colour = tuple[int, int, int]
 GROUND: Colour = (40, 42, 46)
@@ -107,16 +107,12 @@ def _list_shapes(hdmap: HDMap) -> Iterator[tuple[BaseGeometry, Colour]]:
             yield outline_lanelet(lanelet), SURFACES.get(lanelet.subtype, SURFACES["walkway"])
     for style, (colour, width) in LINES.items():
         for line in hdmap.lines:
-            if _find_style(line) == style:
+            full = f"{line.kind} {line.subtype}"
+            if style == (full if full in LINES else line.kind):
                 yield LineString(line.points).buffer(width / 2, cap_style="flat"), colour
     for lanelet in lanes:
         if lanelet.one_way:
             yield from ((arrow, ARROW) for arrow in _make_arrows(lanelet))
-
-
-def _find_style(line: MapLine) -> str | None:
-    names = (f"{line.kind} {line.subtype}", line.kind)
-    return next((name for name in names if name in LINES), None)
 
 
 def _make_arrows(lanelet: Lanelet) -> Iterator[Polygon]:

@@ -96,7 +96,10 @@ def read_imagery(
     listed: list[Source] = list(sources) if several else [sources]  # type: ignore[list-item, arg-type]
     if not listed:
         raise ValueError("no source of imagery was given: name at least one")
-    _check_options(resolution, bands)
+    if resolution is not None and not (np.isfinite(resolution) and resolution > 0):
+        raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
+    if bands is not None and len(bands) not in (1, 3):
+        raise ValueError(f"bands must be one for grey or three for RGB, found {list(bands)}")
     _check_region(world, corners)
     region = None if corners is None or world is None else make_region(world, corners)
     options: dict[str, Any] = {"resolution": resolution, "crs": crs, "bands": bands}
@@ -117,13 +120,6 @@ def read_imagery(
     aim = _compose(measured, region, resolution or finest)
     _warn_of_upsampling(measured, resolution or finest)
     return aim
-
-
-def _check_options(resolution: float | None, bands: Sequence[int] | None) -> None:
-    if resolution is not None and not (np.isfinite(resolution) and resolution > 0):
-        raise ValueError(f"resolution must be a positive number of metres, found {resolution}")
-    if bands is not None and len(bands) not in (1, 3):
-        raise ValueError(f"bands must be one for grey or three for RGB, found {list(bands)}")
 
 
 def _check_region(world: World | None, corners: Float[Array, "n 2"] | None) -> None:

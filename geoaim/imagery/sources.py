@@ -232,10 +232,7 @@ def _intersect_tiles(tiles: Int[Array, "n 3"], region: Region | None) -> Bool[Ar
 
 
 def _compute_world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Least and greatest x and y of a region, as fractions of the map from its north-west corner.
-
-    Multiplied by 2^zoom they are tile numbers.
-    """
+    """Least and greatest x and y of a region; times 2^zoom they are tile numbers."""
     shares = (region.to_crs(MERCATOR) * [1.0, -1.0] + HALF_WORLD_M) / (2.0 * HALF_WORLD_M)
     return shares.min(axis=0), shares.max(axis=0)
 

@@ -57,13 +57,9 @@ MIN_GRID_VALID_SHARE = 0.05  # of the ground around the tracks
 
 
 class _PathTemplate(NamedTuple):
-    """What the paths of vehicles expect of imagery, from a row and a column of the grid on.
+    """What the paths of vehicles expect of imagery, from a row and a column of the grid on."""
 
-    The channels are wanted orientation (2), unwanted edge strength, and how often a pixel is driven
-    over.
-    """
-
-    channels: Float32[Array, "h w 4"]
+    channels: Float32[Array, "h w 4"]  # orientation (2), minus edge strength, times driven over
     top: int
     left: int
 

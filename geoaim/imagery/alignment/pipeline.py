@@ -206,16 +206,12 @@ def _add_report(imagery: AIM, name: str, report: dict[str, Any]) -> AIM:
 def _check_position(
     imagery: AIM, name: str, alignment: ImageryAlignment, bounds: Float[Array, "2 2"]
 ) -> AIM:
-    """Check the place of imagery within the bounds of evidence, and warn where both differ.
-
-    Both agree when the mean squared Mahalanobis distance of the corners is below twice the 95 %
-    quantile.
-    """
+    """Check the place of imagery within the bounds of evidence, and warn where both differ."""
     corners = np.clip(imagery.corners, *bounds)  # the evidence says nothing beyond
     offsets = transform_points(alignment.true_from_stated, corners) - corners
     covariance = _compute_covariance(alignment, corners) + _read_placement_covariance(imagery)
     squares = np.einsum("mi,mij,mj->m", offsets, np.linalg.inv(covariance), offsets)
-    agrees = bool(squares.mean() < 2 * CHI2_2D)
+    agrees = bool(squares.mean() < 2 * CHI2_2D)  # mean squared Mahalanobis distance
     offset = float(np.linalg.norm(offsets, axis=1).max())
     uncertainty = float(np.sqrt(CHI2_2D * np.trace(covariance, axis1=1, axis2=2).max() / 2))
     if not agrees:
