@@ -132,12 +132,13 @@ def write_birdview(results: Row) -> str:
     return "\n\n".join(write_rows(rows) for rows in parts)
 
 
-SOURCES = {"robustness": "registration"}
+SOURCES = {"robustness": "registration", "length": "pipeline"}
 TABLES: dict[str, Callable[[Row], str]] = {
     "registration": write_registration,
     "robustness": write_robustness,
     "background": write_background,
     "pipeline": write_pipeline,
+    "length": lambda results: write_rows(results["lengths"]),
     "georeference": write_georeference,
     "birdview": write_birdview,
 }

@@ -39,7 +39,7 @@ from geoaim.bench.alignment_real import (
     measure_zooms,
 )
 from geoaim.bench.data import find_data
-from geoaim.bench.report import format_table, time_medians, write_rows
+from geoaim.bench.report import ChartFile, JsonFile, format_table, time_medians, write_rows
 from geoaim.errors import AlignmentError
 from geoaim.geometry import from_opencv, translation
 from geoaim.imagery.alignment import template_matching
@@ -207,8 +207,8 @@ def draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON file for the results")] = None,
-    chart: Annotated[Path | None, typer.Option(help="chart of time against error")] = None,
+    json: JsonFile = None,
+    chart: ChartFile = None,
     seeds: Annotated[int, typer.Option(help="synthetic places of each kind")] = 4,
     trials: Annotated[int, typer.Option(help="misplacements of each synthetic pair")] = 4,
 ) -> None:

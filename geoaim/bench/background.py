@@ -7,9 +7,6 @@ of the time. Every method reads the same H.264 frames, sampled over the clip, wi
 in a process of its own. Real sequences have no truth: there methods are compared with each other.
 """
 
-import json as jsonlib
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -24,9 +21,15 @@ import typer
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.bench.data import find_data
+from geoaim.bench.data import require_data
 from geoaim.bench.hover_videos import make_hover_video
-from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
+from geoaim.bench.report import (
+    JsonFile,
+    measure_peak_megabytes,
+    print_rows,
+    run_in_process,
+    write_rows,
+)
 from geoaim.encode import write_video
 from geoaim.mapping.background.estimate import average_frames, remove_traffic
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
@@ -155,18 +158,22 @@ def _run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     result = METHODS[name](frames)
     seconds = time.perf_counter() - start
     peak = measure_peak_megabytes()
-    row: dict[str, Any] = {"method": name}
     image = result.image if isinstance(result, Background) else result
     clean, zones = truth["clean"], _divide_zones(truth["share"])
     error = (image.astype(np.float32) - clean) ** 2
-    row |= {zone: float(np.sqrt(error[where].mean())) for zone, where in zones.items()}
     first = next(iter(frames))[0].image
     energy = _measure_gradient_energy(image, first, clean, zones["static"])
-    row["gradient energy %"] = 100 * energy
     held = replace(frames, video=list(frames.video))  # so that decoding is not timed
     start = time.perf_counter()
     METHODS[name](held)
-    row |= {"seconds": seconds, "decoded beforehand": time.perf_counter() - start, "peak MB": peak}
+    row: dict[str, Any] = {
+        "method": name,
+        **{zone: float(np.sqrt(error[where].mean())) for zone, where in zones.items()},
+        "gradient energy %": 100 * energy,
+        "seconds": seconds,
+        "decoded beforehand": time.perf_counter() - start,
+        "peak MB": peak,
+    }
     if isinstance(result, Background):
         row |= {"contested %": 100 * float(result.contested.mean()), "change": result.change}
     return row
@@ -197,45 +204,31 @@ def _divide_zones(share: Float32[Array, "H W"]) -> dict[str, Bool[Array, "H W"]]
     return {"static": inside & (share == 0), "passed": inside & passed, "stood": inside & stood}
 
 
-def _measure_synthetic(
-    stills: list[str], size: str, count: int, threads: int
-) -> list[dict[str, Any]]:
-    """A row for each still and method; times also as multiples of the plain mean's."""
-    rows = []
-    for still in stills:
-        with TemporaryDirectory() as name:
-            _write_input(still, size, count, Path(name))
-            command = [sys.executable, "-m", "geoaim.bench.background", "--threads", str(threads)]
-            for method in METHODS:
-                call = [*command, "--method", method, "--folder", name]
-                answer = subprocess.run(call, check=True, capture_output=True, text=True).stdout
-                row = {"still": still, **jsonlib.loads(answer.splitlines()[-1])}
-                rows.append(row)
-                first = next(r for r in rows if r["still"] == still)
-                row["times plain mean"] = row["decoded beforehand"] / first["decoded beforehand"]
-                print(format_table([row]).splitlines()[-1], flush=True)
-    return rows
+def _measure_synthetic(still: str, size: str, count: int, threads: int) -> Iterator[dict[str, Any]]:
+    """Measure each method on one still; times also as multiples of the plain mean's."""
+    with TemporaryDirectory() as name:
+        _write_input(still, size, count, Path(name))
+        mean_time = np.nan
+        for method in METHODS:
+            row = run_in_process(_run_method, method, Path(name), threads)
+            mean_time = row["decoded beforehand"] if method == "plain mean" else mean_time
+            yield {"still": still, **row, "times plain mean": row["decoded beforehand"] / mean_time}
 
 
-def _measure_real() -> list[dict[str, Any]]:
-    """Rows of real sequences, which have no truth: differences, contested pixels."""
-    data = find_data()
-    if data is None:
-        return []
-    rows = []
+def _measure_real(data: Path) -> Iterator[dict[str, Any]]:
+    """Measure real sequences, which have no truth: differences, contested pixels."""
     for place in ("hover/minsk_junction", "hover/munich_mos074", "hover/munich_street02"):
         video = open_video(data / place)
         registration = register(video)
         detections = read_detections(data / place)
         size, matrices = (video.height, video.width), registration.reference_from_frame
         frames = RegisteredFrames(video, size, matrices, detections)
-        rows.append(_compare_methods(place, frames, registration.valid))
+        yield _compare_methods(place, frames, registration.valid)
     for path in sorted((data / "static").glob("*.mp4")):
         images = [frame.image for frame in open_video(path).sample(64)]
         still = np.broadcast_to(np.eye(3), (len(images), 3, 3))
         frames = RegisteredFrames(open_video(images), images[0].shape[:2], still)
-        rows.append(_compare_methods(path.name, frames, np.ones(len(images), bool)))
-    return rows
+        yield _compare_methods(path.name, frames, np.ones(len(images), bool))
 
 
 def _compare_methods(
@@ -269,25 +262,22 @@ def _measure_differing_share(one: Background, other: Background) -> float:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    json: JsonFile = None,
     size: Annotated[str, typer.Option(help="of the synthetic videos: 720p, 1080p, 4k")] = "4k",
     frames: Annotated[int, typer.Option(help="sampled over the clip")] = 60,
     stills: Annotated[str, typer.Option(help="comma-separated")] = "00003,00972",
     threads: Annotated[int, typer.Option(help="of OpenCV and of the decoder")] = 2,
-    method: Annotated[str | None, typer.Option(hidden=True)] = None,
-    folder: Annotated[Path | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Measure the background methods on synthetic videos, and compare them on real ones."""
-    if method and folder:
-        print(jsonlib.dumps(_run_method(method, folder, threads)))
-        return
+    data = require_data()
     cv2.setNumThreads(threads)
-    synthetic = _measure_synthetic(stills.split(","), size, frames, threads)
-    print(format_table(synthetic), "\n")
-    real = _measure_real()
-    if real:
-        print(format_table(real))
-    command = " ".join(["python -m geoaim.bench.background", *sys.argv[1:]])
+    synthetic = print_rows(
+        row
+        for still in stills.split(",")
+        for row in _measure_synthetic(still, size, frames, threads)
+    )
+    real = print_rows(_measure_real(data))
+    command = "python -m geoaim.bench.background"
     write_rows(synthetic, json, command=command, size=size, frames=frames, real=real)
 
 

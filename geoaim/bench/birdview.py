@@ -8,56 +8,35 @@ row are timed in turn, and medians compared. Accuracy: a pixel of the reference 
 points. Gradients are compared in `birdview_truth`.
 """
 
-import subprocess
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
 import matplotlib.pyplot as plt
-import numpy as np
 import torch
 import torch.nn.functional as F
 import typer
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.bench.birdview_peers import make_sampling_grid, render_by_distances, render_with_opencv
-from geoaim.bench.birdview_truth import CAR_SIZE_M, Scenes, measure_errors
-from geoaim.bench.report import format_table, measure_peak_megabytes, time_medians, write_rows
+from geoaim.bench.birdview_peers import (
+    Draw,
+    crop_texture,
+    make_distance_renderer,
+    make_opencv_renderer,
+    make_sampling_grid,
+)
+from geoaim.bench.birdview_truth import CAR_SIZE_M, supersample
+from geoaim.bench.report import ChartFile, JsonFile, print_rows, time_medians, write_rows
 from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
 from geoaim.synthetic import draw_place, make_place
 
 VIEW_SIDE_M, TEXTURE_SIDE_PX, AGENTS = 100.0, 1024, 20
 MIN_TIMED_PIXELS = 1_000_000  # a smaller batch is timed as often as it fits in
 MIN_GAP_M = 6.5  # between agents in pictures that are compared with the reference
-Draw = Callable[[View, Tensor, OrientedBoxes], Tensor]
-
-
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """What all renderers draw.
-
-    Attributes:
-        view: size and resolution of the pictures.
-        ground: the map; prefiltered for the view; and as numpy image (h, w, 3).
-        cameras: (B, 3).
-        boxes: around each camera.
-    """
-
-    view: View
-    ground: Ground
-    prefiltered: Ground
-    image: np.ndarray
-    cameras: Tensor
-    boxes: OrientedBoxes
-
-    @property
-    def texture(self) -> Float[Tensor, "1 3 h w"]:
-        """The texture without its border."""
-        return self.ground.image[None, :, 1:-1, 1:-1].contiguous()
+Scenes = Sequence[tuple[Tensor, OrientedBoxes]]  # cameras (1, 3), boxes (1, N)
 
 
 def draw_texture() -> Float[Tensor, "3 h w"]:
@@ -75,9 +54,14 @@ def make_map(texture: Float[Tensor, "3 h w"]) -> Ground:
     return make_ground(texture, torch.tensor([[scale, 0, middle], [0, -scale, middle]]))
 
 
+def make_view(pixels: int) -> View:
+    """Make a view of 100 m a side, of `pixels` x `pixels`."""
+    return View(pixels, pixels, VIEW_SIDE_M / pixels)
+
+
 def make_cameras(
     count: int, seed: int, dtype: torch.dtype = torch.float32
-) -> tuple[Tensor, OrientedBoxes]:
+) -> tuple[Float[Tensor, "B 3"], OrientedBoxes]:
     """Make random cameras on the map, with agents around each.
 
     Args:
@@ -86,7 +70,7 @@ def make_cameras(
         dtype: of all numbers.
 
     Returns:
-        (B, 3) cameras; (B, `AGENTS`) boxes.
+        (B, 3) cameras: x, y in metres and heading; (B, `AGENTS`) boxes with triangles.
     """
     generator = torch.Generator().manual_seed(seed)
     random = torch.rand(count, AGENTS + 1, 6, generator=generator, dtype=torch.float64).to(dtype)
@@ -99,7 +83,7 @@ def make_cameras(
 
 
 def make_separate_scenes(count: int, dtype: torch.dtype) -> Scenes:
-    """Make random cameras without agents that overlap others."""
+    """Make scenes of a random camera (1, 3) and boxes (1, N) that do not overlap each other."""
     scenes = []
     for seed in range(count):
         cameras, boxes = make_cameras(1, seed, dtype)
@@ -111,71 +95,49 @@ def make_separate_scenes(count: int, dtype: torch.dtype) -> Scenes:
     return scenes
 
 
-def make_setup(ground: Ground, pixels: int, views: int) -> Setup:
-    """Make what the renderers draw.
-
-    Args:
-        ground: the map.
-        pixels: of a side of the pictures.
-        views: number of cameras.
-
-    Returns:
-        Random cameras and boxes.
-    """
-    view = View(pixels, pixels, VIEW_SIDE_M / pixels)
-    image = np.ascontiguousarray(ground.image[:, 1:-1, 1:-1].permute(1, 2, 0).numpy())
-    fitted = prefilter_ground(ground, view.resolution)
-    return Setup(view, ground, fitted, image, *make_cameras(views, 1))
+def make_renderer(ground: Ground) -> Draw:
+    """Make this library's renderer of a map."""
+    return lambda view, cameras, boxes: render(view, cameras, ground, [boxes])
 
 
-def time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
-    """Time forward and backward passes beside `grid_sample` alone on the same texture and grid.
-
-    Args:
-        ground: the map.
-        pixels: of a side of the pictures.
-        views: number of cameras.
-        repeats: of each timing, for batches of `MIN_TIMED_PIXELS` or more.
-
-    Returns:
-        Times and ratios by name.
-    """
-    setup = make_setup(ground, pixels, views)
-    view, cameras, boxes, texture = setup.view, setup.cameras, setup.boxes, setup.texture
+def _time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
+    """Time forward and backward passes beside `grid_sample` alone on the same texture and grid."""
+    view, (cameras, boxes) = make_view(pixels), make_cameras(views, 1)
+    texture = crop_texture(ground)
     grid = make_sampling_grid(view, cameras, ground).requires_grad_()
     weight = torch.rand(1, 3, views * pixels, pixels)
     own_weight = weight.view(3, views, pixels, pixels).transpose(0, 1)
     leaves = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
+    draw, draw_by_distances = (
+        make_renderer(prefilter_ground(ground, view.resolution)),
+        make_distance_renderer(ground),
+    )
+    draw_with_opencv = make_opencv_renderer(ground)
 
     def sample() -> Tensor:
         return F.grid_sample(texture, grid, align_corners=False)
 
-    def draw(cameras: Tensor = cameras, poses: Tensor = boxes.poses) -> Tensor:
-        return render(view, cameras, setup.prefiltered, [replace(boxes, poses=poses)])
+    def run(draw: Draw) -> Callable[[], Tensor]:
+        return torch.no_grad()(lambda: draw(view, cameras, boxes))
 
-    def draw_by_distances(cameras: Tensor = cameras, poses: Tensor = boxes.poses) -> Tensor:
-        return render_by_distances(view, cameras, texture, grid, replace(boxes, poses=poses))
+    def differentiate(draw: Draw) -> Callable[[], Any]:
+        def run() -> None:
+            picture = draw(view, leaves[0], replace(boxes, poses=leaves[1]))
+            torch.autograd.grad((picture * own_weight).sum(), leaves)
 
-    def differentiate(draw: Callable[..., Tensor]) -> None:
-        torch.autograd.grad((draw(*leaves) * own_weight).sum(), leaves)
+        return run
 
-    forward = torch.no_grad()(draw)
     parts: list[Callable[[], Any]] = [
-        forward,
+        run(draw),
         torch.no_grad()(sample),
-        lambda: render_with_opencv(view, cameras, ground, boxes, setup.image),
-        lambda: differentiate(draw),
+        run(draw_with_opencv),
+        differentiate(draw),
         lambda: torch.autograd.grad((sample() * weight).sum(), [grid]),
     ]
     often = repeats * max(1, MIN_TIMED_PIXELS // (views * pixels**2))
     own, alone, opencv, own_both, alone_both = time_medians(parts, often)
     # timed apart: it evicts the caches of whatever is timed beside it
-    slow_parts: list[Callable[[], Any]] = [
-        forward,
-        torch.no_grad()(draw_by_distances),
-        lambda: differentiate(draw),
-        lambda: differentiate(draw_by_distances),
-    ]
+    slow_parts = [f(d) for f in (run, differentiate) for d in (draw, draw_by_distances)]
     beside, slow, beside_both, slow_both = time_medians(slow_parts, 3)
     return {
         "pixels": pixels,
@@ -190,40 +152,21 @@ def time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dict
     }
 
 
-def compare_renderers(
+def _compare_renderers(
     ground: Ground, pixels: int, views: int, repeats: int
 ) -> list[dict[str, Any]]:
-    """Measure speed and errors of each renderer, which draw boxes without triangles.
-
-    Args:
-        ground: the map.
-        pixels: of a side of the pictures.
-        views: number of cameras.
-        repeats: of each timing.
-
-    Returns:
-        A row for each renderer.
-    """
-    setup = make_setup(ground, pixels, views)
-    texture, grid = setup.texture, make_sampling_grid(setup.view, setup.cameras, ground)
-
-    def draw_with_opencv(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
-        pictures = render_with_opencv(view, cameras, ground, boxes, setup.image)
-        return torch.tensor(np.stack(pictures)).permute(0, 3, 1, 2)
-
-    def draw_by_distances(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
-        own_grid = make_sampling_grid(view, cameras, ground)
-        return render_by_distances(view, cameras, texture, own_grid, boxes)
-
-    methods: dict[str, Draw] = {
-        "geoaim": lambda view, cameras, boxes: render(view, cameras, setup.prefiltered, [boxes]),
-        "geoaim without prefilter_ground": lambda v, c, b: render(v, c, ground, [b]),
-        "OpenCV: warp, hard polygons": draw_with_opencv,
-        "plain torch: soft boxes everywhere": draw_by_distances,
+    """Measure speed and errors of each renderer, which draw boxes without triangles."""
+    view, (cameras, boxes) = make_view(pixels), make_cameras(views, 1)
+    texture, grid = crop_texture(ground), make_sampling_grid(view, cameras, ground)
+    methods = {
+        "geoaim": make_renderer(prefilter_ground(ground, view.resolution)),
+        "geoaim without prefilter_ground": make_renderer(ground),
+        "OpenCV: warp, hard polygons": make_opencv_renderer(ground),
+        "plain torch: soft boxes everywhere": make_distance_renderer(ground),
     }
-    plain = replace(setup.boxes, heading_colours=None)
+    plain = replace(boxes, heading_colours=None)
     parts: list[Callable[[], Any]] = [
-        *(lambda draw=draw: draw(setup.view, setup.cameras, plain) for draw in methods.values()),
+        *(lambda draw=draw: draw(view, cameras, plain) for draw in methods.values()),
         lambda: F.grid_sample(texture, grid, align_corners=False),
     ]
     with torch.no_grad():
@@ -232,47 +175,37 @@ def compare_renderers(
     scenes = [(cameras, replace(boxes, heading_colours=None)) for cameras, boxes in scenes]
     return [
         {"method": name, "ratio to grid_sample": duration / alone}
-        | measure_errors(draw, setup.view, ground, scenes)
+        | _measure_errors(draw, view, ground, scenes)
         for (name, draw), duration in zip(methods.items(), durations, strict=True)
     ]
 
 
-def measure_sizes(ground: Ground, pixels: int) -> dict[str, Any]:
-    """Measure the errors of pictures of `pixels` x `pixels`."""
-    view = View(pixels, pixels, VIEW_SIDE_M / pixels)
-    fitted = prefilter_ground(ground, view.resolution)
-
-    def draw(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
-        return render(view, cameras, fitted, [boxes])
-
-    scenes = make_separate_scenes(4, torch.float64)
-    return {"pixels": pixels} | measure_errors(draw, view, ground, scenes)
+def _measure_sizes(ground: Ground, pixels: int) -> dict[str, Any]:
+    """Measure the errors of pictures of `pixels` x `pixels`, triangles included."""
+    view, scenes = make_view(pixels), make_separate_scenes(4, torch.float64)
+    draw = make_renderer(prefilter_ground(ground, view.resolution))
+    return {"pixels": pixels} | _measure_errors(draw, view, ground, scenes)
 
 
-def measure_memory(pixels: int, views: int) -> float:
-    """Measure megabytes per view of a forward and backward pass: of more views in a new process."""
-    code = "from geoaim.bench.birdview import measure_peak; print(measure_peak({}, {}))"
-    peaks = [
-        float(subprocess.check_output([sys.executable, "-c", code.format(pixels, count)]))
-        for count in (views, 2 * views)
-    ]
-    return (peaks[1] - peaks[0]) / views
+def _measure_errors(draw: Draw, view: View, ground: Ground, scenes: Scenes) -> dict[str, float]:
+    """Measure errors in grey levels, everywhere and where an edge of a box passes."""
+    errors, edge_errors = [], []
+    dark = replace(ground, image=torch.zeros_like(ground.image))
+    for cameras, boxes in scenes:
+        error = 255 * (draw(view, cameras, boxes) - supersample(view, cameras, ground, boxes)).abs()
+        white = replace(boxes, colours=torch.ones_like(boxes.colours), heading_colours=None)
+        cover = render(view, cameras, dark, [white])[:, 0]
+        errors.append(error)
+        edge_errors.append(error.movedim(1, -1)[(cover > 0.02) & (cover < 0.98)])
+    every = torch.cat(errors)
+    return {
+        "mean error": float(every.mean()),
+        "largest error": float(every.max()),
+        "mean error at edges of boxes": float(torch.cat(edge_errors).mean()),
+    }
 
 
-def measure_peak(pixels: int, views: int) -> float:
-    """Measure the peak memory of this process, with one forward and backward pass, megabytes."""
-    torch.set_num_threads(1)
-    view = View(pixels, pixels, VIEW_SIDE_M / pixels)
-    texture = torch.rand(3, TEXTURE_SIDE_PX, TEXTURE_SIDE_PX)
-    ground = prefilter_ground(make_map(texture), view.resolution)
-    cameras, boxes = make_cameras(views, 1)
-    leaves = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
-    picture = render(view, leaves[0], ground, [replace(boxes, poses=leaves[1])])
-    torch.autograd.grad(picture.sum(), leaves)
-    return measure_peak_megabytes()
-
-
-def draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
+def draw_chart(rows: Sequence[Any], path: Path) -> None:
     """Draw error over time, for all pixels and for those at edges of boxes."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained", sharex=True)
     for axis, column in zip(axes, ("mean error", "mean error at edges of boxes"), strict=True):
@@ -288,27 +221,23 @@ def draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON file to write")] = None,
-    chart: Annotated[Path | None, typer.Option(help="chart of speed and accuracy to write")] = None,
+    json: JsonFile = None,
+    chart: ChartFile = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 7,
 ) -> None:
-    """Measure speed, memory and errors; print tables, write JSON and a chart."""
+    """Measure speed and errors; print tables, write JSON and a chart."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     texture = draw_texture()
     ground, exact = make_map(texture), make_map(texture.double())
     sizes = [(pixels, views) for pixels in (256, 64) for views in (1, 16, 64)]
-    rows = [time_renderer(ground, pixels, views, repeats) for pixels, views in sizes]
-    print(format_table(rows), flush=True)
-    methods = compare_renderers(ground, 256, 16, repeats)
-    print(format_table(methods), flush=True)
+    rows = print_rows(_time_renderer(ground, *size, repeats) for size in sizes)
+    methods = print_rows(_compare_renderers(ground, 256, 16, repeats))
     if chart:
         draw_chart(methods, chart)
-    errors = [measure_sizes(exact, pixels) for pixels in (256, 128, 64)]
-    megabytes = measure_memory(256, 64)
-    print(format_table(errors), f"{megabytes:.1f} MB per view", sep="\n\n", flush=True)
+    errors = print_rows(_measure_sizes(exact, pixels) for pixels in (256, 128, 64))
     command = f"python -m geoaim.bench.birdview --repeats {repeats}"
-    more = {"methods": methods, "errors": errors, "megabytes_per_view": megabytes}
+    more = {"methods": methods, "errors": errors}
     write_rows(rows, json, command=command, torch=torch.__version__, **more)
 
 

@@ -1,5 +1,7 @@
 """Renderers to compare with: OpenCV, and plain torch with every box in every pixel."""
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 import torch
@@ -10,13 +12,21 @@ from torch import Tensor
 from geoaim.geometry import to_opencv
 from geoaim.simulation import Ground, OrientedBoxes, View
 
+# A renderer takes a view, cameras (B, 3) and boxes (B, N), and returns pictures (B, 3, H, W).
+Draw = Callable[[View, Tensor, OrientedBoxes], Tensor]
+
+
+def crop_texture(ground: Ground) -> Float[Tensor, "1 3 h w"]:
+    """Return the texture of a map without the border that `make_ground` adds."""
+    return ground.image[None, :, 1:-1, 1:-1].contiguous()
+
 
 def make_sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
     """Make the positions of the pixels of all views in the texture, for `grid_sample`.
 
     Args:
         view: size and resolution of the pictures.
-        cameras: (B, 3) x, y, heading.
+        cameras: (B, 3) x, y in metres and heading in radians.
         ground: the texture, whose border is left out.
 
     Returns:
@@ -35,77 +45,67 @@ def make_sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
     return grid.view(1, -1, view.width, 2).contiguous()
 
 
-def render_with_opencv(
-    view: View, cameras: Tensor, ground: Ground, boxes: OrientedBoxes, image: np.ndarray
-) -> list[np.ndarray]:
-    """Render by a warp for each view and polygons with hard edges, as scripts do.
+def make_opencv_renderer(ground: Ground) -> Draw:
+    """Make a renderer with a warp for each view and polygons with hard edges, as scripts do.
 
-    Args:
-        view: size and resolution of the pictures.
-        cameras: (B, 3) x, y, heading.
-        ground: where the texture lies.
-        boxes: to draw, without triangles.
-        image: (h, w, 3) the texture.
-
-    Returns:
-        B pictures (H, W, 3).
+    It draws no triangles, has no gradient, and needs views as wide as high.
     """
-    pictures, sizes = [], boxes.sizes.numpy()
-    half = np.array([view.width, view.height]) / 2
-    sides = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    for camera, poses, colours in zip(
-        cameras.numpy(), boxes.poses.numpy(), boxes.colours.numpy(), strict=True
-    ):
-        c, s = np.cos(camera[2]), np.sin(camera[2])
-        turn = np.array([[s, -c], [-c, -s]]) / view.resolution
-        view_from_world = np.eye(3)
-        view_from_world[:2] = np.column_stack([turn, half - turn @ camera[:2]])
-        image_from_world = np.eye(3)
-        image_from_world[:2] = ground.image_from_world.numpy() - [0, 0, 1]
-        matrix = to_opencv(view_from_world @ np.linalg.inv(image_from_world))
-        picture = cv2.warpAffine(image, matrix[:2], (view.width, view.height))
-        for (x, y, heading), size, colour in zip(poses, sizes, colours, strict=True):
-            axis = np.array(
-                [[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]]
-            )
-            corners = [x, y] + (sides * size / 2) @ axis
-            ring = corners @ turn.T + view_from_world[:2, 2] - 0.5
-            cv2.fillConvexPoly(picture, np.rint(ring).astype(np.int32), colour.tolist())
-        pictures.append(picture)
-    return pictures
+    image = crop_texture(ground)[0].permute(1, 2, 0).contiguous().numpy()
+    image_from_world = np.eye(3)
+    image_from_world[:2] = ground.image_from_world.numpy() - [0, 0, 1]  # without the border
+    sides = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2
+
+    def draw(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
+        size = view.width, view.height
+        pictures = np.empty((len(cameras), view.height, view.width, 3), image.dtype)
+        poses, colours = boxes.poses.numpy(), boxes.colours.numpy()
+        for picture, camera, own_poses, own_colours in zip(
+            pictures, cameras.numpy(), poses, colours, strict=True
+        ):
+            c, s = np.cos(camera[2]), np.sin(camera[2])
+            turn = np.array([[s, -c], [-c, -s]]) / view.resolution
+            view_from_world = np.eye(3)
+            view_from_world[:2] = np.column_stack([turn, np.divide(size, 2) - turn @ camera[:2]])
+            matrix = to_opencv(view_from_world @ np.linalg.inv(image_from_world))
+            cv2.warpAffine(image, matrix[:2], size, dst=picture)
+            for (x, y, heading), box_size, colour in zip(
+                own_poses, boxes.sizes.numpy(), own_colours, strict=True
+            ):
+                c, s = np.cos(heading), np.sin(heading)
+                corners = [x, y] + (sides * box_size) @ np.array([[c, s], [-s, c]])
+                ring = corners @ turn.T + view_from_world[:2, 2] - 0.5
+                cv2.fillConvexPoly(picture, np.rint(ring).astype(np.int32), colour.tolist())
+        return torch.from_numpy(pictures).permute(0, 3, 1, 2)
+
+    return draw
 
 
-def render_by_distances(
-    view: View, cameras: Tensor, image: Float[Tensor, "1 3 h w"], grid: Tensor, boxes: OrientedBoxes
-) -> Float[Tensor, "B 3 H W"]:
-    """Render by every box's distance in every pixel, with edges one pixel soft.
+def make_distance_renderer(ground: Ground) -> Draw:
+    """Make a renderer with every box's distance in every pixel, edges one pixel soft.
 
-    Args:
-        view: size and resolution of the pictures.
-        cameras: (B, 3) x, y, heading.
-        image: the texture.
-        grid: of `make_sampling_grid`.
-        boxes: to draw, without triangles.
-
-    Returns:
-        (B, 3, H, W).
+    It draws no triangles.
     """
-    count = len(cameras)
-    pixels = F.grid_sample(image, grid, align_corners=False)
-    picture = pixels.view(3, count, view.height, view.width).transpose(0, 1)
-    rows, columns = (torch.arange(n).to(cameras) - (n - 1) / 2 for n in (view.height, view.width))
-    offset = boxes.poses[..., :2] - cameras[:, None, :2]
-    c, s = cameras[:, 2:].cos(), cameras[:, 2:].sin()
-    right = (offset[..., 0] * s - offset[..., 1] * c) / view.resolution
-    forward = (offset[..., 0] * c + offset[..., 1] * s) / view.resolution
-    turn = boxes.poses[..., 2] - cameras[:, 2:]
-    for a in range(boxes.poses.shape[1]):
-        x = columns - right[:, a, None, None]
-        y = -rows[:, None] - forward[:, a, None, None]
-        cosine, sine = turn[:, a, None, None].cos(), turn[:, a, None, None].sin()
-        length, width = boxes.sizes[a] / 2 / view.resolution
-        along, aside = y * cosine - x * sine, y * sine + x * cosine
-        inside = torch.minimum(length - along.abs(), width - aside.abs())
-        alpha = (inside + 0.5).clamp(0, 1)[:, None]
-        picture = picture + alpha * (boxes.colours[:, a, :, None, None] - picture)
-    return picture
+    texture = crop_texture(ground)
+
+    def draw(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
+        grid = make_sampling_grid(view, cameras, ground)
+        pixels = F.grid_sample(texture, grid, align_corners=False)
+        picture = pixels.view(3, len(cameras), view.height, view.width).transpose(0, 1)
+        rows, columns = (torch.arange(n) - (n - 1) / 2 for n in (view.height, view.width))
+        offset = boxes.poses[..., :2] - cameras[:, None, :2]
+        c, s = cameras[:, 2:].cos(), cameras[:, 2:].sin()
+        right = (offset[..., 0] * s - offset[..., 1] * c) / view.resolution
+        forward = (offset[..., 0] * c + offset[..., 1] * s) / view.resolution
+        turn = boxes.poses[..., 2] - cameras[:, 2:]
+        for a in range(boxes.poses.shape[1]):
+            x = columns - right[:, a, None, None]
+            y = -rows[:, None] - forward[:, a, None, None]
+            cosine, sine = turn[:, a, None, None].cos(), turn[:, a, None, None].sin()
+            length, width = boxes.sizes[a] / 2 / view.resolution
+            along, aside = y * cosine - x * sine, y * sine + x * cosine
+            inside = torch.minimum(length - along.abs(), width - aside.abs())
+            alpha = (inside + 0.5).clamp(0, 1)[:, None]
+            picture = picture + alpha * (boxes.colours[:, a, :, None, None] - picture)
+        return picture
+
+    return draw

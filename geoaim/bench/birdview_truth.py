@@ -5,9 +5,6 @@
 compares the renderer's gradients with central differences of means over 6765 points.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,7 +14,7 @@ import typer
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.bench.report import format_table, write_rows
+from geoaim.bench.report import JsonFile, print_rows, write_rows
 from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
 from geoaim.simulation.rasterization import TRIANGLE_SHARE
 
@@ -26,7 +23,6 @@ PICTURE_LATTICE, GRADIENT_LATTICE = (377, 233), (6765, 4181)
 CAR_SIZE_M = (4.5, 1.9)
 DIFFERENCE_STEP_PX = 0.05  # by which corners move in central differences
 MAX_POINTS = 2_000_000  # that are rendered at once
-Scenes = Sequence[tuple[Tensor, OrientedBoxes]]
 
 
 def supersample(
@@ -91,51 +87,13 @@ def _paint_box(
     return picture
 
 
-def measure_errors(
-    draw: Callable[[View, Tensor, OrientedBoxes], Tensor],
-    view: View,
-    ground: Ground,
-    scenes: Scenes,
-) -> dict[str, float]:
-    """Measure the errors of pictures, everywhere and where an edge of a box passes.
-
-    Args:
-        draw: renders pictures of a view, cameras and boxes.
-        view: size and resolution of the pictures.
-        ground: the map.
-        scenes: cameras and boxes.
-
-    Returns:
-        Errors in grey levels, by name.
-    """
-    errors, edge_errors = [], []
-    dark = replace(ground, image=torch.zeros_like(ground.image))
-    for cameras, boxes in scenes:
-        error = 255 * (draw(view, cameras, boxes) - supersample(view, cameras, ground, boxes)).abs()
-        white = replace(boxes, colours=torch.ones_like(boxes.colours), heading_colours=None)
-        cover = render(view, cameras, dark, [white])[:, 0]
-        errors.append(error)
-        edge_errors.append(error.movedim(1, -1)[(cover > 0.02) & (cover < 0.98)])
-    every = torch.cat(errors)
-    return {
-        "mean error": float(every.mean()),
-        "largest error": float(every.max()),
-        "mean error at edges of boxes": float(torch.cat(edge_errors).mean()),
-    }
-
-
 def measure_gradient_errors(count: int) -> list[dict[str, Any]]:
     """Measure relative errors of gradients against central differences of the reference.
 
     An error is divided by the gradient's size in its scene, or by the root mean square over the
     scenes if that is larger: where gradients of opposite edges cancel, the rest has no meaningful
-    relative error. Components of one vector, such as x and y, share one size.
-
-    Args:
-        count: number of random scenes.
-
-    Returns:
-        A row for each variable.
+    relative error. Components of one vector, such as x and y, share one size. A row is of one of
+    eight variables, over `count` random scenes.
     """
     names = ("x", "y", "heading", "length", "width", "camera x", "camera y", "camera heading")
     vectors = np.array([0, 0, 1, 2, 2, 3, 3, 4])
@@ -203,13 +161,12 @@ def _make_gradient_scene(seed: int) -> tuple[View, Ground, Tensor, Tensor]:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON file to write")] = None,
+    json: JsonFile = None,
     scenes: Annotated[int, typer.Option(help="number of random scenes")] = 200,
 ) -> None:
     """Compare gradients with central differences; print a table and write JSON."""
     torch.set_num_threads(1)
-    rows = measure_gradient_errors(scenes)
-    print(format_table(rows))
+    rows = print_rows(measure_gradient_errors(scenes))
     command = f"python -m geoaim.bench.birdview_truth --scenes {scenes}"
     write_rows(rows, json, command=command, torch=torch.__version__)
 

@@ -1,15 +1,11 @@
 """How often real vehicles are on the drivable area of HD maps: Karlsruhe's junctions, the sample.
 
-    python -m geoaim.bench.drivable --json docs/bench/drivable.json
-
-`--picture FILE` shows where they are off it; that stays out of the repository, as real tracks do.
+python -m geoaim.bench.drivable --json docs/bench/drivable.json
 """
 
 import csv
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import shapely
 import typer
@@ -20,7 +16,7 @@ from shapely import MultiPolygon
 from geoaim import read_tracks
 from geoaim.agent_types import select_group
 from geoaim.bench.data import require_data
-from geoaim.bench.report import format_table, write_rows
+from geoaim.bench.report import JsonFile, print_rows, write_rows
 from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.track_formats import read_interaction
@@ -64,34 +60,14 @@ def _measure_share(name: str, area: MultiPolygon, positions: Float[Array, "m 2"]
     }
 
 
-def draw_positions(cases: dict[str, tuple[MultiPolygon, Float[Array, "m 2"]]], path: Path) -> None:
-    """Draw drivable areas, and positions on and off them."""
-    figure, axes = plt.subplots(1, len(cases), figsize=(7 * len(cases), 6), layout="constrained")
-    for axis, (name, (area, positions)) in zip(np.atleast_1d(axes), cases.items(), strict=True):
-        for part in area.geoms:
-            for ring, colour in [(part.exterior, "0.8"), *((hole, "w") for hole in part.interiors)]:
-                axis.fill(*np.asarray(ring.coords).T, color=colour)
-        off = ~shapely.contains_xy(area, positions)
-        axis.plot(*positions[~off].T, ",", color="C0")
-        axis.plot(*positions[off].T, ".", color="C3", ms=2)
-        axis.set(title=f"{name}: {off.mean():.1%} off", aspect="equal")
-    figure.savefig(path, dpi=80)
-
-
-def main(
-    json: Annotated[Path | None, typer.Option(help="JSON file for the results")] = None,
-    picture: Annotated[Path | None, typer.Option(help="picture of positions off the area")] = None,
-) -> None:
+def main(json: JsonFile = None) -> None:
     """Count vehicles on the drivable areas of the sample's map and of real ones."""
     tracks = read_tracks("samples/tracks.csv")
     sample = find_drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
     cases = {"sample": (sample, list_positions(tracks))}
     cases |= {junction: read_junction(junction) for junction in JUNCTIONS}
-    rows = [_measure_share(name, *case) for name, case in cases.items()]
-    print(format_table(rows))
+    rows = print_rows(_measure_share(name, *case) for name, case in cases.items())
     write_rows(rows, json, command="python -m geoaim.bench.drivable")
-    if picture is not None:
-        draw_positions(cases, picture)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import typer
 
-from geoaim.bench.report import format_table, time_medians, write_rows
+from geoaim.bench.report import JsonFile, format_table, time_medians, write_rows
 from geoaim.geometry import to_opencv
 from geoaim.synthetic import VIDEOS, draw_place, make_place, make_sample, render_frame, write_video
 from geoaim.synthetic.traffic.simulate import DT, WARM_UP_S, prepare_traffic, simulate_traffic
@@ -117,7 +117,7 @@ def time_video(size: str, count: int) -> dict[str, Any]:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
+    json: JsonFile = None,
     repeats: Annotated[int, typer.Option(help="runs of each measurement; the median counts")] = 5,
     frames: Annotated[int, typer.Option(help="frames of each video")] = 100,
     threads: Annotated[int, typer.Option(help="OpenCV's threads")] = 2,

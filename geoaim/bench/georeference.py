@@ -1,24 +1,23 @@
 """Georeferences from simulated control points: errors, and how often the stated bounds hold.
 
-    python -m geoaim.bench.georeference [--trials 200] [--json PATH]
+    python -m geoaim.bench.georeference --trials 50 --json docs/bench/georeference.json
 
 Monte Carlo over layouts of the points, true transforms, and numbers of points.
 """
 
-import argparse
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.bench.report import write_json
+from geoaim.bench.report import JsonFile, print_rows, write_json
 from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, make_similarity, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
@@ -28,25 +27,13 @@ from geoaim.mapping.georeference.georeference import (
     predict_covariance,
     world_from_pixels,
 )
-from geoaim.mapping.georeference.normalised_plane import (
-    fit_similarity,
-    half_diagonal,
-    normalise_pixels,
-    undistort_points,
-)
+from geoaim.mapping.georeference.normalised_plane import half_diagonal, undistort_points
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, ellipse_factor
-from geoaim.mapping.georeference.transform_models import (
-    TERM_COUNTS,
-    PointPairs,
-    apply_terms,
-    compose_world_from_image,
-    fit_terms,
-)
+from geoaim.mapping.georeference.transform_models import compose_world_from_image
 
 HEIGHT, WIDTH = 1080, 1920
 RESOLUTION = 0.05  # metres per pixel
 PICKING_SIGMA_PX = 1.5  # per axis
-PICKING_SIGMAS_PX = (0.75, 1.5, 3.0, 5.0)
 MARGIN = 0.06  # of the side, in which no points are picked
 # Boxes of the points, shares of the sides: left, top, right, bottom.
 LAYOUTS = {
@@ -88,7 +75,6 @@ class Cell:
     layout: str  # key of LAYOUTS
     truth: str  # key of TRUE_TRANSFORMS
     count: int  # of control points
-    noise: float = PICKING_SIGMA_PX
 
 
 def _draw_terms(truth: TrueTransform, generator: np.random.Generator) -> Float[Array, "9"]:
@@ -120,7 +106,7 @@ def _draw_points(
         undistorted = undistort_points(pixels, float(terms[8]), HEIGHT, WIDTH)
         return transform_points(world_from_image, undistorted)
 
-    picked = pixels + generator.normal(scale=cell.noise, size=pixels.shape)
+    picked = pixels + generator.normal(scale=PICKING_SIGMA_PX, size=pixels.shape)
     picked = picked.clip(0.0, (WIDTH, HEIGHT))
     names = tuple(f"p{i}" for i in range(cell.count))
     points = ControlPoints(picked, transform(pixels), None, names, (None,) * cell.count)
@@ -138,35 +124,12 @@ def _measure_errors(
     return np.linalg.norm(offset, axis=1) / RESOLUTION, inside
 
 
-def _fit_rivals(points: ControlPoints) -> dict[str, Float[Array, "3 3"]]:
-    """world_from_image of each model by maximum likelihood, and of the choice by AICc and GRIC.
-
-    Burnham and Anderson 2002 for AICc; Torr 1998 for GRIC, with the true noise.
-    """
-    plane = normalise_pixels(points.pixels, (HEIGHT, WIDTH))
-    matrix = fit_similarity(plane, points.coordinates)[0]
-    pairs = PointPairs(plane, transform_points(np.linalg.inv(matrix), points.coordinates))
-    fits, aicc, gric, n = {}, {}, {}, 2 * len(plane)
-    for model, count in TERM_COUNTS.items():
-        fits[model] = fit_terms(pairs, list(range(count)), np.zeros(9))
-        squares = np.sum((apply_terms(fits[model], plane) - pairs.ground) ** 2, axis=1)
-        spare = n - count - 2
-        penalty = 2 * (count + 1) * (1 + (count + 2) / spare) if spare > 0 else np.inf
-        aicc[model] = n * np.log(max(squares.sum(), 1e-30) / n) + penalty
-        scaled = squares * (half_diagonal(HEIGHT, WIDTH) / PICKING_SIGMA_PX) ** 2
-        gric[model] = np.minimum(scaled, 4.0).sum() + n * np.log(4.0) + count * np.log(2.0 * n)
-    fits["AICc"] = fits[min(aicc, key=aicc.__getitem__)]
-    fits["GRIC"] = fits[min(gric, key=gric.__getitem__)]
-    size = (HEIGHT, WIDTH)
-    return {name: compose_world_from_image(matrix, terms, size) for name, terms in fits.items()}
-
-
 def run_cell(cell: Cell, trials: int) -> dict[str, Any]:
     """Measure one cell: coverage of the 95 % ellipse, errors at the corners, models chosen."""
     generator = np.random.default_rng([cell.count, *map(ord, cell.layout + cell.truth)])
     corners = image_corners(HEIGHT, WIDTH)
     covered: dict[str, list[bool]] = {"corners": [], "centre": [], "anywhere": []}
-    errors: dict[str, list[float]] = {}
+    errors: list[float] = []
     models: Counter[str] = Counter()
     for _ in range(trials):
         points, transform = _draw_points(cell, generator)
@@ -184,18 +147,14 @@ def run_cell(cell: Cell, trials: int) -> dict[str, Any]:
         covered["corners"] += inside[:4].tolist()
         covered["centre"].append(bool(inside[4]))
         covered["anywhere"].append(bool(inside[5]))
-        errors.setdefault("chosen", []).append(_rms(distance[:4]))
-        for name, rival in _fit_rivals(points).items():
-            offset = transform_points(rival, corners) - truth[:4]
-            errors.setdefault(name, []).append(_rms(np.linalg.norm(offset, axis=1) / RESOLUTION))
+        errors.append(_rms(distance[:4]))
     return {
         "layout": cell.layout,
         "truth": cell.truth,
         "points": cell.count,
         "trials": trials,
-        "noise_px": cell.noise,
         "coverage": {place: _share(inside) for place, inside in covered.items()},
-        "error_px": {name: round(_rms(np.array(e)), 1) for name, e in errors.items()},
+        "error_px": round(_rms(errors), 1) if errors else None,
         "models": dict(models),
     }
 
@@ -229,7 +188,7 @@ def _run_outliers(cell: Cell, size: float, trials: int) -> dict[str, Any]:
     }
 
 
-def _rms(values: Array) -> float:
+def _rms(values: Array | list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
@@ -238,56 +197,28 @@ def _share(values: list[bool]) -> float:
     return round(100.0 * float(np.mean(values)), 1) if values else float("nan")
 
 
-def _print_table(header: str, rows: Iterable[dict[str, Any]], keys: tuple[str, ...]) -> list[Any]:
-    """Print each row as soon as it is measured, and return all."""
-    print(f"\n| {header} |\n|{'---|' * (header.count('|') + 1)}")
-    kept = []
-    for row in rows:
-        kept.append(row)
-        print("| " + " | ".join(str(row[key]) for key in keys) + " |", flush=True)
-    return kept
-
-
-def main() -> None:
-    """Measure every cell, print Markdown tables, and write JSON when asked."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=200)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    trials = arguments.trials
+def main(
+    json: JsonFile = None,
+    trials: Annotated[int, typer.Option(help="sets of points for each cell of the table")] = 200,
+) -> None:
+    """Measure how often stated regions hold the truth, and how often a wrong point is found."""
     warnings.simplefilter("ignore", GeoaimWarning)
-    cells = _print_table(
-        "layout | truth | points | % covered | error px | models",
-        (
-            run_cell(Cell(layout, truth, count), trials)
-            for layout, truth, count in product(LAYOUTS, TRUE_TRANSFORMS, POINT_COUNTS)
-        ),
-        ("layout", "truth", "points", "coverage", "error_px", "models"),
+    cells = product(LAYOUTS, TRUE_TRANSFORMS, POINT_COUNTS)
+    measured = print_rows(run_cell(Cell(*cell), trials) for cell in cells)
+    cases = product(
+        ("spread", "one-sided"),
+        ("similarity", "as expected"),
+        OUTLIER_POINT_COUNTS,
+        OUTLIER_SIZES_PX,
     )
-    noises = _print_table(
-        "layout | points | noise px | % covered",
-        (
-            run_cell(Cell(layout, "as expected", count, noise), trials)
-            for layout, count, noise in product(LAYOUTS, POINT_COUNTS, PICKING_SIGMAS_PX)
-        ),
-        ("layout", "points", "noise_px", "coverage"),
+    outliers = print_rows(
+        _run_outliers(Cell(layout, truth, count), size, max(trials // 2, 10))
+        for layout, truth, count, size in cases
     )
-    outliers = _print_table(
-        "layout | truth | points | one wrong by px | outcomes | % of corners covered",
-        (
-            _run_outliers(Cell(layout, truth, count), size, max(trials // 2, 10))
-            for layout, truth, count, size in product(
-                ("spread", "one-sided"),
-                ("similarity", "as expected"),
-                OUTLIER_POINT_COUNTS,
-                OUTLIER_SIZES_PX,
-            )
-        ),
-        ("layout", "truth", "points", "size_px", "outcomes", "coverage"),
-    )
-    if arguments.json:
-        write_json({"cells": cells, "noises": noises, "outliers": outliers}, arguments.json)
+    if json is not None:
+        command = f"python -m geoaim.bench.georeference --trials {trials}"
+        write_json({"command": command, "cells": measured, "outliers": outliers}, json)
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -10,7 +10,7 @@ place these at the edge of the paint.
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from shapely import LineString
 
 import geoaim
 from geoaim.aim import AIM
-from geoaim.bench.report import format_table, write_rows
+from geoaim.bench.report import JsonFile, print_rows, write_rows
 from geoaim.geometry import transform_points
 from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
@@ -102,15 +102,13 @@ def draw_aim_and_map(kind: PlaceKind) -> tuple[AIM, HDMap]:
         return aim, read_hdmap(path, place.world)
 
 
-def main(
-    json: Annotated[Path | None, typer.Option(help="JSON file for the results")] = None,
-) -> None:
+def main(json: JsonFile = None) -> None:
     """Locate the lines of HD maps on the sample's AIM and on synthetic places of each kind."""
     built = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
     hdmap = read_hdmap("samples/map.osm", built.world)
-    rows = [_measure_overlay("sample, built of its video", built, hdmap)]
-    rows += [_measure_overlay(f"{kind}, drawn", *draw_aim_and_map(kind)) for kind in STANDARD_KINDS]
-    print(format_table(rows))
+    cases = [("sample, built of its video", built, hdmap)]
+    cases += [(f"{kind}, drawn", *draw_aim_and_map(kind)) for kind in STANDARD_KINDS]
+    rows = print_rows(_measure_overlay(*case) for case in cases)
     write_rows(rows, json, command="python -m geoaim.bench.overlay")
 
 

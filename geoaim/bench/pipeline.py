@@ -5,10 +5,8 @@
 Long files repeat the packets of one rendered clip, so that ten minutes of 4K take seconds to make.
 """
 
-import subprocess
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -19,7 +17,13 @@ import numpy as np
 import typer
 
 from geoaim.bench.hover_videos import make_hover_video
-from geoaim.bench.report import format_table, measure_peak_megabytes, write_rows
+from geoaim.bench.report import (
+    JsonFile,
+    measure_peak_megabytes,
+    print_rows,
+    run_in_process,
+    write_rows,
+)
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.pipeline import build_aim
@@ -28,6 +32,7 @@ from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
 THREADS = 2
+MEGABITS = 60.0  # Mbit/s of the clip; drones record 4K at 60 to 100
 GROUND = np.array([[0.04, 0, 0], [0, -0.04, 0], [0, 0, 1.0]])
 
 
@@ -36,29 +41,28 @@ def decode(path: Path) -> int:
     return sum(1 for _ in open_video(path, threads=THREADS))
 
 
-def average_all(path: Path) -> int:
-    """Register and average all frames."""
-    return _mean(path, bands=1)
-
-
-def average_bands(path: Path) -> int:
-    """Register all frames and average one of 12 bands of each: every twelfth frame for a pixel."""
-    return _mean(path, bands=12)
-
-
 def register_all(path: Path) -> int:
-    """Register all frames."""
+    """Register all frames and return their number."""
     video = open_video(path, threads=THREADS)
     return sum(1 for _ in register_frames(video, choose_reference(video)))
 
 
-def _mean(path: Path, *, bands: int) -> int:
+def average_bands(path: Path) -> int:
+    """Register all frames and average one of 12 bands of each: every twelfth frame for a pixel."""
+    return _average(path, bands=12)
+
+
+def average_all(path: Path) -> int:
+    """Register and average all frames, and return their number."""
+    return _average(path, bands=1)
+
+
+def _average(path: Path, *, bands: int) -> int:
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
-    placements = register_frames(video, reference)
     frames = (
         (frame, placement.reference_from_frame)
-        for frame, placement in placements
+        for frame, placement in register_frames(video, reference)
         if placement.valid
     )
     size = reference.height, reference.width
@@ -87,7 +91,7 @@ def run_opencv_script(path: Path) -> int:
         count += 1
 
 
-def measure_throughput(path: Path, runs: int) -> list[dict[str, Any]]:
+def measure_throughput(path: Path, runs: int) -> Iterator[dict[str, Any]]:
     """Measure the frames per second of each method in turn, set-up included; medians."""
     methods: list[Callable[[Path], int]] = [
         decode,
@@ -96,7 +100,7 @@ def measure_throughput(path: Path, runs: int) -> list[dict[str, Any]]:
         average_all,
         run_opencv_script,
     ]
-    rates: dict[str, list[float]] = {method.__name__: [] for method in methods}
+    rates: dict[Callable[[Path], int], list[float]] = {method: [] for method in methods}
     decode(path)  # fills the page cache
     for run in range(runs):
         for method in methods:
@@ -104,39 +108,26 @@ def measure_throughput(path: Path, runs: int) -> list[dict[str, Any]]:
                 continue
             start = time.perf_counter()
             count = method(path)
-            rates[method.__name__].append(count / (time.perf_counter() - start))
-    limit = float(np.median(rates["decode"]))
-    return [
-        {
-            "method": name,
-            "frames_per_s": float(np.median(measured)),
-            "share_of_decode_only": float(np.median(measured)) / limit,
+            rates[method].append(count / (time.perf_counter() - start))
+    limit = float(np.median(rates[decode]))
+    for method, measured in rates.items():
+        rate = float(np.median(measured))
+        yield {
+            "method": method.__name__,
+            "frames_per_s": rate,
+            "share_of_decode_only": rate / limit,
         }
-        for name, measured in rates.items()
-    ]
 
 
-def measure_lengths(clip: Path, folder: Path, minutes: list[int]) -> list[dict[str, Any]]:
-    """Measure seconds and peak memory of build_aim and of decoding, each in its own process.
-
-    Args:
-        clip: video whose packets are repeated.
-        folder: where the long videos are written.
-        minutes: durations of the videos.
-
-    Returns:
-        Rows of the table.
-    """
-    rows = []
+def measure_lengths(clip: Path, minutes: list[int]) -> Iterator[dict[str, Any]]:
+    """Measure seconds and peak MiB of `build_aim` and of decoding, each in its own process."""
     for minute in minutes:
-        path = repeat_packets(clip, folder / f"{minute}min.mp4", 60.0 * minute)
-        for method in ("build_aim", "decode"):
-            seconds, peak = _measure_in_process(method, path)
-            row = {"minutes": minute, "method": method, "seconds": seconds, "peak_rss_mb": peak}
-            rows.append(row)
-            print(format_table(rows[-1:]).splitlines()[-1], flush=True)
+        path = repeat_packets(clip, clip.with_name(f"{minute}min.mp4"), 60.0 * minute)
+        for method in (build, decode):
+            seconds, peak = run_in_process(_measure_cost, method, path)
+            row = {"minutes": minute, "method": "build_aim" if method is build else "decode"}
+            yield row | {"seconds": seconds, "peak_rss_mb": peak}
         path.unlink()
-    return rows
 
 
 def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
@@ -169,69 +160,42 @@ def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
                 offset += span
 
 
-def _measure_in_process(method: str, path: Path) -> tuple[float, float]:
-    command = [sys.executable, "-m", "geoaim.bench.pipeline", "--one", method, "--clip", str(path)]
-    seconds, peak = subprocess.run(
-        command, check=True, capture_output=True, text=True
-    ).stdout.split()[-2:]
-    return float(seconds), float(peak)
+def build(path: Path) -> None:
+    """Build an AIM, with control points in the corners and the middle of the frame."""
+    video = open_video(path, threads=THREADS)
+    pixels = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9], [0.5, 0.5]])
+    pixels *= [video.width, video.height]
+    points = np.hstack([pixels, transform_points(GROUND, pixels)])
+    build_aim(video, [dict(zip("uvxy", row, strict=True), crs="local") for row in points])
 
 
-def _run_one(method: str, path: Path) -> None:
-    """Run one method, and print its seconds and peak MiB."""
+def _measure_cost(method: Callable[[Path], object], path: Path) -> tuple[float, float]:
+    """Measure the seconds of a method and the peak MiB of this process."""
+    cv2.setNumThreads(THREADS)
     start = time.perf_counter()
-    if method == "decode":
-        decode(path)
-    else:
-        video = open_video(path, threads=THREADS)
-        pixels = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9], [0.5, 0.5]])
-        pixels *= [video.width, video.height]
-        places = transform_points(GROUND, pixels)
-        keys = ("u", "v", "x", "y", "crs")
-        pairs = zip(pixels, places, strict=True)
-        build_aim(video, [dict(zip(keys, (*p, *q, "local"), strict=True)) for p, q in pairs])
-    print(time.perf_counter() - start, measure_peak_megabytes())
+    method(path)
+    return time.perf_counter() - start, measure_peak_megabytes()
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
+    json: JsonFile = None,
     size: Annotated[str, typer.Option(help="frame size of the rendered clip")] = "4k",
     frames: Annotated[int, typer.Option(help="frames of the rendered clip, at 30 frames/s")] = 150,
-    megabits: Annotated[
-        float, typer.Option(help="Mbit/s of the clip; drones record 4K at 60 to 100")
-    ] = 60.0,
     duration: Annotated[float, typer.Option(help="seconds of the video for throughput")] = 20.0,
     runs: Annotated[int, typer.Option(help="timed runs of each method")] = 2,
     minutes: Annotated[str, typer.Option(help="durations to compare, comma-separated")] = "1,10",
-    one: Annotated[str, typer.Option(hidden=True)] = "",
-    clip: Annotated[Path | None, typer.Option(help="use this file instead of making one")] = None,
 ) -> None:
     """Measure throughput and the cost of length; print tables; write JSON if asked."""
     cv2.setNumThreads(THREADS)
-    if one and clip:
-        _run_one(one, clip)
-        return
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        video = clip or write_video(
-            make_hover_video("00003", size=size, count=frames, kind="queue"),
-            folder / "clip.mp4",
-            megabits=megabits,
-        )
-        rates = measure_throughput(repeat_packets(video, folder / "short.mp4", duration), runs)
-        print(format_table(rates))
-        lengths = measure_lengths(video, folder, [int(m) for m in minutes.split(",") if m])
-        command = "python -m geoaim.bench.pipeline"
-        write_rows(
-            rates,
-            json,
-            command=command,
-            threads=THREADS,
-            size=size,
-            megabits=megabits,
-            duration=duration,
-            lengths=lengths,
-        )
+    with TemporaryDirectory() as folder:
+        video = make_hover_video("00003", size=size, count=frames, kind="queue")
+        clip = write_video(video, Path(folder, "clip.mp4"), megabits=MEGABITS)
+        short = repeat_packets(clip, clip.with_name("short.mp4"), duration)
+        rates = print_rows(measure_throughput(short, runs))
+        lengths = print_rows(measure_lengths(clip, [int(m) for m in minutes.split(",") if m]))
+    settings = {"threads": THREADS, "size": size, "megabits": MEGABITS, "duration": duration}
+    command = f"python -m geoaim.bench.pipeline --frames {frames} --runs {runs}"
+    write_rows(rates, json, command=command, **settings, lengths=lengths)
 
 
 if __name__ == "__main__":

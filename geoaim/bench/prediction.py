@@ -6,16 +6,14 @@ Segments are of a synthetic junction. Sampling is of 6 futures of 20 vehicles ov
 after 10 observed ones. Rendering is `render_observation` in a training step, forward and backward.
 """
 
-import time
 from dataclasses import replace
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 import typer
 
 from geoaim.aim import AIM
-from geoaim.bench.report import format_table, time_medians, write_rows
+from geoaim.bench.report import JsonFile, print_rows, time_medians, write_rows
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, Config
 from geoaim.prediction.cutting import cut_segments
@@ -110,14 +108,11 @@ def _time_sampling(model: ITRA, segments: Segments, ground: Ground) -> float:
     return time_medians([sample], REPEATS)[0]
 
 
-def main(json: Annotated[Path | None, typer.Option(help="file to write")] = None) -> None:
-    """Print the table."""
-    start = time.perf_counter()
+def main(json: JsonFile = None) -> None:
+    """Measure both pretrained models, on one thread and on two."""
     kinds = ("vehicle", "pedestrian")
-    rows = [measure_model(kind, threads) for threads in (1, 2) for kind in kinds]
-    print(format_table(rows))
+    rows = print_rows(measure_model(kind, threads) for threads in (1, 2) for kind in kinds)
     write_rows(rows, json, command="python -m geoaim.bench.prediction", torch=torch.__version__)
-    print(f"{time.perf_counter() - start:.0f} s")
 
 
 if __name__ == "__main__":

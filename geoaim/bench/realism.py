@@ -37,7 +37,7 @@ from geoaim.bench.realism_motion import (
     read_real_pedestrians,
     read_real_vehicles,
 )
-from geoaim.bench.report import format_table, write_rows
+from geoaim.bench.report import ChartFile, JsonFile, format_table, write_rows
 from geoaim.synthetic import make_sample, tracks_of
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks import Tracks
@@ -49,8 +49,8 @@ Groups = dict[str, tuple[list[Statistics], dict[str, Statistics]]]  # synthetic,
 def main(
     seeds: Annotated[int, typer.Option(help="synthetic places of each kind")] = 2,
     minutes: Annotated[float, typer.Option(help="minutes of traffic in each")] = 3.0,
-    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
-    chart: Annotated[Path | None, typer.Option(help="chart to write")] = None,
+    json: JsonFile = None,
+    chart: ChartFile = None,
     images: Annotated[
         Path | None, typer.Option(help="image to write: real and synthetic places side by side")
     ] = None,

@@ -4,7 +4,7 @@ stabilo is measured where it is installed: `pip install --no-deps stabilo`.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -14,7 +14,6 @@ from numpy import ndarray as Array
 from skimage.registration import phase_cross_correlation
 
 from geoaim.geometry import from_opencv, translation
-from geoaim.mapping.registration.keyframes import FrameRegistration
 from geoaim.mapping.registration.patches import shrink_image
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
@@ -22,31 +21,34 @@ from geoaim.mapping.video.video import open_video
 Grey = UInt8[Array, "h w"]
 Matrix = Float[Array, "3 3"]
 Matrices = Float[Array, "T 3 3"]
+Registered = tuple[Matrices, list[float]]
 # A method takes frames and vehicle boxes, and returns matrices (NaN where it refuses a frame) and
 # the seconds that each frame took.
-Method = Callable[[Any, list[Array]], tuple[Matrices, list[float]]]
+Method = Callable[[Any, list[Array]], Registered]
+# A rival takes the reference, grey, and returns what registers grey frames to it: a function that
+# returns reference_from_frame, or None where it refuses a frame.
+RegisterGrey = Callable[[Grey], Matrix | None]
+Rival = Callable[[Grey], RegisterGrey]
 
 
-def register_with_geoaim(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
+def register_with_geoaim(frames: Any, boxes: list[Array]) -> Registered:
     """Register with this library: no boxes, motion model chosen from the data."""
     reference = choose_reference(open_video(frames), time=0.0)
-    placed: Iterator[tuple[Any, FrameRegistration]] = register_frames(open_video(frames), reference)
     matrices: list[Array] = []
     seconds: list[float] = []
-    while True:
-        start = time.perf_counter()
-        step = next(placed, None)
-        if step is None:
-            return np.array(matrices), seconds
+    start = time.perf_counter()
+    for _, placement in register_frames(open_video(frames), reference):
         seconds.append(time.perf_counter() - start)
-        matrices.append(step[1].reference_from_frame)
+        matrices.append(placement.reference_from_frame)
+        start = time.perf_counter()
+    return np.array(matrices), seconds
 
 
 def make_stabilo_method(*, with_boxes: bool) -> Method:
     """Make a method of stabilo: ORB, brute-force matching, MAGSAC++, with or without boxes."""
     from stabilo import Stabilizer  # a peer, not a dependency
 
-    def run(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
+    def run(frames: Any, boxes: list[Array]) -> Registered:
         stabilizer = Stabilizer(mask_use=with_boxes)
         matrices: list[Array] = []
         seconds: list[float] = []
@@ -67,110 +69,25 @@ def make_stabilo_method(*, with_boxes: bool) -> Method:
     return run
 
 
-def make_feature_method(make_detector: Callable[[], Any], norm: int, shrink: int) -> Method:
-    """Make a method of features: detection, brute-force matching, MAGSAC++.
+def make_rival_method(rival: Rival, shrink: int) -> Method:
+    """Make a method of a rival, which gets grey frames reduced by an integer factor."""
+    scale = np.diag([1 / shrink, 1 / shrink, 1.0])
 
-    Args:
-        make_detector: returns an OpenCV feature detector.
-        norm: OpenCV's norm for matching its descriptors.
-        shrink: integer factor by which frames are reduced first.
-
-    Returns:
-        The method.
-    """
-
-    def run(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
-        detector, matcher = make_detector(), cv2.BFMatcher(norm, crossCheck=True)
-        reference: list[Any] = []
-
-        def register(grey: Grey) -> Matrix | None:
-            points, descriptors = detector.detectAndCompute(grey, None)
-            reference[:] = reference or [points, descriptors]
-            pairs = matcher.match(descriptors, reference[1])
-            source = np.array([points[pair.queryIdx].pt for pair in pairs])
-            target = np.array([reference[0][pair.trainIdx].pt for pair in pairs])
-            homography, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, 2.0)
-            return None if homography is None else from_opencv(homography)
-
-        return _register_each(frames, shrink, register)
+    def run(frames: Any, boxes: list[Array]) -> Registered:
+        register = None
+        matrices: list[Matrix] = []
+        seconds: list[float] = []
+        for frame in frames:
+            start = time.perf_counter()
+            grey = to_grey(frame, shrink)
+            register = register or rival(grey)
+            matrix = register(grey)
+            seconds.append(time.perf_counter() - start)
+            matrix = np.full((3, 3), np.nan) if matrix is None else matrix
+            matrices.append(np.linalg.inv(scale) @ matrix @ scale)
+        return np.array(matrices), seconds
 
     return run
-
-
-def register_with_ecc(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
-    """Register by ECC at a quarter of the size, starting each frame at the previous result."""
-    reference: list[Grey] = []
-    warps: list[Any] = [np.eye(3, dtype=np.float32)]
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5)
-
-    def register(grey: Grey) -> Matrix | None:
-        reference[:] = reference or [grey]
-        try:
-            _, warps[0] = cv2.findTransformECC(
-                reference[0], grey, warps[0], cv2.MOTION_HOMOGRAPHY, criteria
-            )
-        except cv2.error:
-            return None
-        return np.linalg.inv(from_opencv(warps[0].astype(np.float64)))
-
-    return _register_each(frames, 4, register)
-
-
-def register_with_phase_correlation(
-    frames: Any, boxes: list[Array]
-) -> tuple[Matrices, list[float]]:
-    """Register by phase correlation at half size, a translation (Guizar-Sicairos et al. 2008)."""
-    reference: list[Grey] = []
-
-    def register(grey: Grey) -> Matrix | None:
-        reference[:] = reference or [grey]
-        shift, _, _ = phase_cross_correlation(  # type: ignore[no-untyped-call]
-            reference[0], grey, upsample_factor=20
-        )
-        return translation(float(shift[1]), float(shift[0]))
-
-    return _register_each(frames, 2, register)
-
-
-def register_with_klt(frames: Any, boxes: list[Array]) -> tuple[Matrices, list[float]]:
-    """Register by KLT from the reference at half size, checked forward and backward."""
-    state: dict[str, Any] = {}
-
-    def register(grey: Grey) -> Matrix | None:
-        if not state:
-            corners = cv2.goodFeaturesToTrack(grey, 400, 0.005, grey.shape[1] / 32)
-            state.update(reference=grey, corners=corners, guess=corners)
-        reference, corners = state["reference"], state["corners"]
-        flags = cv2.OPTFLOW_USE_INITIAL_FLOW
-        forward, is_forward_found, _ = cv2.calcOpticalFlowPyrLK(
-            reference, grey, corners, state["guess"].copy(), flags=flags
-        )
-        backward, is_backward_found, _ = cv2.calcOpticalFlowPyrLK(
-            grey, reference, forward, corners.copy(), flags=flags
-        )
-        state["guess"] = forward
-        good = (np.asarray(is_forward_found) & np.asarray(is_backward_found)).ravel().astype(bool)
-        good &= np.hypot(*(backward - corners).reshape(-1, 2).T) < 0.5
-        homography, _ = cv2.findHomography(forward[good], corners[good], cv2.USAC_MAGSAC, 1.0)
-        return None if homography is None else from_opencv(homography)
-
-    return _register_each(frames, 2, register)
-
-
-def _register_each(
-    frames: Any, shrink: int, register: Callable[[Grey], Matrix | None]
-) -> tuple[Matrices, list[float]]:
-    """Register reduced grey frames one by one: matrices at full size, and seconds each."""
-    scale = np.diag([1 / shrink, 1 / shrink, 1.0])
-    matrices: list[Matrix] = []
-    seconds: list[float] = []
-    for frame in frames:
-        start = time.perf_counter()
-        matrix = register(to_grey(frame, shrink))
-        seconds.append(time.perf_counter() - start)
-        matrix = np.full((3, 3), np.nan) if matrix is None else matrix
-        matrices.append(np.linalg.inv(scale) @ matrix @ scale)
-    return np.array(matrices), seconds
 
 
 def to_grey(frame: UInt8[Array, "H W 3"], shrink: int) -> UInt8[Array, "h w"]:
@@ -178,17 +95,88 @@ def to_grey(frame: UInt8[Array, "H W 3"], shrink: int) -> UInt8[Array, "h w"]:
     return shrink_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), shrink)
 
 
+def match_features(make_detector: Callable[[], Any], norm: int) -> Rival:
+    """Register by features of one of OpenCV's detectors: brute-force matching, MAGSAC++."""
+
+    def rival(reference: Grey) -> RegisterGrey:
+        detector, matcher = make_detector(), cv2.BFMatcher(norm, crossCheck=True)
+        reference_points, reference_descriptors = detector.detectAndCompute(reference, None)
+
+        def register(grey: Grey) -> Matrix | None:
+            points, descriptors = detector.detectAndCompute(grey, None)
+            pairs = matcher.match(descriptors, reference_descriptors)
+            source = np.array([points[pair.queryIdx].pt for pair in pairs])
+            target = np.array([reference_points[pair.trainIdx].pt for pair in pairs])
+            homography, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, 2.0)
+            return None if homography is None else from_opencv(homography)
+
+        return register
+
+    return rival
+
+
+def maximise_ecc(reference: Grey) -> RegisterGrey:
+    """Register by ECC (Evangelidis and Psarakis 2008), from the result of the frame before."""
+    warp: Any = np.eye(3, dtype=np.float32)
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5)
+
+    def register(grey: Grey) -> Matrix | None:
+        nonlocal warp
+        try:
+            _, warp = cv2.findTransformECC(reference, grey, warp, cv2.MOTION_HOMOGRAPHY, criteria)
+        except cv2.error:
+            return None
+        return np.linalg.inv(from_opencv(warp.astype(np.float64)))
+
+    return register
+
+
+def correlate_phases(reference: Grey) -> RegisterGrey:
+    """Register by phase correlation, a translation (Guizar-Sicairos et al. 2008)."""
+
+    def register(grey: Grey) -> Matrix | None:
+        shift, _, _ = phase_cross_correlation(  # type: ignore[no-untyped-call]
+            reference, grey, upsample_factor=20
+        )
+        return translation(float(shift[1]), float(shift[0]))
+
+    return register
+
+
+def track_corners(reference: Grey) -> RegisterGrey:
+    """Register by KLT from the reference's corners, checked forward and backward."""
+    corners = cv2.goodFeaturesToTrack(reference, 400, 0.005, reference.shape[1] / 32)
+    guess = corners
+    flags = cv2.OPTFLOW_USE_INITIAL_FLOW
+
+    def register(grey: Grey) -> Matrix | None:
+        nonlocal guess
+        forward, is_forward_found, _ = cv2.calcOpticalFlowPyrLK(
+            reference, grey, corners, guess.copy(), flags=flags
+        )
+        backward, is_backward_found, _ = cv2.calcOpticalFlowPyrLK(
+            grey, reference, forward, corners.copy(), flags=flags
+        )
+        guess = forward
+        good = (np.asarray(is_forward_found) & np.asarray(is_backward_found)).ravel().astype(bool)
+        good &= np.hypot(*(backward - corners).reshape(-1, 2).T) < 0.5
+        homography, _ = cv2.findHomography(forward[good], corners[good], cv2.USAC_MAGSAC, 1.0)
+        return None if homography is None else from_opencv(homography)
+
+    return register
+
+
 def list_methods() -> dict[str, Method]:
     """Return all methods that can run here, by name."""
+    orb = match_features(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING)
+    sift = match_features(lambda: cv2.SIFT.create(2000), cv2.NORM_L2)
     methods: dict[str, Method] = {
         "geoaim": register_with_geoaim,
-        "ORB 2000 + MAGSAC": make_feature_method(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING, 1),
-        "SIFT 2000 half + MAGSAC": make_feature_method(
-            lambda: cv2.SIFT.create(2000), cv2.NORM_L2, 2
-        ),
-        "KLT half + MAGSAC": register_with_klt,
-        "ECC quarter": register_with_ecc,
-        "phase correlation half": register_with_phase_correlation,
+        "ORB 2000 + MAGSAC": make_rival_method(orb, 1),
+        "SIFT 2000 half + MAGSAC": make_rival_method(sift, 2),
+        "KLT half + MAGSAC": make_rival_method(track_corners, 2),
+        "ECC quarter": make_rival_method(maximise_ecc, 4),
+        "phase correlation half": make_rival_method(correlate_phases, 2),
     }
     try:
         methods["stabilo with boxes"] = make_stabilo_method(with_boxes=True)

@@ -8,8 +8,9 @@ it directly. Both are mean distances of the image's corners in pixels. They show
 scatter and the parallax of objects above the ground, not a common bias.
 """
 
+from itertools import permutations
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import typer
@@ -17,8 +18,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.bench.report import format_table, write_rows
-from geoaim.geometry import image_corners, transform_points
+from geoaim.bench.registration import measure_corner_distances
+from geoaim.bench.report import JsonFile, print_rows, write_rows
 from geoaim.mapping.registration.register import Registration, register
 from geoaim.mapping.video.detections import Detections, read_detections
 
@@ -32,12 +33,9 @@ def measure(folder: Path, boxes: Detections | None) -> dict[str, Any]:
     times = first.time[np.linspace(0, len(first.time) - 1, REFERENCES).astype(int)]
     model = first.reference.model
     others = [register(str(folder), detections=boxes, model=model, reference_time=t) for t in times]
-    loops, backward = [], []
-    for one in others:
-        for two in others:
-            if one is not two:
-                loops.append(_measure_loop(one, two))
-                backward.append(_measure_forward_backward(one, two))
+    pairs = list(permutations(others, 2))
+    backward = np.concatenate([_measure_forward_backward(*pair) for pair in pairs])
+    loops = np.concatenate([_measure_loop(*pair) for pair in pairs])
     refused = {reason for reason in first.reason if reason}
     return {
         "sequence": folder.name,
@@ -46,45 +44,38 @@ def measure(folder: Path, boxes: Detections | None) -> dict[str, Any]:
         "registered": f"{first.valid.sum()} of {len(first.valid)}",
         "refused_because": "; ".join(sorted(refused)) or "-",
         "uncertainty_px": float(np.median(first.uncertainty[first.valid])),
-        "forward_backward_px": float(np.nanmedian(np.concatenate(backward))),
-        "loop_px": float(np.nanmedian(np.concatenate(loops))),
-        "loop_p95_px": float(np.nanquantile(np.concatenate(loops), 0.95)),
+        "forward_backward_px": float(np.nanmedian(backward)),
+        "loop_px": float(np.nanmedian(loops)),
+        "loop_p95_px": float(np.nanquantile(loops, 0.95)),
     }
 
 
 def _measure_loop(one: Registration, two: Registration) -> Float[Array, " T"]:
     """Compare registration by way of the other reference with direct registration."""
     link = one.reference_from_frame[_find_reference(one, two)]
-    return _measure_corner_distance(link @ two.reference_from_frame, one.reference_from_frame, one)
+    size = one.reference.height, one.reference.width
+    return measure_corner_distances(link @ two.reference_from_frame, one.reference_from_frame, size)
 
 
 def _measure_forward_backward(one: Registration, two: Registration) -> Float[Array, " T"]:
     forward = one.reference_from_frame[_find_reference(one, two)]
     backward = two.reference_from_frame[_find_reference(two, one)]
-    return _measure_corner_distance((forward @ backward)[None], np.eye(3)[None], one)
+    size = one.reference.height, one.reference.width
+    return measure_corner_distances((forward @ backward)[None], np.eye(3)[None], size)
 
 
 def _find_reference(one: Registration, two: Registration) -> int:
     return int(np.flatnonzero(one.index == two.reference.index)[0])
 
 
-def _measure_corner_distance(
-    actual: Float[Array, "T 3 3"], expected: Float[Array, "#T 3 3"], registration: Registration
-) -> Float[Array, " T"]:
-    """Mean distance of the frame's corners under two transforms, pixels."""
-    corners = image_corners(registration.reference.height, registration.reference.width)
-    distance = transform_points(actual, corners) - transform_points(expected, corners)
-    return np.linalg.norm(distance, axis=-1).mean(-1)
-
-
-def main(json: Annotated[Path | None, typer.Option(help="JSON to write")] = None) -> None:
+def main(json: JsonFile = None) -> None:
     """Measure all sequences, with and without the vehicles' boxes."""
     data = require_data("hover")
-    rows = []
-    for name in SEQUENCES:
-        folder = data / name
-        rows += [measure(folder, boxes) for boxes in (None, read_detections(folder))]
-    print(format_table(rows))
+    rows = print_rows(
+        measure(data / name, boxes)
+        for name in SEQUENCES
+        for boxes in (None, read_detections(data / name))
+    )
     write_rows(rows, json, command="python -m geoaim.bench.registration_real")
 
 

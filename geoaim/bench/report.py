@@ -1,18 +1,24 @@
-"""What all benchmarks share: timing, a description of the machine, tables and JSON."""
+"""What all benchmarks share: options, timing, processes, the machine, tables and JSON."""
 
 import json
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
 import cv2
 import numpy as np
+import typer
 
 from geoaim.files import atomic_write
 
 Row = Mapping[str, Any]
+Result = TypeVar("Result")
+JsonFile = Annotated[Path | None, typer.Option("--json", help="JSON file to write")]
+ChartFile = Annotated[Path | None, typer.Option("--chart", help="chart to write")]
 
 
 def describe_machine() -> dict[str, Any]:
@@ -47,6 +53,12 @@ def measure_peak_megabytes() -> float:
     return peak / (1024 if platform.system() == "Linux" else 1024**2)
 
 
+def run_in_process(function: Callable[..., Result], *arguments: object) -> Result:
+    """Run a function of a module in a new process, whose peak memory is the function's own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(function, *arguments).result()
+
+
 def time_medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
     """Time the parts in turn, after one warm-up round; return the median of each, seconds."""
     durations: list[list[float]] = [[] for _ in parts]
@@ -66,6 +78,16 @@ def format_table(rows: Sequence[Row]) -> str:
         "| " + " | ".join(_format_cell(row.get(name, "")) for name in names) + " |" for row in rows
     ]
     return "\n".join(lines)
+
+
+def print_rows(measured: Iterable[Row]) -> list[Row]:
+    """Print the rows of a table as they are measured, and return them."""
+    rows: list[Row] = []
+    for row in measured:
+        rows.append(row)
+        lines = format_table([row]).splitlines()
+        print("\n".join(lines if len(rows) == 1 else lines[-1:]), flush=True)
+    return rows
 
 
 def write_rows(rows: Sequence[Row], path: Path | None, *, command: str, **settings: Any) -> None:

@@ -9,7 +9,6 @@ distances are timed in the same run.
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -17,7 +16,7 @@ import shapely
 import torch
 import typer
 
-from geoaim.bench.report import format_table, time_medians, write_rows
+from geoaim.bench.report import JsonFile, format_table, time_medians, write_rows
 from geoaim.hdmap.drivable import find_drivable_area, sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.simulation.infractions import compute_offroad_distance
@@ -120,7 +119,7 @@ def _triangulate_lanes(hdmap: HDMap) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON file to write")] = None,
+    json: JsonFile = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 30,
 ) -> None:
     """Time the stages and compare overlaps with shapely's; print a table and write JSON."""

@@ -40,14 +40,8 @@ from geoaim.bench.realism_motion import (
     resample_positions,
 )
 from geoaim.bench.registration import measure
-from geoaim.bench.registration_methods import (
-    Method,
-    make_feature_method,
-    register_with_ecc,
-    register_with_geoaim,
-    register_with_klt,
-)
-from geoaim.bench.report import format_table, write_rows
+from geoaim.bench.registration_methods import list_methods
+from geoaim.bench.report import JsonFile, format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, draw_place, film, make_sample, tracks_of
 from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
@@ -59,6 +53,13 @@ MIN_FIGURE = 1e-3  # keeps logarithms finite
 HISTORY_STEPS, HORIZON_STEPS = 10, 30
 TRACKER_NOISE_M = 0.2
 MIN_SPEED_M_S = 0.5
+METHODS = {  # of registration, and their names in `list_methods`
+    "geoaim": "geoaim",
+    "ORB": "ORB 2000 + MAGSAC",
+    "SIFT half": "SIFT 2000 half + MAGSAC",
+    "KLT half": "KLT half + MAGSAC",
+    "ECC quarter": "ECC quarter",
+}
 VEHICLES_ON_STILLS = {"moving": 15, "queue": 2}
 RESOLUTION = 0.5  # metres per pixel at which images are aligned
 WINDOW_PX, SEARCH_PX = 64, 8  # size of a window, and largest shift to either side
@@ -68,7 +69,7 @@ Figures = dict[str, dict[str, float]]  # by source and method
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="where to write the figures")] = None,
+    json: JsonFile = None,
     frames: Annotated[int, typer.Option(help="of each video")] = 20,
     minutes: Annotated[float, typer.Option(help="of synthetic traffic at each place")] = 3.0,
 ) -> None:
@@ -116,13 +117,8 @@ def compare_rankings(one: Mapping[str, float], other: Mapping[str, float]) -> di
 
 def measure_registration(frames: int) -> Figures:
     """Measure the mean corner error of each method on drawn ground and on stills."""
-    methods: dict[str, Method] = {
-        "geoaim": register_with_geoaim,
-        "ORB": make_feature_method(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING, 1),
-        "SIFT half": make_feature_method(lambda: cv2.SIFT.create(2000), cv2.NORM_L2, 2),
-        "KLT half": register_with_klt,
-        "ECC quarter": register_with_ecc,
-    }
+    every = list_methods()
+    methods = {name: every[full_name] for name, full_name in METHODS.items()}
     videos = {f"still {still}": _film_still(still, frames) for still in STILLS}
     for kind in STANDARD_KINDS:
         sample = make_sample(1, kind=kind, video=(1080, 1920), hover=Hover(count=frames))
@@ -132,7 +128,7 @@ def measure_registration(frames: int) -> Figures:
     for source, video in videos.items():
         pictures = list(video)
         figures[source] = {
-            name: measure(name, method, video, pictures)["error_mean_px"]
+            name: measure(method, video, pictures)["error_mean_px"]
             for name, method in methods.items()
         }
     return figures

@@ -11,7 +11,7 @@ from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine
 from geoaim.world import World
 
 
-def test_share_of_positions_on_the_drivable_area(tmp_path):
+def test_share_of_positions_on_the_drivable_area():
     area = MultiPolygon([box(0, 0, 10, 4)])
     positions = np.array([[1.0, 1], [5, 2], [5, 4.5], [5, 6]])
     row = drivable._measure_share("a", area, positions)
@@ -19,8 +19,6 @@ def test_share_of_positions_on_the_drivable_area(tmp_path):
     assert row["on the drivable area, %"] == 50
     assert row["within 0.7 m of it, %"] == 75
     assert row["furthest, m"] == 2
-    drivable.draw_positions({"a": (area, positions)}, tmp_path / "a.png")
-    assert (tmp_path / "a.png").exists()
 
 
 def test_paint_is_located_beside_its_line():
