@@ -200,7 +200,7 @@ def _measure_registration(made: Any, image: Array, tracks: Tracks) -> float:
     traffic = SpriteTracks(agents, tracks.sizes / RESOLUTION, poses)
     clip = film(image, traffic, HOVER, height=480, width=854, generator=generator)
     video = HoverVideo(clip, "plain", np.ones(HOVER.count, bool))
-    return float(measure("", register_with_geoaim, video, list(video))["error_mean_px"])
+    return float(measure(register_with_geoaim, video, list(video))["error_mean_px"])
 
 
 def _measure_model(kind: str, aim: AIM, tracks: Tracks) -> float:
