@@ -19,9 +19,8 @@ from geoaim.grid import Grid
 from geoaim.imagery.alignment import by_tracks
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.mapping import pipeline
-from geoaim.mapping.background.estimate import average_frames
 from geoaim.mapping.background.exposure import estimate_gain, start_exposure
-from geoaim.mapping.background.running_mean import Background
+from geoaim.mapping.background.running_mean import Background, average_frames
 from geoaim.mapping.background.traffic_search import _shrink_frame
 from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features

@@ -31,9 +31,9 @@ from geoaim.bench.report import (
     write_rows,
 )
 from geoaim.encode import write_video
-from geoaim.mapping.background.estimate import average_frames, remove_traffic
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
-from geoaim.mapping.background.running_mean import Background
+from geoaim.mapping.background.running_mean import Background, average_frames
+from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.background.warping import warp
 from geoaim.mapping.registration.register import register
 from geoaim.mapping.video.detections import Detections, read_detections

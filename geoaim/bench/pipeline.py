@@ -25,7 +25,7 @@ from geoaim.bench.report import (
     write_rows,
 )
 from geoaim.geometry import transform_points
-from geoaim.mapping.background.estimate import average_frames
+from geoaim.mapping.background.running_mean import average_frames
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video

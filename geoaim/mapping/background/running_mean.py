@@ -3,6 +3,7 @@
 Frames of video are summed as Y, U and V planes, so that only the mean is converted to RGB.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import cv2
@@ -33,6 +34,8 @@ MAX_COUNT = 65_535  # frames that a pixel of uint16 can count
 BLOCK_PX = 8  # change is measured on means of such blocks, which average noise but keep vehicles
 FIRST_CHECK_FRAMES = 16  # frames before change is first measured
 CHANGE_QUANTILE = 0.999  # of the blocks
+
+Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its image_from_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +109,9 @@ class RunningMean(Accumulation):
 
 @dataclass(frozen=True, eq=False)
 class _PlaneSums:
-    """Sums over one plane of the image, at 1/scale of its size; filled in place.
+    """Sums over one plane of the image, filled in place; masked ones until there are others."""
 
-    The masked pixels count until a frame shows them unmasked.
-    """
-
-    scale: int  # 2 for the chroma of a video, else 1
+    scale: int  # of the image's size over the plane's: 2 for the chroma of a video, else 1
     neutral: float  # the value that a change of exposure leaves as it is
     total: Float32[Array, "h w c"]
     count: UInt16[Array, "h w"]
@@ -120,35 +120,55 @@ class _PlaneSums:
     blur: Float[Array, "3"]  # sums of the warps' blur along x and y, and their number
 
 
-def add_to_mean(mean: RunningMean, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> None:
-    """Add a registered frame to a mean, in place; a frame without known detections is skipped.
+def average_frames(
+    frames: Iterable[Registered],
+    *,
+    size: tuple[int, int],
+    detections: Detections | None = None,
+    bands: int = 1,
+) -> Background:
+    """Average registered frames, without the boxes of detections where these are given.
+
+    The memory does not grow with the number of frames.
 
     Args:
-        mean: the mean.
-        frame: the frame.
-        image_from_frame: (3, 3) its registration.
+        frames: each with its image_from_frame (3, 3), read once.
+        size: (height, width) of the image, pixels.
+        detections: boxes to leave out of a frame, grown by 12 %. A frame of which nothing is
+            known (None) is left out as a whole.
+        bands: each frame is warped to one of as many horizontal bands of the image only, in turn:
+            each pixel is the mean of every `bands`-th frame that shows it.
+
+    Returns:
+        The background.
+
+    Raises:
+        BackgroundError: no frame.
     """
-    if mean.detections is None:
-        add_masked(mean, frame, image_from_frame, None)
-    elif (boxes := mean.detections(frame)) is not None:
-        polygons = transform_boxes(image_from_frame, grow_boxes(boxes))
-        add_masked(mean, frame, image_from_frame, 1 - draw_polygons(polygons, mean.size))
+    mean = RunningMean(size, detections=detections, bands=bands)
+    for frame, image_from_frame in frames:
+        add_to_mean(mean, frame, image_from_frame)
+    return finish_mean(mean)
 
 
-def add_masked(
+def add_to_mean(
     mean: RunningMean,
     frame: Frame,
     image_from_frame: Float[Array, "3 3"],
-    mask: UInt8[Array, "H W"] | None,
+    mask: UInt8[Array, "H W"] | None = None,
 ) -> None:
-    """Add a registered frame to a mean where its mask is not 0, in place.
+    """Add a registered frame to a mean, in place.
 
     Args:
-        mean: the mean.
+        mean: the mean; if it has detections, a frame of which nothing is known is skipped.
         frame: the frame.
         image_from_frame: (3, 3) its registration.
-        mask: (H, W) of the image; None masks nothing.
+        mask: of the image, 0 where the frame is left out; None leaves out the detections' boxes.
     """
+    if mask is None and mean.detections is not None:
+        if (boxes := mean.detections(frame)) is None:
+            return
+        mask = 1 - draw_polygons(transform_boxes(image_from_frame, grow_boxes(boxes)), mean.size)
     mean.sums = mean.sums or _start_sums(frame, mean.size)
     gain = estimate_gain(mean.exposure, frame, image_from_frame)
     rows = _select_band(len(mean.gains) % mean.bands, mean.bands, mean.size[0])
@@ -161,8 +181,7 @@ def add_masked(
         part = slice(rows.start // plane.scale, -(-rows.stop // plane.scale))
         scale = np.diag([plane.scale, plane.scale, 1.0])
         matrix = np.linalg.inv(scale) @ shift @ image_from_frame @ scale
-        warped = warp(pixels, matrix, plane.count[part].shape)
-        warped = apply_gain(warped, gain, plane.neutral)
+        warped = apply_gain(warp(pixels, matrix, plane.count[part].shape), gain, plane.neutral)
         plane.blur[:] += [*measure_warp_blur(matrix, plane.count[part].shape), 1.0]
         shown = unmasked[every, every] * (plane.count[part] < MAX_COUNT)
         cv2.accumulate(warped, plane.total[part], shown)

@@ -6,17 +6,16 @@ over a region, the one with the stronger intensity steps across the region's bor
 object. (Surveillance tells abandoned from removed objects in this way: SanMiguel and Martinez
 2008.) The algorithm:
 
-1. The first background is the median of the frames. The noise of the frames about it gives the
-   threshold of a difference.
+1. The first background is the median of the frames; their noise about it gives the threshold.
 2. In each frame, segment the regions that differ from the background.
 3. Each frame votes at the pixels of its regions, by the steps across their border in the
    background, b, and in the frame, f: (b - f) / (b + f), from -1 to 1. A positive vote says that
    the frame shows the ground and the background an object. Steps near the pixel count, and the
    mean over the whole region.
-4. At each pixel, the frame with the highest vote is the candidate. The frames that look like it
-   are its support. The background pixel is replaced where the sum of their votes is positive and
-   they are at least a tenth of all frames. Frames unlike both do not count: a third vehicle is
-   evidence for neither. The background is then the mean of the frames that look like it.
+4. At each pixel, the frame with the highest vote is the candidate. The background is replaced
+   where the votes of the frames that look like it have a positive sum and they are at least a
+   tenth of all. Frames unlike both do not count: a third vehicle is evidence for neither. The
+   background is then the mean of the frames that look like it.
 5. Steps 2 to 4 are repeated three times. A last segmentation, dilated, is the traffic.
 6. The ground is contested where hardly any frame shows it, or where many frames differ from it and
    the votes are nearly balanced.
@@ -70,12 +69,7 @@ def find_traffic(stack: Stack, seen: Masks) -> Traffic:
         stack: (K, h, w, 3) frames warped to one image, at one exposure, any colour space, any
             order; modified in place where `seen` is False.
         seen: (K, h, w) where the frame covers the image.
-
-    Raises:
-        ValueError: fewer than 4 frames.
     """
-    if len(stack) < MIN_FRAMES:
-        raise ValueError(f"{len(stack)} frames; at least {MIN_FRAMES} are needed")
     background = _compute_median(stack, seen)
     noise = _estimate_noise(stack, seen, background)
     threshold = max(MIN_THRESHOLD, THRESHOLD_SIGMAS * noise)
@@ -125,11 +119,8 @@ def _max_difference(one: Image, other: Image) -> UInt8[Array, "h w"]:
 
 
 def _segment_foreground(frame: Image, background: Image, threshold: float) -> UInt8[Array, "h w"]:
-    """1 in regions that differ, with holes filled: a car's roof may look like asphalt.
-
-    OpenCV takes 1.6 ms for a frame of 960 x 540 pixels, scikit-image and SciPy 58 ms, with equal
-    result.
-    """
+    """1 in regions that differ, with holes filled: a car's roof may look like asphalt."""
+    # OpenCV takes 1.6 ms for 960 x 540 pixels, scikit-image and SciPy 58 ms with equal result
     differs = (_max_difference(frame, background) > threshold).view(np.uint8)
     solid = cv2.morphologyEx(differs, cv2.MORPH_OPEN, SQUARE)
     solid = cv2.morphologyEx(solid, cv2.MORPH_CLOSE, DISC)
@@ -156,11 +147,8 @@ def _vote_by_frames(
 def _vote_by_borders(
     frame: Image, background: Image, foreground: UInt8[Array, "h w"]
 ) -> Float32[Array, "h w"]:
-    """Votes of one frame (step 3).
-
-    The steps nearby separate a vehicle from the false region that touches it; the mean over the
-    region is less noisy.
-    """
+    """Votes of one frame (step 3)."""
+    # steps nearby separate a vehicle from a false region that touches it, the mean is less noisy
     border = np.stack(np.nonzero(foreground - cv2.erode(foreground, SQUARE, borderValue=1)))
     sides = _find_sides(border, foreground)
     of_background, of_frame = (_measure_steps(image, sides) for image in (background, frame))

@@ -1,4 +1,4 @@
-"""Search for traffic in small copies of the frames, then average the frames without it."""
+"""Traffic removal without detections: search in small copies of the frames, then average."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -13,8 +13,9 @@ from geoaim.mapping.background.exposure import apply_gain, black_level, estimate
 from geoaim.mapping.background.running_mean import (
     Accumulation,
     Background,
+    Registered,
     RunningMean,
-    add_masked,
+    add_to_mean,
     average_blocks,
     finish_mean,
     is_time_to_check,
@@ -46,10 +47,26 @@ class TrafficSearch(Accumulation):
         """Size of the image over that of the small frames."""
         return -(-max(self.size) // MAX_SMALL_SIDE_PX)
 
-    @property
-    def small_size(self) -> tuple[int, int]:
-        """(height, width) of the small frames."""
-        return -(-self.size[0] // self.reduction), -(-self.size[1] // self.reduction)
+
+def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Background:
+    """Average the pixels of registered frames that `traffic_removal` classifies as ground.
+
+    Some 30 to 60 frames spread over the video suffice. Each takes 5 to 8 MB of memory.
+
+    Args:
+        frames: each with its image_from_frame (3, 3); read twice, so no one-shot iterator.
+        size: (height, width) of the image, pixels.
+
+    Raises:
+        BackgroundError: fewer than 4 frames.
+        TypeError: the frames can be read only once.
+    """
+    if iter(frames) is frames:
+        raise TypeError("the frames are read twice: give a list, or make __iter__ start anew")
+    search = TrafficSearch(size)
+    for frame, image_from_frame in frames:
+        add_to_search(search, frame, image_from_frame)
+    return average_ground(frames, search)
 
 
 def add_to_search(
@@ -62,7 +79,7 @@ def add_to_search(
         frame: the frame.
         image_from_frame: (3, 3) its registration.
     """
-    small = search.small_size
+    small = -(-search.size[0] // search.reduction), -(-search.size[1] // search.reduction)
     small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])
     gain = estimate_gain(search.exposure, frame, image_from_frame)
     pixels, small_from_frame = _shrink_frame(frame, search.reduction, gain)
@@ -76,7 +93,7 @@ def add_to_search(
         measure_change(search, average_blocks(ground, search.reduction))
 
 
-def average_ground(frames: Iterable[tuple[Frame, Array]], search: TrafficSearch) -> Background:
+def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Background:
     """Average frames without the traffic of a search; the search's small frames are dropped.
 
     Args:
@@ -98,7 +115,7 @@ def average_ground(frames: Iterable[tuple[Frame, Array]], search: TrafficSearch)
     mean = RunningMean(search.size)
     # the masks first: when they run out, no further frame is read
     for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
-        add_masked(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))
+        add_to_mean(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))
     ground = finish_mean(mean)
     contested = enlarge_mask(traffic.contested, search.size).view(bool) & (ground.coverage > 0)
     return replace(ground, contested=ground.contested | contested, change=search.change)

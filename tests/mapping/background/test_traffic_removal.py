@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from geoaim.mapping.background.traffic_removal import find_traffic
 from tests.mapping.background.clips import queue
@@ -12,8 +11,3 @@ def test_traffic_is_found_in_frames_that_see_only_a_part(ground):
     traffic = find_traffic(images.copy(), seen)
     assert not traffic.masks[::2, :, 180:].any()
     assert np.abs(traffic.background.astype(int) - ground).mean() < 3
-
-
-def test_a_stack_of_few_frames_is_refused(ground):
-    with pytest.raises(ValueError, match="at least 4"):
-        find_traffic(np.stack([ground] * 3), np.ones((3, *ground.shape[:2]), bool))

@@ -3,8 +3,13 @@ import numpy as np
 import pytest
 
 from geoaim.errors import BackgroundError
-from geoaim.mapping.background.estimate import average_frames, remove_traffic
-from geoaim.mapping.background.running_mean import RunningMean, add_to_mean, finish_mean
+from geoaim.mapping.background.running_mean import (
+    RunningMean,
+    add_to_mean,
+    average_frames,
+    finish_mean,
+)
+from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.video.video import open_video
 from tests.mapping.background.clips import CAR, SIZE, frames_of, queue, shift
 
