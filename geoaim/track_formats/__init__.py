@@ -26,7 +26,7 @@ To add a format:
            """Read an example .csv: `id;class;ms;u;v`, in pixels of `resolution` metres."""
            table = read_table(path, text=("id", "class"), delimiter=";")
            check_columns(path, table, numbers=("ms", "u", "v"), others=("id", "class"))
-           columns = {"id": table["id"], "type": map_types(table["class"])}
+           columns = {"id": table["id"], "type": map_types(path, table["class"])}
            columns |= {"time": table["ms"] / 1000, "x": resolution * table["u"]}
            columns |= {"y": -resolution * table["v"]}
            rows = pd.DataFrame(columns).assign(length=np.nan, width=np.nan)

@@ -42,7 +42,7 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
     table = _read_states(path, heading="psi_rad")
     if "case_id" in table:  # track ids are unique within a case only
         table["track_id"] = table["case_id"] + "/" + table["track_id"]
-    rows = _convert_states(table, heading="psi_rad")
+    rows = _convert_states(path, table, heading="psi_rad")
     unique = rows.drop_duplicates(["id", "time"])
     if len(unique) < len(rows):
         warnings.warn(
@@ -76,7 +76,7 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
     tables = []
     for file in files:
         table = _read_states(file, heading="yaw_rad")
-        rows = _convert_states(table, heading="yaw_rad")
+        rows = _convert_states(file, table, heading="yaw_rad")
         vehicles = (table["agent_type"].str.lower() != "pedestrian").to_numpy()
         if vehicles.any():
             check_columns(file, table, numbers=("yaw_rad",))
@@ -99,12 +99,14 @@ def _read_states(path: str | os.PathLike[str], *, heading: str) -> pd.DataFrame:
     return table
 
 
-def _convert_states(table: pd.DataFrame, *, heading: str) -> pd.DataFrame:
+def _convert_states(
+    path: str | os.PathLike[str], table: pd.DataFrame, *, heading: str
+) -> pd.DataFrame:
     """Convert a file's table to rows for `make_tracks`; fill missing headings and sizes."""
     rows = pd.DataFrame(
         {
             "id": table["track_id"],
-            "type": map_types(table["agent_type"]),
+            "type": map_types(path, table["agent_type"]),
             "time": table["timestamp_ms"] / 1000.0,
             "x": table["x"],
             "y": table["y"],

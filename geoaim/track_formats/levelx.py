@@ -57,7 +57,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
     rows = pd.DataFrame(
         {
             "id": table["trackId"],
-            "type": map_types(_look_up_agents(path, table["trackId"], "class")),
+            "type": map_types(path, _look_up_agents(path, table["trackId"], "class")),
             "time": table["frame"] / recording["frameRate"],
             "x": table["xCenter"],
             "y": table["yCenter"],
@@ -92,7 +92,7 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     rows = pd.DataFrame(
         {
             "id": table["id"],
-            "type": map_types(_look_up_agents(path, table["id"], "class")),
+            "type": map_types(path, _look_up_agents(path, table["id"], "class")),
             "time": table["frame"] / recording["frameRate"],
             "x": table["x"] + 0.5 * table["width"],
             "y": -(table["y"] + 0.5 * table["height"]),

@@ -1,6 +1,7 @@
 """What all formats share: `TrackFormat`, checks of columns, agent types and sizes."""
 
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import TracksError
+from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.tracks import Tracks
 
 # names of agent types in datasets -> ours; all others are only written in lower case
@@ -31,6 +32,7 @@ TYPICAL_SIZES = {
     "cyclist": (1.8, 0.65),
 }
 OTHER_SIZE = (0.5, 0.5)
+KNOWN_TYPES = {*TYPICAL_SIZES, "pedestrian"}
 Matcher = Callable[[Path, str], bool]  # of a path and its first line, "" for a folder
 
 
@@ -58,10 +60,24 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
     return matches
 
 
-def map_types(names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map a dataset's names of agent types to ours."""
+def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
+    """Map a dataset's names of agent types to ours; warn of those that are not known.
+
+    Unknown types are kept, in lower case. `path` is the file that the warning names.
+    """
     lower = names.str.lower()
-    return lower.map(AGENT_TYPES).fillna(lower)
+    types = lower.map(AGENT_TYPES).fillna(lower)
+    unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
+    if unknown:
+        warnings.warn(
+            f"{Path(path)}: unknown agent types {', '.join(map(repr, unknown))}; they are kept as "
+            "types of their own, which count neither as vehicles nor as pedestrians or cyclists, "
+            f"and have {OTHER_SIZE[0]} x {OTHER_SIZE[1]} m where no size is given. If one is "
+            "another name of a known type, rename it: dataclasses.replace(tracks, types=...)",
+            GeoaimWarning,
+            stacklevel=3,
+        )
+    return types
 
 
 def check_columns(

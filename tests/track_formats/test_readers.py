@@ -38,6 +38,19 @@ def test_interaction_keeps_the_first_of_repeated_rows_and_warns(tmp_path):
         assert read_interaction(path).states[0, 0, 0] == 1
 
 
+def test_unknown_agent_types_are_kept_and_one_warning_names_them(tmp_path):
+    path = tmp_path / "a.csv"
+    names = ("Pedestrian/Bicycle", "tricycle", "Bicycle", "motorcycle")
+    path.write_text(INTERACTION + "".join(f"{n},1,100,{n},0,0,1,0,,,\n" for n in names))
+    with pytest.warns(GeoaimWarning) as warned:
+        tracks = read_interaction(path)
+    assert tracks.types == ("pedestrian/bicycle", "tricycle", "cyclist", "motorcycle")
+    np.testing.assert_allclose(tracks.sizes[:2], 0.5)
+    (message,) = [str(warning.message) for warning in warned]
+    assert "unknown agent types 'pedestrian/bicycle', 'tricycle'; they are kept" in message
+    assert "0.5 x 0.5 m" in message
+
+
 def test_sdd_turns_boxes_into_metres_and_motion_into_headings(tmp_path):
     lines = [f'0 {10 * k} 100 {10 * k + 20} 140 {6 * k} 0 0 0 "Biker"' for k in range(10)]
     lines.append('1 0 0 10 10 0 1 0 0 "Pedestrian"')  # lost
