@@ -228,7 +228,10 @@ def measure_without(parts: Sequence[str], tracks: Mapping[PlaceKind, Tracks]) ->
 
 def main(
     json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
-    together: Annotated[str, typer.Option(help="parts replaced together, comma-separated")] = "",
+    together: Annotated[
+        list[str] | None,
+        typer.Option(help="parts replaced together, comma-separated; repeat for more rows"),
+    ] = None,
     only: Annotated[str, typer.Option(help="parts replaced one by one; all without it")] = "",
 ) -> None:
     """Measure each part, then some of them together."""
@@ -239,12 +242,13 @@ def main(
         for kind, seed in SEEDS.items()
     }
     groups = [[part] for part in (only.split(",") if only else PARTS)]
-    groups += [together.split(",")] if together else []
+    groups += [group.split(",") for group in together or []]
     rows = []
     for group in groups:
         rows.append(measure_without(group, tracks))
         print(format_table(rows[-1:]).splitlines()[-1], flush=True)
-    command = f'python -m geoaim.bench.scenery_ablation --only "{only}" --together "{together}"'
+    options = [f'--only "{only}"', *(f'--together "{group}"' for group in together or [])]
+    command = " ".join(["python -m geoaim.bench.scenery_ablation", *options])
     write_rows(rows, json, command=command)
 
 
