@@ -1,9 +1,10 @@
 r"""Which parts of the drawn scenery are felt: each is replaced by its plainest form in turn.
 
     python -m geoaim.bench.scenery_ablation --only "nothing,other textures" \
-        --together "wear of tar,lamps" --json docs/bench/scenery_ablation.json
+        --together "wear of tar,lamps" --together "hedges,lamps"
 
-New places of three kinds, each drawn with and without a part. Measured is what uses the scenery:
+The published run is the command in docs/bench/scenery_ablation.json, with that file as `--json`.
+New places of four kinds, each drawn with and without a part. Measured is what uses the scenery:
 alignment of a picture of another day by image and by tracks, registration of a hover video, and
 the two pretrained models on views of the place. Two rows tell how far figures scatter: textures by
 another random seed, and other parked cars.
