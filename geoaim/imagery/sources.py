@@ -91,9 +91,11 @@ def describe_source(
     Args:
         source: a file, folder, pattern, address of a service, `Tiles`, or what GDAL opens.
         region: where imagery is wanted; everywhere when None.
-        resolution: wanted metres per pixel, for the zoom level of tiles.
-        crs: for rasters that name no CRS.
-        bands: numbers of one or three bands, from 1.
+        resolution: wanted metres per pixel, which chooses the zoom level of tiles; None: the
+            finest there is. A service needs it, or `zoom`.
+        crs: for rasters that name no CRS; None refuses them.
+        bands: numbers, from 1, of a grey band or of the red, green and blue ones; None chooses by
+            colour interpretation.
 
     Returns:
         The rasters; of tiles, only those that show the region.

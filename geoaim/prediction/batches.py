@@ -116,15 +116,18 @@ def compute_kl_weight(config: TrainConfig, step: int) -> float:
 
 
 def compute_top_k(config: TrainConfig, step: int, num_anchors: int) -> int:
-    """Compute how many proposals of each agent are trained; see `compute_anchor_loss`.
+    """Compute how many of each agent's best trajectory proposals are trained at a step.
+
+    All are at first; their number falls geometrically to the best one, as `compute_anchor_loss`
+    explains.
 
     Args:
-        config: annealing and number of steps.
-        step: of the training.
-        num_anchors: proposals of the model.
+        config: number of steps, and the fraction of them over which the number falls.
+        step: of the training, from 0.
+        num_anchors: proposals of each agent.
 
     Returns:
-        A number between `num_anchors` and 1.
+        A number from `num_anchors` down to 1.
     """
     annealing_steps = config.anchor_annealing * config.steps
     if step >= annealing_steps:

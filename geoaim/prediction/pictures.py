@@ -78,11 +78,11 @@ def fit_camera(scene: Scene, futures: Float[Tensor, "K N T 4"], start: int) -> C
 
     Args:
         scene: map and agents.
-        futures: from `predict`.
-        start: the last observed step.
+        futures: (K, N, T, 4) x, y (metres), heading, speed of K samples, NaN where absent.
+        start: index of the scene's last observed step.
 
     Returns:
-        The camera.
+        The camera, which also shows where the agents are at `start`.
     """
     positions = torch.cat([futures[..., :2].flatten(0, 2), scene.poses[:, start, :2]])
     positions = positions[torch.isfinite(positions).all(dim=1)]

@@ -56,13 +56,14 @@ def make_path_boxes(
     """Make boxes of the segments of paths.
 
     Args:
-        points: (B, N, S, 2) along each path, metres.
-        colours: (N, C) of the paths.
+        points: (B, N, S, 2) S points along each of N paths in B views, metres.
+        colours: (N, C) of the paths, 0 to 1.
         width: of the paths, metres.
-        present: (B, N, S) points; a segment is present where both of its ends are. None: all are.
+        present: (B, N, S) which points exist; a segment is drawn where both of its ends do. None:
+            all do.
 
     Returns:
-        A box for each of the N (S - 1) segments, longer by the width, so that bends have no gaps.
+        (B, N (S - 1)) boxes, one for each segment, longer by the width, so that bends have no gaps.
     """
     start, end = points[:, :, :-1], points[:, :, 1:]
     if present is not None:
@@ -83,11 +84,11 @@ def make_stop_line_boxes(
 
     Args:
         lines: (L, 2, 2) both ends of the lines, metres; or (B, L, 2, 2).
-        states: (B, L) as in `geoaim.lights`; unknown ones, -1, have no bar.
+        states: (B, L) states in each of B views: 0 green, 1 yellow, 2 red; -1, unknown, has no bar.
         width: of the bars, metres.
 
     Returns:
-        A box for each light.
+        (B, L) boxes, one for each line.
     """
     colours = lines.new_tensor(LIGHT_COLOURS)[states.long().clamp_min(0)]
     ends = lines.expand(len(states), *lines.shape[-3:])
@@ -105,8 +106,8 @@ def make_stop_line_layers(
 
     Args:
         lines: (L, 2, 2) both ends of the lines, metres; or (B, L, 2, 2).
-        states: (B, L) as in `geoaim.lights`.
-        groups: states of each layer.
+        states: (B, L) states in each of B views: 0 green, 1 yellow, 2 red, -1 unknown.
+        groups: the states that each layer shows, such as [(0,), (1, 2)].
         width: of the bars, metres.
 
     Returns:

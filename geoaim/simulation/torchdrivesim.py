@@ -77,7 +77,18 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         res: Resolution | None = None,
         fov: float | None = None,
     ) -> Tensor:
-        """Render the map alone, by default north up around the world's centre: (N, H, W, 3)."""
+        """Render the map alone.
+
+        Args:
+            camera_xy: (..., 2) centres of N views, metres; None: the world's centre, north up.
+            camera_sc: (..., 2) sine and cosine of the headings that point up; given with
+                `camera_xy` or not at all.
+            res: height and width of a view in pixels; None: the renderer's own.
+            fov: metres that the shorter side shows; None: by the renderer's scale.
+
+        Returns:
+            (N, H, W, 3) colours from 0 to 255.
+        """
         if camera_xy is None and camera_sc is None:
             one = torch.ones_like(self.world_center[..., 0])
             camera_xy, camera_sc = self.world_center, torch.stack([one, torch.zeros_like(one)], -1)

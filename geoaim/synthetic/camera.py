@@ -117,7 +117,7 @@ def film(
 
     Args:
         background: the still.
-        traffic: agents in pixels of the still.
+        traffic: agents in pixels of the still, with a step for each frame.
         hover: the camera.
         height: rows of a frame.
         width: columns of a frame.

@@ -26,8 +26,9 @@ def paste(
 
     Args:
         image: the image.
-        sprites: RGBA, heading right, one for each agent.
-        poses: (N, 3) u, v in pixels and heading, as in `SpriteTracks`; NaN where absent.
+        sprites: an RGBA picture of each of N agents, seen from above, heading right.
+        poses: (N, 3) centre u, v in pixels (corner origin) and heading, radians, counter-clockwise
+            from the right as seen; NaN where absent.
     """
     for sprite, pose in zip(sprites, poses, strict=True):
         if np.isfinite(pose).all():

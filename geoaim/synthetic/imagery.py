@@ -92,12 +92,12 @@ def georeference_photo(
 
     Args:
         place: the place.
-        photo: the photo.
+        photo: the photo, as from `photograph`: all of the drawn place.
         crs: a projected CRS.
-        offset: metres east and north by which it is misplaced.
+        offset: metres east and north by which the stated position is off the true one.
 
     Returns:
-        The imagery.
+        The north-up imagery, with the wrong position in its transform.
     """
     crs_from_photo = _fit_crs_from_photo(place, photo.shape[:2], crs)
     unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # of the CRS, for a pixel of the photo

@@ -81,15 +81,15 @@ def smooth_for_step(image: Array, step: float) -> Array:
 def resample_grey(
     image: GreyImage, stated_from_true: Float[Array, "3 3"], grid: Grid
 ) -> tuple[Float32[Array, "H W"], Bool[Array, "H W"]]:
-    """Resample an image to a grid as if it had been moved.
+    """Resample a misplaced image to a grid as if its position had been corrected.
 
     Args:
         image: to be resampled.
-        stated_from_true: (3, 3) metres where ground lies to metres where the image places it.
-        grid: in the world.
+        stated_from_true: (3, 3) true world metres of the ground to those where the image places it.
+        grid: H x W pixels in the world.
 
     Returns:
-        (H, W) brightness, and (H, W) where it is valid.
+        (H, W) brightness in grey levels, and (H, W) whether the image shows the pixel.
     """
     matrix = to_opencv(image.image_from_world @ stated_from_true @ grid.world_from_grid)
     size = grid.shape[::-1]

@@ -77,7 +77,7 @@ def add_to_search(
     Args:
         search: the search.
         frame: the frame.
-        image_from_frame: (3, 3) its registration.
+        image_from_frame: (3, 3) pixels of the frame to pixels of the background.
     """
     small = -(-search.size[0] // search.reduction), -(-search.size[1] // search.reduction)
     small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])

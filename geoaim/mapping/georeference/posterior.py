@@ -29,14 +29,15 @@ MAX_ITERATIONS = 30
 
 
 def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterior:
-    """Estimate all nine terms with their prior, and the noise, by iterative reweighting.
+    """Estimate the transform's nine terms with their prior, and the noise, by reweighting.
 
+    The terms are those of similarity (4), stretch and shear (2), perspective (2) and lens (1).
     The variance of the noise is the mean of the residuals' variance and the expected one, weighted
     by their degrees of freedom (a scaled inverse chi-square prior).
 
     Args:
-        pairs: control points.
-        sigma: expected standard deviation of a coordinate, in units of the normalised plane.
+        pairs: control points in the normalised plane.
+        sigma: expected standard deviation of a point's coordinate, in units of that plane.
         sigma_dof: degrees of freedom that this counts for; 0: any noise from a hundredth of it to
             three times it or more is possible, and the residuals alone determine it.
 

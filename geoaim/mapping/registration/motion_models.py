@@ -79,15 +79,15 @@ def _compute_normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
 def compute_basis(
     points: Float[Array, "M 2"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "M 2 k"]:
-    """Displacement of points by a unit of each parameter: B(p).
+    """Compute the derivative of each point's displacement by each parameter of a small motion.
 
     Args:
-        points: in pixels.
+        points: (M, 2) x, y in pixels, corner origin.
         model: the motion model, with k parameters.
-        size: (height, width) of the image, which normalises the coordinates.
+        size: (height, width) of the image in pixels, which normalises the coordinates.
 
     Returns:
-        The displacements, pixels.
+        (M, 2, k) pixels per unit of a parameter; parameters are in normalised coordinates.
     """
     scale = _compute_normalisation(size)
     x, y = (points * scale[0, 0] + scale[:2, 2]).T
@@ -129,15 +129,15 @@ def fit_motion(
     independently have little weight from the start.
 
     Args:
-        points: in pixels.
-        displacements: measured at the points, pixels.
-        information: inverse covariance of each displacement.
-        model: to fit.
-        size: (height, width) of the image, which normalises the coordinates.
-        rounds: of reweighting.
+        points: (M, 2) x, y in pixels, corner origin.
+        displacements: (M, 2) measured motion of each point, pixels.
+        information: (M, 2, 2) inverse covariance of each displacement, 1/px^2.
+        model: the motion model to fit.
+        size: (height, width) of the image in pixels, which normalises the coordinates.
+        rounds: number of reweightings.
 
     Returns:
-        The motion.
+        The motion, whose matrix takes `points` to `points + displacements`.
     """
     columns = compute_basis(points, model, size=size)
     projected = np.einsum("mik,mij->mkj", columns, information)

@@ -208,7 +208,7 @@ def choose_reference(
 
     Args:
         video: the video.
-        detections: vehicles to leave out.
+        detections: vehicles whose pixels are left out; None uses all pixels.
         model: the motion model; None chooses the simplest that the samples need.
         time: of the reference, seconds; None chooses it.
 

@@ -63,11 +63,12 @@ def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, fl
 
     Args:
         approach: the road.
-        s: its ends along the road, metres.
-        t: its ends across the road, metres.
+        s: where the rectangle begins and ends along the road, metres from the place's centre.
+        t: where it begins and ends across the road, metres to the left of the reference line.
 
     Returns:
-        Points in plan coordinates, about 2 m apart along the sides.
+        (m, 2) points of the outline in plan coordinates, metres, about 2 m apart along the sides;
+        the first is not repeated.
     """
     count = max(2, int(abs(s[1] - s[0]) / 2) + 2)
     along = np.linspace(*s, count)

@@ -53,13 +53,13 @@ class _Draft:
 def make_lanelet_map(
     roads: Roads, world_from_plan: Float[Array, "3 3"], world: World, *, complete: bool = False
 ) -> bytes:
-    """Write the HD map of a place.
+    """Write the HD map of a place in the Lanelet2 format.
 
     Args:
         roads: the plan.
-        world_from_plan: plan metres to world metres.
-        world: the plane that these are in.
-        complete: with walkways, crossings, car park and private roads.
+        world_from_plan: (3, 3) plan metres to world metres.
+        world: CRS and origin of these world metres, for longitudes and latitudes.
+        complete: whether to add walkways, crossings, car park and private roads to the lanes.
 
     Returns:
         The content of an .osm file.

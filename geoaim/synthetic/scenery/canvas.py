@@ -67,11 +67,11 @@ def sample_noise(canvas: Canvas, field: int, window: Window | None = None) -> Fl
 
     Args:
         canvas: the canvas.
-        field: `GRAIN`, `BLOTCH`, `PATCH` or `HILL`.
-        window: rows and columns of the result; None for the whole canvas.
+        field: `GRAIN`, `BLOTCH`, `PATCH` or `HILL`, from fine noise to broad.
+        window: slices of the canvas's rows and columns, whose size the result has; None: all.
 
     Returns:
-        Noise of mean 0 and variance 1.
+        (h, w) noise, whose field has mean 0 and variance 1.
     """
     rows, columns = window or canvas.window
     tile = len(canvas.fields[field])
