@@ -90,9 +90,9 @@ def describe_source(
 
     Args:
         source: a file, folder, pattern, address of a service, `Tiles`, or what GDAL opens.
-        region: where imagery is wanted; everywhere when None.
+        region: where imagery is wanted; everywhere when None, which a service refuses.
         resolution: wanted metres per pixel, which chooses the zoom level of tiles; None: the
-            finest there is. A service needs it, or `zoom`.
+            finest there is. A service needs a resolution, or `Tiles` with a zoom.
         crs: for rasters that name no CRS; None refuses them.
         bands: numbers, from 1, of a grey band or of the red, green and blue ones; None chooses by
             colour interpretation.
