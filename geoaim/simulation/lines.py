@@ -59,8 +59,7 @@ def make_path_boxes(
         points: (B, N, S, 2) S points along each of N paths in B views, metres.
         colours: (N, C) of the paths, 0 to 1.
         width: of the paths, metres.
-        present: (B, N, S) which points exist; a segment is drawn where both of its ends do. None:
-            all do.
+        present: (B, N, S) which points exist; a segment needs both of its ends. None: all do.
 
     Returns:
         (B, N (S - 1)) boxes, one for each segment, longer by the width, so that bends have no gaps.

@@ -27,8 +27,7 @@ def paste(
     Args:
         image: the image.
         sprites: an RGBA picture of each of N agents, seen from above, heading right.
-        poses: (N, 3) centre u, v in pixels (corner origin) and heading, radians, counter-clockwise
-            from the right as seen; NaN where absent.
+        poses: (N, 3) centre u, v in pixels (corner origin) and heading (radians); NaN if absent.
     """
     for sprite, pose in zip(sprites, poses, strict=True):
         if np.isfinite(pose).all():

@@ -61,10 +61,7 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
 
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map a dataset's names of agent types to ours; warn of those that are not known.
-
-    Unknown types are kept, in lower case. `path` is the file that the warning names.
-    """
+    """Map names of agent types to ours; keep others in lower case, and warn with the file's path."""
     lower = names.str.lower()
     types = lower.map(AGENT_TYPES).fillna(lower)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
