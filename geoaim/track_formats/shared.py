@@ -61,7 +61,7 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
 
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map names of agent types to ours; keep others in lower case, and warn with the file's path."""
+    """Map names of agent types to ours; keep others in lower case, with a warning."""
     lower = names.str.lower()
     types = lower.map(AGENT_TYPES).fillna(lower)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
