@@ -1,14 +1,21 @@
-"""Files that are written whole or not at all."""
+"""Files and folders that are written whole or not at all."""
 
 import os
-import tempfile
+import shutil
+import sys
+import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+if sys.platform != "win32":
+    import fcntl
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+TEMPORARY = ".geoaim-writing-"  # begins the names of temporary folders; 32 hex digits follow
 
 
 @contextmanager
@@ -19,13 +26,92 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     was.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".writing-") as folder:
+    with _make_temporary_folder(path.parent) as folder:
         yield Path(folder, path.name)
         os.replace(Path(folder, path.name), path)
+
+
+@contextmanager
+def atomic_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary folder that becomes `folder` when the block ends without an error.
+
+    No file that exists is changed or removed.
+
+    Raises:
+        ValueError: `check_new_folder` refuses the folder, before the block or after it.
+    """
+    folder = Path(folder).resolve()
+    check_new_folder(folder)
+    with _make_temporary_folder(folder.parent) as temporary:
+        yield temporary
+        check_new_folder(folder)  # another run may have written it meanwhile
+        if folder.exists():
+            folder.rmdir()  # Windows renames to no existing folder
+        temporary.rename(folder)
+
+
+def check_new_folder(folder: Path) -> None:
+    """Check that a folder can be written as a whole: it is missing or empty.
+
+    Raises:
+        ValueError: the folder holds files, is a file, is the working folder or is mounted.
+    """
+    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise ValueError(f"{nearest} is a file; a folder is needed")
+    if nearest != folder:
+        return
+    names = sorted(path.name for path in folder.iterdir())
+    if names:
+        raise ValueError(f"{folder} holds {', '.join(names[:3])}; name a new folder")
+    if os.path.ismount(folder) or folder.samefile(Path.cwd()):
+        raise ValueError(f"{folder} is in use and cannot be replaced; name a new folder in it")
 
 
 def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
     """Write a figure as a PNG."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
+
+
+@contextmanager
+def _make_temporary_folder(parent: Path) -> Iterator[Path]:
+    """Yield a new folder that no other run uses; remove it afterwards unless it was renamed."""
+    parent.mkdir(parents=True, exist_ok=True)
+    _remove_leftovers(parent)
+    while True:
+        folder = parent / f"{TEMPORARY}{uuid.uuid4().hex}"
+        folder.mkdir()
+        with _lock(folder, wait=True):
+            if not folder.exists():  # another run took it for a leftover before it was locked
+                continue
+            try:
+                yield folder
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            return
+
+
+def _remove_leftovers(parent: Path) -> None:
+    """Remove the temporary folders of runs that were killed: those that no process has locked."""
+    for folder in parent.glob(TEMPORARY + "[0-9a-f]" * 32):
+        with _lock(folder, wait=False) as is_locked:
+            if is_locked:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _lock(folder: Path, *, wait: bool) -> Iterator[bool]:
+    """Lock a folder until the block or the process ends; yield whether that was possible.
+
+    Folders cannot be locked on Windows and on some network drives; leftovers stay there.
+    """
+    with ExitStack() as stack:
+        is_locked = False
+        if sys.platform != "win32":
+            with suppress(OSError):
+                descriptor = os.open(folder, os.O_RDONLY)
+                stack.callback(os.close, descriptor)
+                fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+                is_locked = True
+        yield is_locked

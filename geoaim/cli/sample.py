@@ -13,7 +13,7 @@ VideoSize = Literal["none", "720p", "1080p", "4k"]
 
 
 def sample(
-    folder: Annotated[Path, typer.Argument(help="folder to write; an existing sample is replaced")],
+    folder: Annotated[Path, typer.Argument(help="folder to write, new or empty")],
     seed: options.Seed = 1,
     kind: Annotated[PlaceKind, typer.Option(help="kind of place")] = "junction",
     minutes: Annotated[float, typer.Option(help="minutes of traffic", min=0.2, max=1440)] = 1.0,
@@ -22,15 +22,16 @@ def sample(
     """Generate a synthetic place with ground truth: video, tracks, lights, HD map and imagery.
 
     The same seed gives the same data on every machine. The video has 12 s, whatever the minutes
-    of traffic. README.md in the folder describes each file.
+    of traffic. README.md in the folder describes each file. The folder appears when it is
+    complete; no existing file is replaced or deleted, earlier samples included.
 
     Example: geoaim sample place --seed 2 --kind roundabout
     """
+    from geoaim.files import check_new_folder
     from geoaim.synthetic import VIDEOS, make_sample, write_sample
-    from geoaim.synthetic.files import check_folder
 
     with show_progress() as progress, report_errors():
-        check_folder(folder)
+        check_new_folder(folder)
         progress("place", 0, 1)
         generated = make_sample(seed, kind=kind, minutes=minutes, video=VIDEOS.get(video))
         write_sample(generated, folder, progress=progress)

@@ -2,14 +2,13 @@
 
 import json
 import os
-import shutil
-from fnmatch import fnmatch
 from pathlib import Path
 from string import Template
 from typing import Any
 
 import numpy as np
 
+from geoaim.files import atomic_folder
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
 from geoaim.progress import Progress, no_progress
@@ -22,71 +21,24 @@ from geoaim.synthetic.traffic.signals import light_states_at
 from geoaim.synthetic.video_files import write_video_files
 from geoaim.track_files import write_tracks
 
-TITLE = "# Sample\n\nA synthetic place"  # how the README begins
-# names of all files that a sample's folder may hold
-SAMPLE_FILES = (
-    *("hover.mp4", "hover.SRT", "gcps.csv", "boxes", "background.jpg", "tracks*.csv"),
-    *("lights*.csv", "map.osm", "map_full.osm", "surfaces.geojson", "ortho.tif", "tiles"),
-    *("truth.json", "truth.npz", "README.md", ".part"),
-)
-
 
 def write_sample(
     sample: Sample, folder: str | os.PathLike[str], *, progress: Progress = no_progress
 ) -> None:
     """Write the files of a sample and their truth; the folder's `README.md` explains each file.
 
-    An existing sample is replaced when the new one is complete.
+    The folder appears when it is complete; a sample that exists is neither replaced nor changed.
 
     Args:
         sample: what is written.
-        folder: a new folder, or one that holds a sample.
+        folder: a new or empty folder.
         progress: called with the stage, the steps done and in all.
 
     Raises:
-        ValueError: the folder holds other files.
+        ValueError: the folder holds files.
     """
-    folder = Path(folder)
-    check_folder(folder)
-    part = folder / ".part"
-    shutil.rmtree(part, ignore_errors=True)
-    part.mkdir(parents=True)
-    try:
-        _write_all(sample, part, progress)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
-    for old in [path for path in folder.iterdir() if path != part]:
-        shutil.rmtree(old) if old.is_dir() else old.unlink()
-    for new in list(part.iterdir()):
-        new.replace(folder / new.name)
-    part.rmdir()
-
-
-def check_folder(folder: Path) -> None:
-    """Check that a sample can be written to a folder: it is new, empty or holds a sample.
-
-    Raises:
-        ValueError: the folder holds other files, or is a file.
-    """
-    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not nearest.is_dir():
-        raise ValueError(f"{nearest} is a file; a folder is needed")
-    names = sorted(path.name for path in folder.iterdir()) if folder.exists() else []
-    other = [name for name in names if not any(fnmatch(name, own) for own in SAMPLE_FILES)]
-    if other or (set(names) - {".part"} and not _is_sample(folder)):
-        listed = ", ".join((other or names)[:3])
-        raise ValueError(f"{folder} holds {listed} and is not a sample; name a new folder")
-
-
-def _is_sample(folder: Path) -> bool:
-    """Whether a folder holds a sample that `write_sample` wrote."""
-    try:
-        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-        text = (folder / "README.md").read_text(encoding="utf-8")
-    except (OSError, ValueError):
-        return False
-    return isinstance(truth, dict) and "seed" in truth and text.startswith(TITLE)
+    with atomic_folder(folder) as temporary:
+        _write_all(sample, temporary, progress)
 
 
 def _write_all(sample: Sample, folder: Path, report: Progress) -> None:

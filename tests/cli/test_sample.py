@@ -17,4 +17,4 @@ def test_sample_is_not_written_into_a_folder_with_other_files(tmp_path):
     (tmp_path / "thesis.tex").write_text("")
     result = run(app, ["sample", str(tmp_path)])
     assert result.exit_code == 1
-    assert "is not a sample; name a new folder" in " ".join(result.output.split())
+    assert "holds thesis.tex; name a new folder" in " ".join(result.output.split())

@@ -14,7 +14,6 @@ from geoaim.geometry import transform_points
 from geoaim.mapping import open_video, read_detections
 from geoaim.mapping.video.telemetry import read_srt
 from geoaim.synthetic import (
-    Hover,
     list_boxes,
     make_sample,
     render_background,
@@ -100,59 +99,22 @@ def test_lights_tell_each_change_once(sample, folder):
         assert (changes["state"] != changes["state"].shift()).all()
 
 
-@pytest.fixture
-def without_imagery(monkeypatch):
-    """Drawing another day takes most of the time."""
-    monkeypatch.setattr("geoaim.synthetic.files.write_imagery", lambda *_: (0.0, 0.0))
-
-
-@pytest.mark.usefixtures("without_imagery")
-def test_another_sample_takes_the_place_of_the_whole_old_one(tmp_path):
-    small = {"minutes": 0.21, "resolution": 0.2}
-    first = make_sample(2, kind="street", video=(90, 160), hover=Hover(count=3), **small)
-    write_sample(first, tmp_path / "there")
-    assert (tmp_path / "there" / "lights.csv").exists()
-    second = make_sample(3, kind="roundabout", video=None, **small)
-    write_sample(second, str(tmp_path / "there"))
-    write_sample(second, tmp_path / "new")
-    there, new = (
-        sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
-        for folder in (tmp_path / "there", tmp_path / "new")
-    )
-    assert there == new
-
-
-@pytest.mark.usefixtures("without_imagery")
-def test_sample_that_fails_leaves_the_old_one(tmp_path, monkeypatch):
-    sample = make_sample(2, kind="t", minutes=0.1, video=None, resolution=0.2)
-    write_sample(sample, tmp_path)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+def test_sample_that_fails_leaves_nothing(sample, tmp_path, monkeypatch):
     monkeypatch.setattr("geoaim.synthetic.files.write_imagery", _fail)
     with pytest.raises(OSError, match="no space left"):
-        write_sample(sample, tmp_path)
-    assert before == {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+        write_sample(sample, tmp_path / "sample")
+    assert list(tmp_path.iterdir()) == []
 
 
 def _fail(*_):
     raise OSError("no space left")
 
 
-def test_folder_with_other_files_is_refused(sample, tmp_path):
+def test_folder_that_holds_files_is_refused(sample, tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(ValueError, match="holds thesis\\.tex and is not a sample"):
+    with pytest.raises(ValueError, match="holds thesis\\.tex; name a new folder"):
         write_sample(sample, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_folder_whose_files_only_look_like_a_sample_is_refused(sample, tmp_path):
-    (tmp_path / "gcps.csv").write_text("my own points")
-    (tmp_path / "boxes").mkdir()
-    (tmp_path / "boxes" / "mine.txt").write_text("my own labels")
-    with pytest.raises(ValueError, match="is not a sample"):
-        write_sample(sample, tmp_path)
-    assert (tmp_path / "boxes" / "mine.txt").read_text() == "my own labels"
-    with pytest.raises(ValueError, match="is a file"):
-        write_sample(sample, tmp_path / "gcps.csv" / "below")
 
 
 def test_maps_name_the_lights(sample, folder):

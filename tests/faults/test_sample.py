@@ -1,0 +1,88 @@
+"""A sample is there as a whole or not at all, whenever its writer is interrupted."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from geoaim.files import atomic_write
+from geoaim.synthetic import write_sample
+from tests.faults import small_sample
+from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork")
+
+
+def interrupt_sample(target: Path, step: int | None = None, how: How = "kill") -> Outcome:
+    write = small_sample.write_small_sample
+    return run_interrupted(write, target, step, how=how, preload=small_sample.__name__)
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def write_next(folder: Path) -> None:
+    """Write a file; whatever geoaim writes next to leftovers removes them."""
+    with atomic_write(folder / "next.txt") as temporary:
+        temporary.write_text("")
+
+
+@pytest.fixture(scope="module")
+def complete(tmp_path_factory):
+    """The files of a sample that is not interrupted, and how many changes they took."""
+    folder = tmp_path_factory.mktemp("complete") / "sample"
+    outcome = interrupt_sample(folder)
+    assert outcome.exit_code == 0
+    assert outcome.changes > 20
+    return read_files(folder), outcome.changes
+
+
+@pytest.mark.parametrize("how", ["kill", "error"])
+def test_interrupted_sample_is_absent_or_whole(complete, tmp_path, how):
+    files, changes = complete
+    for step in range(1, changes + 2):  # one more: an empty folder takes a change more
+        target = tmp_path / str(step) / "sample"
+        (target if step % 2 else target.parent).mkdir(parents=True)
+        interrupt_sample(target, step, how)
+        assert not target.exists() or read_files(target) in ({}, files), step
+        write_next(target.parent)
+        assert {path.name for path in target.parent.iterdir()} <= {"sample", "next.txt"}, step
+
+
+def test_leftovers_are_removed_although_their_removal_is_interrupted(complete, tmp_path):
+    _, changes = complete
+    for step in (changes - 1, 1, 2, 3):
+        assert interrupt_sample(tmp_path / "sample", step).exit_code == KILLED
+    write_next(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["next.txt"]
+
+
+@pytest.mark.parametrize("how", ["kill", "error"])
+def test_interrupted_sample_leaves_an_older_one_and_files_made_by_hand(complete, tmp_path, how):
+    target = tmp_path / "sample"
+    interrupt_sample(target)
+    for name in ("tracks_annotated_by_hand.csv", "boxes/mine.txt"):
+        (target / name).write_text("a week of work")
+    before = read_files(target)
+    for step in (1, 2, 3, None):
+        assert interrupt_sample(target, step, how).exit_code in (KILLED, 1)
+        assert read_files(target) == before, step
+
+
+def test_second_of_two_runs_at_once_is_refused_and_mixes_nothing(complete, tmp_path, monkeypatch):
+    target = tmp_path / "sample"
+
+    def write_other_meanwhile(*_) -> tuple[float, float]:
+        assert interrupt_sample(target).exit_code == 0
+        return 1.0, 1.0
+
+    monkeypatch.setattr("geoaim.synthetic.files.write_imagery", write_other_meanwhile)
+    with pytest.raises(ValueError, match="name a new folder"):
+        write_sample(small_sample.SMALL, target)
+    assert read_files(target) == complete[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["sample"]
