@@ -13,12 +13,13 @@ object. (Surveillance tells abandoned from removed objects in this way: SanMigue
    the frame shows the ground and the background an object. Steps near the pixel count, and the
    mean over the whole region.
 4. At each pixel, the frame with the highest vote is the candidate. The background is replaced
-   where the votes of the frames that look like it have a positive sum and they are at least a
-   tenth of all. Frames unlike both do not count: a third vehicle is evidence for neither. The
+   where the votes of the frames that look like it have a positive sum and they are at least two
+   and 6 % of all: behind a queue that has left, others follow, and the ground is seen now and
+   then only. Frames unlike both do not count: a third vehicle is evidence for neither. The
    background is then the mean of the frames that look like it.
 5. Steps 2 to 4 are repeated three times. A last segmentation, dilated, is the traffic.
-6. The ground is contested where hardly any frame shows it, or where many frames differ from it and
-   the votes are nearly balanced.
+6. The ground is contested where hardly any frame shows it, or where a single frame still votes
+   against it: passing traffic never does.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -41,8 +42,8 @@ THRESHOLD_SIGMAS = 3.0  # standard deviations of the noise that a difference mus
 BORDER_WINDOW_PX = 32  # about a vehicle's length: window in which the steps of a border are summed
 BORDER_CELL_PX = 4  # in which they are first collected
 REGION_WEIGHT_PX = 48.0  # length of border that the mean over the whole region counts for
-MIN_SUPPORT = 0.1  # share of the frames that must show a state before it can be the ground
-MIN_MAJORITY = 0.3  # of the votes (0 balanced, 1 unanimous); below it the ground is contested
+MIN_SUPPORT = 0.06  # share of the frames, at least 2, that must show a state of the ground
+MAX_VOTE = 0.1  # of a frame against the final background; above it the ground is contested
 SQUARE = np.ones((3, 3), np.uint8)
 DISC = np.array([[0, 1, 1, 1, 0], *[[1] * 5] * 3, [0, 1, 1, 1, 0]], np.uint8)
 
@@ -203,7 +204,7 @@ def _update_background(
         alike = _max_difference(frame, candidate) <= threshold
         support += alike
         weighted += vote * alike
-    replaced = (weighted > 0) & (support >= MIN_SUPPORT * len(stack))
+    replaced = (weighted > 0) & (support >= max(MIN_SUPPORT * len(stack), 2))
     updated = np.where(replaced[..., None], candidate, background)
     alike = np.stack([_max_difference(frame, updated) <= threshold for frame in stack])
     return _average_selected(stack, alike, updated)
@@ -222,11 +223,9 @@ def _average_selected(stack: Stack, selected: Masks, default: Image) -> Image:
 def _find_contested(
     votes: Float32[Array, "K h w"], masks: Masks, seen: Masks
 ) -> Bool[Array, "h w"]:
-    """Pixels of which hardly any frame shows the ground, or whose votes are nearly balanced."""
+    """Pixels of which hardly any frame shows the ground, or where one shows less of an object."""
     views = seen.sum(0)
     clear = views - masks.sum(0)
-    majority = -votes.sum(0) / (sum(np.abs(vote) for vote in votes) + 1e-6)
-    differing = sum((vote != 0).astype(np.uint16) for vote in votes)
-    lasting = differing >= 2 * MIN_SUPPORT * views
     few = (clear < np.maximum(MIN_SUPPORT * views, 2)) & (views > 0)
-    return np.asarray(few | (lasting & (majority < MIN_MAJORITY)), bool)
+    doubtful = few | (votes.max(0) > MAX_VOTE)
+    return np.asarray(cv2.dilate(doubtful.view(np.uint8), SQUARE).view(bool))
