@@ -106,7 +106,8 @@ def measure_queue(clip: QueueClip, method: Callable[[Stack], Any]) -> Row:
         "good marked %": np.nan,
     }
     if isinstance(result, Background):
-        row["wrong marked %"] = 100 * float(result.contested[wrong].mean())
+        if wrong.any():
+            row["wrong marked %"] = 100 * float(result.contested[wrong].mean())
         row["good marked %"] = 100 * float(result.contested[~wrong].mean())
     return row
 

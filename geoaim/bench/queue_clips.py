@@ -100,7 +100,10 @@ def _cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ 
     scale = min(WIDTH / video.width, 1.0)
     sprites = []
     for frame, _ in pairs[::4]:
-        for left, top, right, bottom in np.rint(boxes(frame)).astype(int).tolist():
+        known = boxes(frame)
+        if known is None:
+            continue
+        for left, top, right, bottom in np.rint(known).astype(int).tolist():
             inside = left > 2 and top > 2 and right < video.width - 2 and bottom < video.height - 2
             long, short = max(right - left, bottom - top), min(right - left, bottom - top)
             if not inside or not 1.9 < long / max(short, 1) < 3.0 or short * scale < 12:
@@ -131,7 +134,7 @@ def _paste(
     fraction = place - [left, top]
     padded = np.pad(sprite, ((1, 2), (1, 2), (0, 0))).astype(np.float32)
     padded[..., :3] *= padded[..., 3:] / 255
-    shift = np.float32([[1, 0, fraction[0]], [0, 1, fraction[1]]])
+    shift = np.array([[1, 0, fraction[0]], [0, 1, fraction[1]]])
     moved = cv2.warpAffine(padded, shift, padded.shape[1::-1])
     first = np.maximum([top, left], 0)
     last = np.minimum([top + len(moved), left + moved.shape[1]], picture.shape[:2])
@@ -148,7 +151,7 @@ def _record(
     picture: Float32[Array, "h w 3"], generator: np.random.Generator
 ) -> UInt8[Array, "h w 3"]:
     """What is left of a picture after jitter, noise and compression."""
-    shift = np.float64([[1, 0, generator.normal(0, 0.1)], [0, 1, generator.normal(0, 0.1)]])
+    shift = np.array([[1, 0, generator.normal(0, 0.1)], [0, 1, generator.normal(0, 0.1)]])
     moved = cv2.warpAffine(picture, shift, picture.shape[1::-1], borderMode=cv2.BORDER_REPLICATE)
     noisy = moved + generator.normal(0, 2, picture.shape)
     pixels = np.rint(noisy).clip(0, 255).astype(np.uint8)
@@ -184,7 +187,7 @@ def draw_queue(*, standing: float, seed: int, count: int = 32) -> QueueClip:
         noisy = soft + random.normal(0, 2.5, soft.shape)
         frames.append(np.rint(noisy).clip(0, 255).astype(np.uint8))
     ground = np.rint(cv2.GaussianBlur(road, (0, 0), 0.6)).clip(0, 255).astype(np.uint8)
-    return QueueClip(np.stack(frames), ground, np.mean(covers, axis=0, dtype=np.float32))
+    return QueueClip(np.stack(frames), ground, np.stack(covers).mean(axis=0).astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +238,7 @@ def _draw_road(random: np.random.Generator, axes: Float[Array, "2 2"]) -> Float3
             end = start + (60 if line in (0, 3, 6) else 25)
             mark = _place([start, end], [y - 1.5, y + 1.5], axes)
             cv2.fillPoly(ground, [mark], [215] * 3, cv2.LINE_AA, 4)
-    for y in np.arange(-98, 100, 14):
+    for y in np.arange(-98, 100, 14).astype(float).tolist():
         stripe = _place([300, 340], [y - 3, y + 3], axes)
         cv2.fillPoly(ground, [stripe], [220] * 3, cv2.LINE_AA, 4)
     return ground

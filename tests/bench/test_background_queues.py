@@ -20,7 +20,7 @@ def test_ground_of_a_drawn_queue_shows_where_no_car_is(clip):
 def test_standing_queue_is_removed_and_most_wrong_pixels_are_marked(clip):
     ours = measure_queue(clip, METHODS["without boxes"])
     assert ours["RMSE"] < 20
-    assert ours["wrong marked %"] > 60
+    assert ours["wrong marked %"] > 50
     assert ours["good marked %"] < 2
     assert measure_queue(clip, METHODS["median"])["RMSE"] > 2 * ours["RMSE"]
 
