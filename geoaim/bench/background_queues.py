@@ -22,8 +22,9 @@ from jaxtyping import UInt8
 from numpy import ndarray as Array
 from scipy.stats import trim_mean
 
+from geoaim.bench.drawn_queue import draw_queue
 from geoaim.bench.hover_videos import make_hover_video
-from geoaim.bench.queue_clips import QueueClip, draw_queue, paste_queue
+from geoaim.bench.queue_clips import QueueClip, paste_queue
 from geoaim.bench.report import Row, format_table, print_rows, write_rows
 from geoaim.mapping import remove_traffic
 from geoaim.mapping.background.running_mean import Background

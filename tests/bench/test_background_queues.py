@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from geoaim.bench.background_queues import METHODS, draw_error_against_time, measure_queue
-from geoaim.bench.queue_clips import draw_queue, paste_queue
+from geoaim.bench.drawn_queue import draw_queue
+from geoaim.bench.queue_clips import paste_queue
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,48 @@
+"""The ground of a real sequence, and its cars as sprites."""
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray as Array
+
+from geoaim.bench.data import require_data
+from geoaim.mapping import average_frames, open_video, read_detections, register
+
+WIDTH = 960  # of the pictures, at most
+
+
+def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _ 4"]]]:
+    """The ground of a real sequence, its traffic masked by boxes, and its cars, heading right."""
+    folder = require_data(f"hover/{place}")
+    video, boxes = open_video(folder), read_detections(folder)
+    registration = register(video)
+    pairs = [
+        (frame, registration.reference_from_frame[frame.index])
+        for frame in video
+        if registration.valid[frame.index]
+    ]
+    ground = average_frames(pairs, size=(video.height, video.width), detections=boxes).image
+    scale = min(WIDTH / video.width, 1.0)
+    sprites = []
+    for frame, _ in pairs[::4]:
+        known = boxes(frame)
+        if known is None:
+            continue
+        for left, top, right, bottom in np.rint(known).astype(int).tolist():
+            inside = left > 2 and top > 2 and right < video.width - 2 and bottom < video.height - 2
+            long, short = max(right - left, bottom - top), min(right - left, bottom - top)
+            if not inside or not 1.9 < long / max(short, 1) < 3.0 or short * scale < 12:
+                continue
+            body = frame.image[top:bottom, left:right]
+            body = np.rot90(body) if len(body) == long else body
+            x, y = (np.abs(np.linspace(-1, 1, n)) for n in body.shape[1::-1])
+            alpha = ((1.0 - (x[None] ** 6 + y[:, None] ** 6) ** (1 / 6)) * 12).clip(0, 1) * 255
+            sprite = np.dstack([body, alpha.astype(np.uint8)])
+            sprites.append(_resize(sprite, scale))
+    lengths = np.array([sprite.shape[1] for sprite in sprites])
+    usual = np.abs(lengths / np.median(lengths) - 1) < 0.3
+    return _resize(ground, scale), [s for s, keep in zip(sprites, usual, strict=True) if keep]
+
+
+def _resize(image: UInt8[Array, "H W c"], scale: float) -> UInt8[Array, "h w c"]:
+    return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
