@@ -4,13 +4,15 @@
         --chart docs/images/birdview.png
 
 Speed: 20 agents, views of 100 m, a texture of 1024 x 1024 px over 200 m, one thread. The parts of a
-row are timed in turn, and medians compared. Accuracy: a pixel of the reference is the mean of 377
-points. Gradients are compared in `birdview_truth`.
+row are timed in turn, in processor time, which other work on the machine disturbs less than wall
+time, and medians compared. Accuracy: a pixel of the reference is the mean of 377 points. Gradients
+are compared in `birdview_truth`.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 from typing import Annotated, Any
 
 import cv2
@@ -135,10 +137,10 @@ def _time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dic
         lambda: torch.autograd.grad((sample() * weight).sum(), [grid]),
     ]
     often = repeats * max(1, MIN_TIMED_PIXELS // (views * pixels**2))
-    own, alone, opencv, own_both, alone_both = time_medians(parts, often)
+    own, alone, opencv, own_both, alone_both = time_medians(parts, often, process_time)
     # timed apart: it evicts the caches of whatever is timed beside it
     slow_parts = [f(d) for f in (run, differentiate) for d in (draw, draw_by_distances)]
-    beside, slow, beside_both, slow_both = time_medians(slow_parts, 3)
+    beside, slow, beside_both, slow_both = time_medians(slow_parts, 3, process_time)
     return {
         "pixels": pixels,
         "views": views,
@@ -170,7 +172,7 @@ def _compare_renderers(
         lambda: F.grid_sample(texture, grid, align_corners=False),
     ]
     with torch.no_grad():
-        *durations, alone = time_medians(parts, repeats)
+        *durations, alone = time_medians(parts, repeats, process_time)
     scenes = make_separate_scenes(4, torch.float32)
     scenes = [(cameras, replace(boxes, heading_colours=None)) for cameras, boxes in scenes]
     return [

@@ -17,6 +17,7 @@ from geoaim.files import atomic_write
 
 Row = Mapping[str, Any]
 Result = TypeVar("Result")
+Clock = Callable[[], float]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="JSON file to write")]
 ChartFile = Annotated[Path | None, typer.Option("--chart", help="chart to write")]
 
@@ -59,14 +60,16 @@ def run_in_process(function: Callable[..., Result], *arguments: object) -> Resul
         return pool.submit(function, *arguments).result()
 
 
-def time_medians(parts: Sequence[Callable[[], Any]], repeats: int) -> list[float]:
+def time_medians(
+    parts: Sequence[Callable[[], Any]], repeats: int, clock: Clock = time.perf_counter
+) -> list[float]:
     """Time the parts in turn, after one warm-up round; return the median of each, seconds."""
     durations: list[list[float]] = [[] for _ in parts]
     for _ in range(repeats + 1):
         for part, own in zip(parts, durations, strict=True):
-            start = time.perf_counter()
+            start = clock()
             part()
-            own.append(time.perf_counter() - start)
+            own.append(clock() - start)
     return [float(np.median(own[1:])) for own in durations]
 
 

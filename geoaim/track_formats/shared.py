@@ -62,8 +62,7 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
     """Map names of agent types to ours; keep others in lower case, with a warning."""
-    lower = names.str.lower()
-    types = lower.map(AGENT_TYPES).fillna(lower)
+    types = names.str.lower().replace(AGENT_TYPES)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
     if unknown:
         warnings.warn(
