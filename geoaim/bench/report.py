@@ -63,7 +63,16 @@ def run_in_process(function: Callable[..., Result], *arguments: object) -> Resul
 def time_medians(
     parts: Sequence[Callable[[], Any]], repeats: int, clock: Clock = time.perf_counter
 ) -> list[float]:
-    """Time the parts in turn, after one warm-up round; return the median of each, seconds."""
+    """Time functions in turn, after one warm-up round.
+
+    Args:
+        parts: the functions.
+        repeats: number of rounds.
+        clock: gives seconds; `time.process_time` counts processor time only.
+
+    Returns:
+        The median duration of each, seconds.
+    """
     durations: list[list[float]] = [[] for _ in parts]
     for _ in range(repeats + 1):
         for part, own in zip(parts, durations, strict=True):
