@@ -1,5 +1,6 @@
 # make demo       an AIM from the bundled sample video, and what may happen on it
 # make test       lint, format, types, layers, tests, documentation, notebooks
+# make test-lowest   the package's tests with the lowest versions that pyproject.toml allows
 # make lint       ruff, mypy and import-linter alone
 # make docs       the documentation, in build/site
 # make coverage   the tests again, with the share of lines that they run
@@ -13,6 +14,7 @@ BIN := .venv/Scripts
 else
 BIN := .venv/bin
 endif
+LOWEST_BIN := $(subst .venv,.venv-lowest,$(BIN))
 SAMPLE ?= samples/hover.mp4
 POINTS ?= samples/gcps.csv
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
@@ -20,7 +22,7 @@ NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export NO_MKDOCS_2_WARNING = 1
 
-.PHONY: demo test lint ruff mypy layers docs coverage install clean
+.PHONY: demo test test-lowest lint ruff mypy layers docs coverage install clean
 
 demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
@@ -35,10 +37,15 @@ demo: install
 	@echo "     demo/futures.png  what the vehicles may do in the next four seconds"
 
 # there is a worker for each core already
-test coverage: export OMP_NUM_THREADS = 1
+test test-lowest coverage: export OMP_NUM_THREADS = 1
 test: lint
 	$(BIN)/python -m pytest -n auto --dist loadfile
 	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -n auto -o addopts= --nbmake $(NOTEBOOKS))
+
+# old versions beside new ones warn; the documentation and the layers need tools of their own
+test-lowest: .venv-lowest/installed
+	$(LOWEST_BIN)/python -m pytest -n auto --dist loadfile -o filterwarnings=default \
+		--disable-warnings --ignore tests/test_docs.py --ignore tests/test_architecture.py $(TESTS)
 
 coverage: install
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov=geoaim \
@@ -69,5 +76,11 @@ install: .venv/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@
 
+.venv-lowest/installed: pyproject.toml constraints-lowest.txt
+	$(PYTHON) -m venv --clear .venv-lowest
+	$(LOWEST_BIN)/python -m pip install --quiet --constraint constraints-lowest.txt --editable . \
+		beartype hypothesis jsonschema pytest pytest-xdist
+	touch $@
+
 clean:
-	rm -rf .venv demo build dist *.egg-info .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-lowest demo build dist *.egg-info .coverage .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis

@@ -194,3 +194,12 @@ def test_pins_cover_every_dependency():
     pinned = {line.split("==")[0] for line in lines if "==" in line}
     names = {name.split(">")[0].split("[")[0] for name in wanted}
     assert names - pinned - {"geoaim"} == set()  # an extra may name another one
+
+
+def test_lowest_versions_are_the_lower_bounds_of_the_dependencies():
+    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    lines = (ROOT / "constraints-lowest.txt").read_text().splitlines()
+    lowest = dict(line.split("==") for line in lines if "==" in line)
+    for dependency in wanted:
+        name, bound = dependency.split(",")[0].split(">=")
+        assert f"{lowest[name]}.".startswith(f"{bound}."), dependency
