@@ -97,6 +97,7 @@ def test_progress_reports_each_stage(frames):
     assert calls[-1] == ("average", 12, 12)
 
 
+@pytest.mark.filterwarnings("ignore:the ground is uncertain")  # at the ends few frames see it
 def test_a_flight_past_the_reference_is_warned_of():
     ground = textured(np.random.default_rng(8), 360, 1400)
     frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]

@@ -46,8 +46,7 @@ def georeference_reference_frame(
         The georeference, and one control point for each place, with pixels of the reference frame.
 
     Raises:
-        GeoreferenceError: the control points or the telemetry do not fix a place, or a frame with
-            control points does not exist or cannot be registered.
+        GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
     """
     if points is None:
         return _georeference_by_telemetry(video, reference), None
@@ -110,13 +109,12 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
             f"{-np.degrees(telemetry.pitch[nearest]):.0f} degrees down; only one that looks "
             "straight down (90) can be georeferenced without control points: give four or more"
         )
-    diagonal = np.hypot(reference.height, reference.width)
-    half_width = FILM_DIAGONAL_MM / 2 * reference.width / diagonal
+    half = FILM_DIAGONAL_MM / 2 * reference.width / np.hypot(reference.height, reference.width)
     return approximate_georeference(
         latitude=float(telemetry.latitude[nearest]),
         longitude=float(telemetry.longitude[nearest]),
         height_above_ground=float(telemetry.height[nearest]),
         yaw=float(telemetry.yaw[nearest]),
-        field_of_view=float(2 * np.arctan(half_width / telemetry.focal_length[nearest])),
+        field_of_view=float(2 * np.arctan(half / telemetry.focal_length[nearest])),
         size=(reference.height, reference.width),
     )

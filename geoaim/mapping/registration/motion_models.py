@@ -17,6 +17,7 @@ from geoaim.geometry import transform_points
 
 Model = Literal["translation", "rigid", "similarity", "affine", "homography"]
 MIN_GAIN_PX = 0.01  # in accuracy, for which a model with more parameters is chosen
+BLOCK_COLUMNS, BLOCK_ROWS = 4, 3  # of the jackknife
 MODELS: tuple[Model, ...] = ("translation", "similarity", "affine", "homography")
 NONLINEAR_MODELS = ("rigid", "homography")  # fitted iteratively
 
@@ -160,6 +161,45 @@ def fit_motion(
         weights,
         float(np.sqrt((inliers**2).mean())),
     )
+
+
+def jackknife_covariance(
+    points: Float[Array, "M 2"],
+    information: Float[Array, "M 2 2"],
+    motion: Motion,
+    *,
+    size: tuple[int, int],
+) -> Float[Array, "k k"]:
+    """Covariance of a motion's parameters from how much they change without a part of the image.
+
+    Residuals that neighbours share (parallax, lens, rolling shutter, slow traffic) enlarge it,
+    whereas the covariance of the fit takes the points for independent. Delete-a-group jackknife:
+    Kott (2001), "The delete-a-group jackknife".
+
+    Args:
+        points: in pixels.
+        information: inverse covariance of each displacement.
+        motion: fitted to them.
+        size: (height, width) of the image, which is divided into 4 x 3 blocks.
+
+    Returns:
+        The covariance, in normalised coordinates; infinite when one block alone holds the motion.
+    """
+    height, width = size
+    column = (points[:, 0] * BLOCK_COLUMNS / width).astype(int).clip(0, BLOCK_COLUMNS - 1)
+    row = (points[:, 1] * BLOCK_ROWS / height).astype(int).clip(0, BLOCK_ROWS - 1)
+    member = np.arange(BLOCK_COLUMNS * BLOCK_ROWS)[:, None] == row * BLOCK_COLUMNS + column
+    columns = compute_basis(points, motion.model, size=size)
+    projected = np.einsum("m,mik,mij->mkj", motion.weights, columns, information)
+    normal = np.tensordot(member, projected @ columns, 1)
+    right = np.tensordot(member, np.einsum("mkj,mj->mk", projected, motion.residuals), 1)
+    used = member.any(1)
+    rest = normal.sum(0) - normal[used]
+    try:
+        change = np.linalg.solve(rest, (right.sum(0) - right[used])[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        return np.full(normal.shape[1:], np.inf)
+    return (1 - 1 / used.sum()) * change.T @ change
 
 
 def _compute_tukey_weights(

@@ -7,7 +7,7 @@ robustly to the displacements: patches on vehicles and shadows become outliers.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -16,7 +16,13 @@ from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, to_opencv, transform_points
-from geoaim.mapping.registration.motion_models import Model, Motion, compute_basis, fit_motion
+from geoaim.mapping.registration.motion_models import (
+    Model,
+    Motion,
+    compute_basis,
+    fit_motion,
+    jackknife_covariance,
+)
 
 PATCH_SIDE_PX = 13  # 9 halves the range of convergence, 17 covers more vehicles
 PATCH_COUNT = 340  # aimed at: one for each cell of a grid over the reference
@@ -174,13 +180,16 @@ def align_patches(
         step = _measure_motion(template, grey, matrix, model, rounds=3 if iteration else 6)
         if step is None:
             return None
-        measured, motion = step
+        measured, motion, information = step
         matrix = motion.matrix @ matrix
         length = np.abs(transform_points(motion.matrix, corners) - corners).max()
         if not length < MAX_STEP_PX:
             return None
         if length < CONVERGED_STEP_PX:
             break
+    points, size = template.points[measured.fitted], (template.height, template.width)
+    spread = jackknife_covariance(points, information, motion, size=size)
+    motion = replace(motion, covariance=motion.covariance + spread)
     uncertainty = predict_corner_uncertainty(template, motion) * template.scale
     converged = bool(length < max(CONVERGED_STEP_PX, uncertainty))
     matrix = np.linalg.inv(scale) @ matrix @ scale
@@ -213,22 +222,25 @@ def _measure_motion(
     model: Model,
     *,
     rounds: int,
-) -> tuple[_Measurement, Motion] | None:
-    """Fit the motion to the displacements by their precision; None when there are too few."""
+) -> tuple[_Measurement, Motion, Float[Array, "N 2 2"]] | None:
+    """Fit the motion to the displacements by their precision (the third value).
+
+    None when there are too few of them, or they do not determine the motion.
+    """
     measured = _measure_displacements(template, grey, np.linalg.inv(reference_from_frame))
     if measured is None or measured.fitted.sum() < MIN_FITTED_PATCHES:
         return None
     covariance = template.inverse[measured.fitted] * measured.variance[:, None, None]
     covariance[:, (0, 1), (0, 1)] += LOCAL_MOTION_PX**2
-    motion = fit_motion(
-        template.points[measured.fitted],
-        measured.displacements,
-        np.linalg.inv(covariance),
-        model,
-        size=(template.height, template.width),
-        rounds=rounds,
-    )
-    return measured, motion
+    information = np.linalg.inv(covariance)
+    points, size = template.points[measured.fitted], (template.height, template.width)
+    try:
+        motion = fit_motion(
+            points, measured.displacements, information, model, size=size, rounds=rounds
+        )
+    except np.linalg.LinAlgError:
+        return None
+    return measured, motion, information
 
 
 def _measure_displacements(

@@ -38,6 +38,8 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
 
+COMPARE_EVERY = 8  # frames, after which a placement is compared with those of other parts again
+COMPARE_SHIFT = 1 / 240  # of the image's width, after which it is compared sooner
 PROBE_FRAMES = 5  # from which the reference and the model are chosen
 PROBE_FEATURES = 800  # of each, that are matched between them
 MIN_LINKED_SHARE = 0.5  # of the probes that must match the reference, unless it is the first frame
@@ -254,20 +256,37 @@ def register_frames(
         Each frame with its registration.
     """
     keyframes = [reference.keyframe]
-    prior = np.eye(3)
+    prior = compared = np.eye(3)
+    since = COMPARE_EVERY  # frames since a placement was compared with others
     for frame in frames:
         size = frame.grey.shape
         keyframe = select_keyframe(keyframes, prior, size)
-        registration, _ = register_frame(frame.grey, keyframes, keyframe, prior, reference.model)
+        compare = since >= COMPARE_EVERY or _measure_shift(prior, compared, size) > COMPARE_SHIFT
+        registration, _ = register_frame(
+            frame.grey, keyframes, keyframe, prior, reference.model, compare=compare
+        )
         yield frame, registration
+        since += 1
         if not registration.valid:
+            since = COMPARE_EVERY
             continue
+        if compare:
+            compared, since = registration.reference_from_frame, 1
         prior = registration.reference_from_frame
         if compute_overlap(select_keyframe(keyframes, prior, size), prior, size) < MIN_OVERLAP:
             features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
             new = make_keyframe(frame, features, detections, prior, registration.uncertainty)
             if len(new.fine.points) >= MIN_PATCHES:
                 keyframes.append(new)
+
+
+def _measure_shift(
+    one: Float[Array, "3 3"], other: Float[Array, "3 3"], size: tuple[int, int]
+) -> float:
+    """Largest displacement of a corner between two transforms, as a share of the width."""
+    corners = image_corners(*size)
+    shift = transform_points(one, corners) - transform_points(other, corners)
+    return float(np.abs(shift).max()) / size[1]
 
 
 def _choose_best_connected(features: list[Features], size: tuple[int, int]) -> int:
