@@ -5,8 +5,8 @@ import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import chain, groupby, islice
-from operator import itemgetter
+from itertools import chain, dropwhile, groupby, islice
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from geoaim.mapping.video.frames import Frame
 
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 DEFAULT_RATE = 25  # frames per second, where a file states none
+KEYFRAMES_TOGETHER = 8  # that are decoded in one go: as many 4K frames take 100 MB
 MIN_END_TOLERANCE_S = 0.25  # by which a file may last beyond the time of its last frame
 
 
@@ -33,16 +34,25 @@ class VideoFile:
     count: int  # of frames that the file states; 0 when it states none
     count_is_exact: bool  # whether `count` is a count of frames, not duration times rate
     seekable: bool  # whether frames can be found by time; not in raw streams and AVI
+    keyframe_interval: float = math.inf  # seconds in the middle of the file; inf if not seekable
 
 
 @dataclass(frozen=True)
 class _Keyframe:
-    """A keyframe: its time (s), how to seek to it, and whether no other frame is to be decoded."""
+    """A keyframe: its time (s), and how to seek to it."""
 
     time: float
     offset: int = field(compare=False)  # several offsets lead to the same keyframe
     backward: bool = field(compare=False)
-    decode_alone: bool = False
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Frames at some times (s) to decode from a keyframe on, or only that; None past the end."""
+
+    keyframe: _Keyframe | None
+    times: list[float]
+    alone: bool
 
 
 def open_video_file(path: Path, threads: int | None) -> VideoFile:
@@ -61,7 +71,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         count, count_is_exact = _read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
         by_time = any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
-        return VideoFile(
+        file = VideoFile(
             path=path,
             threads=threads,
             stored_size=(first.height, first.width),
@@ -72,6 +82,8 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
             count_is_exact=count_is_exact,
             seekable=stamped and count > 0 and by_time,
         )
+        interval = _measure_keyframe_interval(file, container, stream)
+        return replace(file, keyframe_interval=interval)
 
 
 def read_frames(file: VideoFile) -> Iterator[Frame]:
@@ -99,8 +111,9 @@ def read_frames(file: VideoFile) -> Iterator[Frame]:
 def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterator[Frame]:
     """Yield the frames displayed at given times, each once.
 
-    For each time only the frames from the preceding keyframe on are decoded, or a single keyframe
-    where one lies within `slack` seconds of the time.
+    For each time only the frames from the preceding keyframe on are decoded, and no frame twice. A
+    keyframe within `slack` seconds of a time replaces the frame, and is decoded alone where no
+    other frame after it is needed.
 
     Args:
         file: the file.
@@ -117,19 +130,17 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
     last = -math.inf
     with _open_container(file.path) as container:
         stream = _select_stream(container, file.path, file.threads)
-        keyframes = [_find_keyframe(file, container, stream, time, slack) for time in times]
-        for keyframe, run in groupby(zip(keyframes, times, strict=True), itemgetter(0)):
-            requested = [time for _, time in run]
-            frames = _decode_from(file, container, stream, keyframe) if keyframe else iter(())
+        runs = _plan_runs(file, container, stream, times, slack)
+        for run, frames in _decode_runs(file, container, stream, runs):
             any_read = False
-            for frame in _select_shown(frames, requested):
+            for frame in _select_shown(frames, run.times):
                 any_read = True
                 if frame.time > last:
                     last = frame.time
                     yield frame
-            ended = not (keyframe and keyframe.decode_alone) and next(frames, None) is None
+            ended = not run.alone and next(frames, None) is None
             end = last + _compute_end_tolerance(file) if ended else math.inf
-            unread += [time for time in requested if not any_read or time > end]
+            unread += [time for time in run.times if not any_read or time > end]
     if unread:
         message = (
             f"{file.path}: {len(unread)} of {len(times)} requested frames cannot be read, the "
@@ -252,16 +263,40 @@ def _select_shown(frames: Iterable[Frame], times: list[float]) -> Iterator[Frame
         current = following
 
 
-def _find_keyframe(
+def _measure_keyframe_interval(file: VideoFile, container: Any, stream: Any) -> float:
+    """Seconds between the keyframes about the middle of a file; inf where none follows."""
+    if not file.seekable:
+        return math.inf
+    middle = file.count / file.rate / 2
+    before = _find_keyframe_before(file, container, stream, middle)
+    after = _seek_keyframe(file, container, stream, middle, backward=False)
+    return after.time - before.time if before and after and after != before else math.inf
+
+
+def _plan_runs(
+    file: VideoFile, container: Any, stream: Any, times: list[float], slack: float
+) -> list[_Run]:
+    """Group times by the keyframe with which their frames are decoded."""
+    chosen = [_choose_keyframe(file, container, stream, time, slack) for time in times]
+    runs = []
+    for keyframe, group in groupby(zip(chosen, times, strict=True), lambda pair: pair[0][0]):
+        pairs = list(group)
+        alone = all(is_near for (_, is_near), _ in pairs)
+        wanted = [keyframe.time if keyframe and is_near else time for (_, is_near), time in pairs]
+        runs.append(_Run(keyframe, wanted, alone))
+    return runs
+
+
+def _choose_keyframe(
     file: VideoFile, container: Any, stream: Any, time: float, slack: float
-) -> _Keyframe | None:
-    """The keyframe with which to decode the frame at a time; None after the end of the file."""
+) -> tuple[_Keyframe | None, bool]:
+    """The keyframe with which to decode the frame at a time, and whether it replaces the frame."""
     before = _find_keyframe_before(file, container, stream, time)
     if before is None or slack == 0 or time <= 0:
-        return before
+        return before, False
     after = _seek_keyframe(file, container, stream, time, backward=False)
     nearest = after if after and after.time - time < time - before.time else before
-    return replace(nearest, decode_alone=True) if abs(nearest.time - time) <= slack else before
+    return (nearest, True) if abs(nearest.time - time) <= slack else (before, False)
 
 
 def _find_keyframe_before(
@@ -293,15 +328,55 @@ def _seek_keyframe(
     return _Keyframe(float(stamp * stream.time_base) - file.start, offset, backward)
 
 
-def _decode_from(
-    file: VideoFile, container: Any, stream: Any, keyframe: _Keyframe
-) -> Iterator[Frame]:
-    """Yield the frames from a keyframe on, or only that; their index is estimated from the time."""
+def _decode_runs(
+    file: VideoFile, container: Any, stream: Any, runs: list[_Run]
+) -> Iterator[tuple[_Run, Iterator[Frame]]]:
+    """Yield each run with its frames."""
+    for alone, group in groupby(runs, attrgetter("alone")):
+        if alone:
+            while some := list(islice(group, KEYFRAMES_TOGETHER)):
+                keyframes = [run.keyframe for run in some if run.keyframe]
+                frames = _decode_keyframes(file, container, stream, keyframes)
+                yield from zip(some, frames, strict=True)
+            continue
+        for run in group:
+            if run.keyframe is None:
+                yield run, iter(())
+            else:
+                packets = _demux_from(container, stream, run.keyframe)
+                yield run, _decode_frames(file, stream, packets, run.keyframe.time)
+
+
+def _decode_keyframes(
+    file: VideoFile, container: Any, stream: Any, keyframes: list[_Keyframe]
+) -> Iterator[Iterator[Frame]]:
+    """Decode keyframes one after another, which the decoder's threads do at the same time."""
+    packets = [
+        packet
+        for keyframe in keyframes
+        for packet in islice(_demux_from(container, stream, keyframe), 1)
+    ]
+    frames = _decode_frames(file, stream, iter(packets), math.nan)
+    together = {frame.time: frame for frame in frames}
+    for keyframe in keyframes:
+        if keyframe.time in together:
+            yield iter([together.pop(keyframe.time)])
+        else:  # of an open group of pictures: its decoding starts only after a seek
+            packet = islice(_demux_from(container, stream, keyframe), 1)
+            yield _decode_frames(file, stream, packet, keyframe.time)
+
+
+def _demux_from(container: Any, stream: Any, keyframe: _Keyframe) -> Iterator[Any]:
+    """Seek to a keyframe, which resets the decoder, and read packets from it on."""
     container.seek(keyframe.offset, stream=stream, backward=keyframe.backward)
-    packets = container.demux(stream)
-    if keyframe.decode_alone:
-        packets = islice((packet for packet in packets if packet.is_keyframe), 1)
+    return dropwhile(lambda packet: not packet.is_keyframe, container.demux(stream))
+
+
+def _decode_frames(
+    file: VideoFile, stream: Any, packets: Iterator[Any], default_time: float
+) -> Iterator[Frame]:
+    """Decode packets to frames; their index is estimated from the time."""
     for decoded in _decode(stream.codec_context, packets):
         if decoded is not None:
-            time = _compute_time(file, stream, decoded, keyframe.time)
+            time = _compute_time(file, stream, decoded, default_time)
             yield _make_frame(file, decoded, round(time * file.rate), time)
