@@ -1,9 +1,9 @@
 """Build an AIM from video: registration, background, georeference, in this order."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from functools import partial
+from itertools import chain
 from typing import TypeVar
 
 import cv2
@@ -28,9 +28,11 @@ from geoaim.mapping.georeference.reference_frame import (
     choose_reference_time,
     georeference_reference_frame,
 )
+from geoaim.mapping.registration.keyframes import FrameRegistration
 from geoaim.mapping.registration.register import (
     Reference,
     Registration,
+    Row,
     choose_reference,
     collect_registration,
     count_reasons,
@@ -91,9 +93,16 @@ def build_aim(
     sampling = sample_video(opened, frames)
     vehicles = None if detections is None else read_detections(detections)
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
-    reference = choose_reference(opened, detections=vehicles, time=choose_reference_time(given))
+    batches = sampling.read()
+    probes = list(next(batches)) if frames == "auto" else []
+    reference = choose_reference(
+        opened, detections=vehicles, time=choose_reference_time(given), probes=probes
+    )
     georeference, points = _georeference(given, opened, reference, vehicles, crs)
-    registration, background = _register_and_average(sampling, reference, vehicles, progress)
+    batches = chain([map(replace, probes)], batches)
+    registration, background = _register_and_average(
+        sampling, batches, reference, vehicles, progress
+    )
     _warn_of_limits(registration, background)
     background = _remove_distortion(background, georeference.radial)
     method = _describe_method(vehicles, sampling)
@@ -131,41 +140,60 @@ def _georeference(
 
 
 def _register_and_average(
-    sampling: Sampling, reference: Reference, detections: Detections | None, progress: Progress
-) -> tuple[Registration, Background]:
-    """Register and average the frames; without detections, read them again to remove traffic."""
-    size = (reference.height, reference.width)
-    register = partial(_register_until_converged, sampling, reference, detections, progress)
-    if detections or sampling.plain_mean:
-        mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
-        registration = register(mean, add_to_mean)
-        return registration, finish_mean(mean)
-    search = TrafficSearch(size, sampling.tolerance)
-    registration = register(search, add_to_search)
-    _refuse_few_frames(registration)
-    frames = read_registered(sampling, registration, progress)
-    return registration, average_ground(frames, search)
-
-
-def _register_until_converged(
     sampling: Sampling,
+    batches: Iterator[Iterable[Frame]],
     reference: Reference,
     detections: Detections | None,
     progress: Progress,
+) -> tuple[Registration, Background]:
+    """Register and average the frames; without detections, twice over them to remove traffic."""
+    size, total = (reference.height, reference.width), sampling.frame_count
+    registered = chain.from_iterable(
+        register_frames(batch, reference, detections=detections) for batch in batches
+    )
+    if detections or sampling.plain_mean:
+        mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
+        rows = _add_until_converged(registered, mean, add_to_mean, total, progress)
+        return collect_registration(rows, reference), finish_mean(mean)
+    search, kept = TrafficSearch(size, sampling.tolerance), []
+
+    def add_and_keep(search: TrafficSearch, frame: Frame, matrix: Float[Array, "3 3"]) -> None:
+        add_to_search(search, frame, matrix)
+        if sampling.fits_memory:
+            kept.append((replace(frame), matrix))
+
+    rows = _add_until_converged(registered, search, add_and_keep, total, progress)
+    registration = collect_registration(rows, reference)
+    _refuse_few_frames(registration)
+    again = _report_frames(kept or read_registered(sampling, registration), total, progress)
+    return registration, average_ground(again, search)
+
+
+def _report_frames(
+    frames: Iterable[tuple[Frame, Array]], total: int | None, progress: Progress
+) -> Iterator[tuple[Frame, Array]]:
+    for count, pair in enumerate(frames, 1):
+        progress("average", count, total)
+        yield pair
+
+
+def _add_until_converged(
+    registered: Iterator[tuple[Frame, FrameRegistration]],
     background: Accumulated,
     add: Callable[[Accumulated, Frame, Float[Array, "3 3"]], None],
-) -> Registration:
-    """Register frames and add each to the background, until that has converged."""
+    total: int | None,
+    progress: Progress,
+) -> list[Row]:
+    """Add registered frames to the background until that has converged; one row for each frame."""
     rows = []
-    for batch in sampling.read():
-        for frame, result in register_frames(batch, reference, detections=detections):
-            rows.append((frame.index, frame.time, result))
-            progress("register", len(rows), sampling.frame_count)
-            if result.valid:
-                add(background, frame, result.reference_from_frame)
-            if background.converged:
-                return collect_registration(rows, reference)
-    return collect_registration(rows, reference)
+    for frame, result in registered:
+        rows.append((frame.index, frame.time, result))
+        progress("register", len(rows), total)
+        if result.valid:
+            add(background, frame, result.reference_from_frame)
+        if background.converged:
+            break
+    return rows
 
 
 def _refuse_few_frames(registration: Registration) -> None:

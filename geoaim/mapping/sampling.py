@@ -1,7 +1,8 @@
 """Choose the frames of a video from which a map is built, and their order."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import Literal
 
@@ -12,13 +13,13 @@ from numpy import ndarray as Array
 from geoaim.mapping.registration.register import Registration
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
-from geoaim.progress import Progress
 
 FrameCount = int | Literal["auto", "all"]
 
 FIRST_BATCH_FRAMES = 16  # of "auto"; doubled until the background has converged
 MAX_AUTO_FRAMES = 64
 CONVERGED_GREY_LEVELS = 3.0  # by which the second half of the frames may change the background
+MAX_KEPT_BYTES = 1_600_000_000  # of frames that are not decoded twice: 64 RGB frames of 4K
 MIN_FRAMES_PER_BAND = 50  # of "all"; each frame fills one band of rows: twice as fast
 MAX_BANDS = 12
 
@@ -34,6 +35,7 @@ class Sampling:
         bands: n horizontal bands of the image: each pixel averages every n-th frame, which takes n
             times less work per frame.
         plain_mean: whether the mean includes traffic that no detections mask.
+        fits_memory: whether the frames may be kept, so that they are decoded once.
     """
 
     read: Callable[[], Iterator[Iterator[Frame]]]
@@ -41,13 +43,15 @@ class Sampling:
     tolerance: float = 0.0
     bands: int = 1
     plain_mean: bool = False
+    fits_memory: bool = False
 
 
 def sample_video(video: Video, frames: FrameCount) -> Sampling:
     """Choose frames of a video: "auto", "all", or a number of them.
 
     "auto" reads until the background converges: batches that are each spread over the whole video,
-    and as large as all before them together.
+    and as large as all before them together. Where the samples are closer than the keyframes, one
+    pass decodes all batches.
 
     Raises:
         ValueError: `frames` is none of these.
@@ -56,38 +60,50 @@ def sample_video(video: Video, frames: FrameCount) -> Sampling:
     if frames == "all":
         bands = min(max((total or 0) // MIN_FRAMES_PER_BAND, 1), MAX_BANDS)
         return Sampling(lambda: iter([iter(video)]), total, bands=bands, plain_mean=True)
-    if frames == "auto" and total is not None and total > FIRST_BATCH_FRAMES:
-        count = min(MAX_AUTO_FRAMES, total)
-        return Sampling(lambda: _read_batches(video), count, CONVERGED_GREY_LEVELS)
     if frames == "auto":
-        return Sampling(lambda: iter([video.sample(MAX_AUTO_FRAMES)]), total, CONVERGED_GREY_LEVELS)
+        count = min(MAX_AUTO_FRAMES, total or MAX_AUTO_FRAMES)
+        fits = _fit_into_memory(video, count)
+        if total is None or total <= FIRST_BATCH_FRAMES:
+            read, count = (lambda: iter([video.sample(MAX_AUTO_FRAMES)])), total
+        else:
+            one_pass = fits and video.keyframe_interval > 2 * video.duration / MAX_AUTO_FRAMES
+            read = partial(_read_in_one_pass if one_pass else _read_batches, video)
+        return Sampling(read, count, CONVERGED_GREY_LEVELS, fits_memory=fits)
     if not isinstance(frames, int) or frames < 1:
         raise ValueError(f"frames is {frames!r}; 'auto', 'all' or a number of frames is needed")
-    count = frames if total is None else min(frames, total)
-    return Sampling(lambda: iter([video.sample(frames)]), None if total is None else count)
+    fits = _fit_into_memory(video, frames)
+    count = None if total is None else min(frames, total)
+    return Sampling(lambda: iter([video.sample(frames)]), count, fits_memory=fits)
 
 
 def read_registered(
-    sampling: Sampling, registration: Registration, progress: Progress
+    sampling: Sampling, registration: Registration
 ) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-    """Read the frames of a registration again.
-
-    Args:
-        sampling: the choice of frames that was registered.
-        registration: of these frames.
-        progress: called with "average", the frames read and the frames in all.
-
-    Yields:
-        Each valid frame with its reference_from_frame.
-    """
+    """Read the frames of a registration again: each valid one with its reference_from_frame."""
     rows = {time: row for row, time in enumerate(registration.time.tolist())}
     valid = registration.valid
     registered = (frame for frame in chain.from_iterable(sampling.read()) if frame.time in rows)
-    for count, frame in enumerate(registered, 1):
-        progress("average", count, sampling.frame_count)
+    for frame in registered:
         row = rows[frame.time]
         if valid[row]:
             yield frame, registration.reference_from_frame[row]
+
+
+def _fit_into_memory(video: Video, count: int) -> bool:
+    return 3 * video.height * video.width * count <= MAX_KEPT_BYTES
+
+
+def _read_in_one_pass(video: Video) -> Iterator[Iterator[Frame]]:
+    """Decode the frames of all batches in order of time, then yield them as `_read_batches`."""
+    batches = list(_list_batch_times(video.duration))
+    times = np.sort(np.concatenate([times for times, _ in batches]))
+    frames = list(video.read_at(times, batches[-1][1] / 2))
+    decoded = np.array([frame.time for frame in frames])
+    read: set[float] = set()
+    for times, _ in batches:
+        nearest = np.abs(decoded - times[:, None]).argmin(1)
+        # copies, so that what is converted of them does not stay in memory
+        yield _skip_read((replace(frames[index]) for index in nearest), read)
 
 
 def _read_batches(video: Video) -> Iterator[Iterator[Frame]]:
@@ -98,7 +114,7 @@ def _read_batches(video: Video) -> Iterator[Iterator[Frame]]:
         yield _skip_read(video.read_at(times, spacing / 2), read)
 
 
-def _skip_read(frames: Iterator[Frame], read: set[float]) -> Iterator[Frame]:
+def _skip_read(frames: Iterable[Frame], read: set[float]) -> Iterator[Frame]:
     """Yield the frames whose times are not yet in `read`, and add these."""
     for frame in frames:
         if frame.time not in read:

@@ -7,7 +7,6 @@ from geoaim.mapping.registration.register import register
 from geoaim.mapping.report import report_registration
 from geoaim.mapping.sampling import read_registered, sample_video
 from geoaim.mapping.video.video import open_video
-from geoaim.progress import no_progress
 from geoaim.synthetic.camera import render_frame
 
 
@@ -52,7 +51,7 @@ def test_registered_frames_are_read_again_without_the_invalid_ones(clip):
     frames[1] = np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)
     registration = register(frames, reference_time=0)
     sampling = sample_video(open_video(frames), "all")
-    again = list(read_registered(sampling, registration, no_progress))
+    again = list(read_registered(sampling, registration))
     assert [frame.index for frame, _ in again] == [0, 2]
     np.testing.assert_array_equal(again[1][1], registration.reference_from_frame[2])
     assert report_registration(registration)["valid"] == 2

@@ -8,7 +8,7 @@ single frame, and decides whether it is rejected.
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,6 +33,7 @@ from geoaim.mapping.registration.keyframes import (
     select_keyframe,
 )
 from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
+from geoaim.mapping.registration.patches import PatchAlignment
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
@@ -42,6 +43,7 @@ COMPARE_EVERY = 8  # frames, after which a placement is compared with those of o
 COMPARE_SHIFT = 1 / 240  # of the image's width, after which it is compared sooner
 PROBE_FRAMES = 5  # from which the reference and the model are chosen
 PROBE_FEATURES = 800  # of each, that are matched between them
+SAME_TIME_S = 1e-3  # two frames are not nearer
 MIN_LINKED_SHARE = 0.5  # of the probes that must match the reference, unless it is the first frame
 MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error
 MIN_FRAMES_FOR_JUMPS = 5
@@ -202,17 +204,20 @@ def choose_reference(
     detections: Detections | None = None,
     model: Model | None = None,
     time: float | None = None,
+    probes: Sequence[Frame] = (),
 ) -> Reference:
-    """Choose the reference and the motion model by a few frames sampled over the video.
+    """Choose the reference and the motion model by a few frames spread over the video.
 
-    The reference is the sample to which most others can be registered, or the first one when the
-    view moves on so that no sample overlaps with the others.
+    The reference is the middle one if all others can be registered to it, else the one that matches
+    most others, or the first one when the view moves on so that none overlaps with the others.
 
     Args:
         video: the video.
         detections: vehicles whose pixels are left out; None uses all pixels.
-        model: the motion model; None chooses the simplest that the samples need.
+        model: the motion model; None chooses the simplest that the frames need.
         time: of the reference, seconds; None chooses it.
+        probes: frames from the whole video, in order of time, that have been read already; five of
+            them are used. Without any, five are read.
 
     Returns:
         The reference.
@@ -220,26 +225,30 @@ def choose_reference(
     Raises:
         RegistrationError: the reference has too little texture.
     """
-    probes = list(video.sample(PROBE_FRAMES))
+    read = list(probes) or list(video.sample(PROBE_FRAMES))
+    spread = np.linspace(0, len(read) - 1, PROBE_FRAMES).round().astype(int)
+    probes = [read[i] for i in np.unique(spread)]
+    frame = probes[len(probes) // 2]
     if time is not None:
-        probes = [*video.frames_at([time]), *probes]
-    candidates = probes if time is None else probes[:1]
-    features = [
-        detect_features(probe.grey, exclude=mask_detections(probe, detections))
-        for probe in candidates
-    ]
-    best = _choose_best_connected(features, (video.height, video.width))
-    probe = probes[best]
-    keyframe = make_keyframe(probe, features[best], detections, np.eye(3), 0.0)
-    if len(keyframe.fine.points) < MIN_PATCHES:
+        known = (one for one in read if abs(one.time - time) < SAME_TIME_S)
+        frame = next(known, None) or next(iter(video.frames_at([time])))
+    reference = _make_reference(frame, detections, model)
+    placed = _register_probes(reference, probes) if time is None or model is None else []
+    if time is None and not all(result.valid for result, _ in placed):
+        features = [
+            detect_features(probe.grey, exclude=mask_detections(probe, detections))
+            for probe in probes
+        ]
+        best = probes[_choose_best_connected(features, (video.height, video.width))]
+        reference = _make_reference(best, detections, model)
+        placed = _register_probes(reference, probes)
+    patches = len(reference.keyframe.fine.points)
+    if patches < MIN_PATCHES:
         raise RegistrationError(
-            f"the frame at {probe.time:.2f} s has {len(keyframe.fine.points)} patches with enough "
-            f"texture, {MIN_PATCHES} are needed; pass the reference_time of a sharper frame"
+            f"the frame at {reference.time:.2f} s has {patches} patches with enough texture, "
+            f"{MIN_PATCHES} are needed; pass the reference_time of a sharper frame"
         )
-    reference = Reference(
-        keyframe, probe.index, probe.time, model or "homography", None, video.height, video.width
-    )
-    return reference if model else _choose_model(reference, probes)
+    return reference if model else _choose_model(reference, placed)
 
 
 def register_frames(
@@ -306,15 +315,37 @@ def _choose_best_connected(features: list[Features], size: tuple[int, int]) -> i
     return best if degree[best] >= MIN_LINKED_SHARE * (count - 1) else 0
 
 
-def _choose_model(reference: Reference, probes: list[Frame]) -> Reference:
-    """Choose the simplest model that the probes need; the homography when none is registered."""
-    keyframe, matches = reference.keyframe, []
-    for probe in probes:
+def _make_reference(frame: Frame, detections: Detections | None, model: Model | None) -> Reference:
+    """Make a frame the reference; a model that is yet to be chosen is the homography."""
+    features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
+    keyframe = make_keyframe(frame, features, detections, np.eye(3), 0.0)
+    size = frame.grey.shape
+    return Reference(keyframe, frame.index, frame.time, model or "homography", None, *size)
+
+
+def _register_probes(
+    reference: Reference, probes: list[Frame]
+) -> list[tuple[FrameRegistration, PatchAlignment | None]]:
+    """Register all other probes, the nearest in time first, each starting from its neighbour."""
+    keyframe = reference.keyframe
+    placed, priors = [], {reference.time: np.eye(3)}
+    for probe in sorted(probes, key=lambda probe: abs(probe.time - reference.time)):
         if probe.index == reference.index:
             continue
-        registration, alignment = register_frame(
-            probe.grey, [keyframe], keyframe, np.eye(3), "homography"
-        )
+        prior = priors[min(priors, key=lambda time: abs(time - probe.time))]
+        result = register_frame(probe.grey, [keyframe], keyframe, prior, "homography")
+        placed.append(result)
+        if result[0].valid:
+            priors[probe.time] = result[0].reference_from_frame
+    return placed
+
+
+def _choose_model(
+    reference: Reference, placed: list[tuple[FrameRegistration, PatchAlignment | None]]
+) -> Reference:
+    """Choose the simplest model that the probes need; the homography when none is registered."""
+    keyframe, matches = reference.keyframe, []
+    for registration, alignment in placed:
         if registration.valid and alignment is not None:
             points = keyframe.fine.points[alignment.fitted]
             # measured: the reference point plus its residual corresponds to the frame's point

@@ -41,6 +41,8 @@ class Video:
         read_at: reads the frames at times (s, ascending), or keyframes within some seconds of them.
         read_telemetry: reads the state of the camera over time; None where there is none.
         names: file names of images, None for other sources.
+        keyframe_interval: seconds between the frames of which none but themselves is decoded; 0
+            where that is every frame, inf where all are read from the first on.
     """
 
     source: str
@@ -52,6 +54,7 @@ class Video:
     read_at: Callable[[Float[Array, " n"], float], Iterator[Frame]]
     read_telemetry: Callable[[], Telemetry | None] = lambda: None
     names: tuple[str, ...] | None = None
+    keyframe_interval: float = 0.0
 
     def __iter__(self) -> Iterator[Frame]:
         return self.read_all()
@@ -154,6 +157,7 @@ def _open_file(path: Path, threads: int | None) -> Video:
         read_all=lambda: read_frames(file),
         read_at=lambda times, slack: read_frames_at(file, times.tolist(), slack),
         read_telemetry=lambda: _read_sidecar(path),
+        keyframe_interval=file.keyframe_interval,
     )
 
 
@@ -247,7 +251,7 @@ def _open_stream(arrays: Iterable[Any], rate: float) -> Video:
         indices = set(_compute_indices(times, rate, sum(1 for _ in arrays)))
         return (frame for frame in read() if frame.index in indices)
 
-    return Video("arrays", height, width, rate, None, read, read_at)
+    return Video("arrays", height, width, rate, None, read, read_at, keyframe_interval=math.inf)
 
 
 def _compute_indices(times: Float[Array, " n"], rate: float, count: int) -> list[int]:
