@@ -61,19 +61,18 @@ def sample_video(video: Video, frames: FrameCount) -> Sampling:
         bands = min(max((total or 0) // MIN_FRAMES_PER_BAND, 1), MAX_BANDS)
         return Sampling(lambda: iter([iter(video)]), total, bands=bands, plain_mean=True)
     if frames == "auto":
-        count = min(MAX_AUTO_FRAMES, total or MAX_AUTO_FRAMES)
-        fits = _fit_into_memory(video, count)
+        fits = _fit_into_memory(video, min(total or MAX_AUTO_FRAMES, MAX_AUTO_FRAMES))
         if total is None or total <= FIRST_BATCH_FRAMES:
-            read, count = (lambda: iter([video.sample(MAX_AUTO_FRAMES)])), total
-        else:
-            one_pass = fits and video.keyframe_interval > 2 * video.duration / MAX_AUTO_FRAMES
-            read = partial(_read_in_one_pass if one_pass else _read_batches, video)
+            read = partial(_read_one_batch, video, MAX_AUTO_FRAMES)
+            return Sampling(read, total, CONVERGED_GREY_LEVELS, fits_memory=fits)
+        one_pass = fits and video.keyframe_interval > 2 * video.duration / MAX_AUTO_FRAMES
+        read = partial(_read_in_one_pass if one_pass else _read_batches, video)
+        count = min(MAX_AUTO_FRAMES, total)
         return Sampling(read, count, CONVERGED_GREY_LEVELS, fits_memory=fits)
     if not isinstance(frames, int) or frames < 1:
         raise ValueError(f"frames is {frames!r}; 'auto', 'all' or a number of frames is needed")
-    fits = _fit_into_memory(video, frames)
-    count = None if total is None else min(frames, total)
-    return Sampling(lambda: iter([video.sample(frames)]), count, fits_memory=fits)
+    read, fits = partial(_read_one_batch, video, frames), _fit_into_memory(video, frames)
+    return Sampling(read, None if total is None else min(frames, total), fits_memory=fits)
 
 
 def read_registered(
@@ -91,6 +90,10 @@ def read_registered(
 
 def _fit_into_memory(video: Video, count: int) -> bool:
     return 3 * video.height * video.width * count <= MAX_KEPT_BYTES
+
+
+def _read_one_batch(video: Video, count: int) -> Iterator[Iterator[Frame]]:
+    yield video.sample(count)
 
 
 def _read_in_one_pass(video: Video) -> Iterator[Iterator[Frame]]:

@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain, dropwhile, groupby, islice
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -277,26 +277,22 @@ def _plan_runs(
     file: VideoFile, container: Any, stream: Any, times: list[float], slack: float
 ) -> list[_Run]:
     """Group times by the keyframe with which their frames are decoded."""
-    chosen = [_choose_keyframe(file, container, stream, time, slack) for time in times]
+    choices: list[tuple[_Keyframe | None, float, bool]] = []
+    before = after = None
+    for time in times:
+        if before is None or time < before.time or (after and time >= after.time):
+            before = _find_keyframe_before(file, container, stream, time)
+            after = _seek_keyframe(file, container, stream, time, backward=False)
+        nearest = after if before and after and after.time - time < time - before.time else before
+        if nearest and time > 0 and 0 < slack >= abs(nearest.time - time):
+            choices.append((nearest, nearest.time, True))
+        else:
+            choices.append((before, time, False))
     runs = []
-    for keyframe, group in groupby(zip(chosen, times, strict=True), lambda pair: pair[0][0]):
-        pairs = list(group)
-        alone = all(is_near for (_, is_near), _ in pairs)
-        wanted = [keyframe.time if keyframe and is_near else time for (_, is_near), time in pairs]
-        runs.append(_Run(keyframe, wanted, alone))
+    for keyframe, group in groupby(choices, itemgetter(0)):
+        _, shown, replaced = zip(*group, strict=True)
+        runs.append(_Run(keyframe, list(shown), all(replaced)))
     return runs
-
-
-def _choose_keyframe(
-    file: VideoFile, container: Any, stream: Any, time: float, slack: float
-) -> tuple[_Keyframe | None, bool]:
-    """The keyframe with which to decode the frame at a time, and whether it replaces the frame."""
-    before = _find_keyframe_before(file, container, stream, time)
-    if before is None or slack == 0 or time <= 0:
-        return before, False
-    after = _seek_keyframe(file, container, stream, time, backward=False)
-    nearest = after if after and after.time - time < time - before.time else before
-    return (nearest, True) if abs(nearest.time - time) <= slack else (before, False)
 
 
 def _find_keyframe_before(
