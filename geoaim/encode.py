@@ -18,8 +18,9 @@ def write_video(
     frame_rate: float = 30,
     crf: int = 20,
     megabits: float | None = None,
+    keyframe_interval: int | None = None,
 ) -> Path:
-    """Encode frames as H.264 (yuv420p) with a keyframe each second.
+    """Encode frames as H.264 (yuv420p).
 
     Args:
         frames: (H, W, 3) RGB images of one size.
@@ -27,13 +28,14 @@ def write_video(
         frame_rate: frames per second.
         crf: constant rate factor of x264; lower is better.
         megabits: bit rate in Mbit/s; it replaces the constant quality.
+        keyframe_interval: frames from one keyframe to the next; None makes it a second.
 
     Returns:
         `path`.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
     with atomic_write(path) as temporary, av.open(str(temporary), "w") as container:
-        interval = str(round(frame_rate))
+        interval = str(keyframe_interval or round(frame_rate))
         options = {"preset": "medium", "g": interval, "keyint_min": interval, "sc_threshold": "0"}
         options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
         stream = container.add_stream("libx264", rate, options=options)

@@ -28,6 +28,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.background.running_mean import average_frames
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, register_frames
+from geoaim.mapping.sampling import FrameCount
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
@@ -160,13 +161,14 @@ def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
                 offset += span
 
 
-def build(path: Path) -> None:
+def build(path: Path, *, frames: FrameCount = "auto") -> None:
     """Build an AIM, with control points in the corners and the middle of the frame."""
     video = open_video(path, threads=THREADS)
     pixels = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9], [0.5, 0.5]])
     pixels *= [video.width, video.height]
     points = np.hstack([pixels, transform_points(GROUND, pixels)])
-    build_aim(video, [dict(zip("uvxy", row, strict=True), crs="local") for row in points])
+    gcps = [dict(zip("uvxy", row, strict=True), crs="local") for row in points]
+    build_aim(video, gcps, frames=frames)
 
 
 def _measure_cost(method: Callable[[Path], object], path: Path) -> tuple[float, float]:
