@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
+from geoaim.encode import write_video
 from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
+from geoaim.mapping.video import decoding
 from geoaim.synthetic.camera import reference_from_frames, render_background, render_frame
 from tests.conftest import textured
 
@@ -154,3 +156,17 @@ def test_the_mean_of_all_frames_uses_them_all(frames):
         aim.report["background"] | {"method": "mean", "frames_used": 12}
         == (aim.report["background"])
     )
+
+
+def test_a_clip_with_one_keyframe_is_decoded_once(frames, tmp_path, monkeypatch):
+    decoded = []
+    original = decoding._decode
+
+    def counted(codec, packets):
+        return original(codec, (decoded.append(1) or packet for packet in packets))
+
+    many = [frames[i % len(frames)] for i in range(40)]
+    path = write_video(many, tmp_path / "clip.mp4", keyframe_interval=1000)
+    monkeypatch.setattr(decoding, "_decode", counted)
+    build_aim(path, points_on(0))
+    assert len(decoded) < 40 + 16  # and the first frame when the file is opened, and for the points

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -24,6 +25,31 @@ def test_batches_of_auto_double_and_share_no_frame():
     assert len(set(chain.from_iterable(batches))) == 64
     for batch in batches:
         assert max(np.diff(batch)) <= 640 / len(batch) + 1
+
+
+def test_one_pass_gives_the_same_batches():
+    video = blank_video(640)
+    assert read_indices(replace(video, keyframe_interval=np.inf), "auto") == read_indices(
+        video, "auto"
+    )
+
+
+def test_one_pass_reads_the_video_once():
+    readings = []
+    video = blank_video(640)
+
+    def read_at(times, slack):
+        readings.append(len(times))
+        return video.read_at(times, slack)
+
+    spaced = replace(video, keyframe_interval=10.0, read_at=read_at)
+    assert sum(len(batch) for batch in read_indices(spaced, "auto")) == 64
+    assert readings == [64]
+
+
+def test_only_frames_that_fit_into_memory_are_kept():
+    assert sample_video(blank_video(640), "auto").fits_memory
+    assert not sample_video(replace(blank_video(640), height=10_000, width=10_000), 6).fits_memory
 
 
 def test_short_video_is_read_whole_in_one_batch():

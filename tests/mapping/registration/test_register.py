@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -157,3 +159,16 @@ def test_a_view_that_swings_back_and_forth_makes_few_keyframes(frames):
     reference = choose_reference(open_video(views), time=0)
     placed = [placement for _, placement in register_frames(open_video(views), reference)]
     assert all(placement.valid for placement in placed)
+
+
+def test_probes_that_were_read_already_are_not_read_again(frames):
+    video = open_video(frames)
+
+    def refuse(*_):
+        raise AssertionError("frames were read again")
+
+    silent = replace(video, read_all=refuse, read_at=refuse)
+    for time in (0.0, 3.0):
+        reference = choose_reference(silent, time=time, probes=list(video))
+        again = choose_reference(video, time=time)
+        assert (reference.index, reference.model) == (again.index, again.model)

@@ -43,6 +43,7 @@ def write_clip(
     bframes: int = 2,
     stamps: Sequence[int] | None = None,
     rotation: int = 0,
+    x264: str = "",
     audio_only: bool = False,
     **options: str,
 ) -> Path:
@@ -61,6 +62,7 @@ def write_clip(
             "preset": "ultrafast",
             "crf": "12",
             "sc_threshold": "0",
+            "x264-params": x264,
         }
         if stamps is not None:
             stream.codec_context.time_base = Fraction(1, 1000)
@@ -212,6 +214,27 @@ def test_samples_decode_keyframes_only(tmp_path: Path, monkeypatch: pytest.Monke
         assert len(list(video.sample(8))) == 8
         spent.append(len(decoded))
     assert spent[1] <= spent[0]
+
+
+def test_keyframes_of_open_groups_are_those_of_the_whole_pass(tmp_path: Path) -> None:
+    video = open_video(write_clip(tmp_path / "open.mp4", 100, x264="open-gop=1"))
+    whole = {frame.index: frame.image for frame in video}
+    found = list(video.sample(9))
+    assert sum(frame.decoded.key_frame for frame in found) > 6
+    for frame in found:
+        np.testing.assert_array_equal(frame.image, whole[frame.index])
+
+
+@pytest.mark.parametrize(("gop", "interval"), [(1, 1 / RATE), (12, 0.4), (1000, np.inf)])
+def test_keyframe_interval_is_that_of_the_file(tmp_path: Path, gop: int, interval: float) -> None:
+    video = open_video(write_clip(tmp_path / "spaced.mp4", gop=gop))
+    assert video.keyframe_interval == pytest.approx(interval)
+
+
+def test_arrays_need_no_keyframes_but_iterables_are_read_from_the_first_frame_on() -> None:
+    arrays = [picture(0), picture(1)]
+    assert open_video(arrays).keyframe_interval == 0
+    assert open_video(ReIterable(arrays)).keyframe_interval == np.inf
 
 
 def test_grey_is_a_read_only_view_of_the_decoder(clips: dict[str, Path]) -> None:
