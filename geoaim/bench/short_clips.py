@@ -125,13 +125,8 @@ def main(
             megabits=MEGABITS,
         )
         spaced = measure_spacings(source, folder, [int(n) for n in spacings.split(",")], runs)
-    write_rows(
-        rows + spaced,
-        json,
-        command="python -m geoaim.bench.short_clips",
-        threads=THREADS,
-        frames=frames,
-    )
+    command = "python -m geoaim.bench.short_clips" + (" --clip CLIP" if clip else "")
+    write_rows(rows + spaced, json, command=command, threads=THREADS, frames=frames)
 
 
 if __name__ == "__main__":
