@@ -18,61 +18,48 @@ import typer
 from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.pipeline import THREADS, build, decode
 from geoaim.bench.registration_methods import list_methods
-from geoaim.bench.report import format_table, write_rows
+from geoaim.bench.report import JsonFile, print_rows, write_rows
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
 STILL = "00003"
 MEGABITS = 20.0
+METHODS = ("decode", "all", "auto")
 SET_UP_FRAMES = 60
 ORB = "ORB 2000 + MAGSAC"
 ORB_FRAMES = 10  # each takes as long as the others
 
 
-def measure_spacings(
-    clip: Path, folder: Path, spacings: list[int], runs: int
-) -> list[dict[str, Any]]:
-    """Measure decoding, `frames="all"` and `frames="auto"` for each number of frames a keyframe.
+def measure_spacings(clip: Path, spacing: int, runs: int) -> list[dict[str, Any]]:
+    """Measure decoding, "all" and "auto" on a clip with a keyframe every `spacing` frames.
 
     Args:
-        clip: video that is encoded anew with each spacing.
-        folder: where these videos are written.
-        spacings: frames from one keyframe to the next.
+        clip: video that is encoded anew, beside it.
+        spacing: frames from one keyframe to the next.
         runs: timed runs of each method, in turn.
 
     Returns:
-        Rows of the table, with seconds.
+        Rows of the table: medians of wall-clock and CPU seconds.
     """
-    methods: dict[str, Callable[[Path], object]] = {
-        "decode": decode,
-        "all": lambda path: build(path, frames="all"),
-        "auto": build,
-    }
-    rows = []
-    for spacing in spacings:
-        frames = (frame.image for frame in open_video(clip))
-        path = write_video(
-            frames, folder / f"{spacing}.mp4", megabits=MEGABITS, keyframe_interval=spacing
-        )
-        times = {name: np.empty((runs, 2)) for name in methods}
-        for run in range(runs):
-            for name, method in methods.items():
-                start = np.array([time.perf_counter(), time.process_time()])
-                method(path)
-                times[name][run] = [time.perf_counter(), time.process_time()] - start
-        for name, measured in times.items():
-            wall, cpu = np.median(measured, axis=0)
-            rows.append(
-                {
-                    "frames_per_keyframe": spacing,
-                    "method": name,
-                    "seconds": wall,
-                    "cpu_seconds": cpu,
-                }
-            )
-        print(format_table(rows[-len(methods) :]), flush=True)
-    return rows
+    frames = (frame.image for frame in open_video(clip))
+    path = clip.with_name(f"{spacing}.mp4")
+    write_video(frames, path, megabits=MEGABITS, keyframe_interval=spacing)
+    methods: list[Callable[[], object]] = [
+        lambda: decode(path),
+        lambda: build(path, frames="all"),
+        lambda: build(path),
+    ]
+    times = np.empty((len(methods), runs, 2))
+    for run in range(runs):
+        for number, method in enumerate(methods):
+            start = np.array([time.perf_counter(), time.process_time()])
+            method()
+            times[number, run] = [time.perf_counter(), time.process_time()] - start
+    return [
+        {"frames_per_keyframe": spacing, "method": name, "seconds": wall, "cpu_seconds": cpu}
+        for name, (wall, cpu) in zip(METHODS, np.median(times, axis=1), strict=True)
+    ]
 
 
 def measure_set_up(runs: int) -> list[dict[str, Any]]:
@@ -104,29 +91,21 @@ def measure_set_up(runs: int) -> list[dict[str, Any]]:
 
 
 def main(
-    json: Annotated[Path | None, typer.Option(help="JSON to write")] = None,
+    json: JsonFile = None,
     frames: Annotated[int, typer.Option(help="frames of the clip, at 30 frames/s")] = 300,
-    spacings: Annotated[
-        str, typer.Option(help="frames per keyframe, comma-separated")
-    ] = "1,30,300",
     runs: Annotated[int, typer.Option(help="timed runs of each method")] = 3,
-    clip: Annotated[Path | None, typer.Option(help="use this file instead of making one")] = None,
 ) -> None:
     """Measure short clips and the set-up; print tables; write JSON if asked."""
     cv2.setNumThreads(1)
-    rows = measure_set_up(runs)
-    print(format_table(rows))
+    rows = print_rows(measure_set_up(runs))
     cv2.setNumThreads(THREADS)
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        source = clip or write_video(
-            make_hover_video(STILL, size="1080p", count=frames, kind="queue"),
-            folder / "clip.mp4",
-            megabits=MEGABITS,
-        )
-        spaced = measure_spacings(source, folder, [int(n) for n in spacings.split(",")], runs)
-    command = "python -m geoaim.bench.short_clips" + (" --clip CLIP" if clip else "")
-    write_rows(rows + spaced, json, command=command, threads=THREADS, frames=frames)
+    with TemporaryDirectory() as folder:
+        video = make_hover_video(STILL, size="1080p", count=frames, kind="queue")
+        clip = write_video(video, Path(folder, "clip.mp4"), megabits=MEGABITS)
+        for spacing in (1, 30, frames):
+            rows += print_rows(measure_spacings(clip, spacing, runs))
+    command = f"python -m geoaim.bench.short_clips --frames {frames} --runs {runs}"
+    write_rows(rows, json, command=command, threads=THREADS)
 
 
 if __name__ == "__main__":
