@@ -22,6 +22,7 @@ from geoaim.bench import (
     registration_real,
     report,
     scenery_ablation,
+    short_clips,
 )
 from geoaim.encode import write_video
 from geoaim.mapping.registration.register import register
@@ -96,6 +97,13 @@ def test_pipeline_repeats_packets_and_counts_frames(video, tmp_path):
     rows = list(pipeline.measure_throughput(clip, 1))
     assert [row["method"] for row in rows][:2] == ["decode", "register_all"]
     assert all(row["frames_per_s"] > 0 for row in rows)
+
+
+def test_short_clips_are_decoded_and_built(video, tmp_path):
+    clip = write_video(list(video), tmp_path / "clip.mp4")
+    rows = short_clips.measure_spacings(clip, 2, 1)
+    assert [row["method"] for row in rows] == ["decode", "all", "auto"]
+    assert all(row["cpu_seconds"] > 0 for row in rows)
 
 
 def test_generation_is_timed_beside_a_lower_bound():

@@ -7,6 +7,7 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.video import decoding
+from geoaim.progress import no_progress
 from geoaim.synthetic.camera import reference_from_frames, render_background, render_frame
 from tests.conftest import textured
 
@@ -97,6 +98,10 @@ def test_progress_reports_each_stage(frames):
     build_aim(frames, points_on(0), progress=lambda *call: calls.append(call))
     assert {stage for stage, _, _ in calls} == {"register", "average"}
     assert calls[-1] == ("average", 12, 12)
+
+
+def test_progress_is_ignored_by_default():
+    assert no_progress("average", 3, None) is None
 
 
 @pytest.mark.filterwarnings("ignore:the ground is uncertain")  # at the ends few frames see it
