@@ -50,6 +50,10 @@ EXEMPT = {  # measurements, whose results their own checks would show
     "bench/overlay.py": "half a pixel subtracted; paint is compared with the drawn lines",
     "bench/pipeline.py": "peers, as their users call them",
     "bench/registration_methods.py": "peers, as their users call them",
+    "bench/stability/clips.py": "only starts an iteration",
+    "bench/stability/effects.py": "radial growth and clouds, about the middle of the image",
+    "bench/stability/judge.py": "points with points",
+    "bench/stability/warped.py": "tests/bench/test_stability.py compares frames with the truth",
     "bench/queue_clips.py": "places of cars, which need no fraction of a pixel",
     "mapping/registration/rivals.py": "peaks of whole pixels; patches measure the rest",
 }
@@ -232,6 +236,7 @@ def test_images_are_resized_only_in_these_ways():
                 assert way in (*RESIZED_BY, "INTER_NEAREST"), name
                 nearest |= {name} if way == "INTER_NEAREST" else set()
     assert nearest == {
+        "bench/stability/warped.py",
         "experiments/places.py",
         "mapping/background/warping.py",
         "mapping/registration/patches.py",

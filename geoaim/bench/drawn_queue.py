@@ -29,11 +29,11 @@ def draw_queue(*, standing: float, seed: int, count: int = 32) -> QueueClip:
     Returns:
         The clip. Queues stand in three lanes of six.
     """
-    random = np.random.default_rng([seed, 2])
-    angle = random.uniform(0, np.pi)
+    generator = np.random.default_rng([seed, 2])
+    angle = generator.uniform(0, np.pi)
     axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    road, cars = _draw_road(random, axes), _list_cars(random, standing)
-    shadow = random.uniform(-9, 9, 2)
+    road, cars = _draw_road(generator, axes), _list_cars(generator, standing)
+    shadow = generator.uniform(-9, 9, 2)
     frames, covers = [], []
     for t in (np.arange(count) + 0.5) / count:
         frame, cover = road.copy(), np.zeros((HEIGHT, WIDTH), np.uint8)
@@ -43,7 +43,7 @@ def draw_queue(*, standing: float, seed: int, count: int = 32) -> QueueClip:
             _draw_car(frame, cover, replace(car, x=x), axes, shadow)
         covers.append(cover)
         soft = cv2.GaussianBlur(frame, (0, 0), 0.6)
-        noisy = soft + random.normal(0, 2.5, soft.shape)
+        noisy = soft + generator.normal(0, 2.5, soft.shape)
         frames.append(np.rint(noisy).clip(0, 255).astype(np.uint8))
     ground = np.rint(cv2.GaussianBlur(road, (0, 0), 0.6)).clip(0, 255).astype(np.uint8)
     return QueueClip(np.stack(frames), ground, np.stack(covers).mean(axis=0).astype(np.float32))
@@ -59,36 +59,38 @@ class _Car:
     release: float  # time at which it starts, as a share of the clip; inf for one that passes
 
 
-def _list_cars(random: np.random.Generator, standing: float) -> list[_Car]:
+def _list_cars(generator: np.random.Generator, standing: float) -> list[_Car]:
     cars = []
     for lane in range(6):
-        x = random.uniform(120, 260)
+        x = generator.uniform(120, 260)
         for rank in range(24 if lane in QUEUE_LANES else 9):
-            length, width = random.uniform(40, 54), random.uniform(17, 21)
-            colour = random.choice(PAINTS) + random.normal(0, 8, 3)
+            length, width = generator.uniform(40, 54), generator.uniform(17, 21)
+            colour = generator.choice(PAINTS) + generator.normal(0, 8, 3)
             release = standing + 0.02 * rank if lane in QUEUE_LANES else np.inf
-            y = (lane - 2.5) * LANE_PX + random.normal(0, 1.5)
+            y = (lane - 2.5) * LANE_PX + generator.normal(0, 1.5)
             cars.append(_Car(x, y, length, width, colour.clip(5, 250), release))
-            x -= length + random.uniform(6, 30)
+            x -= length + generator.uniform(6, 30)
     return cars
 
 
-def _draw_road(random: np.random.Generator, axes: Float[Array, "2 2"]) -> Float32[Array, "h w 3"]:
+def _draw_road(
+    generator: np.random.Generator, axes: Float[Array, "2 2"]
+) -> Float32[Array, "h w 3"]:
     """Asphalt with patches, lane lines and a crossing between two verges."""
     fine, coarse = (
-        cv2.GaussianBlur(random.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), sigma) * sigma
+        cv2.GaussianBlur(generator.normal(0, 1, (HEIGHT, WIDTH)), (0, 0), sigma) * sigma
         for sigma in (1, 12)
     )
     verge = np.array([88, 105, 62]) + 30 * (fine + coarse)[..., None]
-    asphalt = random.uniform(80, 130) + (14 * fine + 10 * coarse)[..., None] + np.zeros(3)
+    asphalt = generator.uniform(80, 130) + (14 * fine + 10 * coarse)[..., None] + np.zeros(3)
     surface = np.zeros((HEIGHT, WIDTH), np.uint8)
     cv2.fillPoly(surface, [_place([-900, 900], [-104, 104], axes)], [1], cv2.LINE_8, 4)
     ground = np.where(surface[..., None] > 0, asphalt, verge).astype(np.float32)
     for _ in range(25):
-        x, y = random.uniform(-450, 450), random.uniform(-100, 100)
-        ends = [x, x + random.uniform(10, 90)], [y, y + random.uniform(3, 25)]
+        x, y = generator.uniform(-450, 450), generator.uniform(-100, 100)
+        ends = [x, x + generator.uniform(10, 90)], [y, y + generator.uniform(3, 25)]
         patched = ground.copy()
-        grey = random.uniform(60, 130)
+        grey = generator.uniform(60, 130)
         cv2.fillPoly(patched, [_place(*ends, axes)], [grey] * 3, cv2.LINE_8, 4)
         ground = 0.5 * ground + 0.5 * patched
     for line in range(7):

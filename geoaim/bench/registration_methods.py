@@ -25,6 +25,7 @@ Registered = tuple[Matrices, list[float]]
 # A method takes frames and vehicle boxes, and returns matrices (NaN where it refuses a frame) and
 # the seconds that each frame took.
 Method = Callable[[Any, list[Array]], Registered]
+MIN_PAIRS = 4  # a homography needs no fewer
 # A rival takes the reference, grey, and returns what registers grey frames to it: a function that
 # returns reference_from_frame, or None where it refuses a frame.
 RegisterGrey = Callable[[Grey], Matrix | None]
@@ -104,7 +105,11 @@ def match_features(make_detector: Callable[[], Any], norm: int) -> Rival:
 
         def register(grey: Grey) -> Matrix | None:
             points, descriptors = detector.detectAndCompute(grey, None)
+            if descriptors is None or reference_descriptors is None:
+                return None
             pairs = matcher.match(descriptors, reference_descriptors)
+            if len(pairs) < MIN_PAIRS:
+                return None
             source = np.array([points[pair.queryIdx].pt for pair in pairs])
             target = np.array([reference_points[pair.trainIdx].pt for pair in pairs])
             homography, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, 2.0)

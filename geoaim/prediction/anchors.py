@@ -1,7 +1,6 @@
 """Trajectory proposals: several coarse trajectories at once, of which each sample follows one.
 
-They go beyond the paper. Only the best proposals of each agent are trained, so that the proposals
-spread over what may happen, as best-of-K measures reward.
+Beyond the paper. Only the best proposals of each agent are trained, so that they spread.
 """
 
 import torch
@@ -44,9 +43,7 @@ class AnchorHead(nn.Module):
     ) -> None:
         super().__init__()
         if history < 2:
-            raise ValueError(
-                f"anchors need a velocity, hence two or more observed steps; history is {history}"
-            )
+            raise ValueError(f"anchors need two or more observed steps; history is {history}")
         self.steps = [round(horizon * (k + 1) / points) for k in range(points)]
         self.propose = build_mlp(feature_size + 2 * history, 2 * width, num_anchors * 2 * points)
         self.score = build_mlp(feature_size + 2 * history, width, num_anchors)

@@ -1,0 +1,1 @@
+"""Stability of the registration: a sweep over kinds of hardship, with exact truth."""

@@ -1,0 +1,136 @@
+"""Judge registrations against the truth: errors, verdicts, breakpoints, calibration."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.bench.stability.clips import CORNERS, Clip, make_grid
+from geoaim.geometry import transform_points
+
+MAX_RIGHT_ERROR_PX = 1.0
+# The stated uncertainty is the RMS displacement of the corners. The factor to its 95 % region is
+# that of a displacement common to all corners: chi-squared with two degrees of freedom.
+TO_95 = float(np.sqrt(5.991 / 2))
+MAX_UNDERSTATEMENT = 5.0
+FAR_PX = 10.0
+MIN_RIGHT_SHARE = 0.8  # of the frames of a level that is not beyond the breakpoint
+VERDICTS = ("right", "refused", "wrong and said", "understated", "wrong and sure")
+
+
+def judge_frames(
+    clip: Clip,
+    reference: int,
+    matrices: Float[Array, "T 3 3"],
+    uncertainty: Float[Array, " T"] | None,
+) -> list[dict[str, Any]]:
+    """Judge each frame but the reference.
+
+    The truth is the ground's own map on a grid of 5 x 5 points. Where no homography can be exact
+    (lens, rolling shutter, torn frames) the error therefore counts what a user would see on the
+    map, and `floor` tells how small the best homography could make it.
+
+    Args:
+        clip: the clip.
+        reference: number of the frame to which the others are registered.
+        matrices: (T, 3, 3) reference_from_frame, NaN where refused.
+        uncertainty: (T,) stated standard deviation of the corners, px; None where not stated.
+
+    Returns:
+        A row for each frame: errors in px, the statement and the verdict.
+    """
+    grid, rows = make_grid(clip.size), []
+    for index, matrix in enumerate(matrices):
+        if index == reference:
+            continue
+        truth = clip.find_truth(reference, index)
+        best, _ = cv2.findHomography(grid, truth)
+        error = np.linalg.norm(transform_points(matrix, grid) - truth, axis=1)
+        stated = np.nan if uncertainty is None else float(uncertainty[index])
+        row = {
+            "index": index,
+            "error": float(error.max()),
+            "rms": float(np.sqrt((error[CORNERS] ** 2).mean())),
+            "floor": float(np.linalg.norm(transform_points(best, grid) - truth, axis=1).max()),
+            "stated": stated,
+        }
+        rows.append(row | {"verdict": decide_verdict(row["error"], row["rms"], stated)})
+    return rows
+
+
+def decide_verdict(error: float, rms: float, stated: float) -> str:
+    """Decide the verdict on one frame.
+
+    Args:
+        error: largest over the frame, px; NaN where refused.
+        rms: over the corners, px.
+        stated: standard deviation of the corners, px; NaN where the method states none.
+
+    Returns:
+        One of VERDICTS. "understated" is right, and yet over five times the statement.
+    """
+    if not np.isfinite(error):
+        return "refused"
+    if error > MAX_RIGHT_ERROR_PX:
+        is_told = rms <= TO_95 * stated and rms <= MAX_UNDERSTATEMENT * stated
+        return "wrong and said" if is_told else "wrong and sure"
+    return "understated" if rms > MAX_UNDERSTATEMENT * stated else "right"
+
+
+def find_breakpoint(frames: pd.DataFrame) -> int:
+    """Rank of the last level before the share of right frames first falls too low; -1 for none."""
+    share = (frames.error <= MAX_RIGHT_ERROR_PX).groupby(frames["rank"]).mean()
+    return int((share >= MIN_RIGHT_SHARE).cummin().sum()) - 1
+
+
+def summarise(frames: pd.DataFrame) -> pd.DataFrame:
+    """Summarise each kind: counts of verdicts, share inside the stated 95 %, breakpoints.
+
+    Args:
+        frames: rows of judged frames of all methods.
+
+    Returns:
+        A row for each kind.
+    """
+    rows = []
+    for kind, of_kind in frames.groupby("kind", sort=False):
+        own = of_kind[of_kind.method == "geoaim"]
+        valid = own[own.error.notna()]
+        levels = of_kind.groupby("rank")["level"].first().to_list()
+        row: dict[str, Any] = {"kind": kind, "frames": len(own)}
+        row |= {verdict: int((own.verdict == verdict).sum()) for verdict in VERDICTS}
+        row["inside 95 %"] = float((valid.rms <= TO_95 * valid.stated).mean())
+        row["rms / stated"] = float(np.sqrt(((valid.rms / valid.stated) ** 2).mean()))
+        for method, theirs in of_kind.groupby("method", sort=False):
+            rank = find_breakpoint(theirs)
+            row[f"{method} up to"] = f"{levels[rank]:g}" if rank >= 0 else "none"
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
+    """Count this library's frames that are wrong without saying so, or over five times the
+    statement, and those of them that are off by over 10 px."""
+    own = frames[frames.method == "geoaim"]
+    silent = own[own.verdict.isin(["wrong and sure", "understated"])]
+    return {
+        "frames": len(own),
+        "valid": int(own.error.notna().sum()),
+        "silent": len(silent),
+        "share": len(silent) / len(own),
+        "far": int((silent.error > FAR_PX).sum()),
+    }
+
+
+def measure_refused(frames: pd.DataFrame) -> float:
+    """Share of refused frames at levels up to the best rival's breakpoint; NaN without rivals."""
+    refused = []
+    for _, of_kind in frames.groupby("kind"):
+        theirs = of_kind[of_kind.method != "geoaim"]
+        rank = max((find_breakpoint(one) for _, one in theirs.groupby("method")), default=-1)
+        own = of_kind[(of_kind.method == "geoaim") & (of_kind["rank"] <= rank)]
+        refused.append(own.verdict == "refused")
+    return float(pd.concat(refused).mean())

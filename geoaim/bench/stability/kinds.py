@@ -1,0 +1,198 @@
+"""Kinds of hardship, each with levels from harmless to hopeless.
+
+Lengths in pixels are for frames 960 px wide, and grow with the width.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+Pattern = Literal["", "parking", "panels", "tiles"]
+
+
+@dataclass(frozen=True)
+class Hardship:
+    """What makes a clip hard; the defaults are an easy clip.
+
+    Attributes:
+        traffic: share of the ground under vehicles that move together, each in its own place.
+        flow: share of the ground that is road, on which vehicles enter and leave.
+        pattern: periodic texture.
+        pattern_step: periods that the camera moves along it in a frame.
+        pattern_share: of the frame's height that it covers.
+        water: share of the frame's height that is water with moving waves.
+        roofs: share of the ground under roofs, which show parallax.
+        trees: share of the ground under swaying trees.
+        contrast: of the ground, relative.
+        drift: of the camera over the clip, px.
+        shake: of the camera from frame to frame, px.
+        rotation: of the frames after the first third, degrees.
+        scale: magnification of these frames.
+        shift: of these frames, as a share of the width.
+        tilt: of these frames: displacement of the corners, px.
+        is_abrupt: whether these frames come at once, not over the first third of the clip.
+        lens: radial distortion k1, radius relative to half the diagonal.
+        rolling: amplitude of the rows' displacement by vibration under a rolling shutter, px.
+        torn: displacement of the lower part of every second frame, px.
+        interlaced: displacement between even and odd rows, px.
+        split: share of the width that shows another camera's view.
+        effects: names and levels of effects on the finished images (see `effects.py`).
+    """
+
+    traffic: float = 0.03
+    flow: float = 0.0
+    pattern: Pattern = ""
+    pattern_step: float = 0.0
+    pattern_share: float = 1.0
+    water: float = 0.0
+    roofs: float = 0.0
+    trees: float = 0.0
+    contrast: float = 1.0
+    drift: float = 12.0
+    shake: float = 0.3
+    rotation: float = 0.0
+    scale: float = 1.0
+    shift: float = 0.0
+    tilt: float = 0.0
+    is_abrupt: bool = False
+    lens: float = 0.0
+    rolling: float = 0.0
+    torn: float = 0.0
+    interlaced: float = 0.0
+    split: float = 0.0
+    effects: tuple[tuple[str, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of hardship.
+
+    Attributes:
+        unit: of its levels.
+        levels: from harmless to hopeless.
+        make: makes the hardship of a level.
+    """
+
+    unit: str
+    levels: tuple[float, ...]
+    make: Callable[[float], Hardship]
+
+
+def _affect(name: str, unit: str, *levels: float) -> Kind:
+    """Kind of an effect on the images."""
+    return Kind(unit, levels, lambda level: Hardship(effects=((name, level),)))
+
+
+def _combine(one: str, other: str, share: float) -> Kind:
+    """Kind that adds a fixed level of one kind, at a share of its levels, to the other."""
+    levels = KINDS[one].levels
+    fixed = KINDS[one].make(levels[round(share * (len(levels) - 1))])
+    plain = Hardship()
+    extra = {k: v for k, v in vars(fixed).items() if v != getattr(plain, k) and k != "effects"}
+
+    def make(level: float) -> Hardship:
+        hard = KINDS[other].make(level)
+        return replace(hard, **extra, effects=hard.effects + fixed.effects)
+
+    return Kind(KINDS[other].unit, KINDS[other].levels, make)
+
+
+def _pattern(pattern: Pattern, share: float) -> Kind:
+    return Kind(
+        "periods a frame",
+        (0.02, 0.1, 0.3, 0.6, 1.0, 1.6),
+        lambda level: Hardship(
+            pattern=pattern, pattern_step=level, pattern_share=share, traffic=0, drift=3
+        ),
+    )
+
+
+KINDS: dict[str, Kind] = {
+    "plain": Kind("drift, px", (2, 6, 12, 24, 48), lambda x: Hardship(drift=x)),
+    "coherent traffic": Kind(
+        "share", (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8), lambda x: Hardship(traffic=x)
+    ),
+    "flowing traffic": Kind(
+        "share", (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), lambda x: Hardship(flow=x)
+    ),
+    "parking lines": _pattern("parking", 1.0),
+    "solar panels": _pattern("panels", 1.0),
+    "solar panels on 70 %": _pattern("panels", 0.7),
+    "tiles": _pattern("tiles", 0.9),
+    "water": Kind("share of land", (0.6, 0.4, 0.3, 0.2, 0.1, 0.0), lambda x: Hardship(water=1 - x)),
+    "parallax": Kind(
+        "share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7), lambda x: Hardship(roofs=x, drift=30)
+    ),
+    "swaying trees": Kind("share", (0.1, 0.3, 0.5, 0.7, 0.9), lambda x: Hardship(trees=x)),
+    "defocus": _affect("blur", "sigma, px", 0.5, 1, 2, 3, 4.5, 6, 8),
+    "motion blur": _affect("motion blur", "px", 2, 5, 10, 15, 20, 30),
+    "rolling shutter": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Hardship(rolling=x)),
+    "lens": Kind(
+        "k1", (0.002, 0.01, 0.03, 0.06, 0.12), lambda x: Hardship(lens=x, shift=0.1, rotation=4)
+    ),
+    "compression": _affect("compression", "Mbit/s at 1080p", 20, 5, 2, 1, 0.5, 0.25, 0.1),
+    "overlay text": _affect("overlay", "share", 0.05, 0.15, 0.3, 0.45, 0.6),
+    "split screen": Kind("share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), lambda x: Hardship(split=x)),
+    "torn frame": Kind("px", (1, 3, 8, 20, 60), lambda x: Hardship(torn=x)),
+    "interlacing": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Hardship(interlaced=x)),
+    "rotation": Kind("degrees", (2, 8, 20, 45, 90, 180), lambda x: Hardship(rotation=x)),
+    "scale up": Kind("factor", (1.05, 1.2, 1.5, 2.0, 2.6), lambda x: Hardship(scale=x)),
+    "scale down": Kind("factor", (0.97, 0.9, 0.8, 0.7, 0.6), lambda x: Hardship(scale=x)),
+    "camera zoom": Kind(
+        "factor a frame", (1.002, 1.01, 1.03, 1.06, 1.1), lambda x: Hardship(scale=x**8)
+    ),
+    "overlap": Kind("share", (0.9, 0.7, 0.5, 0.35, 0.25, 0.15), lambda x: Hardship(shift=1 - x)),
+    "tilt": Kind("px", (3, 10, 30, 60, 120), lambda x: Hardship(tilt=x)),
+    "jump": Kind(
+        "share of width",
+        (0.01, 0.05, 0.1, 0.2, 0.4, 0.6),
+        lambda x: Hardship(shift=x, is_abrupt=True),
+    ),
+    "shake": Kind("px", (1, 3, 8, 20, 50), lambda x: Hardship(shake=x)),
+    "low contrast": Kind(
+        "contrast",
+        (0.5, 0.2, 0.1, 0.05, 0.02, 0.0),
+        lambda x: Hardship(contrast=x, traffic=0.0, effects=(("noise", 2.0),)),
+    ),
+    "low contrast and vehicles": Kind(
+        "contrast",
+        (0.5, 0.2, 0.1, 0.05, 0.02, 0.0),
+        lambda x: Hardship(contrast=x, traffic=0.15, effects=(("noise", 2.0),)),
+    ),
+    "night": _affect("night", "gain", 0.5, 0.2, 0.1, 0.05, 0.02),
+    "gain": _affect("gain", "factor", 1.2, 1.6, 2.2, 3, 5),
+    "noise": _affect("noise", "sigma, grey levels", 2, 8, 20, 40, 80),
+    "fog": _affect("fog", "share", 0.3, 0.6, 0.8, 0.9, 0.97),
+    "jpeg": _affect("jpeg", "quality", 80, 40, 20, 10, 5, 2),
+    "dropped frames": Kind(
+        "drift, px", (12, 40, 90, 180), lambda x: Hardship(drift=x, effects=(("drop", 0.5),))
+    ),
+    "doubled frames": _affect("double", "share", 0.1, 0.3, 0.5, 0.8),
+    "letterbox": _affect("letterbox", "share", 0.1, 0.25, 0.4, 0.6, 0.8),
+    "hard shadow": _affect("shadow", "share", 0.1, 0.3, 0.5, 0.7, 0.9),
+    "negative": _affect("negative", "share of frames", 0.2, 0.5, 1.0),
+    "dust": _affect("dust", "specks", 5, 20, 80, 200, 500),
+    "saturated": _affect("saturated", "share", 0.1, 0.3, 0.5, 0.7, 0.9),
+    "flicker bands": _affect("flicker", "amplitude", 0.05, 0.15, 0.3, 0.6),
+    "colour cast": _affect("cast", "strength", 0.1, 0.3, 0.6, 0.9),
+    "chromatic": _affect("chromatic", "px", 0.2, 0.5, 1, 2, 5),
+}
+KINDS |= {
+    f"{other}, and {one}": _combine(one, other, share)
+    for other, one, share in (
+        ("coherent traffic", "compression", 0.4),
+        ("coherent traffic", "jump", 0.6),
+        ("water", "defocus", 0.3),
+        ("solar panels", "defocus", 0.3),
+        ("solar panels on 70 %", "coherent traffic", 0.0),
+        ("parallax", "motion blur", 0.3),
+        ("motion blur", "noise", 0.5),
+        ("night", "motion blur", 0.3),
+        ("overlay text", "low contrast", 0.3),
+        ("overlay text", "jump", 0.5),
+        ("rotation", "scale down", 0.6),
+        ("fog", "rolling shutter", 0.4),
+        ("letterbox", "coherent traffic", 0.3),
+        ("compression", "low contrast", 0.4),
+    )
+}

@@ -1,0 +1,75 @@
+"""The camera's motion over a clip, as numbers that each generator interprets by its own camera."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.bench.stability.kinds import Hardship
+
+REFERENCE_WIDTH = 960  # px, of the frames to which the lengths in `Hardship` refer
+PERIODS = {"parking": 26.0, "panels": 40.0, "tiles": 14.0}  # px
+
+
+@dataclass(frozen=True)
+class CameraMotion:
+    """The camera's motion; frame 0 is the plain view.
+
+    Attributes:
+        shift: (T, 2) px of the frame by which the camera moves over the ground.
+        angle: (T,) radians.
+        scale: (T,) magnification.
+        tilt: (T, 2) displacement of the corners by tilts about the two axes, px.
+    """
+
+    shift: Float[Array, "T 2"]
+    angle: Float[Array, " T"]
+    scale: Float[Array, " T"]
+    tilt: Float[Array, "T 2"]
+
+
+def draw_motion(
+    hardship: Hardship, count: int, width: int, generator: np.random.Generator
+) -> CameraMotion:
+    """Draw a slow drift with shake, and the rotation, scale, shift and tilt of the hardship.
+
+    Args:
+        hardship: the hardship.
+        count: number of frames.
+        width: of the frames, px.
+        generator: source of randomness.
+
+    Returns:
+        The motion.
+    """
+    unit = width / REFERENCE_WIDTH
+    time = np.arange(count) / (count - 1)
+    reached = np.minimum(3 * time, 1) if not hardship.is_abrupt else (time > 1 / 3).astype(float)
+    heading = generator.uniform(0, 2 * np.pi)
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    slow = _draw_slow(time, generator)
+    path = hardship.drift * unit * (0.8 * time[:, None] * direction + 0.25 * slow[:, :2])
+    path += hardship.shake * unit * generator.standard_normal((count, 2))
+    side = generator.choice([-1.0, 1.0])
+    path += hardship.shift * width * reached[:, None] * [side, 0.15 * generator.uniform(-1, 1)]
+    if hardship.pattern:  # the camera moves along the pattern
+        period = PERIODS[hardship.pattern] * unit
+        path[:, 0] += hardship.pattern_step * period * np.arange(count) * side
+    calm = hardship.drift / 12 * unit
+    tilting = generator.uniform(0, 2 * np.pi)
+    lean = hardship.tilt * unit * np.array([np.cos(tilting), np.sin(tilting)])
+    return CameraMotion(
+        path - path[0],
+        np.deg2rad(hardship.rotation) * reached * side + 0.004 * slow[:, 2],
+        hardship.scale**reached * (1 + 0.003 * slow[:, 3]),
+        reached[:, None] * lean + 0.6 * calm * slow[:, 4:6],
+    )
+
+
+def _draw_slow(time: Float[Array, " T"], generator: np.random.Generator) -> Float[Array, "T 6"]:
+    """Sums of slow sinusoids that start at zero, of about unit size."""
+    phase = generator.uniform(0, 2 * np.pi, (3, 6))
+    frequency = generator.uniform(0.2, 1.3, (3, 6))
+    waves = np.sin(2 * np.pi * frequency * time[:, None, None] + phase).sum(1) / 1.5
+    return waves - waves[0]
