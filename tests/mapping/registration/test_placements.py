@@ -5,13 +5,13 @@ from geoaim.geometry import translation
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.registration.placements import AmbiguousPlacementError, choose_placement
 from geoaim.mapping.registration.rivals import find_rivals, make_overview
-from tests.conftest import textured as make_texture
+from tests.conftest import textured
 
 HEIGHT, WIDTH, FACTOR = 270, 480, 2
 
 
-def textured(generator, height, width):
-    return make_texture(generator, height, width)[..., 0].copy()
+def make_grey_texture(generator, height, width):
+    return textured(generator, height, width)[..., 0].copy()
 
 
 def place(reference, frame, start):
@@ -24,8 +24,8 @@ def place(reference, frame, start):
 def film_traffic(shift, share, seed=0):
     """A reference and a frame in which the upper share of the image moves to the right."""
     generator = np.random.default_rng(seed)
-    ground = textured(generator, HEIGHT, WIDTH)
-    traffic = textured(generator, HEIGHT, WIDTH + 200)
+    ground = make_grey_texture(generator, HEIGHT, WIDTH)
+    traffic = make_grey_texture(generator, HEIGHT, WIDTH + 200)
     rows = round(share * HEIGHT)
     reference, frame = ground.copy(), ground.copy()
     reference[:rows] = traffic[:rows, 100 : 100 + WIDTH]
@@ -36,9 +36,9 @@ def film_traffic(shift, share, seed=0):
 def tile(border):
     """Tiles of 24 px, but for a border of other texture."""
     generator = np.random.default_rng(1)
-    cell = textured(generator, 24, 24)
+    cell = make_grey_texture(generator, 24, 24)
     image = np.tile(cell, (HEIGHT // 24 + 3, WIDTH // 24 + 6))
-    image[:border] = textured(generator, border, image.shape[1])
+    image[:border] = make_grey_texture(generator, border, image.shape[1])
     return image
 
 
@@ -70,7 +70,7 @@ def test_a_wrong_period_gives_way_to_the_placement_with_more_inliers():
 
 
 def test_plain_ground_has_no_rival():
-    ground = textured(np.random.default_rng(3), HEIGHT, WIDTH + 20)
+    ground = make_grey_texture(np.random.default_rng(3), HEIGHT, WIDTH + 20)
     reference, frame = ground[:, :WIDTH].copy(), ground[:, 8 : 8 + WIDTH].copy()
     overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
     assert find_rivals(overview, shrink_image(frame, FACTOR), translation(8.0, 0.0)) == []
