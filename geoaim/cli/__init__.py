@@ -3,11 +3,12 @@
 import typer
 
 from geoaim.cli.align import align
-from geoaim.cli.build import build, register
+from geoaim.cli.build import build
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.experiment import experiment
 from geoaim.cli.maps import draw, info, texture
 from geoaim.cli.predict import predict
+from geoaim.cli.register import register
 from geoaim.cli.sample import sample
 from geoaim.cli.simulate import render, simulate
 from geoaim.cli.train import train

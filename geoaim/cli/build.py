@@ -1,4 +1,4 @@
-"""Commands from video: a map, and the registration of its frames."""
+"""Build a map from video."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -7,7 +7,7 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import print_table, report_errors, show_progress
-from geoaim.cli.outputs import TRACKS, check_map_output, check_output
+from geoaim.cli.outputs import check_map_output
 
 if TYPE_CHECKING:
     from geoaim.mapping.georeference.georeference import Georeference
@@ -29,6 +29,14 @@ def build(
         float | None,
         typer.Option(help="metres per pixel of the video, for a map without control points"),
     ] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(help="camera's height above the ground, m, if telemetry lacks it"),
+    ] = None,
+    yaw: Annotated[
+        float | None,
+        typer.Option(help="compass heading of the image's top, degrees, if telemetry lacks it"),
+    ] = None,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video.
 
@@ -42,6 +50,7 @@ def build(
     from geoaim.aim_summary import summarize_aim
     from geoaim.files import write_figure
     from geoaim.mapping.georeference.from_telemetry import make_local_georeference
+    from geoaim.mapping.georeference.reference_telemetry import override_telemetry
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import draw_quicklook
@@ -50,8 +59,12 @@ def build(
     with show_progress() as progress, report_errors():
         if frame_resolution is not None and gcps is not None:
             raise ValueError("--gcps and --frame-resolution exclude each other; give one")
+        if (height, yaw) != (None, None) and (gcps, frame_resolution) != (None, None):
+            raise ValueError(
+                "--height and --yaw complete telemetry; it is not used with the others"
+            )
         look = check_map_output(output, [video], [gcps])
-        opened = open_video(video)
+        opened = override_telemetry(open_video(video), height=height, yaw=yaw)
         georeference: Path | Georeference | None = gcps
         if frame_resolution is not None:
             size = opened.height, opened.width
@@ -72,42 +85,6 @@ def build(
         write_figure(draw_quicklook(aim), look)
         progress("write", 2, 2)
     print_table(f"{output} and {look}", summarize_aim(aim))
-
-
-def register(
-    video: options.VideoSource,
-    output: Annotated[Path, options.output(".csv or .parquet to write")],
-    detections: options.DetectionsFolder = None,
-    reference_time: Annotated[
-        float | None,
-        typer.Option(help="time of the reference frame, s; chosen automatically if omitted"),
-    ] = None,
-) -> None:
-    """Register the frames of a video to a reference frame.
-
-    The table has a row for each frame; its matrix m00 to m22 maps pixels of the frame to pixels
-    of the reference. With --reference-time 0 the reference is the first frame, in which control
-    points are usually picked.
-
-    Example: geoaim register samples/hover.mp4 -o registration.csv
-    """
-    from geoaim.mapping.registration.register import count_reasons, write_registration
-    from geoaim.mapping.registration.register import register as register_frames
-
-    with show_progress() as progress, report_errors():
-        check_output(output, TRACKS)
-        result = register_frames(
-            video, detections=detections, reference_time=reference_time, progress=progress
-        )
-        write_registration(result, output)
-    lines = {
-        "motion model": result.reference.model,
-        "reference": f"frame {result.reference.index}, {result.reference.time:.2f} s",
-        "registered frames": f"{result.valid.sum()} of {len(result.valid)}",
-    }
-    for reason, count in count_reasons(result.reason).items():
-        lines[f"rejected: {reason}"] = str(count)
-    print_table(str(output), lines)
 
 
 def _parse_frames(text: str) -> int | Literal["auto", "all"]:

@@ -55,6 +55,7 @@ def test_an_invalid_number_of_frames_is_refused(frames_folder, tmp_path):
     [
         (["-o", "map.png"], "ends in .tif"),
         (["-o", "map.tif", "--gcps", "a.csv", "--frame-resolution", "1"], "exclude each other"),
+        (["-o", "map.tif", "--gcps", "a.csv", "--yaw", "1"], "complete telemetry"),
         (["-o", "."], "ends in .tif"),
         (["-o", "taken/map.tif"], "is a file; a folder is needed"),
     ],

@@ -8,15 +8,12 @@ from geoaim.errors import GeoreferenceError
 from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints, merge_observations
 from geoaim.mapping.georeference.estimate import estimate_georeference
-from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.georeference.reference_telemetry import georeference_by_telemetry
 from geoaim.mapping.registration.register import Reference, register_frames
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.video import Video
 from geoaim.world import LONLAT, choose_world, transform_crs
-
-MAX_TILT = np.radians(10.0)  # of a camera from straight down, without control points
-FILM_DIAGONAL_MM = 43.27  # to which a 35 mm equivalent focal length refers
 
 
 def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
@@ -49,7 +46,7 @@ def georeference_reference_frame(
         GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
     """
     if points is None:
-        return _georeference_by_telemetry(video, reference), None
+        return georeference_by_telemetry(video, reference), None
     points = _transform_points_to_reference(points, video, reference, detections)
     world = None
     if crs is not None and points.crs is not None:
@@ -92,29 +89,3 @@ def _find_frame_index(picked: str | int | None, video: Video) -> int:
             f"{video.source}; use the file's name, or a frame's number for a video"
         )
     return video.names.index(picked)
-
-
-def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
-    telemetry = video.telemetry
-    if telemetry is None:
-        raise GeoreferenceError(
-            f"{video.source}: no control points were given and there is no telemetry beside it (a "
-            "DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
-            "points, or a resolution for a map in a local plane"
-        )
-    nearest = int(np.argmin(np.abs(telemetry.time - reference.time)))
-    if abs(telemetry.pitch[nearest] + np.pi / 2) > MAX_TILT:
-        raise GeoreferenceError(
-            f"{video.source}: by its telemetry the camera looks "
-            f"{-np.degrees(telemetry.pitch[nearest]):.0f} degrees down; only one that looks "
-            "straight down (90) can be georeferenced without control points: give four or more"
-        )
-    half = FILM_DIAGONAL_MM / 2 * reference.width / np.hypot(reference.height, reference.width)
-    return approximate_georeference(
-        latitude=float(telemetry.latitude[nearest]),
-        longitude=float(telemetry.longitude[nearest]),
-        height_above_ground=float(telemetry.height[nearest]),
-        yaw=float(telemetry.yaw[nearest]),
-        field_of_view=float(2 * np.arctan(half / telemetry.focal_length[nearest])),
-        size=(reference.height, reference.width),
-    )

@@ -143,6 +143,9 @@ def _read_exif_entry(path: Path) -> dict[str, float]:
     for name, tag in drone.items():
         if found := re.search(rf"drone-dji:{tag}(?:=[\"']|>){NUMBER}", xmp):
             row[name] = float(found[1])
+    direction = _parse_numbers(tags.get("EXIF_GPSImgDirection", ""))
+    if direction and "M" not in tags.get("EXIF_GPSImgDirectionRef", "T"):  # not magnetic north
+        row.setdefault("yaw", direction[0])
     return row
 
 

@@ -110,7 +110,9 @@ def test_exif_and_xmp_of_a_photo_are_read(tmp_path: Path) -> None:
         b'drone-dji:GimbalPitchDegree="-90.00"/></x:xmpmeta>'
     )
     pillow.new("RGB", (32, 24)).save(tmp_path / "a.jpg", exif=exif, xmp=xmp)
-    pillow.new("RGB", (32, 24)).save(tmp_path / "b.jpg")
+    heading = pillow.Exif()
+    heading.get_ifd(0x8825).update({16: "T", 17: 180.0})  # GPSImgDirection
+    pillow.new("RGB", (32, 24)).save(tmp_path / "b.jpg", exif=heading)
     found = open_video(tmp_path, rate=2).telemetry
     assert found is not None
     np.testing.assert_allclose(found.time, [0.0, 0.5])
@@ -118,7 +120,7 @@ def test_exif_and_xmp_of_a_photo_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.longitude, [151.25, math.nan])
     np.testing.assert_allclose(found.altitude, [120.5, math.nan])
     np.testing.assert_allclose(found.height, [80.3, math.nan])
-    np.testing.assert_allclose(found.yaw, [0.0, math.nan], atol=1e-12)  # east
+    np.testing.assert_allclose(found.yaw, [0.0, -math.pi / 2], atol=1e-12)  # east, south
     np.testing.assert_allclose(found.pitch, [-math.pi / 2, math.nan])
     np.testing.assert_allclose(found.focal_length, [24.0, math.nan])
 

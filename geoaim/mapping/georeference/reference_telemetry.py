@@ -1,0 +1,116 @@
+"""Georeference the reference frame of a video by its telemetry, which may lack some values."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.geometry import wrap_angle
+from geoaim.mapping.georeference.from_telemetry import approximate_georeference
+from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.registration.register import Reference
+from geoaim.mapping.video.telemetry import Telemetry
+from geoaim.mapping.video.video import Video
+
+MAX_TILT = np.radians(10.0)  # of a camera from straight down, without control points
+FILM_DIAGONAL_MM = 43.27  # to which a 35 mm equivalent focal length refers
+MAX_GAP_S = 1.0  # to the entry that states a position, beyond which a warning says so
+
+
+def override_telemetry(
+    video: Video, *, height: float | None = None, yaw: float | None = None
+) -> Video:
+    """Take the camera's height or heading from the caller instead of from the telemetry.
+
+    Args:
+        video: the video, with telemetry that states at least a position.
+        height: metres above the ground; None keeps what the telemetry states.
+        yaw: compass heading of the image's top, degrees clockwise from north; None keeps it.
+
+    Returns:
+        The video with this telemetry.
+
+    Raises:
+        ValueError: the height is not positive, or a value is not finite.
+    """
+    given = {}
+    if height is not None:
+        given["height"] = height
+    if yaw is not None:
+        given["yaw"] = float(wrap_angle(np.radians([90.0 - yaw]))[0])
+    if not (np.isfinite(list(given.values())).all() and given.get("height", 1.0) > 0.0):
+        raise ValueError(f"height {height}, yaw {yaw}: numbers are needed, and a positive height")
+
+    def read() -> Telemetry | None:
+        telemetry = video.read_telemetry()
+        if telemetry is None:
+            return None
+        count = len(telemetry.time)
+        return replace(telemetry, **{name: np.full(count, value) for name, value in given.items()})
+
+    return replace(video, read_telemetry=read)
+
+
+def georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
+    """Georeference the reference frame approximately by the telemetry of the video.
+
+    Raises:
+        GeoreferenceError: the telemetry does not fix a place, or the camera looks at a slant.
+    """
+    telemetry = video.telemetry
+    if telemetry is None:
+        raise GeoreferenceError(
+            f"{video.source}: no control points were given and there is no telemetry beside it (a "
+            "DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
+            "points, or a resolution for a map in a local plane"
+        )
+    image = "" if video.names is None else f", {video.names[reference.index]}"
+    source, time = f"{video.source}{image}", reference.time
+    names = ("height", "yaw", "pitch", "focal_length")
+    stated = {name: _find_nearest(telemetry.time, getattr(telemetry, name), time) for name in names}
+    if abs(stated["pitch"] + np.pi / 2) > MAX_TILT:
+        raise GeoreferenceError(
+            f"{source}: by its telemetry the camera looks {-np.degrees(stated['pitch']):.0f} "
+            "degrees down; only one that looks straight down (90) can be georeferenced without "
+            "control points: give four or more"
+        )
+    missing = [name for name in ("height", "yaw", "focal_length") if np.isnan(stated[name])]
+    if missing:
+        raise GeoreferenceError(
+            f"{source}: its telemetry (.SRT, or EXIF and XMP) states no "
+            f"{', no '.join(missing).replace('_', ' ')}. Give --height (metres above the ground) "
+            "and --yaw (degrees from north; in Python `override_telemetry`), or four or more "
+            "control points"
+        )
+    known = np.flatnonzero(np.isfinite(telemetry.latitude + telemetry.longitude))
+    nearest = known[np.argmin(np.abs(telemetry.time[known] - time))]
+    if abs(telemetry.time[nearest] - time) >= MAX_GAP_S:
+        warnings.warn(
+            f"{source}: the telemetry states no position at {time:.2f} s, where the reference is; "
+            f"that of {telemetry.time[nearest]:.2f} s is used, so that the map is off by what the "
+            "camera flew between",
+            GeoaimWarning,
+            stacklevel=2,
+        )
+    half_width = (
+        FILM_DIAGONAL_MM / 2 * reference.width / np.hypot(reference.height, reference.width)
+    )
+    return approximate_georeference(
+        latitude=float(telemetry.latitude[nearest]),
+        longitude=float(telemetry.longitude[nearest]),
+        height_above_ground=stated["height"],
+        yaw=stated["yaw"],
+        field_of_view=float(2 * np.arctan(half_width / stated["focal_length"])),
+        size=(reference.height, reference.width),
+    )
+
+
+def _find_nearest(times: Float[Array, " T"], values: Float[Array, " T"], time: float) -> float:
+    """The value that is stated nearest to a time; NaN where none is."""
+    stated = np.flatnonzero(np.isfinite(values))
+    if not len(stated):
+        return float("nan")
+    return float(values[stated[np.argmin(np.abs(times[stated] - time))]])

@@ -1,0 +1,57 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.mapping.georeference.reference_telemetry import (
+    georeference_by_telemetry,
+    override_telemetry,
+)
+from geoaim.mapping.video.telemetry import FIELDS, Telemetry
+from geoaim.mapping.video.video import open_video
+
+
+def open_with_telemetry(**stated):
+    """Three photos a second apart; position in the first only, other fields as given."""
+    values = {name: np.full(3, np.nan) for name in FIELDS}
+    values["latitude"][0], values["longitude"][0], values["focal_length"][:] = 48.1, 11.5, 24.0
+    values |= {name: np.full(3, value) for name, value in stated.items()}
+    telemetry = Telemetry(np.arange(3.0), **values)
+    video = open_video(np.zeros((3, 60, 80, 3), np.uint8))
+    return replace(
+        video, source="photos", names=("a.jpg", "b.jpg", "c.jpg"), read_telemetry=lambda: telemetry
+    )
+
+
+def reference_at(index):
+    return SimpleNamespace(index=index, time=float(index), height=60, width=80)
+
+
+@pytest.mark.parametrize(
+    ("stated", "missing"),
+    [({}, "no height, no yaw"), ({"height": 80.0}, "no yaw"), ({"yaw": 0.0}, "no height")],
+)
+def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
+    stated, missing, unchecked
+):
+    video = open_with_telemetry(**stated)
+    with pytest.raises(GeoreferenceError, match=rf"photos, a\.jpg.*states {missing}\. .*--height"):
+        georeference_by_telemetry(video, reference_at(0))
+    given = override_telemetry(video, height=80.0, yaw=90.0)  # the image's top points east
+    place = georeference_by_telemetry(given, reference_at(0)).world_from_image
+    up = -place[:2, 1]
+    np.testing.assert_allclose(up / np.linalg.norm(up), [1.0, 0.0], atol=0.06)  # grid north
+
+
+def test_a_position_of_another_time_is_used_with_a_warning(unchecked):
+    video = open_with_telemetry(height=80.0, yaw=0.0)
+    with pytest.warns(GeoaimWarning, match=r"no position at 2\.00 s.*that of 0\.00 s"):
+        assert georeference_by_telemetry(video, reference_at(2)).approximate
+
+
+@pytest.mark.parametrize("given", [{"height": 0.0}, {"yaw": np.nan}])
+def test_an_impossible_height_or_heading_is_refused(given):
+    with pytest.raises(ValueError, match="positive height"):
+        override_telemetry(open_with_telemetry(), **given)
