@@ -12,7 +12,7 @@ import shapely
 import geoaim
 from geoaim.geometry import transform_points
 from geoaim.mapping import open_video, read_detections
-from geoaim.mapping.video.telemetry import read_srt
+from geoaim.mapping.video.srt import read_srt
 from geoaim.synthetic import (
     list_boxes,
     make_sample,

@@ -25,6 +25,8 @@ def override_telemetry(
 ) -> Video:
     """Take the camera's height or heading from the caller instead of from the telemetry.
 
+    Where either is given, a camera whose pitch is not stated is taken to look straight down.
+
     Args:
         video: the video, with telemetry that states at least a position.
         height: metres above the ground; None keeps what the telemetry states.
@@ -49,7 +51,10 @@ def override_telemetry(
         if telemetry is None:
             return None
         count = len(telemetry.time)
-        return replace(telemetry, **{name: np.full(count, value) for name, value in given.items()})
+        values = {name: np.full(count, value) for name, value in given.items()}
+        if given and np.isnan(telemetry.pitch).all():
+            values["pitch"] = np.full(count, -np.pi / 2)
+        return replace(telemetry, **values)
 
     return replace(video, read_telemetry=read)
 
@@ -77,13 +82,13 @@ def georeference_by_telemetry(video: Video, reference: Reference) -> Georeferenc
             "degrees down; only one that looks straight down (90) can be georeferenced without "
             "control points: give four or more"
         )
-    missing = [name for name in ("height", "yaw", "focal_length") if np.isnan(stated[name])]
+    missing = [name for name in names if np.isnan(stated[name])]
     if missing:
         raise GeoreferenceError(
             f"{source}: its telemetry (.SRT, or EXIF and XMP) states no "
             f"{', no '.join(missing).replace('_', ' ')}. Give --height (metres above the ground) "
-            "and --yaw (degrees from north; in Python `override_telemetry`), or four or more "
-            "control points"
+            "and --yaw (degrees from north; in Python `override_telemetry`) of a camera that looks "
+            "straight down, or four or more control points"
         )
     known = np.flatnonzero(np.isfinite(telemetry.latitude + telemetry.longitude))
     nearest = known[np.argmin(np.abs(telemetry.time[known] - time))]

@@ -17,8 +17,10 @@ from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError, VideoError
 from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
+from geoaim.mapping.video.exif import read_exif
 from geoaim.mapping.video.frames import Frame
-from geoaim.mapping.video.telemetry import Telemetry, read_exif, read_srt
+from geoaim.mapping.video.srt import read_srt
+from geoaim.mapping.video.telemetry import Telemetry
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]

@@ -9,13 +9,13 @@ from geoaim.mapping.georeference.reference_telemetry import (
     georeference_by_telemetry,
     override_telemetry,
 )
-from geoaim.mapping.video.telemetry import FIELDS, Telemetry
+from geoaim.mapping.video.telemetry import PLAUSIBLE, Telemetry
 from geoaim.mapping.video.video import open_video
 
 
 def open_with_telemetry(**stated):
     """Three photos a second apart; position in the first only, other fields as given."""
-    values = {name: np.full(3, np.nan) for name in FIELDS}
+    values = {name: np.full(3, np.nan) for name in PLAUSIBLE}
     values["latitude"][0], values["longitude"][0], values["focal_length"][:] = 48.1, 11.5, 24.0
     values |= {name: np.full(3, value) for name, value in stated.items()}
     telemetry = Telemetry(np.arange(3.0), **values)
@@ -31,7 +31,12 @@ def reference_at(index):
 
 @pytest.mark.parametrize(
     ("stated", "missing"),
-    [({}, "no height, no yaw"), ({"height": 80.0}, "no yaw"), ({"yaw": 0.0}, "no height")],
+    [
+        ({}, "no height, no yaw, no pitch"),
+        ({"height": 80.0, "pitch": -1.5}, "no yaw"),
+        ({"yaw": 0.0, "pitch": -1.5}, "no height"),
+        ({"height": 80.0, "yaw": 0.0}, "no pitch"),
+    ],
 )
 def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
     stated, missing, unchecked
@@ -46,7 +51,7 @@ def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
 
 
 def test_a_position_of_another_time_is_used_with_a_warning(unchecked):
-    video = open_with_telemetry(height=80.0, yaw=0.0)
+    video = open_with_telemetry(height=80.0, yaw=0.0, pitch=-1.5)
     with pytest.warns(GeoaimWarning, match=r"no position at 2\.00 s.*that of 0\.00 s"):
         assert georeference_by_telemetry(video, reference_at(2)).approximate
 

@@ -1,0 +1,150 @@
+"""Telemetry in the .SRT subtitles of DJI drones; docs/formats/telemetry.md lists the dialects."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.errors import GeoreferenceError
+from geoaim.geometry import wrap_angle
+from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
+
+TIME_LINE = re.compile(r"^[ \t]*(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})[ \t]*-->", re.MULTILINE)
+NUMBER = re.compile(r"[-+]?\d{1,9}(\.\d{1,15})?")
+VALUE = r"\s*:\s*([^\s\]]*)"
+PATTERNS = {
+    "latitude": rf"\blatitude{VALUE}",
+    "longitude": rf"\blongt?itude{VALUE}",  # some models misspell it
+    "height": rf"\brel_alt{VALUE}|\bBAROMETER{VALUE}|\bH\s+(\S*)",
+    "only altitude": rf"\baltitude{VALUE}",
+    "altitude": rf"\babs_alt{VALUE}",
+    "yaw": rf"\bgb_yaw{VALUE}",
+    "pitch": rf"\bgb_pitch{VALUE}",
+    "focal_length": rf"\bfocal_len{VALUE}",
+    "place": r"\b(?:GPS|RTK)\s*\(([^)]*)\)",
+    "attitude": r"\bG\.PRY\s*\(([^)]*)\)",
+}
+METRES_PER_DEGREE = 111_320.0
+# The most that a value changes: per second, and at once because of rounding and rare updates.
+CHANGES = {
+    "position": (60.0, 30.0, "m"),  # some models round to 1e-4 degrees and update each second
+    "height": (30.0, 10.0, "m"),
+    "altitude": (30.0, 10.0, "m"),
+    "yaw": (360.0, 20.0, "degrees"),
+    "pitch": (360.0, 20.0, "degrees"),
+    "focal_length": (200.0, 50.0, "%"),
+}
+
+
+def read_srt(path: str | Path) -> Telemetry:
+    """Read telemetry from a DJI .SRT file.
+
+    Raises:
+        GeoreferenceError: the file has no time lines or no position, a value is not a number with
+            a decimal point, a value is not possible, or it changes faster than a drone can move.
+    """
+    text = Path(path).read_bytes().decode("utf-8", errors="replace")
+    lines = list(TIME_LINE.finditer(text))
+    if not lines:
+        raise GeoreferenceError(f"{path}: no line '00:00:00,000 --> ...' found: not an .SRT file")
+    if text.count("-->") != len(lines):
+        raise GeoreferenceError(
+            f"{path}: {text.count('-->')} lines with '-->', but {len(lines)} that begin with a "
+            "time such as 00:00:00,000: the file is damaged"
+        )
+    ends = [line.start() for line in lines[1:]] + [len(text)]
+    rows = []
+    for number, (line, end) in enumerate(zip(lines, ends, strict=True), start=1):
+        try:
+            rows.append(_parse_entry(text[line.end() : end]))
+        except ValueError as error:
+            raise GeoreferenceError(f"{path}: entry {number}: {error}") from None
+    telemetry = make_telemetry([_parse_seconds(line) for line in lines], rows, str(path))
+    _check_changes(telemetry, path)
+    return telemetry
+
+
+def _parse_seconds(line: re.Match[str]) -> float:
+    hours, minutes, seconds, fraction = line.groups()
+    return 3600 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}")
+
+
+def _parse_entry(text: str) -> dict[str, float]:
+    """Fields of an entry, in degrees, metres and millimetres; ValueError if one is not a number."""
+    stated = {}
+    for name, pattern in PATTERNS.items():
+        found = [match[match.lastindex or 0] for match in re.finditer(pattern, text)]
+        if len(found) > 1:
+            raise ValueError(f"{name} is stated {len(found)} times")
+        if found:
+            stated[name] = found[0].rstrip(",")
+    row = _parse_place(stated.pop("place")) if "place" in stated else {}
+    if "attitude" in stated:
+        parts = [part.strip().rstrip("°\ufffd") for part in stated.pop("attitude").split(",")]
+        if len(parts) != 3:
+            raise ValueError(f"G.PRY has {len(parts)} parts; pitch, roll and yaw are needed")
+        stated |= {"pitch": parts[0], "yaw": parts[2]}
+    for name, value in stated.items():
+        row[name] = _parse_number(name, re.sub("[mM]$", "", value) if name == "height" else value)
+    # A model that states one altitude only means that above take-off.
+    row = {"height": row.pop("only altitude"), **row} if "only altitude" in row else row
+    if "." not in stated.get("focal_length", "."):
+        row["focal_length"] /= 10.0  # older models write tenths: "focal_len : 240" is 24 mm
+    return row
+
+
+def _parse_place(text: str) -> dict[str, float]:
+    """Position as GPS (longitude, latitude, satellites) or GPS(latitude, longitude, 0.0M)."""
+    parts = [part.strip() for part in text.split(",")]
+    latitude_first = parts[-1].endswith("M")
+    if len(parts) != 3 or not (latitude_first or parts[-1].isdecimal()):
+        raise ValueError(
+            f"GPS({text}) is neither (longitude, latitude, satellites) nor (latitude, longitude, "
+            "altitude with M), in numbers with a decimal point"
+        )
+    names = ("latitude", "longitude") if latitude_first else ("longitude", "latitude")
+    _parse_number("altitude", parts[-1].rstrip("M"))
+    return {name: _parse_number(name, part) for name, part in zip(names, parts[:2], strict=True)}
+
+
+def _parse_number(name: str, text: str) -> float:
+    if not NUMBER.fullmatch(text):
+        raise ValueError(f"{name} is {text!r}; a number with a decimal point is needed")
+    return float(text)
+
+
+def _check_changes(telemetry: Telemetry, path: str | Path) -> None:
+    """Refuse times that go back, and values that change faster than a drone moves."""
+    if (np.diff(telemetry.time) < 0).any():
+        entry = int(np.argmax(np.diff(telemetry.time) < 0)) + 2
+        raise GeoreferenceError(f"{path}: entry {entry} is earlier than the one before it")
+    for name, (rate, jump, unit) in CHANGES.items():
+        values = telemetry.latitude if name == "position" else getattr(telemetry, name)
+        stated = np.flatnonzero(np.isfinite(values))
+        change = _measure_change(telemetry, name, stated)
+        dt = np.diff(telemetry.time[stated])
+        wrong = change > rate * dt + jump
+        if wrong.any():
+            first = int(np.argmax(wrong))
+            raise GeoreferenceError(
+                f"{path}: entry {stated[first + 1] + 1}: {name} changes by {change[first]:.0f} "
+                f"{unit} in {dt[first]:.3g} s ({wrong.sum()} such entries): no drone moves so; "
+                "correct or remove the file"
+            )
+
+
+def _measure_change(telemetry: Telemetry, name: str, stated: Array) -> Float[Array, " S"]:
+    """Change of a value from one entry that states it to the next, in the unit of `CHANGES`."""
+    if name == "position":
+        latitude, longitude = telemetry.latitude[stated], np.radians(telemetry.longitude[stated])
+        east = np.degrees(wrap_angle(np.diff(longitude))) * np.cos(np.radians(latitude[1:]))
+        return METRES_PER_DEGREE * np.hypot(east, np.diff(latitude))
+    values = getattr(telemetry, name)[stated]
+    change = np.diff(values)
+    if name == "focal_length":
+        change = 100.0 * change / np.minimum(values[1:], values[:-1])
+    elif name in ("yaw", "pitch"):
+        change = np.degrees(wrap_angle(change))
+    return np.abs(change)

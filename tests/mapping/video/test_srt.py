@@ -1,0 +1,79 @@
+"""Telemetry in .SRT files: the dialects of DJI's models, and files that are none of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoreferenceError
+from geoaim.mapping.video.srt import read_srt
+
+DIALECTS = Path(__file__).parent / "srt"
+# Each flies at 54.6872 N, 25.2797 E, 60 m above the take-off: an invented flight of four entries.
+STATED = {
+    "mavic_pro": {"height"},
+    "matrice_300": {"height"},
+    "mavic_mini": {"height"},
+    "phantom_4_rtk": {"height", "yaw", "pitch"},
+    "mavic_2_zoom": {"height", "focal_length"},
+    "air_2": {"height", "focal_length"},
+    "mini_3_pro": {"height", "focal_length", "altitude"},
+    "mavic_3": {"height", "focal_length", "altitude", "yaw", "pitch"},
+}
+VALUES = {"height": 60, "focal_length": 24, "altitude": 170, "yaw": 0, "pitch": -np.pi / 2}
+TOLERANCES = {"height": 0.5, "focal_length": 1e-9, "altitude": 1.2, "yaw": 0.01, "pitch": 0.02}
+FIRST = (DIALECTS / "mavic_3.SRT").read_bytes().decode()
+
+
+@pytest.mark.parametrize("dialect", STATED)
+def test_dialect_is_read(dialect: str) -> None:
+    found = read_srt(DIALECTS / f"{dialect}.SRT")
+    assert len(found.time) == 4
+    np.testing.assert_allclose(found.latitude, 54.6872, atol=3.1e-4)
+    np.testing.assert_allclose(found.longitude, 25.2797, atol=7.1e-4)
+    for name, value in VALUES.items():
+        actual = getattr(found, name)
+        if name in STATED[dialect]:
+            np.testing.assert_allclose(actual, value, atol=TOLERANCES[name])
+        else:
+            assert np.isnan(actual).all()
+
+
+def test_zero_position_is_no_fix(tmp_path: Path) -> None:
+    text = FIRST.replace("54.687200", "0.000000").replace("25.279701", "0.000000", 1)
+    assert np.isnan(read(tmp_path, text).latitude).tolist() == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("54.687200", "54,687200", "entry 1: latitude is '54,687200'; a number with a decimal"),
+        ("focal_len: 24.00", "focal_len: 24,00", "focal_length is '24,00'"),
+        ("60.200 abs", "60.2OO abs", "entry 3: height is '60.2OO'"),
+        ("[iso: 150]", "[latitude: 54.7]", "latitude is stated 2 times"),
+        ("54.687202", "54.697202", "entry 3: position changes by 1113 m in 0.033 s"),
+        ("60.200 abs", "6.200 abs", "height changes by 54 m"),
+        ("gb_yaw: 90.2", "gb_yaw: 9.2", "yaw changes by 81 degrees"),
+        ("gb_pitch: -89.2", "gb_pitch: -8.2", "pitch changes by 81 degrees"),
+        ("24.00", "70.00", "focal_length changes by 192 % in 0.033 s"),
+        ("24.00", "24", "focal_length is 2.4 in entry 1; it lies between 5 and 1500"),
+        ("54.687200", "154.687200", "latitude is 154.687 in entry 1.* swapped"),
+        ("00:00:00,066 -->", "00:00:00,006 -->", "entry 3 is earlier than the one before it"),
+        ("00:00:00,066 -->", "x00:00:00,066 -->", "4 lines with '-->', but 3"),
+        ("-->", "to", "not an .SRT file"),
+        ("ude:", "ode:", "no latitude and longitude"),
+        ("[latitude: 54.687200]", "GPS(54,6872,25,2797,16)", "neither"),
+        ("[latitude: 54.687200]", "GPS(54.6872,25.2797,69.80)", "neither"),
+        ("[gb_yaw: 90.0 gb_pitch: -89.0 gb_roll: 0.0]", "G.PRY (-89,0°, 0,0°, 90,0°)", "6 parts"),
+    ],
+)
+def test_what_is_not_plausible_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    every = old in ("-->", "ude:")
+    assert old in FIRST
+    with pytest.raises(GeoreferenceError, match=message):
+        read(tmp_path, FIRST.replace(old, new, -1 if every else 1))
+
+
+def read(folder: Path, text: str):
+    (folder / "DJI_0001.SRT").write_bytes(text.encode())
+    return read_srt(folder / "DJI_0001.SRT")
