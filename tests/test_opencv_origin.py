@@ -46,8 +46,6 @@ PROBED = {  # files that warp or match, and the tests here that would see a bias
 EXEMPT = {  # measurements, whose results their own checks would show
     "bench/alignment.py": "peers, as their users call them",
     "bench/birdview_peers.py": "peers, as their users call them",
-    "bench/generation.py": "a time, whose image is not used",
-    "bench/overlay.py": "half a pixel subtracted; paint is compared with the drawn lines",
     "bench/pipeline.py": "peers, as their users call them",
     "bench/registration_methods.py": "peers, as their users call them",
     "bench/stability/clips.py": "only starts an iteration",

@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 from geoaim.bench import (
     figures,
-    generation,
     hover_videos,
     pipeline,
     realism,
@@ -21,7 +20,6 @@ from geoaim.bench import (
     registration_methods,
     registration_real,
     report,
-    scenery_ablation,
     short_clips,
 )
 from geoaim.encode import write_video
@@ -106,12 +104,6 @@ def test_short_clips_are_decoded_and_built(video, tmp_path):
     assert all(row["cpu_seconds"] > 0 for row in rows)
 
 
-def test_generation_is_timed_beside_a_lower_bound():
-    row = generation.time_traffic(0.05, "usual", 1)
-    assert row["seconds"] > 0
-    assert row["times the bound"] > 1
-
-
 def test_statistics_are_no_distance_from_themselves():
     field = make_natural_noise((800, 1600), 1.2, np.random.default_rng(0))
     grey = (110 + 30 * field).clip(0, 255).astype(np.uint8)
@@ -140,18 +132,3 @@ def test_rows_are_printed_as_they_are_measured(capsys):
 
 def test_figures_draw_the_kinds_of_place_in_four_seasons():
     assert len({day.season for day in figures.DAYS.values()}) == 4
-
-
-def test_each_plain_part_of_the_scenery_replaces_one_that_exists():
-    for changes in scenery_ablation.PARTS.values():
-        for module, name, _ in changes:
-            assert hasattr(module, name), f"{module.__name__} has no {name}"
-
-
-def test_place_without_a_part_is_aligned_and_registered(monkeypatch):
-    monkeypatch.setattr(scenery_ablation, "_measure_model", lambda *_: 0.0)
-    tracks = {"street": tracks_of(make_sample(914, kind="street", minutes=0.3, video=None))}
-    row = scenery_ablation.measure_without(["crowns of trees"], tracks)
-    assert row["plain"] == "crowns of trees"
-    assert row["by image, m"] < 0.5
-    assert row["registration, px"] < 0.1
