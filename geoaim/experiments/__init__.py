@@ -1,6 +1,6 @@
 """The paper's tables and public benchmarks, each by its name in `geoaim experiment`."""
 
-from geoaim.experiments import ablations, pedestrians, pretrained, sind, songdo, stanford, vehicles
+from geoaim.experiments import pedestrians, pretrained, sind, songdo, stanford, vehicles
 
 EXPERIMENTS = {
     "pretrained": pretrained.run,
@@ -9,5 +9,4 @@ EXPERIMENTS = {
     "stanford": stanford.run,
     "songdo": songdo.run,
     "sind": sind.run,
-    "ablations": ablations.run,
 }

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 from geoaim.errors import ModelError
 from geoaim.experiments.places import TRAIN, make_places
@@ -17,10 +16,8 @@ from geoaim.experiments.results import Workspace
 from geoaim.prediction.checkpoints import read_model, read_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
-from geoaim.prediction.itra import ITRA, BuildEncoder
-from geoaim.prediction.networks import build_cnn
+from geoaim.prediction.itra import ITRA
 from geoaim.prediction.training import hash_weights, init_model, train
-from geoaim.progress import Progress, no_progress
 
 
 @dataclass(frozen=True)
@@ -70,33 +67,24 @@ def train_model(name: str, workspace: Workspace, *, seed: int = 0) -> ITRA:
         The model.
     """
     spec, progress = MODELS[name], workspace.progress
+    kind = spec.config.kind
 
     def load_dataset() -> Dataset:
-        places = make_places(workspace.places, TRAIN[spec.config.kind], progress=progress)
+        places = make_places(workspace.places, TRAIN[kind], progress=progress)
         return make_places_dataset(
             places, spec.config, spec.map_name, lights=spec.lights, progress=progress
         )
 
-    training = replace(TRAININGS[spec.config.kind], seed=seed)
-    folder = workspace.models / label_seed(name, seed)
-    return train_once(
-        init_model(spec.config, seed=seed), training, load_dataset, folder, progress=progress
-    )
-
-
-def label_seed(name: str, seed: int) -> str:
-    """Label the training of a model with a seed; the first one has the model's name alone."""
-    return f"{name}_{seed}" if seed else name
+    model, training = init_model(spec.config, seed=seed), replace(TRAININGS[kind], seed=seed)
+    return train_once(model, training, load_dataset, name, workspace)
 
 
 def train_once(
     model: ITRA,
     training: TrainConfig,
     load_dataset: Callable[[], Dataset],
-    folder: Path,
-    *,
-    build_encoder: BuildEncoder = build_cnn,
-    progress: Progress = no_progress,
+    name: str,
+    workspace: Workspace,
 ) -> ITRA:
     """Train a model, or read it from its folder when it is complete.
 
@@ -104,9 +92,8 @@ def train_once(
         model: to begin with.
         training: its hyperparameters.
         load_dataset: is called when the model has to be trained.
-        folder: of the training.
-        build_encoder: of the model.
-        progress: takes stage, done and total.
+        name: of the folder; seeds other than 0 are appended.
+        workspace: keeps the folder.
 
     Returns:
         The model as its file has it, with weights rounded to 16 bits.
@@ -114,17 +101,17 @@ def train_once(
     Raises:
         ModelError: the folder's model is of another training.
     """
+    folder = workspace.models / (f"{name}_{training.seed}" if training.seed else name)
     path = folder / "model.pt"
     if path.exists():
         state = read_state(folder / "checkpoint.pt")
-        if state["training"] != asdict(training):
-            raise ModelError(
-                f"{path} is of another training, {state['training']}; delete its folder"
-            )
-        if state["config"] != asdict(model.config):
-            raise ModelError(f"{path} has another config; delete its folder, or name another")
-        if state["start"]["weights"] != hash_weights(model):
-            raise ModelError(f"{path} began with other weights; delete its folder")
+        for part, found, wanted in (
+            ("training", state["training"], asdict(training)),
+            ("config", state["config"], asdict(model.config)),
+            ("start", state["start"]["weights"], hash_weights(model)),
+        ):
+            if found != wanted:
+                raise ModelError(f"{path} has another {part}, {found}; delete its folder")
     else:
-        train(model, training, load_dataset(), folder, progress=progress)
-    return read_model(path, build_encoder=build_encoder)
+        train(model, training, load_dataset(), folder, progress=workspace.progress)
+    return read_model(path)

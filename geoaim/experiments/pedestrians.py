@@ -38,11 +38,6 @@ TABLE = Table(
     ),
     shown=("in parks, AIM", "in parks, HD map"),
     time=60.0,
-    # metres of six samples
-    paper={
-        "HD map": {"joint minADE": 0.90, "joint minFDE": 2.01, "MFD": 0.29},
-        "AIM": {"joint minADE": 0.74, "joint minFDE": 1.56, "MFD": 0.51},
-    },
 )
 
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 from geoaim.experiments.models import train_model
 from geoaim.experiments.places import TEST, TRAIN, make_places
-from geoaim.experiments.protocol import PEDESTRIANS, VEHICLES, evaluate_places
+from geoaim.experiments.protocol import PEDESTRIANS, VEHICLES
 from geoaim.experiments.results import Workspace, write_results
+from geoaim.experiments.tables import Case, evaluate_case
 from geoaim.files import atomic_write
 from geoaim.prediction.baselines import BASELINES
 
@@ -15,15 +16,16 @@ def run(workspace: Workspace) -> list[Path]:
     """The two pretrained models, trained and tested at synthetic places."""
     written, metrics = [], {}
     for config in (VEHICLES, PEDESTRIANS):
-        kind = config.kind
+        kind, name = config.kind, f"{config.kind}_aim"
         places = make_places(workspace.places, TEST[kind], progress=workspace.progress)
-        model = train_model(f"{kind}_aim", workspace)
+        model = train_model(name, workspace)
         path = workspace.folder / "pretrained" / f"{kind}.pt"
         with atomic_write(path) as temporary:
-            shutil.copyfile(workspace.models / f"{kind}_aim" / "model.pt", temporary)
+            shutil.copyfile(workspace.models / name / "model.pt", temporary)
         written.append(path)
-        metrics[f"{kind}s, ITRA"] = evaluate_places(model.sample, places, config, "aim")
-        for name, predictor in BASELINES.items():
-            metrics[f"{kind}s, {name}"] = evaluate_places(predictor, places, config, "none")
+        metrics[f"{kind}s, ITRA"] = evaluate_case(model.sample, Case(name, "aim"), config, places)
+        for rule, predictor in BASELINES.items():
+            case = Case(rule, "none")
+            metrics[f"{kind}s, {rule}"] = evaluate_case(predictor, case, config, places)
     settings = {"training places": TRAIN, "test places": TEST}
     return [*written, *write_results("pretrained", metrics, settings, workspace.results)]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from geoaim.errors import TracksError
@@ -17,7 +18,7 @@ from geoaim.prediction.config import (
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import VAL_FRACTION, Dataset, make_dataset, split_scene
 from geoaim.prediction.evaluation import EvalConfig, evaluate
-from geoaim.prediction.metrics import Metric, concat
+from geoaim.prediction.metrics import Metric
 from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import prefilter_ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
@@ -39,7 +40,6 @@ def make_places_dataset(
     map_name: str,
     *,
     lights: bool = True,
-    val_fraction: float = VAL_FRACTION,
     progress: Progress = no_progress,
 ) -> Dataset:
     """Make a dataset of all recordings of synthetic places, on one of their maps.
@@ -49,7 +49,6 @@ def make_places_dataset(
         config: of the model.
         map_name: one of `MAPS`.
         lights: whether the scenes have traffic lights.
-        val_fraction: share of each recording, at its end, for validation.
         progress: takes stage, done and total.
 
     Returns:
@@ -64,37 +63,10 @@ def make_places_dataset(
             for recording in read_recordings(folder)
         ]
         scenes += [replace(scene, ground=here[0].ground) for scene in here]
-    return make_dataset(scenes, config, val_fraction=val_fraction, progress=progress)
+    return make_dataset(scenes, config, val_fraction=VAL_FRACTION, progress=progress)
 
 
-def evaluate_places(
-    predictor: Predictor, places: Sequence[Path], config: Config, map_name: str
-) -> dict[str, Metric]:
-    """Evaluate a predictor at several places, on whole recordings.
-
-    Args:
-        predictor: a model's `sample`, or one of `BASELINES`.
-        places: folders of the places.
-        config: agent kind, dt and resolution.
-        map_name: one of `MAPS`.
-
-    Returns:
-        Metrics by name.
-
-    Raises:
-        TracksError: no agent of the kind is present for long enough.
-    """
-    parts = [
-        part for place in places for part in evaluate_place(predictor, place, config, map_name)
-    ]
-    if not parts:
-        raise TracksError(
-            f"no {config.kind} is present for {SEGMENT_STEPS[config.kind]} steps at "
-            f"{len(places)} places"
-        )
-    return concat(parts)
-
-
+@cache  # the places of several rows of a table are the same
 def evaluate_place(
     predictor: Predictor,
     place: Path,
@@ -117,13 +89,12 @@ def evaluate_place(
     Returns:
         Metrics of each recording in which agents of the kind are present for long enough.
     """
-    options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES, show_lights=lights)
     aim, parts = read_map(place, map_name), []
     for recording in read_recordings(place):
         _, scene = split_scene(make_place_scene(recording, aim, dt=config.dt), fraction)
         rules = recording.rules if config.kind == "vehicle" else NO_ROAD_RULES
         stride = 2 * SEGMENT_STEPS[config.kind]  # half of the recording is enough
-        parts += evaluate_scene(predictor, scene, config, options, stride=stride, rules=rules)
+        parts += evaluate_scene(predictor, scene, config, stride=stride, lights=lights, rules=rules)
     return parts
 
 
@@ -131,9 +102,9 @@ def evaluate_scene(
     predictor: Predictor,
     scene: Scene,
     config: Config,
-    options: EvalConfig,
     *,
     stride: int,
+    lights: bool = True,
     rules: RoadRules = NO_ROAD_RULES,
 ) -> list[dict[str, Metric]]:
     """Evaluate a predictor on joint segments of a scene.
@@ -142,8 +113,8 @@ def evaluate_scene(
         predictor: a model's `sample`, or one of `BASELINES`.
         scene: the ground truth.
         config: agent kind and resolution.
-        options: of the evaluation.
         stride: steps from one segment's start to the next.
+        lights: whether the predictor gets the lights' states.
         rules: where vehicles may drive.
 
     Returns:
@@ -154,5 +125,6 @@ def evaluate_scene(
         segments = cut_segments(scene, config.kind, steps=steps, stride=stride, joint=True)
     except TracksError:
         return []
+    options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES, show_lights=lights)
     ground = prefilter_ground(scene.ground, config.resolution)
     return [evaluate(predictor, segments, ground, options, rules=rules)]

@@ -11,14 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
-from numpy import ndarray as Array
-
 from geoaim.aim import AIM
-from geoaim.bench.data import require_data
-from geoaim.errors import TracksError
-from geoaim.experiments.models import label_seed, train_all_seeds, train_once
-from geoaim.experiments.protocol import PEDESTRIANS, SAMPLES, evaluate_scene
+from geoaim.bench.data import read_image, require_data
+from geoaim.experiments.models import train_all_seeds, train_once
+from geoaim.experiments.protocol import PEDESTRIANS, evaluate_scene
 from geoaim.experiments.results import (
     Metrics,
     Workspace,
@@ -32,9 +28,8 @@ from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.prediction.baselines import BASELINES, Predictor
-from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, configure_fine_tuning
+from geoaim.prediction.config import SEGMENT_STEPS, configure_fine_tuning
 from geoaim.prediction.dataset import make_dataset, split_scene
-from geoaim.prediction.evaluation import EvalConfig
 from geoaim.prediction.metrics import Metric, average_seeds, concat
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
@@ -139,7 +134,7 @@ def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
     """
     folder, junction = require_data(DATA) / name, JUNCTIONS[name]
     hdmap = read_hdmap(folder / junction.hdmap)
-    image = _read_image(folder / "frame_4k.jpg")
+    image = read_image(folder / "frame_4k.jpg")
     rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.points]
     points = read_control_points(rows, crs="local")
     height, width = image.shape[:2]
@@ -159,31 +154,22 @@ def _train(map_name: str, scenes: list[Scene], workspace: Workspace) -> dict[str
     fine_tuned: list[Predictor] = []
     models = train_all_seeds(f"pedestrian_{map_name}", workspace)
     for seed, model in enumerate(models):
-        folder = workspace.models / label_seed(f"pedestrian_sind_{map_name}", seed)
-        training = replace(FINE_TUNING, seed=seed)
-        tuned = train_once(model, training, load_dataset, folder, progress=workspace.progress)
+        training, name = replace(FINE_TUNING, seed=seed), f"pedestrian_sind_{map_name}"
+        tuned = train_once(model, training, load_dataset, name, workspace)
         zero_shot.append(model.sample)
         fine_tuned.append(tuned.sample)
     return {f"{map_name}, zero-shot": zero_shot, f"{map_name}, fine-tuned": fine_tuned}
 
 
 def _evaluate(predictor: Predictor, scenes: list[Scene]) -> dict[str, Metric]:
-    options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
     parts = []
     for scene in scenes:
         _, val = split_scene(scene, VAL_FRACTION)
         stride = SEGMENT_STEPS[PEDESTRIANS.kind]
-        parts += evaluate_scene(predictor, val, PEDESTRIANS, options, stride=stride)
+        parts += evaluate_scene(predictor, val, PEDESTRIANS, stride=stride)
     return concat(parts)
 
 
 def _summarise_fit(fit: Georeference) -> Mapping[str, Any]:
     rms = math.sqrt(float((fit.residuals**2).sum(axis=1).mean()))
     return {"model": fit.model, "points": len(fit.residuals), "rms of residuals, m": rms}
-
-
-def _read_image(path: Path) -> Array:
-    image = cv2.imread(str(path))
-    if image is None:
-        raise TracksError(f"{path} is not an image")
-    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)

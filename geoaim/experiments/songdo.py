@@ -28,15 +28,12 @@ FINE_TUNING = configure_fine_tuning("vehicle", steps=100, batch_size=32)
 def run(workspace: Workspace) -> list[Path]:
     """Real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
     dataset = make_songdo_dataset(read_scene())
-    progress = workspace.progress
     model = train_model("vehicle_aim", workspace)
-    tuned = train_once(
-        model, FINE_TUNING, lambda: dataset, workspace.models / "vehicle_songdo", progress=progress
-    )
+    tuned = train_once(model, FINE_TUNING, lambda: dataset, "vehicle_songdo", workspace)
     options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
     predictors = {"zero-shot": model.sample, "fine-tuned": tuned.sample, **BASELINES}
     metrics = {
-        name: evaluate(predictor, dataset.val, dataset.ground, options, progress=progress)
+        name: evaluate(predictor, dataset.val, dataset.ground, options, progress=workspace.progress)
         for name, predictor in predictors.items()
     }
     difference = compute_differences(metrics["fine-tuned"], metrics["zero-shot"])

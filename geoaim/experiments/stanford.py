@@ -1,4 +1,4 @@
-"""Real pedestrians: windows of the Stanford Drone Dataset, beside published numbers."""
+"""Real pedestrians: windows of the Stanford Drone Dataset."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from jaxtyping import Float32
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.experiments.models import label_seed, train_once
+from geoaim.experiments.models import train_once
 from geoaim.experiments.places import add_blur_and_noise
 from geoaim.experiments.results import Metrics, Workspace, compute_differences, write_results
 from geoaim.prediction.baselines import BASELINES, Predictor
@@ -66,17 +66,6 @@ TRAINING = TrainConfig(
 )
 SEEDS = {"map": 3, "no map": 3}  # seeds differ as much as maps help; other models have one
 PAIRS = (("map", "no map"), ("map, blurred and noisy", "map"), ("no map", "no map, no proposals"))
-# minADE and minFDE of 20 samples on the standard test scenes, pixels, by their authors or by later
-# papers
-PUBLISHED = {
-    "S-GAN": (27.23, 41.44),
-    "Trajectron++": (19.30, 32.70),
-    "constant velocity with noise": (12.11, 21.73),
-    "PECNet": (9.96, 15.88),
-    "Y-net": (7.85, 11.85),
-    "NSP-SFM": (6.52, 10.61),
-    "MUSE-VAE": (6.36, 11.10),
-}
 
 
 def run(workspace: Workspace) -> list[Path]:
@@ -117,7 +106,6 @@ def _describe(metrics: Mapping[str, Metrics], windows: Windows) -> dict[str, Any
         "scenes": VAL_SCENES,
         "samples": SAMPLES,
         "seeds": SEEDS,
-        "published, on the standard test scenes": PUBLISHED,
         "differences": {
             f"{one} minus {other}": compute_differences(metrics[one], metrics[other])
             for one, other in PAIRS
@@ -142,10 +130,8 @@ def _train(
         return Dataset(both, windows.segments, windows.ground)
 
     words = (label or name).replace(",", "").split()
-    folder = workspace.models / label_seed("_".join(["stanford", *words]), seed)
-    model = init_model(config, seed=seed)
-    training = replace(TRAINING, seed=seed)
-    return train_once(model, training, load_dataset, folder, progress=workspace.progress)
+    model, training = init_model(config, seed=seed), replace(TRAINING, seed=seed)
+    return train_once(model, training, load_dataset, "_".join(["stanford", *words]), workspace)
 
 
 def _average_scene(scene: str, metrics: Metrics, windows: Windows) -> dict[str, float]:

@@ -1,8 +1,7 @@
 """Tables of results: each row is a model or baseline, on a map, at some synthetic places."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 from geoaim.errors import TracksError
@@ -23,7 +22,6 @@ from geoaim.prediction.dataset import VAL_FRACTION
 from geoaim.prediction.metrics import Metric, average_seeds, concat
 from geoaim.synthetic.roads.layouts import PLACE_KINDS, STANDARD_KINDS, PlaceKind
 
-EvaluatePlace = Callable[..., list[dict[str, Metric]]]
 SUBSETS: Mapping[str, Sequence[PlaceKind]] = {
     "test": PLACE_KINDS,
     "validation": PLACE_KINDS,
@@ -61,7 +59,6 @@ class Table:
         shown: names of cases of different models, drawn on the maps that they are trained on, at
             the first place of the first case.
         time: s of the recording after which the drawn futures begin.
-        paper: figures of the paper's tables.
     """
 
     config: Config
@@ -69,7 +66,6 @@ class Table:
     pairs: Sequence[tuple[str, str]]
     shown: Sequence[str]
     time: float
-    paper: Mapping[str, Mapping[str, float]]
 
 
 def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
@@ -87,20 +83,14 @@ def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
     make_places(workspace.places, (*TRAIN[kind], *TEST[kind]), progress=progress)
     names = dict.fromkeys(case.model for case in table.cases.values() if case.model in MODELS)
     models = {one: train_all_seeds(one, workspace) for one in names}
-    evaluate_once = cache(evaluate_place)  # subsets share places
+    predictors: dict[str, list[Predictor]] = {name: [one] for name, one in BASELINES.items()}
+    predictors |= {name: [model.sample for model in trained] for name, trained in models.items()}
     metrics: dict[str, Metrics] = {}
     by_seed: dict[str, list[dict[str, float]]] = {}
     for number, (title, case) in enumerate(table.cases.items()):
         progress("evaluate", number, len(table.cases))
         places = find_places(case, kind, workspace.places)
-        if case.model in models:
-            predictors: list[Predictor] = [model.sample for model in models[case.model]]
-        else:
-            predictors = [BASELINES[case.model]]
-        parts = [
-            _evaluate_case(evaluate_once, predictor, case, table.config, places)
-            for predictor in predictors
-        ]
+        parts = [evaluate_case(one, case, table.config, places) for one in predictors[case.model]]
         metrics[title] = average_seeds(parts)
         if len(parts) > 1:
             by_seed[title] = compute_seed_means(parts)
@@ -112,7 +102,6 @@ def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
             for one, other in table.pairs
         },
         "by seed": by_seed,
-        "paper": table.paper,
     }
     written = write_results(name, metrics, settings, workspace.results)
     picture = written[0].with_suffix(".png")
@@ -140,21 +129,39 @@ def find_places(case: Case, kind: str, folder: Path) -> list[Path]:
     return make_places(folder, [place for place in places if place[1] in kinds])
 
 
-def _evaluate_case(
-    evaluate_once: EvaluatePlace,
-    predictor: Predictor,
-    case: Case,
-    config: Config,
-    places: Sequence[Path],
+def evaluate_case(
+    predictor: Predictor, case: Case, config: Config, places: Sequence[Path]
 ) -> dict[str, Metric]:
+    """Evaluate a predictor on the recordings of several places.
+
+    Args:
+        predictor: a model's `sample`, or one of `BASELINES`.
+        case: its map, and whether it is shown lights and whole recordings.
+        config: agent kind, dt and resolution.
+        places: folders of the places.
+
+    Returns:
+        Metrics by name.
+
+    Raises:
+        TracksError: no agent of the kind is present for long enough.
+    """
     fraction = VAL_FRACTION if case.subset == "validation" else 1.0
     lights = case.model not in MODELS or MODELS[case.model].lights
     parts = [
-        evaluate_once(predictor, place, config, case.map_name, fraction=fraction, lights=lights)
+        part
         for place in places
+        for part in evaluate_place(
+            predictor,  # type: ignore[arg-type] # a function, which can be hashed
+            place,
+            config,
+            case.map_name,
+            fraction=fraction,
+            lights=lights,
+        )
     ]
-    if not any(parts):
+    if not parts:
         raise TracksError(
             f"{case}: no {config.kind} is present for long enough at {len(places)} places"
         )
-    return concat([metrics for part in parts for metrics in part])
+    return concat(parts)

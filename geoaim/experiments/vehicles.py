@@ -39,27 +39,6 @@ TABLE = Table(
     ),
     shown=("with private roads, AIM", "with private roads, HD map"),
     time=90.0,
-    # metres of six samples, and rates
-    paper={
-        "HD map": {
-            "joint minADE": 0.50,
-            "joint minFDE": 1.04,
-            "off-road rate": 0.006,
-            "collision rate": 0.012,
-        },
-        "AIM": {
-            "joint minADE": 0.45,
-            "joint minFDE": 0.93,
-            "off-road rate": 0.008,
-            "collision rate": 0.012,
-        },
-        "blurred and noisy AIM": {
-            "joint minADE": 0.49,
-            "joint minFDE": 1.04,
-            "off-road rate": 0.015,
-            "collision rate": 0.015,
-        },
-    },
 )
 
 

@@ -10,8 +10,7 @@ import torch
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
 from geoaim.prediction.config import Config
-from geoaim.prediction.itra import ITRA, BuildEncoder
-from geoaim.prediction.networks import build_cnn
+from geoaim.prediction.itra import ITRA
 
 FORMAT = 2
 PRETRAINED = Path(__file__).parent / "models"
@@ -23,12 +22,11 @@ def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
     write_state({"config": asdict(model.config), "weights": weights}, path)
 
 
-def read_model(path: str | os.PathLike[str], *, build_encoder: BuildEncoder = build_cnn) -> ITRA:
+def read_model(path: str | os.PathLike[str]) -> ITRA:
     """Read a model, in evaluation mode.
 
     Args:
         path: a `model.pt`.
-        build_encoder: builds the model's encoder of views; see `ITRA`.
 
     Returns:
         The model, on the CPU.
@@ -41,7 +39,7 @@ def read_model(path: str | os.PathLike[str], *, build_encoder: BuildEncoder = bu
     if "optimiser" in state:
         raise ModelError(f"{path} is a training checkpoint; give the model.pt beside it")
     try:
-        model = ITRA(Config(**state["config"]), build_encoder)
+        model = ITRA(Config(**state["config"]))
         model.load_state_dict({name: value.float() for name, value in state["weights"].items()})
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         raise ModelError(f"{path} is not a model of this version: {error}") from None

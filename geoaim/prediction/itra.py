@@ -50,7 +50,6 @@ SPEED_SCALE_S = 0.5  # metres that a metre a second counts in the likelihood
 ATTRIBUTES = 3  # speed, length and width
 DT_TOLERANCE_S = 1e-3
 
-BuildEncoder = Callable[[int, int, int], nn.Module]  # channels, view size, features
 DrawLatent = Callable[[Float[Tensor, "E C"], int], Float[Tensor, "E Z"]]  # of context and step
 ChooseAnchor = Callable[[Float[Tensor, "E 4"], Float[Tensor, "E F"]], Float[Tensor, "E P 2"]]
 
@@ -115,10 +114,9 @@ class ITRA(nn.Module):
 
     Args:
         config: its hyperparameters.
-        build_encoder: builds the encoder of views from channels, view size and width of features.
     """
 
-    def __init__(self, config: Config, build_encoder: BuildEncoder = build_cnn) -> None:
+    def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
         self.motion = MOTION_MODELS[config.motion]
@@ -126,7 +124,7 @@ class ITRA(nn.Module):
         anchor = 2 * config.anchor_points + 1 if config.num_anchors else 0
         if config.use_observations:
             channels = CHANNELS + config.surface_contrast
-            self.encoder = build_encoder(channels, config.view_size, config.feature_size)
+            self.encoder = build_cnn(channels, config.view_size, config.feature_size)
         # f_psi, f_theta and q_phi; the prior is a standard normal distribution
         self.update_hidden = nn.GRUCell(config.feature_size + 2 + ATTRIBUTES, config.hidden_size)
         self.decode_action = build_mlp(context + config.latent_size + anchor, config.hidden_size, 2)

@@ -20,9 +20,8 @@ from geoaim.prediction.batches import compute_kl_weight, compute_top_k, draw_bat
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
-from geoaim.prediction.itra import ITRA, BuildEncoder, Losses
+from geoaim.prediction.itra import ITRA, Losses
 from geoaim.prediction.metrics import compute_ade
-from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import Ground, move_ground
@@ -43,20 +42,11 @@ class _Parts:
     scheduler: torch.optim.lr_scheduler.OneCycleLR
 
 
-def init_model(config: Config, *, seed: int = 0, build_encoder: BuildEncoder = build_cnn) -> ITRA:
-    """Make a new model with random weights.
-
-    Args:
-        config: its hyperparameters.
-        seed: of the weights.
-        build_encoder: builds its encoder of views; see `ITRA`.
-
-    Returns:
-        The model, on the CPU.
-    """
+def init_model(config: Config, *, seed: int = 0) -> ITRA:
+    """Make a new model on the CPU, whose random weights follow from a seed."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        return ITRA(config, build_encoder)
+        return ITRA(config)
 
 
 def train(

@@ -24,26 +24,26 @@ def fail():
 
 
 def test_a_trained_model_is_read_when_its_settings_match(tmp_path):
-    model, folder = init_model(TINY), tmp_path / "first"
-    first = train_once(model, TRAINING, load_dataset, folder)
-    again = train_once(model, TRAINING, fail, folder)
+    model, place = init_model(TINY), ("first", Workspace(tmp_path))
+    first = train_once(model, TRAINING, load_dataset, *place)
+    again = train_once(model, TRAINING, fail, *place)
     assert asdict(again.config) == asdict(first.config)
     with pytest.raises(ModelError, match="another training"):
-        train_once(model, replace(TRAINING, seed=1), fail, folder)
+        train_once(model, replace(TRAINING, batch_size=1), fail, *place)
     with pytest.raises(ModelError, match="another config"):
-        train_once(init_model(replace(TINY, latent_size=4)), TRAINING, fail, folder)
+        train_once(init_model(replace(TINY, latent_size=4)), TRAINING, fail, *place)
 
 
 def test_a_trained_model_that_began_with_other_weights_is_rejected(tmp_path):
+    workspace = Workspace(tmp_path)
     one, two = (
-        train_once(init_model(TINY, seed=seed), TRAINING, load_dataset, tmp_path / str(seed))
+        train_once(init_model(TINY, seed=seed), TRAINING, load_dataset, str(seed), workspace)
         for seed in (0, 1)
     )
-    folder = tmp_path / "tuned"
-    train_once(one, TRAINING, load_dataset, folder)
-    train_once(one, TRAINING, fail, folder)
-    with pytest.raises(ModelError, match="other weights"):
-        train_once(two, TRAINING, fail, folder)
+    train_once(one, TRAINING, load_dataset, "tuned", workspace)
+    train_once(one, TRAINING, fail, "tuned", workspace)
+    with pytest.raises(ModelError, match="another start"):
+        train_once(two, TRAINING, fail, "tuned", workspace)
 
 
 def test_models_are_of_all_kinds_that_can_be_trained():
@@ -52,13 +52,11 @@ def test_models_are_of_all_kinds_that_can_be_trained():
 
 
 def test_each_training_of_a_model_has_its_own_folder_and_seed(monkeypatch, tmp_path):
-    calls = []
-
-    def record(model, training, load_dataset, folder, *, progress):
-        calls.append((folder.name, training.seed, model.config))
-        return model
-
-    monkeypatch.setattr(models, "train_once", record)
+    folders, trained = [], init_model(TINY)
+    monkeypatch.setattr(models, "train", lambda *given, progress: folders.append(given[3]))
+    monkeypatch.setattr(models, "read_model", lambda path: trained)
+    monkeypatch.setattr(models, "make_places", lambda *_, progress: [])
+    monkeypatch.setattr(models, "make_places_dataset", lambda *_, **__: load_dataset())
     for seed in (0, 1):
-        train_model("pedestrian_aim", Workspace(tmp_path), seed=seed)
-    assert calls == [("pedestrian_aim", 0, PEDESTRIANS), ("pedestrian_aim_1", 1, PEDESTRIANS)]
+        assert train_model("pedestrian_aim", Workspace(tmp_path), seed=seed) is trained
+    assert [folder.name for folder in folders] == ["pedestrian_aim", "pedestrian_aim_1"]

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -11,7 +10,6 @@ import torch
 from PIL import Image
 
 from geoaim.experiments import (
-    ablations,
     models,
     pedestrians,
     pretrained,
@@ -22,8 +20,6 @@ from geoaim.experiments import (
     vehicles,
 )
 from geoaim.experiments.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
-from geoaim.experiments.protocol import make_places_dataset
-from geoaim.experiments.resnet import build_resnet18
 from geoaim.experiments.results import Workspace
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
 from geoaim.prediction.dataset import split_scene
@@ -31,7 +27,6 @@ from geoaim.prediction.windows import WINDOW_STEPS
 from geoaim.simulation.scene import slice_scene
 
 SMALL = {"view_size": 16, "view_stride": 50, "hidden_size": 16, "feature_size": 12}
-WITH_MORE_VALIDATION = partial(make_places_dataset, val_fraction=0.4)
 
 
 @pytest.fixture
@@ -48,7 +43,7 @@ def workspace(place, monkeypatch, tmp_path):
     for name, spec in models.MODELS.items():
         small = replace(spec, config=replace(spec.config, **SMALL), seeds=1)
         monkeypatch.setitem(models.MODELS, name, small)
-    monkeypatch.setattr(models, "make_places_dataset", WITH_MORE_VALIDATION)
+    monkeypatch.setattr(protocol, "VAL_FRACTION", 0.4)
     monkeypatch.setattr(protocol, "SAMPLES", 2)
     monkeypatch.setattr(protocol, "split_scene", lambda scene, share: split_scene(scene, share / 5))
     monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 2)
@@ -81,28 +76,6 @@ def test_pretrained_models_are_written_to_the_workspace(workspace):
     assert "pedestrians, ITRA" in read_methods(paths)
 
 
-def test_ablations_differ_in_one_choice(workspace, monkeypatch):
-    small = {
-        name: replace(ablation, config=replace(ablation.config, **SMALL))
-        for name, ablation in ablations.ABLATIONS.items()
-    }
-    for name, value in {
-        "ABLATIONS": small,
-        "STEPS": 1,
-        "BATCH_SIZE": 2,
-        "SAMPLES": 2,
-        "VAL_STRIDE": 10,
-        "make_places_dataset": WITH_MORE_VALIDATION,
-    }.items():
-        monkeypatch.setattr(ablations, name, value)
-    assert list(read_methods(ablations.run(workspace))) == list(small)
-
-
-def test_resnet18_is_that_of_the_paper():
-    count = sum(p.numel() for p in build_resnet18(3, 64, 96).parameters())
-    assert count == pytest.approx(11.2e6, rel=0.02)  # He et al. 2016, without the classifier
-
-
 def test_songdo_splits_its_vehicles(place, workspace, monkeypatch):
     recording, aim = read_recordings(place)[0], read_map(place, "aim")
     scene = slice_scene(make_place_scene(recording, aim, dt=0.1), slice(100, 150))
@@ -121,7 +94,6 @@ def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
         "_summarise_fit": lambda fit: {},
         "_make_scene": lambda name, aim: make_place_scene(recording, aim, dt=0.4),
         "FINE_TUNING": replace(sind.FINE_TUNING, steps=1, batch_size=2),
-        "SAMPLES": 2,
     }.items():
         monkeypatch.setattr(sind, name, value)
     assert {"aim, fine-tuned", "hdm, zero-shot"} < set(read_methods(sind.run(workspace)))
