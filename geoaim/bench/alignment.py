@@ -24,28 +24,15 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.bench.alignment_pairs import (
-    AIM_RESOLUTION,
-    Pair,
-    make_pairs,
-    measure_error,
-    misplace_picture,
-)
-from geoaim.bench.alignment_real import (
-    measure_rotterdam,
-    measure_songdo,
-    measure_synthetic,
-    measure_zooms,
-)
+from geoaim.bench.alignment_pairs import Pair, make_pairs, measure_error, misplace_picture
+from geoaim.bench.alignment_real import measure_rotterdam, measure_songdo, measure_synthetic
 from geoaim.bench.data import find_data
-from geoaim.bench.report import ChartFile, JsonFile, format_table, time_medians, write_rows
+from geoaim.bench.report import ChartFile, JsonFile, format_table, write_rows
 from geoaim.errors import AlignmentError
 from geoaim.geometry import from_opencv, translation
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
 
-SQUARE_PX = 1000  # side of the scene whose alignment is timed
 MIN_INLIERS = 10  # of feature matches
 MAX_REPROJECTION_ERROR_PX = 2.0  # of an inlier
 FEATURES = 5000
@@ -159,36 +146,6 @@ def _measure_case(pair: Pair, method: Method) -> tuple[float, float, float]:
     return measure_error(pair, matrix) / pixel, bound / pixel, duration
 
 
-def measure_speed(pair: Pair) -> list[dict[str, Any]]:
-    """Time a scene of 200 x 200 m at 0.2 m a pixel beside one Fourier correlation of that size."""
-    one, two = np.random.default_rng(0).random((2, SQUARE_PX, SQUARE_PX), np.float32)
-
-    def correlate() -> Array:
-        return np.fft.irfft2(np.fft.rfft2(one).conj() * np.fft.rfft2(two))
-
-    height, width = pair.aim.grid.shape
-    padding = ((0, SQUARE_PX - height), (0, SQUARE_PX - width), (0, 0))
-    photo = cv2.resize(pair.picture.image, (width, height), interpolation=cv2.INTER_CUBIC)
-    aim, picture = (
-        AIM.from_image(
-            np.pad(image, padding, "reflect"), pair.aim.world_from_image, pair.aim.world, "drawn"
-        )
-        for image in (pair.aim.image, np.asarray(photo))
-    )
-    square = Pair("square", aim, picture, np.eye(3))
-    case = misplace_picture(square, np.random.default_rng(2))
-    duration, bound = time_medians([lambda: align_image(case.picture, case.aim), correlate], 5)
-    matrix = align_image(case.picture, case.aim).true_from_stated
-    return [
-        {
-            "scene": "200 x 200 m, 0.2 m a pixel",
-            "error, px": measure_error(case, matrix) / AIM_RESOLUTION,
-            "s": duration,
-            "times a Fourier correlation": duration / bound,
-        }
-    ]
-
-
 def draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw time against error, with the number of errors that are not refused."""
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
@@ -220,13 +177,9 @@ def main(
     parts: list[Callable[[], list[dict[str, Any]]]] = [
         lambda: compared,
         lambda: measure_synthetic(pairs),
-        lambda: measure_speed(pairs[0]),
     ]
     if folder is not None:
-        parts += [
-            partial(measure, folder)
-            for measure in (measure_songdo, measure_rotterdam, measure_zooms)
-        ]
+        parts += [partial(measure, folder) for measure in (measure_songdo, measure_rotterdam)]
     rows: list[dict[str, Any]] = []
     for part in parts:
         rows += (measured := part())

@@ -22,7 +22,6 @@ from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.result import CHI2_2D
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.sources import Tiles
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.track_formats import read_geotrax
 from geoaim.tracks import Tracks
@@ -84,30 +83,6 @@ def _estimate_shift_by_ecc(pair: Pair) -> Float[Array, "2"]:
     one, two = views
     _, warp = cv2.findTransformECC(one, two, start, cv2.MOTION_TRANSLATION, stop, mask, 5)
     return -warp[:, 2] * [step, -step]
-
-
-def measure_zooms(folder: Path) -> list[dict[str, Any]]:
-    """Align tiles of different zooms of one place, which should need no shift."""
-    tiles = folder / "tiles/kampala_xyz"
-    whole = read_imagery(Tiles(tiles, zoom=19))
-    valid = (whole.coverage > 0).astype(np.uint8)
-    _, _, patches, _ = cv2.connectedComponentsWithStats(valid)
-    left, top, width, height, _ = max(patches[1:].tolist(), key=lambda patch: patch[4])
-    box = np.array([[left, top], [left + width, top + height]], np.float64)
-    corners = transform_points(whole.world_from_image, box)
-    rows = []
-    for zoom, finer in ((20, 21), (19, 20), (19, 21)):
-        coarse, other = (
-            read_imagery(Tiles(tiles, zoom=z), world=whole.world, corners=corners)
-            for z in (zoom, finer)
-        )
-        try:
-            offset = float(np.linalg.norm(align_image(coarse, other).shift)) / coarse.resolution
-        except AlignmentError as error:
-            offset = None
-            print(f"z{zoom} on z{finer}: {error}")
-        rows.append({"zooms": f"z{zoom} on z{finer}", "offset, px of the coarser": offset})
-    return rows
 
 
 def measure_songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:

@@ -10,7 +10,6 @@ in a process of its own. Real sequences have no truth: there methods are compare
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -61,18 +60,15 @@ class RegisteredFrames:
         size: (height, width) of the frames.
         reference_from_frame: (T, 3, 3) of each frame, by its index.
         detections: boxes of vehicles, or None.
-        limit: number of frames to read; None reads all.
     """
 
     video: Iterable[Frame]
     size: tuple[int, int]
     reference_from_frame: Float[Array, "T 3 3"]
     detections: Detections | None = None
-    limit: int | None = None
 
     def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-        frames = islice(self.video, self.limit)
-        return ((frame, self.reference_from_frame[frame.index]) for frame in frames)
+        return ((frame, self.reference_from_frame[frame.index]) for frame in self.video)
 
 
 def _compute_median(frames: RegisteredFrames) -> Image:
@@ -98,10 +94,6 @@ METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
         frames, size=frames.size, detections=frames.detections
     ),
     "without boxes": lambda frames: remove_traffic(frames, size=frames.size),
-    # the first 30 frames spread over the clip as all 60 do
-    "without boxes, 30 frames": lambda frames: remove_traffic(
-        replace(frames, limit=30), size=frames.size
-    ),
     "numpy median": _compute_median,
     "MOG2": lambda frames: _apply_subtractor(
         cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False), frames
@@ -166,7 +158,7 @@ def _run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
     held = replace(frames, video=list(frames.video))  # so that decoding is not timed
     start = time.perf_counter()
     METHODS[name](held)
-    row: dict[str, Any] = {
+    return {
         "method": name,
         **{zone: float(np.sqrt(error[where].mean())) for zone, where in zones.items()},
         "gradient energy %": 100 * energy,
@@ -174,9 +166,6 @@ def _run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
         "decoded beforehand": time.perf_counter() - start,
         "peak MB": peak,
     }
-    if isinstance(result, Background):
-        row |= {"contested %": 100 * float(result.contested.mean()), "change": result.change}
-    return row
 
 
 def _measure_gradient_energy(

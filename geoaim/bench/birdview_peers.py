@@ -1,4 +1,4 @@
-"""Renderers to compare with: OpenCV, and plain torch with every box in every pixel."""
+"""Renderers to compare with: OpenCV, plain torch with all boxes in all pixels, supersampling."""
 
 from collections.abc import Callable
 
@@ -10,8 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.geometry import to_opencv
-from geoaim.simulation import Ground, OrientedBoxes, View
+from geoaim.simulation import Ground, OrientedBoxes, View, render
+from geoaim.simulation.rasterization import TRIANGLE_SHARE
 
+LATTICE_POINTS, LATTICE_GENERATOR = 377, 233  # a Fibonacci lattice in each pixel
+MAX_POINTS = 2_000_000  # that are rendered at once
 # A renderer takes a view, cameras (B, 3) and boxes (B, N), and returns pictures (B, 3, H, W).
 Draw = Callable[[View, Tensor, OrientedBoxes], Tensor]
 
@@ -109,3 +112,62 @@ def make_distance_renderer(ground: Ground) -> Draw:
         return picture
 
     return draw
+
+
+def supersample(
+    view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: OrientedBoxes
+) -> Float[Tensor, "B C H W"]:
+    """Render pictures whose pixels are means over many points, each in a box or not.
+
+    The points are a Fibonacci lattice, which has no row or column of points along an edge.
+    The covered share of a pixel comes out several times closer than by a square grid.
+
+    Args:
+        view: size and resolution of the pictures.
+        cameras: (B, 3) x, y, heading.
+        ground: the map.
+        boxes: in paint order.
+
+    Returns:
+        (B, C, H, W).
+    """
+    rows, columns = (torch.arange(n).to(cameras) - (n - 1) / 2 for n in (view.height, view.width))
+    ahead, right = -rows[:, None] * view.resolution, columns * view.resolution
+    points, pictures = torch.arange(LATTICE_POINTS).to(cameras), []
+    for b, (x, y, heading) in enumerate(cameras):
+        c, s = heading.cos(), heading.sin()
+        total = torch.zeros(len(ground.image), view.height, view.width).to(cameras)
+        for some in torch.split(points, max(1, MAX_POINTS // total[0].numel())):
+            across = ((some + 0.5) / LATTICE_POINTS - 0.5) * view.resolution
+            forward = (
+                (some * LATTICE_GENERATOR + 0.5) / LATTICE_POINTS % 1 - 0.5
+            ) * view.resolution
+            shifted = torch.stack([x + forward * c + across * s, y + forward * s - across * c], 1)
+            shifted = F.pad(shifted, (0, 1)) + F.pad(heading[None], (2, 0))
+            picture = render(view, shifted, ground)
+            east = shifted[:, 0, None, None] + ahead * c + right * s
+            north = shifted[:, 1, None, None] + ahead * s - right * c
+            for a in range(boxes.poses.shape[1]):
+                picture = _paint_box(picture, (east, north), boxes, b, a)
+            total += picture.sum(0)
+        pictures.append(total / LATTICE_POINTS)
+    return torch.stack(pictures)
+
+
+def _paint_box(
+    picture: Tensor, position: tuple[Tensor, Tensor], boxes: OrientedBoxes, view: int, agent: int
+) -> Tensor:
+    """Paint the points in a box, and those in its triangle."""
+    x, y, heading = boxes.poses[view, agent]
+    east, north = position[0] - x, position[1] - y
+    length, width = boxes.sizes.expand(*boxes.poses.shape[:2], 2)[view, agent] / 2
+    along = east * heading.cos() + north * heading.sin()
+    aside = (north * heading.cos() - east * heading.sin()).abs()
+    in_box = (along.abs() < length) & (aside < width)
+    in_triangle = in_box & (along > (1 - 2 * TRIANGLE_SHARE) * length)
+    in_triangle &= aside / width < (length - along) / (2 * TRIANGLE_SHARE * length)
+    for mask, colours in ((in_box, boxes.colours), (in_triangle, boxes.heading_colours)):
+        if colours is not None:
+            colour = colours.expand(*boxes.poses.shape[:2], -1)[view, agent]
+            picture = torch.where(mask[:, None], colour[:, None, None], picture)
+    return picture

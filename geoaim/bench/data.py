@@ -3,6 +3,11 @@
 import os
 from pathlib import Path
 
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray as Array
+
 from geoaim.errors import TracksError
 
 
@@ -32,3 +37,15 @@ def require_data(name: str = ".") -> Path:
     if not (data / name).is_dir():
         raise TracksError(f"{data} holds no folder {name}; set GEOAIM_DATA to the folder that does")
     return data / name
+
+
+def read_image(path: Path) -> UInt8[Array, "H W 3"]:
+    """Read an image as RGB.
+
+    Raises:
+        TracksError: the file is missing or not an image.
+    """
+    image = cv2.imread(str(path))
+    if image is None:
+        raise TracksError(f"{path} is missing or not an image")
+    return np.ascontiguousarray(image[..., ::-1], np.uint8)

@@ -22,13 +22,7 @@ from matplotlib.axes import Axes
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.bench.realism_images import (
-    OCTAVES,
-    draw_sample,
-    measure_image,
-    read_real_images,
-    write_comparison,
-)
+from geoaim.bench.realism_images import OCTAVES, draw_sample, measure_image, read_real_images
 from geoaim.bench.realism_motion import (
     VEHICLES,
     Statistics,
@@ -51,9 +45,6 @@ def main(
     minutes: Annotated[float, typer.Option(help="minutes of traffic in each")] = 3.0,
     json: JsonFile = None,
     chart: ChartFile = None,
-    images: Annotated[
-        Path | None, typer.Option(help="image to write: real and synthetic places side by side")
-    ] = None,
 ) -> None:
     """Compare synthetic places with the real data."""
     folder = require_data()
@@ -63,8 +54,6 @@ def main(
         for seed in range(1, seeds + 1)
     ]
     synthetic, real = [draw_sample(s) for s in samples], read_real_images(folder)
-    if images is not None:
-        write_comparison(list(real.values()), synthetic[::seeds], images)
     tracks = [tracks_of(sample) for sample in samples]
     vehicles, pedestrians = read_real_vehicles(folder), read_real_pedestrians(folder)
     groups: Groups = {

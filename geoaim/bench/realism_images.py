@@ -8,13 +8,13 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
+from geoaim.bench.data import read_image
 from geoaim.synthetic import Sample, draw_place, tracks_of
 from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 
 RESOLUTION = 0.1  # m/px at which images are compared
 OCTAVES = 2.0 ** np.arange(-7, 0)  # cycles a pixel
 WINDOW = 256  # px, side of the squares whose spectra are measured
-CROP = (420, 800)  # px, height and width of the crops that stand side by side
 Statistics = Mapping[str, Float[Array, "_"]]
 
 
@@ -72,25 +72,6 @@ def _resize(image: UInt8[Array, "H W 3"], resolution: float) -> UInt8[Array, "_ 
     return np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
 
 
-def write_comparison(
-    real: list[UInt8[Array, "_ _ 3"]], synthetic: list[UInt8[Array, "_ _ 3"]], path: Path
-) -> None:
-    """Write an image with the centres of real images on the left, of synthetic ones on the right.
-
-    Args:
-        real: real images.
-        synthetic: as many synthetic images.
-        path: image file to write.
-    """
-    centres = []
-    for image in (p for pair in zip(real, synthetic, strict=True) for p in pair):
-        top, left = ((side - cut) // 2 for side, cut in zip(image.shape, CROP, strict=False))
-        centres.append(image[top : top + CROP[0], left : left + CROP[1]])
-    rows = [np.hstack(centres[k : k + 2]) for k in range(0, len(centres), 2)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), np.vstack(rows)[..., ::-1])
-
-
 def read_real_images(folder: Path) -> dict[str, UInt8[Array, "_ _ 3"]]:
     """Read drone stills of four junctions from the folder of real data, at `RESOLUTION`."""
     street = str(next((folder / "hover/minsk_street").glob("*.jpg")).relative_to(folder))
@@ -101,13 +82,5 @@ def read_real_images(folder: Path) -> dict[str, UInt8[Array, "_ _ 3"]]:
         "minsk street": (street, 0.05),
     }
     return {
-        name: _resize(_read_image(folder / path), metres)
-        for name, (path, metres) in sources.items()
+        name: _resize(read_image(folder / path), metres) for name, (path, metres) in sources.items()
     }
-
-
-def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
-    image = cv2.imread(str(path))
-    if image is None:
-        raise FileNotFoundError(f"{path} is not an image")
-    return np.ascontiguousarray(image[..., ::-1])

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.bench.data import require_data
+from geoaim.bench.data import read_image, require_data
 from geoaim.files import atomic_write
 
 STILLS = ("00003", "00972")
@@ -45,7 +45,7 @@ def read_clean_still(still: str) -> UInt8[Array, "2160 3840 3"]:
         cached.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(cached) as part:
             cv2.imwrite(str(part), _remove_boxes(image, boxes)[..., ::-1])
-    return _read_image(cached)
+    return read_image(cached)
 
 
 def _find_cache_folder() -> Path:
@@ -55,18 +55,11 @@ def _find_cache_folder() -> Path:
 
 def _read_still(still: str) -> tuple[UInt8[Array, "2160 3840 3"], Array]:
     folder = require_data("hover/songdo_stills")
-    image = _read_image(folder / f"{still}.jpg")
+    image = read_image(folder / f"{still}.jpg")
     centres = np.loadtxt(folder / f"{still}.txt")[:, 1:]
     half = centres[:, 2:] / 2
     boxes = np.hstack([centres[:, :2] - half, centres[:, :2] + half])
     return image, np.rint(boxes.clip(0, 1) * [3840, 2160, 3840, 2160]).astype(int)
-
-
-def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
-    image = cv2.imread(str(path))
-    if image is None:
-        raise FileNotFoundError(f"{path} is missing or not an image")
-    return np.ascontiguousarray(image[..., ::-1], np.uint8)
 
 
 def _remove_boxes(image: UInt8[Array, "H W 3"], boxes: Array) -> UInt8[Array, "H W 3"]:

@@ -20,8 +20,7 @@ from geoaim.synthetic.sample import Sample
 from geoaim.world import lonlat_from_world
 
 CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files
-SENSOR_WIDTH_MM = 36.0  # of the film that focal lengths refer to
-FOCAL_LENGTH_MM = 24.0
+SENSOR_WIDTH_MM, FOCAL_LENGTH_MM = 36.0, 24.0  # as focal lengths are stated for 35 mm film
 CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
 
 
@@ -34,14 +33,9 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, report: Pro
         folder: where the files are written.
         report: called with the frames done and in all.
     """
-    place, total = sample.place, len(clip.times)
-
-    def frames() -> Iterator[UInt8[Array, "H W 3"]]:
-        for number, frame in enumerate(render_frames(clip)):
-            report("film", number, total)
-            yield frame
-
-    write_video(frames(), folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
+    place = sample.place
+    frames = _report_frames(clip, report)
+    write_video(frames, folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
     world_from_still = world_from_image(place, sample.resolution)
     world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
     _write_control_points(place, clip, world_from_frame, folder / "gcps.csv")
@@ -56,6 +50,12 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, report: Pro
         crs=np.array(place.world.crs),
         origin=np.array(place.world.origin),
     )
+
+
+def _report_frames(clip: HoverClip, report: Progress) -> Iterator[UInt8[Array, "H W 3"]]:
+    for number, frame in enumerate(render_frames(clip)):
+        report("film", number, len(clip.times))
+        yield frame
 
 
 def _write_control_points(
@@ -78,16 +78,13 @@ def _write_control_points(
 def _write_boxes(clip: HoverClip, folder: Path) -> None:
     """Write a YOLO text file a frame, named by index: class, centre x and y, width, height."""
     folder.mkdir(exist_ok=True)
-    size = np.array([clip.width, clip.height, clip.width, clip.height])
     for index in range(len(clip.times)):
         agents, boxes = list_boxed_agents(clip, index)
-        boxes = boxes / size
-        middle, extent = (boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]
-        lines = []
-        for agent, row in zip(agents.tolist(), np.hstack([middle, extent]), strict=True):
-            number = CLASSES.index(clip.traffic.types[agent])
-            lines.append(f"{number} " + " ".join(f"{value:.5f}" for value in row) + "\n")
-        (folder / f"{index:06d}.txt").write_bytes("".join(lines).encode())
+        low, high = (corner / [clip.width, clip.height] for corner in np.split(boxes, 2, axis=1))
+        classes = [CLASSES.index(clip.traffic.types[agent]) for agent in agents]
+        rows = np.column_stack([classes, (low + high) / 2, high - low])
+        with open(folder / f"{index:06d}.txt", "wb") as file:
+            np.savetxt(file, rows, ["%d", *["%.5f"] * 4])
 
 
 def _write_telemetry(
@@ -101,19 +98,18 @@ def _write_telemetry(
     yaws = np.degrees(np.arctan2(*(above - centre).T))
     places = lonlat_from_world(place.world, centre)
     entries = []
-    for index, time in enumerate(clip.times.tolist()):
-        step = round(1000 / clip.hover.frame_rate)
-        start, end = (round(1000 * time) + delay for delay in (0, step))
+    step = round(1000 / clip.hover.frame_rate)
+    for index, (time, (lon, lat)) in enumerate(zip(clip.times.tolist(), places, strict=True)):
+        start = round(1000 * time)
         second, milli = divmod(start, 1000)
         clock = CLOCK.format(minute=second // 60 + 21, second=second % 60, milli=milli)
-        (lon, lat), height = places[index], heights[index]
         entries.append(
-            f"{index + 1}\n{_format_srt_time(start)} --> {_format_srt_time(end)}\n"
+            f"{index + 1}\n{_format_srt_time(start)} --> {_format_srt_time(start + step)}\n"
             f'<font size="28">FrameCnt: {index + 1}, DiffTime: {step}ms\n{clock}\n'
             f"[iso: 100] [shutter: 1/1000.0] [fnum: 2.8] [ev: 0] "
             f"[focal_len: {FOCAL_LENGTH_MM:.2f}] "
             f"[latitude: {lat:.6f}] [longitude: {lon:.6f}] "
-            f"[rel_alt: {height:.3f} abs_alt: {height + 181:.3f}] "
+            f"[rel_alt: {heights[index]:.3f} abs_alt: {heights[index] + 181:.3f}] "
             f"[gb_yaw: {yaws[index]:.1f} gb_pitch: -90.0 gb_roll: 0.0] </font>\n"
         )
     path.write_bytes("\n".join(entries).encode())

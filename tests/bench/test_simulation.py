@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from geoaim.bench import birdview, birdview_truth, simulator
+from geoaim.bench import birdview, simulator
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +24,6 @@ def test_renderers_are_timed_and_compared(ground, tmp_path, monkeypatch):
     assert errors["geoaim"] < errors["OpenCV: warp, hard polygons"] / 3
     birdview.draw_chart(methods, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").stat().st_size > 10_000
-
-
-def test_gradients_agree_with_central_differences(monkeypatch):
-    monkeypatch.setattr(birdview_truth, "GRADIENT_LATTICE", (987, 610))
-    rows = birdview_truth.measure_gradient_errors(2)
-    assert len(rows) == 8
-    assert all(row["median error, %"] < 10 for row in rows)
 
 
 def test_simulator_is_timed_and_agrees_with_shapely():

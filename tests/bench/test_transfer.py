@@ -1,6 +1,3 @@
-import numpy as np
-import pytest
-
 from geoaim.bench import transfer
 from geoaim.bench.realism_motion import VEHICLES
 from geoaim.synthetic import make_sample, tracks_of
@@ -19,12 +16,3 @@ def test_moving_on_is_a_better_rule_than_standing():
     errors = transfer.measure_rules([tracks], VEHICLES)
     assert set(errors) == {"stand", "velocity", "mean velocity", "acceleration", "turn rate"}
     assert 0 < errors["velocity"] < errors["stand"]
-
-
-@pytest.mark.parametrize(
-    "represent", [transfer._compute_gradient, transfer._compute_orientation, lambda x: x[None]]
-)
-def test_windows_are_matched_in_a_shifted_image(represent):
-    image = np.random.default_rng(0).uniform(0, 255, (160, 160))
-    shifted = np.roll(image, (3, -2), axis=(0, 1))
-    assert (transfer._match_windows(image, shifted, represent) == [3, -2]).all()
