@@ -18,13 +18,14 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geoaim.aim import AIM
+from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
 from geoaim.errors import AimError
 from geoaim.files import atomic_write
 from geoaim.geometry import translation
 from geoaim.rectification import rectify
 from geoaim.world import World
 
-FORMAT = 1
+FORMAT = FileFormat("AIM", 1, 2, first_checked=2, error=AimError, editable=True)
 BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
 
 
@@ -61,18 +62,11 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
         "num_threads": "all_cpus",
     }
     try:
-        with (
-            atomic_write(path) as temporary,
-            _allow_identity_transform(),
-            rasterio.open(temporary, "w", **profile) as dataset,
-        ):
-            _write_bands(dataset, aim)
-            frame = {
-                "format": FORMAT,
-                "world": {"crs": aim.world.crs, "origin": aim.world.origin},
-                "world_from_image": aim.world_from_image.tolist(),
-            }
-            dataset.update_tags(GEOAIM=json.dumps(frame), GEOAIM_REPORT=json.dumps(aim.report))
+        with atomic_write(path) as temporary:
+            with _allow_identity_transform(), rasterio.open(temporary, "w", **profile) as dataset:
+                _write_bands(dataset, aim)
+                _write_tags(dataset, aim)
+            write_checksum(temporary)
     except (RasterioError, CPLE_BaseError) as error:
         raise AimError(f"{path} could not be written: {error}") from error
 
@@ -84,13 +78,14 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
     long as its CRS and bands are the same.
 
     Raises:
-        AimError: the file is not an AIM; the message says what it is.
+        AimError: the file is not an AIM, or is damaged; the message says what it is.
     """
     if not Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file")
+    has_checksum = verify_checksum(path, FORMAT)
     try:
         with _allow_identity_transform(), rasterio.open(path) as dataset:
-            frame = _read_frame(dataset, path)
+            frame = _read_frame(dataset, path, has_checksum)
             world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
             return AIM(
                 image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
@@ -124,7 +119,18 @@ def _write_bands(dataset: Any, aim: AIM) -> None:
     dataset.descriptions = BANDS
 
 
-def _read_frame(dataset: Any, path: str | os.PathLike[str]) -> dict[str, Any]:
+def _write_tags(dataset: Any, aim: AIM) -> None:
+    frame = {
+        "format": FORMAT.newest,
+        "world": {"crs": aim.world.crs, "origin": aim.world.origin},
+        "world_from_image": aim.world_from_image.tolist(),
+    }
+    dataset.update_tags(
+        GEOAIM=json.dumps(frame), GEOAIM_REPORT=json.dumps(aim.report), GEOAIM_CHECKSUM=PLACEHOLDER
+    )
+
+
+def _read_frame(dataset: Any, path: str | os.PathLike[str], has_checksum: bool) -> dict[str, Any]:
     """Read the tag with the world and the matrix; refuse files that are not AIMs."""
     content = f"{dataset.count} band(s) of {dataset.dtypes[0]}, CRS {dataset.crs or 'absent'}"
     tag = dataset.tags().get("GEOAIM")
@@ -135,8 +141,7 @@ def _read_frame(dataset: Any, path: str | os.PathLike[str]) -> dict[str, Any]:
             "`geoaim align`, `geoaim draw` or write_aim wrote"
         )
     frame: dict[str, Any] = json.loads(tag)
-    if frame["format"] != FORMAT:
-        raise AimError(f"{path} has AIM format {frame['format']}; this version reads {FORMAT}")
+    check_version(path, frame.get("format"), FORMAT, has_checksum=has_checksum)
     if dataset.descriptions != BANDS or set(dataset.dtypes) != {"uint8"}:
         raise AimError(
             f"{path} was an AIM and has lost bands: found {content}, needed uint8 {BANDS}"

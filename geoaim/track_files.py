@@ -2,13 +2,14 @@
 
     # crs: EPSG:32635
     # origin: 583000 6062000
+    # format: 1
     id,type,time,x,y,heading,speed,length,width
     17,car,0.1,182.103,233.870,1.5011,8.21,4.53,1.84
 
 Time in seconds; x and y in metres from the origin in the CRS, x east and y north; heading in
 radians counter-clockwise from +x; speed in m/s, negative in reverse; length and width in metres.
-`# crs: local` is a local plane without CRS. Parquet files have CRS and origin in the
-metadata `geoaim_world`.
+`# crs: local` is a local plane without CRS. Parquet files have CRS, origin and format in the
+metadata `geoaim_world`, and a checksum.
 """
 
 import json
@@ -20,6 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
 from geoaim.errors import TracksError
 from geoaim.files import atomic_write
 from geoaim.track_tables import make_tracks
@@ -30,6 +32,8 @@ CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
 MIN_CSV_DT_S = 1e-3
 LOCAL_CRS = "local"
 METADATA_KEY = b"geoaim_world"
+CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
+PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
 MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
 
@@ -137,6 +141,9 @@ def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
     fields = {name.strip(): value.strip() for name, _, value in pairs}
     if "crs" not in fields:
         raise ValueError("its first line is not '# crs: EPSG:n' or '# crs: local'")
+    version = fields.get("format", "1")
+    known = int(version) if version.isdecimal() else version
+    check_version(path, known, CSV, has_checksum=True)  # text may be edited, and has none
     origin = [float(word) for word in fields.get("origin", "0 0").split()]
     if len(origin) != 2:
         raise ValueError(f"its origin {fields['origin']!r} is not two numbers")
@@ -146,7 +153,7 @@ def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
 
 def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as file:
-        file.write(format_world(world))
+        file.write(f"{format_world(world)}# format: {CSV.newest}\n")
         for name, decimals in CSV_DECIMALS.items():
             frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
         frame.to_csv(file, index=False, lineterminator="\n")
@@ -155,11 +162,13 @@ def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
 def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
     import pyarrow.parquet as parquet
 
+    has_checksum = verify_checksum(path, PARQUET)
     table = parquet.read_table(path)
     metadata = (table.schema.metadata or {}).get(METADATA_KEY)
     if metadata is None:
         raise ValueError(f"it has no metadata {METADATA_KEY.decode()}")
     world = json.loads(metadata)
+    check_version(path, world.get("format", 1), PARQUET, has_checksum=has_checksum)
     return table.to_pandas(), _make_world(world["crs"], world["origin"])
 
 
@@ -168,9 +177,11 @@ def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:
     import pyarrow.parquet as parquet
 
     table = pyarrow.Table.from_pandas(frame, preserve_index=False)
-    metadata = json.dumps({"crs": world.crs or LOCAL_CRS, "origin": world.origin}).encode()
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), METADATA_KEY: metadata})
+    stated = {"crs": world.crs or LOCAL_CRS, "origin": world.origin, "format": PARQUET.newest}
+    metadata = {METADATA_KEY: json.dumps(stated), b"geoaim_checksum": PLACEHOLDER}
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), **metadata})
     parquet.write_table(table, path)
+    write_checksum(path)
 
 
 def _make_world(crs: str, origin: list[float]) -> World:

@@ -50,8 +50,8 @@ def test_the_file_states_crs_origin_and_columns(tmp_path):
     write_tracks(two_agents(), tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[:2] == ["# crs: EPSG:32635", "# origin: 583000.0 6062000.0"]
-    assert lines[2] == ",".join(COLUMNS)
-    assert lines[3] == "7,car,0.0,0.0,0.1,0.2,0.3,4.5,1.8"
+    assert lines[2:4] == ["# format: 1", ",".join(COLUMNS)]
+    assert lines[4] == "7,car,0.0,0.0,0.1,0.2,0.3,4.5,1.8"
 
 
 @pytest.mark.parametrize(

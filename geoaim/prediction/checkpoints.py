@@ -7,12 +7,13 @@ from typing import Any
 
 import torch
 
+from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
 from geoaim.prediction.config import Config
 from geoaim.prediction.itra import ITRA
 
-FORMAT = 2
+FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
 PRETRAINED = Path(__file__).parent / "models"
 
 
@@ -32,7 +33,7 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         The model, on the CPU.
 
     Raises:
-        ModelError: the file is not a model.
+        ModelError: the file is not a model, is damaged, or a weight is not finite.
         OSError: there is no such file.
     """
     state = read_state(path)
@@ -40,9 +41,15 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         raise ModelError(f"{path} is a training checkpoint; give the model.pt beside it")
     try:
         model = ITRA(Config(**state["config"]))
-        model.load_state_dict({name: value.float() for name, value in state["weights"].items()})
+        weights = {name: value.float() for name, value in state["weights"].items()}
+        model.load_state_dict(weights)
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         raise ModelError(f"{path} is not a model of this version: {error}") from None
+    infinite = [name for name, value in weights.items() if not value.isfinite().all()]
+    if infinite:
+        raise ModelError(
+            f"{path}: weights of {', '.join(infinite[:3])} are not finite numbers; train it again"
+        )
     return model.eval()
 
 
@@ -58,30 +65,31 @@ def read_pretrained(kind: str) -> ITRA:
 def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
     """Write numbers and tensors; an interrupted write leaves the old file."""
     with atomic_write(path) as temporary:
-        torch.save({"format": FORMAT, **state}, temporary)
+        torch.save({"format": FORMAT.newest, **state}, temporary)
+        with temporary.open("ab") as file:  # zip archives may be followed by other bytes
+            file.write(PLACEHOLDER.encode())
+        write_checksum(temporary)
 
 
 def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a state that `write_state` wrote, without running code from the file.
 
     Raises:
-        ModelError: the file is not such a state, or one of another version.
+        ModelError: the file is not such a state, is damaged, or has another version.
         OSError: there is no such file.
     """
     path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder; give the model.pt in it")
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    has_checksum = verify_checksum(path, FORMAT)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise IsADirectoryError(f"{path} is a folder; give the model.pt in it") from None
     except OSError:
         raise
     except Exception:  # pickle, zip and torch raise errors of their own
         raise ModelError(f"{path} is not a model that geoaim wrote; give a model.pt") from None
     stated = state.get("format") if isinstance(state, dict) else None
-    if stated != FORMAT:
-        raise ModelError(
-            f"{path} has model format {stated}, this version reads {FORMAT}; train it again"
-        )
+    check_version(path, stated, FORMAT, has_checksum=has_checksum)
     return state

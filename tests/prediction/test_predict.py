@@ -178,7 +178,7 @@ def test_models_are_read_as_they_were_written(tmp_path):
     with pytest.raises(ModelError, match="is not a model"):
         read_model(tmp_path / "m.pt")
     torch.save({"weights": 1}, tmp_path / "n.pt")
-    with pytest.raises(ModelError, match="train it again"):
+    with pytest.raises(ModelError, match="make it again"):
         read_model(tmp_path / "n.pt")
     with pytest.raises(FileNotFoundError):
         read_model(tmp_path / "none.pt")

@@ -1,0 +1,119 @@
+"""Checksums and versions in geoaim's own files.
+
+A file has the text of `PLACEHOLDER` in its metadata or at its end. `write_checksum` fills in its
+size, CRC-32s of the size and of what comes before, by which a file that another program wrote anew
+is told from a damaged one, and the SHA-256 of the whole file in which the last is zeros.
+"""
+
+import hashlib
+import os
+import re
+import warnings
+import zlib
+from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+
+from geoaim.errors import GeoaimError, GeoaimWarning
+
+MARK = b"geoaim-sha256:"
+ZEROS = b"0" * 64
+PLACEHOLDER = f"{MARK.decode()}{0:012d}:{0:08x}:{0:08x}:{0:064x}"
+PATTERN = re.compile(MARK + rb"(\d{12}):([0-9a-f]{8}):([0-9a-f]{8}):([0-9a-f]{64})")
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """A file format of geoaim, of which this version reads several versions.
+
+    Attributes:
+        name: what messages call it.
+        oldest: version of the oldest files that are read.
+        newest: version of the files that are written.
+        first_checked: version since which files have a checksum.
+        error: the error of its files.
+        editable: whether other programs may rewrite a file; its size then differs.
+    """
+
+    name: str
+    oldest: int
+    newest: int
+    first_checked: int
+    error: type[GeoaimError]
+    editable: bool = False
+
+
+def write_checksum(path: Path) -> None:
+    """Fill in the placeholder of a complete file."""
+    with path.open("r+b") as file, mmap(file.fileno(), 0) as data:
+        start = data.find(PLACEHOLDER.encode())
+        size = b"%012d" % len(data)
+        head = MARK + size + b":%08x:%08x:" % (zlib.crc32(size), zlib.crc32(data[:start]))
+        data[start : start + len(head)] = head
+        start += len(head)
+        data[start : start + len(ZEROS)] = hashlib.sha256(data).hexdigest().encode()
+
+
+def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bool:
+    """Tell whether a file has a checksum; raise its format's error if it does not match."""
+    if os.path.getsize(path) == 0:
+        return False
+    with open(path, "rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        start = data.find(MARK)
+        if start < 0:
+            return False
+        found = PATTERN.match(data, start)
+        intact = edited = False
+        if found and int(found[2], 16) == zlib.crc32(found[1]):
+            same_start = int(found[3], 16) == zlib.crc32(data[:start])
+            edited = int(found[1]) != len(data) and not same_start
+            intact = found[4] == _hash(data, found.start(4))
+        del found  # holds the map open
+    if not (intact or (edited and file_format.editable)):
+        raise file_format.error(
+            f"{path} is damaged, or another program changed it: its contents do not match the "
+            "checksum that was written with them; make it again, or take it from a backup"
+        )
+    return True
+
+
+def check_version(
+    path: str | os.PathLike[str], stated: object, file_format: FileFormat, *, has_checksum: bool
+) -> None:
+    """Refuse files of unknown versions, and newer ones without a checksum; warn of older ones.
+
+    Args:
+        path: the file.
+        stated: its version, as the file states it.
+        file_format: the format.
+        has_checksum: whether `verify_checksum` found one.
+    """
+    name, oldest, newest = file_format.name, file_format.oldest, file_format.newest
+    if not isinstance(stated, int) or not oldest <= stated <= newest:
+        raise file_format.error(
+            f"{path} has {name} format {stated}; this version reads {oldest} to {newest}: make it "
+            "again with this version, or read it with a later one"
+        )
+    if has_checksum:
+        return
+    if stated >= file_format.first_checked:
+        raise file_format.error(
+            f"{path} is damaged: it has no checksum, which {name} format {stated} has; make it "
+            "again, or take it from a backup"
+        )
+    warnings.warn(
+        f"{path} is of an earlier version ({name} format {stated}) and has no checksum, so that "
+        "damage to it would go unseen; read it and write it again",
+        GeoaimWarning,
+        stacklevel=4,
+    )
+
+
+def _hash(data: mmap, start: int) -> bytes:
+    """SHA-256 of a file as if its checksum, from `start` on, were zeros."""
+    digest = hashlib.sha256()
+    with memoryview(data) as view:
+        digest.update(view[:start])
+        digest.update(ZEROS)
+        digest.update(view[start + len(ZEROS) :])
+    return digest.hexdigest().encode()
