@@ -14,7 +14,13 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, RegistrationError
 from geoaim.geometry import transform_points
-from geoaim.mapping.background.running_mean import Background, RunningMean, add_to_mean, finish_mean
+from geoaim.mapping.background.running_mean import (
+    Background,
+    RunningMean,
+    add_to_mean,
+    average_frames,
+    finish_mean,
+)
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES
 from geoaim.mapping.background.traffic_search import TrafficSearch, add_to_search, average_ground
 from geoaim.mapping.georeference.control_points import (
@@ -98,14 +104,14 @@ def build_aim(
     reference = choose_reference(
         opened, detections=vehicles, time=choose_reference_time(given), probes=probes
     )
-    georeference, points = _georeference(given, opened, reference, vehicles, crs)
+    georeference, points, reference = _georeference(given, opened, reference, vehicles, crs)
     batches = chain([map(replace, probes)], batches)
     registration, background = _register_and_average(
-        sampling, batches, reference, vehicles, progress
+        sampling, batches, reference, vehicles, progress, photos=opened.names is not None
     )
     _warn_of_limits(registration, background)
     background = _remove_distortion(background, georeference.radial)
-    method = _describe_method(vehicles, sampling)
+    method = _describe_method(vehicles, sampling, registration)
     return AIM(
         image=background.image,
         world_from_image=georeference.world_from_image,
@@ -127,15 +133,15 @@ def _georeference(
     reference: Reference,
     detections: Detections | None,
     crs: str | None,
-) -> tuple[Georeference, ControlPoints | None]:
-    """Georeference the reference frame; with the control points in its pixels, if there are any."""
+) -> tuple[Georeference, ControlPoints | None, Reference]:
+    """Georeference the reference frame; with the control points in its pixels, and the frame."""
     if isinstance(gcps, Georeference):
         if (gcps.height, gcps.width) != (video.height, video.width):
             raise ValueError(
                 f"the georeference is of an image of {gcps.width} x {gcps.height} px, the frames "
                 f"have {video.width} x {video.height}; make it for their size"
             )
-        return gcps, None
+        return gcps, None, reference
     return georeference_reference_frame(gcps, video, reference, detections, crs)
 
 
@@ -145,8 +151,13 @@ def _register_and_average(
     reference: Reference,
     detections: Detections | None,
     progress: Progress,
+    *,
+    photos: bool,
 ) -> tuple[Registration, Background]:
-    """Register and average the frames; without detections, twice over them to remove traffic."""
+    """Register and average the frames; without detections, twice over them to remove traffic.
+
+    Where too few photos of a flight overlap with the reference for that, all ground is contested.
+    """
     size, total = (reference.height, reference.width), sampling.frame_count
     registered = chain.from_iterable(
         register_frames(batch, reference, detections=detections) for batch in batches
@@ -164,8 +175,11 @@ def _register_and_average(
 
     rows = _add_until_converged(registered, search, add_and_keep, total, progress)
     registration = collect_registration(rows, reference)
-    _refuse_few_frames(registration)
     again = _report_frames(kept or read_registered(sampling, registration), total, progress)
+    if photos and registration.valid.sum() < MIN_FRAMES:
+        background = average_frames(again, size=size)
+        return registration, replace(background, contested=background.coverage > 0)
+    _refuse_few_frames(registration)
     return registration, average_ground(again, search)
 
 
@@ -241,10 +255,13 @@ def _warn(message: str) -> None:
     warnings.warn(message, GeoaimWarning, stacklevel=4)
 
 
-def _describe_method(detections: Detections | None, sampling: Sampling) -> str:
+def _describe_method(
+    detections: Detections | None, sampling: Sampling, registration: Registration
+) -> str:
     if detections:
         return "mean masked by detections"
-    return "mean" if sampling.plain_mean else "mean without traffic"
+    plain = sampling.plain_mean or registration.valid.sum() < MIN_FRAMES
+    return "mean" if plain else "mean without traffic"
 
 
 def _remove_distortion(background: Background, radial: float) -> Background:

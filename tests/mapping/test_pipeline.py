@@ -71,8 +71,20 @@ def test_the_report_describes_every_stage(aim):
 
 def test_points_on_a_frame_that_cannot_be_registered_are_refused_by_name(frames):
     spoilt = [*frames[:5], np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)]
-    with pytest.raises(GeoreferenceError, match=r"p0, p1, .*frame 5, which cannot be registered"):
+    with pytest.raises(
+        GeoreferenceError, match=r"cannot be registered.* p0 on frame 5 .*0 are left"
+    ):
         build_aim(spoilt, points_on(5))
+
+
+def test_points_that_cannot_be_placed_are_left_out_by_name(frames):
+    spoilt = [*frames, np.random.default_rng(0).integers(0, 256, frames[0].shape, np.uint8)]
+    points = [*points_on(0), {**points_on(12)[0], "x": 101.0, "name": "lost"}]
+    with pytest.warns(GeoaimWarning, match=r"left out: lost on frame 12 "):
+        aim = build_aim(spoilt, points)
+    assert [point["name"] for point in aim.report["georeference"]["points"]] == [
+        *(f"p{i}" for i in range(6))
+    ]
 
 
 def test_points_on_an_unknown_frame_are_refused(frames):

@@ -149,7 +149,7 @@ def _merge_crs(stated: Sequence[Any]) -> str | None:
 
 
 def merge_observations(points: ControlPoints) -> ControlPoints:
-    """Merge points with equal coordinates on several frames: their pixels are averaged.
+    """Merge points with equal coordinates on several frames: the median pixel is taken.
 
     The name and the frame of the first are kept. The pixels must refer to one image already. Points
     that appear twice on the same frame stay unmerged; `estimate_georeference` refuses them.
@@ -161,7 +161,9 @@ def merge_observations(points: ControlPoints) -> ControlPoints:
         repeated = len({points.frames[i] for i in same}) < len(same)
         if repeated or index == same[0]:
             keep.append(index)
-            pixels.append(points.pixels[index] if repeated else points.pixels[same].mean(axis=0))
+            pixels.append(
+                points.pixels[index] if repeated else np.median(points.pixels[same], axis=0)
+            )
     return replace(select_points(points, keep), pixels=np.array(pixels))
 
 

@@ -38,7 +38,7 @@ from geoaim.world import (
     world_from_crs,
 )
 
-MAX_NOISE = 0.02  # of half the diagonal: 22 px at 1080p, beyond any picking error
+MAX_NOISE = 0.1  # of the points' distance from their centre: beyond any surveying error
 MIN_POINTS_UNUSUAL = 6  # points that prove more stretch or perspective than these two:
 MAX_STRETCH, MAX_PERSPECTIVE = 0.08, 0.45
 MIN_DENOMINATOR = 0.1  # of the transform at the image's corners: above the horizon's 0
@@ -46,7 +46,12 @@ MAX_RADIAL = 0.3  # lens term; beyond it the lens folds the image
 
 
 def estimate_georeference(
-    points: ControlPoints, *, height: int, width: int, world: World | None = None
+    points: ControlPoints,
+    *,
+    height: int,
+    width: int,
+    world: World | None = None,
+    outside: bool = False,
 ) -> Georeference:
     """Estimate the transform from an image to the world from control points picked on it.
 
@@ -59,6 +64,7 @@ def estimate_georeference(
         height: of the image, pixels.
         width: of the image, pixels.
         world: the target plane; None keeps the points' CRS if it is metric, else chooses UTM.
+        outside: whether points may lie outside the image, since other images showed them.
 
     Returns:
         The georeference, with the residual of each point and the uncertainty of any pixel.
@@ -69,7 +75,7 @@ def estimate_georeference(
     """
     size = (height, width)
     world, targets = _project_points(points, world)
-    check_layout(points, targets, size)
+    check_layout(points, targets, size, outside=outside)
     plane = normalise_pixels(points.pixels, size)
     world_from_plane = fit_similarity(plane, targets)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
@@ -77,7 +83,7 @@ def estimate_georeference(
     used = reject_outlier(points.names, pairs, sigma)
     inliers = select_points(points, np.flatnonzero(used).tolist())
     if not used.all():
-        check_layout(inliers, targets[used], size)
+        check_layout(inliers, targets[used], size, outside=outside)
     posterior, candidates = _fit_models(inliers.names, select_pairs(pairs, used), sigma, size)
     best = choose_model(candidates)
     scale = world_from_plane[:2, :2]
@@ -132,7 +138,8 @@ def _fit_models(
     posterior = fit_posterior(pairs, sigma, 0.0)
     candidates = fit_candidates(pairs, posterior)
     _check_horizon(choose_model(candidates), posterior, size)
-    _check_plausibility(names, posterior)
+    spread = float(np.linalg.norm(pairs.image - pairs.image.mean(axis=0), axis=1).mean())
+    _check_plausibility(names, posterior, spread)
     return posterior, candidates
 
 
@@ -147,12 +154,12 @@ def _check_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int])
             )
 
 
-def _check_plausibility(names: tuple[str, ...], posterior: Posterior) -> None:
+def _check_plausibility(names: tuple[str, ...], posterior: Posterior, spread: float) -> None:
     """Check that a transform fits the points, and that few points do not need an unusual one."""
-    if posterior.noise > MAX_NOISE:
+    if posterior.noise > MAX_NOISE * spread:
         raise GeoreferenceError(
             f"No place fits the control points ({', '.join(names)}): they disagree by"
-            f" {100 * posterior.noise:.0f} % of half the image's diagonal. Are they in the right"
+            f" {100 * posterior.noise / spread:.0f} % of their distances. Are they in the right"
             " order, on this image, and in the CRS that they claim?"
         )
     stretch, perspective = np.hypot(*posterior.mean[4:6]), np.hypot(*posterior.mean[6:8])

@@ -58,13 +58,16 @@ def _is_in_area(crs: str, coordinates: Points) -> bool:
     return bool(((lonlat >= low) & (lonlat <= high)).all())
 
 
-def check_layout(points: ControlPoints, targets: Points, size: tuple[int, int]) -> None:
+def check_layout(
+    points: ControlPoints, targets: Points, size: tuple[int, int], *, outside: bool = False
+) -> None:
     """Check that control points on one image of (height, width) can fix a transform.
 
     Args:
         points: the control points.
         targets: where they lie, metres.
         size: of the image, pixels.
+        outside: whether points may lie outside the image.
 
     Raises:
         GeoreferenceError: the points are too few, on several frames, repeated, on a line, close
@@ -75,7 +78,8 @@ def check_layout(points: ControlPoints, targets: Points, size: tuple[int, int]) 
     _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
     _check_spread(points, size)
     _check_mirroring(points, targets, size)
-    _check_inside(points, size)
+    if not outside:
+        check_inside(points, size)
     scale = fit_similarity(normalise_pixels(points.pixels, size), targets)[0][:2, 0]
     resolution = float(np.hypot(*scale)) / half_diagonal(*size)
     low, high = RESOLUTION_RANGE
@@ -159,7 +163,12 @@ def _fit_swapped(crs: str, points: ControlPoints, plane: Points, targets: Points
     return error * float(np.linalg.det(given[:2, :2]) / np.linalg.det(matrix[:2, :2]))
 
 
-def _check_inside(points: ControlPoints, size: tuple[int, int]) -> None:
+def check_inside(points: ControlPoints, size: tuple[int, int]) -> None:
+    """Check that points lie on the images of (height, width) that they were picked on.
+
+    Raises:
+        GeoreferenceError: some do not.
+    """
     height, width = size
     outside = ((points.pixels < -0.5) | (points.pixels > (width + 0.5, height + 0.5))).any(axis=1)
     if outside.any():
