@@ -23,21 +23,13 @@ ERROR_GRID = 5  # points each way at which errors are measured
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """An AIM and a picture of the same place.
+    """An AIM and a picture of the same place."""
 
-    Attributes:
-        name: kind and seed of the place.
-        aim: the AIM.
-        picture: misplaced.
-        stated_from_true: (3, 3) metres, by which it is misplaced.
-        tracks: of a minute of traffic there.
-    """
-
-    name: str
-    aim: AIM
-    picture: AIM
-    stated_from_true: Float[Array, "3 3"]
-    tracks: Tracks | None = None
+    name: str  # kind and seed of the place
+    aim: AIM  # the AIM
+    picture: AIM  # misplaced
+    stated_from_true: Float[Array, "3 3"]  # (3, 3) metres, by which it is misplaced
+    tracks: Tracks | None = None  # of a minute of traffic there
 
 
 def misplace_picture(pair: Pair, generator: np.random.Generator) -> Pair:

@@ -53,19 +53,12 @@ MIN_STANDING_SHARE = 0.3  # of the time, from which traffic counts as standing
 
 @dataclass(frozen=True, eq=False)
 class RegisteredFrames:
-    """Frames of a video with their transforms, in an order that spreads over it; re-iterable.
+    """Frames of a video with their transforms, in an order that spreads over it; re-iterable."""
 
-    Attributes:
-        video: the frames.
-        size: (height, width) of the frames.
-        reference_from_frame: (T, 3, 3) of each frame, by its index.
-        detections: boxes of vehicles, or None.
-    """
-
-    video: Iterable[Frame]
-    size: tuple[int, int]
-    reference_from_frame: Float[Array, "T 3 3"]
-    detections: Detections | None = None
+    video: Iterable[Frame]  # the frames
+    size: tuple[int, int]  # (height, width) of the frames
+    reference_from_frame: Float[Array, "T 3 3"]  # (T, 3, 3) of each frame, by its index
+    detections: Detections | None = None  # boxes of vehicles, or None
 
     def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
         return ((frame, self.reference_from_frame[frame.index]) for frame in self.video)

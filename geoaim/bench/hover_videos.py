@@ -48,19 +48,13 @@ _QUEUES = {"00003": [(6, 0.38), (7, 0.36), (8, 0.20), (9, 0.20)], "00972": [(3, 
 
 @dataclass(frozen=True)
 class HoverVideo:
-    """A rendered clip with one kind of difficulty; index or iterate it for its frames.
+    """A rendered clip with one kind of difficulty; index or iterate it for its frames."""
 
-    Attributes:
-        clip: the rendered scene and its true transforms.
-        kind: the difficulty.
-        is_valid: (T,) whether a frame shows the clip's scene; the others must be refused.
-        other: the scene that the invalid frames of a "cut" show.
-    """
-
-    clip: HoverClip
-    kind: Kind
+    clip: HoverClip  # the rendered scene and its true transforms
+    kind: Kind  # the difficulty
+    # (T,) whether a frame shows the clip's scene; the others must be refused
     is_valid: Bool[Array, "T"]
-    other: HoverClip | None = None
+    other: HoverClip | None = None  # the scene that the invalid frames of a "cut" show
 
     def __len__(self) -> int:
         return len(self.is_valid)

@@ -22,19 +22,12 @@ from geoaim.prediction.training import hash_weights, init_model, train
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """How a model is trained on synthetic places.
+    """How a model is trained on synthetic places."""
 
-    Attributes:
-        config: of the model.
-        map_name: one of `MAPS`.
-        lights: whether it is trained with traffic lights.
-        seeds: number of trainings; several where seeds differ as much as what is compared.
-    """
-
-    config: Config
-    map_name: str
-    lights: bool = True
-    seeds: int = 1
+    config: Config  # of the model
+    map_name: str  # one of `MAPS`
+    lights: bool = True  # whether it is trained with traffic lights
+    seeds: int = 1  # number of trainings; several where seeds differ as much as what is compared
 
 
 MODELS = {

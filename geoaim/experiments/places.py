@@ -52,17 +52,11 @@ NOISE = 0.2  # standard deviation, of full brightness, as in the paper
 
 @dataclass(frozen=True, eq=False)
 class PlaceRecording:
-    """A recording at a synthetic place.
+    """A recording at a synthetic place."""
 
-    Attributes:
-        tracks: the agents.
-        lights: states of the traffic lights, if any.
-        hdmap: everything that vehicles may drive on.
-    """
-
-    tracks: Tracks
-    lights: Lights | None
-    hdmap: HDMap
+    tracks: Tracks  # the agents
+    lights: Lights | None  # states of the traffic lights, if any
+    hdmap: HDMap  # everything that vehicles may drive on
 
     @cached_property
     def rules(self) -> RoadRules:

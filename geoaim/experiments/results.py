@@ -16,17 +16,11 @@ Metrics = Mapping[str, Metric]
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where an experiment reads and writes.
+    """Where an experiment reads and writes."""
 
-    Attributes:
-        folder: keeps synthetic places and trained models between runs.
-        results: folder of tables and figures.
-        progress: takes stage, done and total.
-    """
-
-    folder: Path
-    results: Path = Path("docs/experiments")
-    progress: Progress = no_progress
+    folder: Path  # keeps synthetic places and trained models between runs
+    results: Path = Path("docs/experiments")  # folder of tables and figures
+    progress: Progress = no_progress  # takes stage, done and total
 
     @property
     def places(self) -> Path:

@@ -38,16 +38,11 @@ from geoaim.track_formats import read_tracks
 
 @dataclass(frozen=True)
 class Junction:
-    """A junction of the dataset.
+    """A junction of the dataset."""
 
-    Attributes:
-        hdmap: file of its HD map.
-        tracks: file of its pedestrians.
-        points: control points: u, v in pixels of its image, x, y in metres of its HD map.
-    """
-
-    hdmap: str
-    tracks: str
+    hdmap: str  # file of its HD map
+    tracks: str  # file of its pedestrians
+    # control points: u, v in pixels of its image, x, y in metres of its HD map
     points: tuple[tuple[float, float, float, float], ...]
 
 

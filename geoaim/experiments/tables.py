@@ -34,38 +34,26 @@ SUBSETS: Mapping[str, Sequence[PlaceKind]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """A row of a table.
+    """A row of a table."""
 
-    Attributes:
-        model: one of `MODELS` or of `BASELINES`.
-        map_name: one of `MAPS`.
-        subset: one of `SUBSETS`: test places of some kinds, or the ends of the recordings of
-            training places ("validation").
-    """
-
-    model: str
-    map_name: str
+    model: str  # one of `MODELS` or of `BASELINES`
+    map_name: str  # one of `MAPS`
+    # one of `SUBSETS`: test places of some kinds, or the ends of the recordings of training places
+    # ("validation")
     subset: str = "test"
 
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of a table, and what is shown beside them.
+    """The rows of a table, and what is shown beside them."""
 
-    Attributes:
-        config: agent kind, dt and resolution of the segments.
-        cases: by name.
-        pairs: names of cases whose difference is reported.
-        shown: names of cases of different models, drawn on the maps that they are trained on, at
-            the first place of the first case.
-        time: s of the recording after which the drawn futures begin.
-    """
-
-    config: Config
-    cases: Mapping[str, Case]
-    pairs: Sequence[tuple[str, str]]
+    config: Config  # agent kind, dt and resolution of the segments
+    cases: Mapping[str, Case]  # by name
+    pairs: Sequence[tuple[str, str]]  # names of cases whose difference is reported
+    # names of cases of different models, drawn on the maps that they are trained on, at the first
+    # place of the first case
     shown: Sequence[str]
-    time: float
+    time: float  # s of the recording after which the drawn futures begin
 
 
 def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
