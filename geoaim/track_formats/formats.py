@@ -9,6 +9,7 @@ from geoaim.track_files import read_plain_tracks
 from geoaim.track_formats.geotrax import GEOTRAX
 from geoaim.track_formats.interaction import INTERACTION, SIND
 from geoaim.track_formats.levelx import HIGHD, IND
+from geoaim.track_formats.plausibility import check_plausibility
 from geoaim.track_formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.track_formats.stanford import SDD, TRAJNET
 from geoaim.tracks import Tracks
@@ -33,6 +34,9 @@ def read_tracks(
 ) -> Tracks:
     """Read tracks from a file in any known format; the format is detected from its first line.
 
+    Agents whose size, speed, acceleration or heading cannot be are warned of, with counts; the
+    readers of `geoaim.track_formats` do not check them.
+
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
             folder of a SinD recording.
@@ -44,7 +48,8 @@ def read_tracks(
         The tracks.
 
     Raises:
-        TracksError: the file has none of the formats, or is broken.
+        TracksError: the file has none of the formats, is broken, or nearly all of its agents or
+            states are implausible.
         ValueError: a required option is missing, the format does not take a given option, or
             the resolution is not positive.
     """
@@ -63,7 +68,9 @@ def read_tracks(
             f"{path} is in the {track_format.name} format, which needs a resolution: give metres "
             "per pixel, such as 0.04"
         )
-    return track_format.read(path, **given)
+    tracks = track_format.read(path, **given)
+    check_plausibility(path, tracks)
+    return tracks
 
 
 def detect_format(path: str | os.PathLike[str]) -> TrackFormat:

@@ -9,11 +9,7 @@ import pandas as pd
 
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_files import read_table
-from geoaim.track_formats.motion import (
-    compute_signed_speed,
-    fill_headings,
-    warn_of_reversed_headings,
-)
+from geoaim.track_formats.motion import compute_signed_speed, fill_headings
 from geoaim.track_formats.shared import (
     TrackFormat,
     check_columns,
@@ -51,9 +47,7 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
             GeoaimWarning,
             stacklevel=2,
         )
-    tracks = make_tracks(unique, world or World(None))
-    warn_of_reversed_headings(path, tracks)
-    return tracks
+    return make_tracks(unique, world or World(None))
 
 
 def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
@@ -84,9 +78,7 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
         signed = compute_signed_speed(velocity, rows["heading"].to_numpy())
         rows["speed"] = np.where(vehicles, signed, rows["speed"])
         tables.append(rows)
-    tracks = make_tracks(pd.concat(tables), world or World(None))
-    warn_of_reversed_headings(path, tracks)
-    return tracks
+    return make_tracks(pd.concat(tables), world or World(None))
 
 
 def _read_states(path: str | os.PathLike[str], *, heading: str) -> pd.DataFrame:

@@ -14,11 +14,7 @@ import pandas as pd
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.track_files import read_table
-from geoaim.track_formats.motion import (
-    compute_signed_speed,
-    fill_headings,
-    warn_of_reversed_headings,
-)
+from geoaim.track_formats.motion import compute_signed_speed, fill_headings
 from geoaim.track_formats.shared import (
     TrackFormat,
     check_columns,
@@ -70,9 +66,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
     rows[["length", "width"]] = fill_sizes(rows)
     crs = find_utm_crs(recording["lonLocation"], recording["latLocation"])
     world = World(crs, (recording["xUtmOrigin"], recording["yUtmOrigin"]))
-    tracks = make_tracks(rows, world)
-    warn_of_reversed_headings(path, tracks)
-    return tracks
+    return make_tracks(rows, world)
 
 
 def read_highd(path: str | os.PathLike[str]) -> Tracks:

@@ -123,7 +123,7 @@ def test_a_real_file_with_reversed_headings_warns_and_derive_motion_corrects_it(
     good = read_tracks(folder / "k729_2022-03-16/vehicle_tracks_003.csv")
     with pytest.warns(GeoaimWarning) as warned:
         bad = read_tracks(folder / "k733_2018-05-02/vehicle_tracks_000.csv")
-    assert any("move against their heading" in str(warning.message) for warning in warned)
+    assert any("do not move where they head" in str(warning.message) for warning in warned)
     for tracks in (good, derive_motion(bad, half_window=0.25)):
         step = np.diff(tracks.states[..., :2], axis=1)
         heading = tracks.states[:, :-1, 2]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.errors import TracksError
 from geoaim.track_formats import read_highd, read_ind
 
 IND = (
@@ -94,13 +94,6 @@ def test_ind_reverses_with_a_negative_speed(tmp_path):
 def test_ind_gives_points_the_size_of_their_type(tmp_path):
     sizes = read_ind(_write_ind(tmp_path)).sizes
     np.testing.assert_allclose(sizes, [[4.4, 1.8], [4.4, 1.8], [0.5, 0.5], [1.8, 0.65]])
-
-
-def test_headings_against_the_motion_give_a_warning(tmp_path):
-    path = _write_ind(tmp_path)
-    path.write_text(path.read_text().replace("360.0", "180.0"))
-    with pytest.warns(GeoaimWarning, match="% of the moving states, of 1 agents, move against"):
-        read_ind(path)
 
 
 def test_highd_is_read_as_box_middles_with_y_up_and_headings_of_the_motion(tmp_path):
