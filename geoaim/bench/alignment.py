@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 from unittest.mock import patch
 
 import cv2
@@ -33,6 +33,7 @@ from geoaim.geometry import from_opencv, translation
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
 
+PLACES_PER_KIND, TRIALS = 4, 4  # synthetic places of each kind; misplacements of each pair
 MIN_INLIERS = 10  # of feature matches
 MAX_REPROJECTION_ERROR_PX = 2.0  # of an inlier
 FEATURES = 5000
@@ -163,17 +164,12 @@ def draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main(
-    json: JsonFile = None,
-    chart: ChartFile = None,
-    seeds: Annotated[int, typer.Option(help="synthetic places of each kind")] = 4,
-    trials: Annotated[int, typer.Option(help="misplacements of each synthetic pair")] = 4,
-) -> None:
-    """Compare on synthetic pairs, then measure real pairs, tracks and tiles if there are any."""
+def main(json: JsonFile = None, chart: ChartFile = None) -> None:
+    """Compare on synthetic pairs, then measure real pairs and tracks if there are any."""
     cv2.setNumThreads(2)
-    pairs = list(make_pairs(seeds))
+    pairs = list(make_pairs(PLACES_PER_KIND))
     folder = find_data()
-    compared = _compare_methods(pairs, trials, list_methods())
+    compared = _compare_methods(pairs, TRIALS, list_methods())
     parts: list[Callable[[], list[dict[str, Any]]]] = [
         lambda: compared,
         lambda: measure_synthetic(pairs),

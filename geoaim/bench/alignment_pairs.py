@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.geometry import make_similarity, transform_points
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
+from geoaim.synthetic.imagery import make_other_day, photograph
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks import Tracks
 
@@ -50,9 +50,13 @@ def make_pairs(seeds: int) -> Iterator[Pair]:
             place = make_place(seed, kind=kind)
             resolution = PICTURE_RESOLUTIONS[seed % len(PICTURE_RESOLUTIONS)]
             tracks = tracks_of(make_sample(seed, kind=kind, minutes=1.0, video=None))
-            sensor = Sensor(resolution=resolution)
-            day = make_other_day(place)
-            photo = photograph(place, day, tracks, sensor, resolution=SCENE_RESOLUTION)
+            photo = photograph(
+                place,
+                make_other_day(place),
+                tracks,
+                sensor_resolution=resolution,
+                resolution=SCENE_RESOLUTION,
+            )
             ground = draw_place(place, resolution=AIM_RESOLUTION)
             aim, picture = (
                 AIM.from_image(image, world_from_image(place, metres), place.world, "drawn")

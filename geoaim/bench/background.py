@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,6 +29,7 @@ from geoaim.bench.report import (
     run_in_process,
     write_rows,
 )
+from geoaim.bench.stills import STILLS
 from geoaim.encode import write_video
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
 from geoaim.mapping.background.running_mean import Background, average_frames
@@ -47,6 +48,8 @@ from geoaim.synthetic import (
 
 Image = UInt8[Array, "H W 3"]
 
+SIZE, FRAMES = "4k", 60  # of the synthetic videos, and frames sampled over each
+THREADS = 2  # of OpenCV and of the decoder
 MARGIN_PX = 100  # left out of the figures: the camera's drift leaves the rim to fewer frames
 MIN_STANDING_SHARE = 0.3  # of the time, from which traffic counts as standing
 
@@ -109,10 +112,10 @@ def _spread_indices(count: int) -> list[int]:
     return sorted(range(count), key=lambda index: int(f"{index:0{digits}b}"[::-1], 2))
 
 
-def _write_input(still: str, size: str, count: int, folder: Path) -> None:
+def _write_input(still: str, folder: Path) -> None:
     """Encode frames sampled over a synthetic clip of 20 s, and write the truth beside them."""
-    video = make_hover_video(still, size=size, count=600, kind="queue")
-    order = np.linspace(0, len(video) - 1, count).round().astype(int)[_spread_indices(count)]
+    video = make_hover_video(still, size=SIZE, count=600, kind="queue")
+    order = np.linspace(0, len(video) - 1, FRAMES).round().astype(int)[_spread_indices(FRAMES)]
     write_video((video[index] for index in order), folder / "frames.mp4", frame_rate=1)
     boxes = [np.insert(list_boxes(video.clip, i), 0, n, axis=1) for n, i in enumerate(order)]
     np.savez(
@@ -135,9 +138,9 @@ def _read_input(folder: Path) -> tuple[RegisteredFrames, Any]:
     return RegisteredFrames(video, size, truth["reference_from_frame"], by_frame), truth
 
 
-def _run_method(name: str, folder: Path, threads: int) -> dict[str, Any]:
+def _run_method(name: str, folder: Path) -> dict[str, Any]:
     """Run one method in this process and measure it against the truth: a row of the table."""
-    cv2.setNumThreads(threads)
+    cv2.setNumThreads(THREADS)
     frames, truth = _read_input(folder)
     start = time.perf_counter()
     result = METHODS[name](frames)
@@ -186,13 +189,13 @@ def _divide_zones(share: Float32[Array, "H W"]) -> dict[str, Bool[Array, "H W"]]
     return {"static": inside & (share == 0), "passed": inside & passed, "stood": inside & stood}
 
 
-def _measure_synthetic(still: str, size: str, count: int, threads: int) -> Iterator[dict[str, Any]]:
+def _measure_synthetic(still: str) -> Iterator[dict[str, Any]]:
     """Measure each method on one still; times also as multiples of the plain mean's."""
     with TemporaryDirectory() as name:
-        _write_input(still, size, count, Path(name))
+        _write_input(still, Path(name))
         mean_time = np.nan
         for method in METHODS:
-            row = run_in_process(_run_method, method, Path(name), threads)
+            row = run_in_process(_run_method, method, Path(name))
             mean_time = row["decoded beforehand"] if method == "plain mean" else mean_time
             yield {"still": still, **row, "times plain mean": row["decoded beforehand"] / mean_time}
 
@@ -243,24 +246,14 @@ def _measure_differing_share(one: Background, other: Background) -> float:
     return 100 * float((differs & both).mean())
 
 
-def main(
-    json: JsonFile = None,
-    size: Annotated[str, typer.Option(help="of the synthetic videos: 720p, 1080p, 4k")] = "4k",
-    frames: Annotated[int, typer.Option(help="sampled over the clip")] = 60,
-    stills: Annotated[str, typer.Option(help="comma-separated")] = "00003,00972",
-    threads: Annotated[int, typer.Option(help="of OpenCV and of the decoder")] = 2,
-) -> None:
+def main(json: JsonFile = None) -> None:
     """Measure the background methods on synthetic videos, and compare them on real ones."""
     data = require_data()
-    cv2.setNumThreads(threads)
-    synthetic = print_rows(
-        row
-        for still in stills.split(",")
-        for row in _measure_synthetic(still, size, frames, threads)
-    )
+    cv2.setNumThreads(THREADS)
+    synthetic = print_rows(row for still in STILLS for row in _measure_synthetic(still))
     real = print_rows(_measure_real(data))
     command = "python -m geoaim.bench.background"
-    write_rows(synthetic, json, command=command, size=size, frames=frames, real=real)
+    write_rows(synthetic, json, command=command, size=SIZE, frames=FRAMES, real=real)
 
 
 if __name__ == "__main__":

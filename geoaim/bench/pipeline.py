@@ -7,9 +7,10 @@ Long files repeat the packets of one rendered clip, so that ten minutes of 4K ta
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import av
 import cv2
@@ -33,6 +34,9 @@ from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
 THREADS = 2
+SIZE, FRAMES = "4k", 90  # of the rendered clip, at 30 frames/s
+DURATION = 20.0  # s of the video whose throughput is measured
+MINUTES = (1, 10)  # durations of the videos that are built
 MEGABITS = 60.0  # Mbit/s of the clip; drones record 4K at 60 to 100
 GROUND = np.array([[0.04, 0, 0], [0, -0.04, 0], [0, 0, 1.0]])
 
@@ -48,17 +52,8 @@ def register_all(path: Path) -> int:
     return sum(1 for _ in register_frames(video, choose_reference(video)))
 
 
-def average_bands(path: Path) -> int:
-    """Register all frames and average one of 12 bands of each: every twelfth frame for a pixel."""
-    return _average(path, bands=12)
-
-
-def average_all(path: Path) -> int:
-    """Register and average all frames, and return their number."""
-    return _average(path, bands=1)
-
-
-def _average(path: Path, *, bands: int) -> int:
+def average(path: Path, bands: int) -> int:
+    """Register all frames and average one of some bands of rows of each; return their number."""
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
     frames = (
@@ -92,37 +87,30 @@ def run_opencv_script(path: Path) -> int:
         count += 1
 
 
-def measure_throughput(path: Path, runs: int) -> Iterator[dict[str, Any]]:
-    """Measure the frames per second of each method in turn, set-up included; medians."""
-    methods: list[Callable[[Path], int]] = [
-        decode,
-        register_all,
-        average_bands,
-        average_all,
-        run_opencv_script,
-    ]
-    rates: dict[Callable[[Path], int], list[float]] = {method: [] for method in methods}
+METHODS: dict[str, Callable[[Path], int]] = {
+    "decode": decode,
+    "register_all": register_all,
+    "average_bands": partial(average, bands=12),  # every twelfth frame for a pixel
+    "average_all": partial(average, bands=1),
+    "run_opencv_script": run_opencv_script,
+}
+
+
+def measure_throughput(path: Path) -> Iterator[dict[str, Any]]:
+    """Measure the frames per second of each method in one run, set-up included."""
     decode(path)  # fills the page cache
-    for run in range(runs):
-        for method in methods:
-            if method is run_opencv_script and run > 0:  # slow
-                continue
-            start = time.perf_counter()
-            count = method(path)
-            rates[method].append(count / (time.perf_counter() - start))
-    limit = float(np.median(rates[decode]))
-    for method, measured in rates.items():
-        rate = float(np.median(measured))
-        yield {
-            "method": method.__name__,
-            "frames_per_s": rate,
-            "share_of_decode_only": rate / limit,
-        }
+    limit = np.nan
+    for name, method in METHODS.items():
+        start = time.perf_counter()
+        count = method(path)
+        rate = count / (time.perf_counter() - start)
+        limit = rate if method is decode else limit
+        yield {"method": name, "frames_per_s": rate, "share_of_decode_only": rate / limit}
 
 
-def measure_lengths(clip: Path, minutes: list[int]) -> Iterator[dict[str, Any]]:
+def measure_lengths(clip: Path) -> Iterator[dict[str, Any]]:
     """Measure seconds and peak MiB of `build_aim` and of decoding, each in its own process."""
-    for minute in minutes:
+    for minute in MINUTES:
         path = repeat_packets(clip, clip.with_name(f"{minute}min.mp4"), 60.0 * minute)
         for method in (build, decode):
             seconds, peak = run_in_process(_measure_cost, method, path)
@@ -179,24 +167,17 @@ def _measure_cost(method: Callable[[Path], object], path: Path) -> tuple[float, 
     return time.perf_counter() - start, measure_peak_megabytes()
 
 
-def main(
-    json: JsonFile = None,
-    size: Annotated[str, typer.Option(help="frame size of the rendered clip")] = "4k",
-    frames: Annotated[int, typer.Option(help="frames of the rendered clip, at 30 frames/s")] = 150,
-    duration: Annotated[float, typer.Option(help="seconds of the video for throughput")] = 20.0,
-    runs: Annotated[int, typer.Option(help="timed runs of each method")] = 2,
-    minutes: Annotated[str, typer.Option(help="durations to compare, comma-separated")] = "1,10",
-) -> None:
+def main(json: JsonFile = None) -> None:
     """Measure throughput and the cost of length; print tables; write JSON if asked."""
     cv2.setNumThreads(THREADS)
     with TemporaryDirectory() as folder:
-        video = make_hover_video("00003", size=size, count=frames, kind="queue")
+        video = make_hover_video("00003", size=SIZE, count=FRAMES, kind="queue")
         clip = write_video(video, Path(folder, "clip.mp4"), megabits=MEGABITS)
-        short = repeat_packets(clip, clip.with_name("short.mp4"), duration)
-        rates = print_rows(measure_throughput(short, runs))
-        lengths = print_rows(measure_lengths(clip, [int(m) for m in minutes.split(",") if m]))
-    settings = {"threads": THREADS, "size": size, "megabits": MEGABITS, "duration": duration}
-    command = f"python -m geoaim.bench.pipeline --frames {frames} --runs {runs}"
+        short = repeat_packets(clip, clip.with_name("short.mp4"), DURATION)
+        rates = print_rows(measure_throughput(short))
+        lengths = print_rows(measure_lengths(clip))
+    settings = {"threads": THREADS, "size": SIZE, "megabits": MEGABITS, "duration": DURATION}
+    command = "python -m geoaim.bench.pipeline"
     write_rows(rates, json, command=command, **settings, lengths=lengths)
 
 

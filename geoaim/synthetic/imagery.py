@@ -21,18 +21,12 @@ WEB = "EPSG:3857"
 ROUND = 20037508.342789244  # m, half the width of the world in EPSG:3857
 TILE = 256  # px
 IMAGERY = 30  # stream of random numbers
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """A satellite's or an aeroplane's sensor."""
-
-    resolution: float = 0.2  # metres per pixel on the ground
-    blur: float = 0.6  # standard deviation of its blur, pixels
-    noise: float = 2.5  # standard deviation of its noise, grey levels
-    gamma: float = 0.9  # exponent of its grey levels
-    balance: tuple[float, float, float] = (1.04, 1.0, 0.93)  # gain of red, green and blue
-    mix: float = 0.15  # how far its channels are mixed with grey, 0 to 1
+# a satellite's or an aeroplane's sensor
+SENSOR_RESOLUTION = 0.2  # metres per pixel on the ground, unless another is asked for
+BLUR, NOISE = 0.6, 2.5  # standard deviations in pixels and in grey levels
+GAMMA = 0.9  # exponent of its grey levels
+BALANCE = (1.04, 1.0, 0.93)  # gain of red, green and blue
+MIX = 0.15  # how far its channels are mixed with grey, 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +56,8 @@ def photograph(
     place: Place,
     day: Day,
     tracks: Tracks,
-    sensor: Sensor | None = None,
     *,
+    sensor_resolution: float = SENSOR_RESOLUTION,
     resolution: float = RESOLUTION,
 ) -> UInt8[Array, "_ _ 3"]:
     """Photograph a place, with the traffic of the tracks' first time.
@@ -72,7 +66,7 @@ def photograph(
         place: the place.
         day: the day.
         tracks: the traffic.
-        sensor: the sensor; None takes the default one.
+        sensor_resolution: metres per pixel of the photo.
         resolution: metres per pixel at which the place is drawn before the sensor reduces it.
 
     Returns:
@@ -82,7 +76,7 @@ def photograph(
     still = draw_place(place, day, resolution=resolution)
     agents = draw_agents(tracks, resolution, generator)
     paste(still, agents, compute_image_poses(place, tracks, resolution)[0])
-    return _apply_sensor(still, Sensor() if sensor is None else sensor, generator)
+    return _apply_sensor(still, sensor_resolution, generator)
 
 
 def georeference_photo(
@@ -120,13 +114,7 @@ def draw_offset(place: Place) -> tuple[float, float]:
 
 
 def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Array, "T T 3"]]]:
-    """XYZ tiles of an imagery in EPSG:3857: column, row and picture; white where nothing is.
-
-    Raises:
-        ValueError: the imagery has another CRS.
-    """
-    if imagery.crs != WEB:
-        raise ValueError(f"tiles are cut from {WEB}, not from {imagery.crs}")
+    """XYZ tiles of an imagery in EPSG:3857: column, row and picture; white where nothing is."""
     side = 2 * ROUND / 2**zoom
     corners = transform_points(imagery.crs_from_image, image_corners(*imagery.image.shape[:2]))
     spans = np.floor((corners * [1, -1] + ROUND) / side).astype(int)
@@ -177,16 +165,16 @@ def _make_grid(
 
 
 def _apply_sensor(
-    still: UInt8[Array, "H W 3"], sensor: Sensor, generator: np.random.Generator
+    still: UInt8[Array, "H W 3"], resolution: float, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
     """Reduce an image from `draw_place` to what a sensor records: resolution, tone, noise."""
-    width, height = (round(side / sensor.resolution) for side in (WIDTH_M, HEIGHT_M))
-    small = blur(resize(still, (width, height)), sensor.blur)
-    levels = np.rint(255 * (np.arange(256) / 255) ** sensor.gamma).astype(np.float32)
-    light = levels[small] * np.asarray(sensor.balance, np.float32)
+    width, height = (round(side / resolution) for side in (WIDTH_M, HEIGHT_M))
+    small = blur(resize(still, (width, height)), BLUR)
+    levels = np.rint(255 * (np.arange(256) / 255) ** GAMMA).astype(np.float32)
+    light = levels[small] * np.asarray(BALANCE, np.float32)
     grey = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3)
-    light += np.float32(sensor.mix) * (grey[..., None] - light)
-    light += np.rint(sensor.noise * generator.standard_normal(light.shape)).astype(np.float32)
+    light += np.float32(MIX) * (grey[..., None] - light)
+    light += np.rint(NOISE * generator.standard_normal(light.shape)).astype(np.float32)
     return np.rint(np.minimum(np.maximum(light, 0), 255)).astype(np.uint8)
 
 

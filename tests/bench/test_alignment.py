@@ -61,6 +61,6 @@ def test_tracks_row_counts_errors_and_refusals(monkeypatch):
         return ImageryAlignment(np.linalg.inv(stated), "rigid", np.eye(2), np.zeros(2))
 
     monkeypatch.setattr(alignment_real, "align_tracks", align)
-    row = alignment_real._measure_tracks("a", pair.picture, tracks, 3)
+    row = alignment_real._measure_tracks("a", [(pair.picture, tracks)], 3)
     assert (row["cases"], row["refused"], row["in the 95 % region"]) == (3, 0, 3)
     assert row["largest, m"] == pytest.approx(0, abs=1e-9)

@@ -33,7 +33,8 @@ def folder(ground, tmp_path):
 @pytest.mark.parametrize("method", METHODS)
 def test_each_method_is_measured_in_each_zone(folder, monkeypatch, method):
     monkeypatch.setattr(background, "MARGIN_PX", 10)
-    row = _run_method(method, folder, threads=1)
+    monkeypatch.setattr(background, "THREADS", 1)
+    row = _run_method(method, folder)
     assert np.isfinite([row["static"], row["passed"], row["stood"], row["gradient energy %"]]).all()
     assert row["static"] < 10
 

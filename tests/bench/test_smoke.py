@@ -89,7 +89,7 @@ def test_pipeline_repeats_packets_and_counts_frames(video, tmp_path):
     clip = write_video(list(video), tmp_path / "clip.mp4")
     long = pipeline.repeat_packets(clip, tmp_path / "long.mp4", 0.4)
     assert pipeline.decode(long) == 15
-    rows = list(pipeline.measure_throughput(clip, 1))
+    rows = list(pipeline.measure_throughput(clip))
     assert [row["method"] for row in rows][:2] == ["decode", "register_all"]
     assert all(row["frames_per_s"] > 0 for row in rows)
 

@@ -42,6 +42,7 @@ from geoaim.synthetic.traffic.vehicles import (
 )
 
 DT = 0.25  # s
+LANE_RATE, PEDESTRIAN_RATE = 0.1, 0.16  # a second: on each inbound lane; in the whole place
 WARM_UP_S = 30.0  # before the recording, in which the place fills
 PARKED_SHARE, PARKED_S = 0.6, 60.0  # of the open bays at the start, and for how long on average
 WALK_S = 90.0  # about the duration of a pedestrian's trip
@@ -96,12 +97,7 @@ def prepare_traffic(roads: Roads, generator: np.random.Generator) -> TrafficMode
 
 
 def simulate_traffic(
-    model: TrafficModel,
-    *,
-    duration: float,
-    generator: np.random.Generator,
-    lane_rate: float = 0.1,
-    pedestrian_rate: float = 0.16,
+    model: TrafficModel, *, duration: float, generator: np.random.Generator
 ) -> TrafficRecording:
     """Simulate the traffic of a place.
 
@@ -109,8 +105,6 @@ def simulate_traffic(
         model: from `prepare_traffic`; `signals.phase` is that at the start of the recording.
         duration: seconds.
         generator: of everything random.
-        lane_rate: vehicles a second on each inbound lane.
-        pedestrian_rate: pedestrians a second in the whole place.
 
     Returns:
         The recording, after a warm-up that is left out.
@@ -118,12 +112,10 @@ def simulate_traffic(
     times = np.arange(-round(WARM_UP_S / DT), ceil(duration / DT - 1e-9) + 1) * DT
     light_states = light_states_at(model.signals, times)
     interval = -WARM_UP_S, duration
-    queues = _draw_vehicle_trips(model.paths, interval, rate=lane_rate, generator=generator)
+    queues = _draw_vehicle_trips(model.paths, interval, generator)
     trips = Trips(queues, [], [], [])
-    agents = _place_first_agents(model, trips, pedestrian_rate, generator)
-    trips.pedestrian_queue.extend(
-        _draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
-    )
+    agents = _place_first_agents(model, trips, generator)
+    trips.pedestrian_queue.extend(_draw_pedestrian_trips(model.roads, interval, generator))
     pairs, states = pair_vehicles(agents.vehicles, model.tables), []
     for time, lights in zip(times.tolist(), light_states, strict=True):
         paths = agents.vehicles.path
@@ -137,7 +129,7 @@ def simulate_traffic(
 
 
 def _place_first_agents(
-    model: TrafficModel, trips: Trips, pedestrian_rate: float, generator: np.random.Generator
+    model: TrafficModel, trips: Trips, generator: np.random.Generator
 ) -> Agents:
     """Park vehicles in some bays, and place pedestrians somewhere on their paths."""
     agents, tables = make_empty(), model.tables
@@ -151,10 +143,7 @@ def _place_first_agents(
             vehicle = make_vehicle(trip, number, s=s, parked_until=parked_until)
             vehicles = concat(vehicles, vehicle)
             trips.vehicles.append(trip)
-    interval = 0.0, WALK_S
-    trips.pedestrians.extend(
-        _draw_pedestrian_trips(model.roads, interval, rate=pedestrian_rate, generator=generator)
-    )
+    trips.pedestrians.extend(_draw_pedestrian_trips(model.roads, (0.0, WALK_S), generator))
     for number, walk in enumerate(trips.pedestrians):
         s = generator.uniform() * POINT_SPACING_M * len(walk.path)
         pedestrians = concat(pedestrians, make_pedestrian(walk, number, s))
@@ -222,18 +211,14 @@ def _make_crossing_table(roads: Roads, signals: Signals) -> CrossingTable:
 
 
 def _draw_vehicle_trips(
-    paths: tuple[VehiclePath, ...],
-    interval: tuple[float, float],
-    *,
-    rate: float,
-    generator: np.random.Generator,
+    paths: tuple[VehiclePath, ...], interval: tuple[float, float], generator: np.random.Generator
 ) -> list[list[VehicleTrip]]:
     """Draw the trips from each entry in the order of time, as Poisson processes."""
     queues, (start, end) = [], interval
     for entry in sorted({path.entry for path in paths if path.entry}):
         indices = [r for r, path in enumerate(paths) if path.entry == entry]
         shares = np.array([paths[r].share for r in indices])
-        mean = 1 / (rate * min(shares.sum(), 1.0))
+        mean = 1 / (LANE_RATE * min(shares.sum(), 1.0))
         queue, time = [], start + generator.exponential(mean)
         while time < end:
             index = indices[int(generator.choice(len(indices), p=shares / shares.sum()))]
@@ -268,16 +253,16 @@ def _draw_vehicle_trip(
 
 
 def _draw_pedestrian_trips(
-    roads: Roads, interval: tuple[float, float], *, rate: float, generator: np.random.Generator
+    roads: Roads, interval: tuple[float, float], generator: np.random.Generator
 ) -> list[PedestrianTrip]:
     """Draw the trips of pedestrians and cyclists in the order of time, as a Poisson process."""
     trips, (start, end) = [], interval
-    time = start + generator.exponential(1 / rate)
+    time = start + generator.exponential(1 / PEDESTRIAN_RATE)
     while time < end:
         trip = _draw_pedestrian_trip(roads, time, generator)
         if trip is not None:
             trips.append(trip)
-        time += generator.exponential(1 / rate)
+        time += generator.exponential(1 / PEDESTRIAN_RATE)
     return trips
 
 

@@ -6,7 +6,7 @@ from functools import cache
 from geoaim.aim import AIM
 from geoaim.geometry import make_similarity
 from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.imagery import Sensor, make_other_day, photograph
+from geoaim.synthetic.imagery import make_other_day, photograph
 from geoaim.world import World
 
 GROUND, PHOTO = 0.2, 0.5  # m a pixel
@@ -23,8 +23,8 @@ def made(seed=2, kind="junction"):
     """The AIM, another day's picture of it where it truly lies, and tracks."""
     place = make_place(seed, kind=kind)
     tracks = tracks_of(make_sample(seed, kind=kind, minutes=0.5, video=None))
-    sensor = Sensor(resolution=PHOTO)
-    photo = photograph(place, make_other_day(place), tracks, sensor, resolution=0.2)
+    day = make_other_day(place)
+    photo = photograph(place, day, tracks, sensor_resolution=PHOTO, resolution=0.2)
     return (
         as_aim(draw_place(place, resolution=GROUND), world_from_image(place, GROUND), place.world),
         as_aim(photo, world_from_image(place, PHOTO), place.world),
