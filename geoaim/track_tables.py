@@ -10,6 +10,7 @@ from geoaim.geometry import wrap_angle
 from geoaim.tracks import COLUMNS, MAX_STATES, TICKS_PER_S, Tracks
 from geoaim.world import World
 
+MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
@@ -22,8 +23,8 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in
-            radians, a size is not positive, an agent has two rows at one time, or the table is
-            too large.
+            radians, a position is off the Earth, a size is not positive, an agent has two rows at
+            one time, or the table is too large.
     """
     values = _read_values(rows)
     heading = values[:, 3]
@@ -70,6 +71,9 @@ def _read_values(rows: pd.DataFrame) -> Float[Array, "M 7"]:
         _refuse_rows(rows, name, empty, "is missing; give each agent one")
     _refuse_rows(rows, "time", values["time"].abs() > MAX_TIME_S, "is not in seconds")
     _refuse_rows(rows, "heading", values["heading"].abs() > 2 * np.pi, "is not in radians")
+    for name in ("x", "y"):
+        far = values[name].abs() > MAX_POSITION_M
+        _refuse_rows(rows, name, far, "is not in metres from the origin")
     for name in ("length", "width"):
         _refuse_rows(rows, name, values[name] <= 0, "is not positive")
     return values.to_numpy()

@@ -86,8 +86,6 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
     has_checksum = verify_checksum(path, FORMAT)
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except OSError:
-        raise
     except Exception:  # pickle, zip and torch raise errors of their own
         raise ModelError(f"{path} is not a model that geoaim wrote; give a model.pt") from None
     stated = state.get("format") if isinstance(state, dict) else None

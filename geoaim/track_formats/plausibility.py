@@ -27,7 +27,6 @@ LIMITS = {
 OTHER_LIMITS = (100.0, 20.0, 100.0)
 MAX_ACCELERATION = 25.0  # m/s2; brakes and tyres reach 12, noise of positions the rest
 LONG_TYPES = ("car", "van", "truck", "bus", "motorcycle", "cyclist")  # longer than wide
-MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
 HALF_WINDOW_S = 0.25  # over which positions are differenced
 MIN_MOVING_SPEED = 1.0  # m/s; slower motion has too noisy a direction
 MAX_HEADING_ERROR = np.radians(60.0)
@@ -54,15 +53,8 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
         tracks: its tracks.
 
     Raises:
-        TracksError: nearly all agents or states are implausible, or a position is absurd.
+        TracksError: nearly all agents or states are implausible.
     """
-    far = (np.abs(np.nan_to_num(tracks.states[..., :2])) > MAX_POSITION_M).any(axis=-1)
-    if far.any():
-        agent, step = np.argwhere(far)[0]
-        raise TracksError(
-            f"{Path(path)}: agent {tracks.ids[agent]} at {tracks.times[step]:g} s is at "
-            f"{tracks.states[agent, step, :2].tolist()}; metres from the origin are needed"
-        )
     found = []
     for check in (*_check_sizes(tracks), *_check_motion(tracks)):
         share = check.wrong.sum() / max(check.checked.sum(), 1)
