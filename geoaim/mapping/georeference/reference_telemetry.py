@@ -68,8 +68,8 @@ def georeference_by_telemetry(video: Video, reference: Reference) -> Georeferenc
     telemetry = video.telemetry
     if telemetry is None:
         raise GeoreferenceError(
-            f"{video.source}: no control points were given and there is no telemetry beside it (a "
-            "DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
+            f"{video.source}: no control points were given and no telemetry can be read beside it "
+            "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
             "points, or a resolution for a map in a local plane"
         )
     image = "" if video.names is None else f", {video.names[reference.index]}"

@@ -78,7 +78,7 @@ def _parse_entry(text: str) -> dict[str, float]:
         found = [match[match.lastindex or 0] for match in re.finditer(pattern, text)]
         if len(found) > 1:
             raise ValueError(f"{name} is stated {len(found)} times")
-        if found:
+        if found and found[0].rstrip(",") != "n/a":
             stated[name] = found[0].rstrip(",")
     row = _parse_place(stated.pop("place")) if "place" in stated else {}
     if "attitude" in stated:
@@ -98,6 +98,8 @@ def _parse_entry(text: str) -> dict[str, float]:
 def _parse_place(text: str) -> dict[str, float]:
     """Position as GPS (longitude, latitude, satellites) or GPS(latitude, longitude, 0.0M)."""
     parts = [part.strip() for part in text.split(",")]
+    if parts[:2] == ["n/a", "n/a"]:  # no fix
+        return {}
     latitude_first = parts[-1].endswith("M")
     if len(parts) != 3 or not (latitude_first or parts[-1].isdecimal()):
         raise ValueError(

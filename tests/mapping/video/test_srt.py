@@ -44,6 +44,15 @@ def test_zero_position_is_no_fix(tmp_path: Path) -> None:
     assert np.isnan(read(tmp_path, text).latitude).tolist() == [True, False, False, False]
 
 
+def test_not_available_is_no_fix(tmp_path: Path) -> None:
+    text = (
+        (DIALECTS / "mavic_mini.SRT").read_text().replace("GPS (25.2790, 54.6872", "GPS (n/a, n/a")
+    )
+    found = read(tmp_path, text.replace("H 60.10m", "H n/a", 1))
+    assert np.isnan(found.longitude).tolist() == [True, False, False, False]
+    assert np.isnan(found.height).tolist() == [False, True, False, False]
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
