@@ -49,10 +49,18 @@ def _summarize_image(aim: AIM) -> Lines:
 
 def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
     approximate = "approximate, " if georeference["approximate"] else ""
-    lines = {
-        "georeference": approximate + georeference["model"],
-        "corner uncertainty": f"{max(georeference['corner_uncertainty_m']):.2f} m (95 %)",
-    }
+    lines = {"georeference": approximate + georeference["model"]}
+    if uncertainty := georeference.get("uncertainty"):
+        lines["uncertainty (95 %)"] = (
+            f"{uncertainty['middle_m']:.2f} m in the middle, median {uncertainty['median_m']:.2f} m"
+        )
+        lines["worst corner"] = (
+            f"{uncertainty['worst_corner']} of the frame, {uncertainty['worst_corner_m']:.2f} m; "
+            f"with a point there {uncertainty['worst_corner_with_point_there_m']:.2f} m"
+        )
+    else:  # of version 0.1
+        bound = max(georeference["corner_uncertainty_m"])
+        lines["corner uncertainty"] = f"{bound:.2f} m (95 %)"
     if georeference["points"]:
         errors = [point["leave_one_out_m"] for point in georeference["points"] if point["used"]]
         rms = np.sqrt(np.mean(np.square(errors)))

@@ -17,7 +17,8 @@ from geoaim.grid import Grid, make_north_up_grid
 from geoaim.rectification import sample_nearest
 from geoaim.tracks import Tracks
 
-RESIDUAL_SCALE = 50  # residuals of control points are drawn so many times longer
+RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
+LONGEST_RESIDUAL = 0.2  # of the image's width, as drawn
 RASTER_STRIDE = 4  # of the pixels of the coverage that are drawn
 USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # of control points
 LONGER_SIDE_PX = 900
@@ -29,11 +30,12 @@ Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
 def draw_quicklook(aim: AIM) -> Figure:
     """Draw the image with its control points, the camera drift, the coverage and the summary."""
     figure = Figure(figsize=(14, 6.4), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=[2.4, 1])
+    grid = figure.add_gridspec(4, 2, width_ratios=[2.4, 1])
     _draw_points(figure.add_subplot(grid[:, 0]), aim)
     _draw_drift(figure.add_subplot(grid[0, 1]), aim.report.get("registration", {}))
     _draw_coverage(figure.add_subplot(grid[1, 1]), aim)
-    _draw_summary(figure.add_subplot(grid[2, 1]), aim)
+    _draw_uncertainty(figure.add_subplot(grid[2, 1]), aim.report.get("georeference", {}))
+    _draw_summary(figure.add_subplot(grid[3, 1]), aim)
     return figure
 
 
@@ -42,18 +44,24 @@ def _draw_points(axes: Axes, aim: AIM) -> None:
     height, width = aim.image.shape[:2]
     axes.imshow(aim.image, extent=(0, width, height, 0))
     points = aim.report.get("georeference", {}).get("points", [])
-    residuals = f"background, control points, residuals x {RESIDUAL_SCALE}"
-    axes.set(title=residuals if points else "background", xlabel="u, px", ylabel="v, px")
     image_from_world = np.linalg.inv(aim.world_from_image)
+    ends = np.array(
+        [[[p["x"], p["y"]], [p["x"] + p["residual_x"], p["y"] + p["residual_y"]]] for p in points]
+    )
+    ends = transform_points(image_from_world, ends.reshape(-1, 2)).reshape(-1, 2, 2)
+    longest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)
+    scale = next((n for n in RESIDUAL_SCALES if n * longest <= LONGEST_RESIDUAL * width), 1)
+    residuals = f"background, control points, residuals x {scale}"
+    axes.set(title=residuals if points else "background", xlabel="u, px", ylabel="v, px")
     shade = {"facecolor": "black", "alpha": 0.5, "pad": 1}
-    for point in points:
-        x, y = point["x"], point["y"]
-        ends = np.array([[x, y], [x + point["residual_x"], y + point["residual_y"]]])
-        start, end = transform_points(image_from_world, ends)
+    for point, (start, end) in zip(points, ends, strict=True):
         colour = USED_COLOUR if point["used"] else UNUSED_COLOUR
         axes.plot(*start, "o", color=colour, markersize=7, fillstyle="none", markeredgewidth=2)
-        axes.arrow(*start, *(RESIDUAL_SCALE * (end - start)), color=colour, width=width / 600)
-        axes.text(start[0] + 8, start[1] + 8, point["name"], color="white", fontsize=8, bbox=shade)
+        axes.arrow(*start, *(scale * (end - start)), color=colour, width=width / 600)
+        label = axes.text(
+            start[0] + 8, start[1] + 8, point["name"], color="white", fontsize=8, bbox=shade
+        )
+        label.set_clip_on(True)
     axes.set(xlim=(0, width), ylim=(height, 0))
 
 
@@ -81,6 +89,15 @@ def _draw_coverage(axes: Axes, aim: AIM) -> None:
     axes.imshow(contested, extent=extent, cmap="cool", vmin=0, vmax=1)
     axes.set_title("frames per pixel (magenta: contested)", fontsize=9)
     axes.set(xticks=[], yticks=[])
+
+
+def _draw_uncertainty(axes: Axes, georeference: Mapping[str, Any]) -> None:
+    """Draw the 95 % radius over the image of the video, before any resampling."""
+    axes.set_title("95 % uncertainty of the place over the frame", fontsize=9)
+    axes.set(xticks=[], yticks=[])
+    if uncertainty := georeference.get("uncertainty"):
+        drawn = axes.imshow(uncertainty["map_m"], vmin=0, cmap="viridis", interpolation="bilinear")
+        axes.figure.colorbar(drawn, ax=axes, label="m")
 
 
 def _draw_summary(axes: Axes, aim: AIM) -> None:

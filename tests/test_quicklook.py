@@ -19,7 +19,14 @@ REPORT = {
     "georeference": {
         "approximate": False,
         "model": "similarity",
-        "corner_uncertainty_m": [0.1, 0.2, 0.3, 0.4],
+        "uncertainty": {
+            "map_m": [[0.4, 0.3], [0.2, 0.3]],
+            "middle_m": 0.1,
+            "median_m": 0.2,
+            "worst_corner": "top left",
+            "worst_corner_m": 0.4,
+            "worst_corner_with_point_there_m": 0.1,
+        },
         "points": [POINT | {"leave_one_out_m": 0.03}],
     },
 }
@@ -28,8 +35,17 @@ REPORT = {
 def test_summary_has_a_line_for_each_stage():
     lines = summarize_aim(make_aim(report=REPORT))
     assert lines["registered frames"] == "9 of 10"
-    assert lines["corner uncertainty"] == "0.40 m (95 %)"
+    assert lines["uncertainty (95 %)"] == "0.10 m in the middle, median 0.20 m"
+    assert lines["worst corner"] == "top left of the frame, 0.40 m; with a point there 0.10 m"
     assert lines["leave-one-out error"] == "0.0300 m (RMS of 1 points)"
+
+
+def test_summary_of_a_map_of_version_0_1_has_its_corner_uncertainty():
+    report = {"model": "affine", "approximate": False, "points": []}
+    lines = summarize_aim(
+        make_aim(report={"georeference": report | {"corner_uncertainty_m": [0.1, 0.4]}})
+    )
+    assert lines["corner uncertainty"] == "0.40 m (95 %)"
 
 
 def test_quicklook_is_written_with_and_without_a_report(tmp_path):

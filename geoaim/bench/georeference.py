@@ -22,14 +22,11 @@ from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import image_corners, make_similarity, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
-from geoaim.mapping.georeference.georeference import (
-    Georeference,
-    predict_covariance,
-    world_from_pixels,
-)
+from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
 from geoaim.mapping.georeference.normalised_plane import half_diagonal, undistort_points
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, ellipse_factor
 from geoaim.mapping.georeference.transform_models import compose_world_from_image
+from geoaim.mapping.georeference.uncertainty import predict_covariance
 
 HEIGHT, WIDTH = 1080, 1920
 RESOLUTION = 0.05  # metres per pixel

@@ -7,11 +7,8 @@ import numpy as np
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.georeference import (
-    Georeference,
-    predict_uncertainty,
-    world_from_pixels,
-)
+from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
+from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty
 from geoaim.mapping.registration.register import Registration, count_reasons
 
 MAX_PATH_POINTS = 1000  # of the camera's drift
@@ -42,6 +39,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
     """Transform model, residuals of each control point, and the uncertainty of the corners."""
     corners = image_corners(georeference.height, georeference.width)
     sigma, bound = predict_uncertainty(georeference, corners)
+    uncertainty = map_uncertainty(georeference)
     rows = []
     if points is not None:
         fitted = world_from_pixels(georeference, points.pixels)
@@ -68,6 +66,15 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         "leave_one_out_by_model_m": dict(georeference.candidates),
         "corner_sigma_m": sigma,
         "corner_uncertainty_m": bound,
+        "uncertainty": {
+            "map_m": uncertainty.grid.round(4),
+            "middle_m": uncertainty.middle,
+            "median_m": uncertainty.median,
+            "worst_corner": uncertainty.worst_corner,
+            "worst_corner_m": uncertainty.worst,
+            "median_with_point_there_m": uncertainty.median_with_point,
+            "worst_corner_with_point_there_m": uncertainty.worst_with_point,
+        },
         "points": rows,
     }
 

@@ -3,14 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.geometry import transform_points
-from geoaim.mapping.georeference.normalised_plane import Points, normalise_pixels, undistort_points
-from geoaim.mapping.georeference.posterior import ellipse_factor
-from geoaim.mapping.georeference.transform_models import Posterior, apply_terms, term_jacobian
+from geoaim.mapping.georeference.normalised_plane import Points, undistort_points
+from geoaim.mapping.georeference.transform_models import Posterior
 from geoaim.world import World
 
 
@@ -59,33 +57,3 @@ def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:
     size = (georeference.height, georeference.width)
     undistorted = undistort_points(pixels, georeference.radial, *size)
     return transform_points(georeference.world_from_image, undistorted)
-
-
-def predict_covariance(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 2"]:
-    """Predict the expected squared error of `world_from_pixels`, square metres.
-
-    J S J^T with the posterior covariance S of all nine terms (Criminisi, Reid and Zisserman 1997),
-    plus the squared difference between that posterior's mean and the chosen model.
-    """
-    terms, posterior = georeference.terms, georeference.posterior
-    plane = normalise_pixels(pixels, (georeference.height, georeference.width))
-    jacobian = term_jacobian(posterior.mean, plane)
-    covariance = jacobian @ posterior.covariance @ jacobian.transpose(0, 2, 1)
-    bias = apply_terms(terms, plane) - apply_terms(posterior.mean, plane)
-    covariance = covariance + bias[:, :, None] * bias[:, None, :]
-    scale = georeference.world_from_plane[:2, :2]
-    return np.asarray(scale @ covariance @ scale.T)
-
-
-def predict_uncertainty(
-    georeference: Georeference, pixels: Points
-) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
-    """Predict how far pixels may be off in the world, metres, along the worst direction.
-
-    Returns:
-        One standard deviation (M,), and the semi-major axis (M,) of the ellipse that holds the true
-        place in 95 % of cases; by the F distribution it is larger for few points.
-    """
-    covariance = predict_covariance(georeference, pixels)
-    sigma = np.sqrt(np.linalg.eigvalsh(covariance)[:, -1])
-    return sigma, sigma * ellipse_factor(georeference.posterior.dof)

@@ -7,7 +7,8 @@ from geoaim.mapping.georeference.from_telemetry import (
     approximate_georeference,
     make_local_georeference,
 )
-from geoaim.mapping.georeference.georeference import predict_uncertainty, world_from_pixels
+from geoaim.mapping.georeference.georeference import world_from_pixels
+from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 from geoaim.world import World, world_from_lonlat
 from tests.mapping.georeference.points import HEIGHT, SIZE, WIDTH
 

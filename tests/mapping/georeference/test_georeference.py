@@ -7,7 +7,7 @@ from geoaim.errors import GeoaimWarning
 from geoaim.geometry import image_corners
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
-from geoaim.mapping.georeference.georeference import predict_uncertainty
+from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty
 from tests.mapping.georeference.points import SIZE, TILTED, make_points
 
 
@@ -24,3 +24,15 @@ def test_predicted_uncertainty_covers_the_truth(layout):
         warnings.simplefilter("ignore", GeoaimWarning)
         cell = run_cell(Cell(layout, "as expected", 8), trials=25)
     assert cell["coverage"]["corners"] >= 88.0
+
+
+def test_the_map_names_the_worst_corner_and_a_point_there_helps():
+    points = make_points(TILTED, noise=1.0)
+    few = select_points(points, [0, 1, 2, 4, 5, 6, 8, 9])
+    result = estimate_georeference(few, **SIZE)
+    found = map_uncertainty(result)
+    assert found.worst == pytest.approx(predict_uncertainty(result, image_corners(**SIZE))[1].max())
+    assert found.worst_corner.endswith("right")
+    assert found.middle < found.median < found.worst
+    assert found.worst_with_point < 0.7 * found.worst
+    assert found.median_with_point < found.median
