@@ -6,7 +6,7 @@ features matched.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -34,6 +34,7 @@ COARSE_ITERATIONS = 10
 MIN_PATCHES = 16  # inliers without which a frame is rejected, of about 300 patches
 MIN_INLIER_SHARE = 0.2  # of the patches in view
 SUFFICIENT_INLIER_SHARE = 0.5  # at which the search is not widened
+UNDOUBTED_INLIER_SHARE = 0.7  # below which the placement is always compared with others
 MAX_CORNER_UNCERTAINTY_PX = 1.0
 # chosen on the validation part of `geoaim.bench.stability`: of frames that state 0.02 to 0.04 px
 # 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
@@ -51,6 +52,7 @@ class FrameRegistration:
         quality: median correlation of the patches with the frame, 0 to 1.
         inlier_share: share of inliers among the patches in view.
         uncertainty: standard deviation of the transformed image corners, pixels.
+        contested: whether a large part of the image supports another placement.
     """
 
     reference_from_frame: Float[Array, "3 3"]
@@ -58,6 +60,7 @@ class FrameRegistration:
     quality: float
     inlier_share: float
     uncertainty: float
+    contested: bool = False
 
     @property
     def valid(self) -> bool:
@@ -103,7 +106,8 @@ def register_frame(
         keyframe: the one to search first.
         prior: reference_from_frame to start from.
         model: motion model to fit.
-        compare: whether to compare the placement with those that other parts of the image support.
+        compare: whether to compare the placement with those that other parts of the image support,
+            even if most patches agree with it.
 
     Returns:
         The first registration with enough inliers, or else the best, and the alignment behind it.
@@ -124,13 +128,14 @@ def register_frame(
         if result.valid and result.inlier_share > SUFFICIENT_INLIER_SHARE:
             break
     registration, alignment = best
+    compare = compare or registration.inlier_share < UNDOUBTED_INLIER_SHARE
     if not compare or alignment is None or not registration.valid:
         return best
     try:
-        alignment = choose_placement(grey, chosen.fine, chosen.overview, alignment)
+        alignment, contested = choose_placement(grey, chosen.fine, chosen.overview, alignment)
     except AmbiguousPlacementError as error:
         return _reject(str(error)), alignment
-    return _check_alignment(chosen, alignment), alignment
+    return replace(_check_alignment(chosen, alignment), contested=contested), alignment
 
 
 def make_keyframe(

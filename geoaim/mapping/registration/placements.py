@@ -20,16 +20,22 @@ from geoaim.mapping.registration.patches import (
     align_patches,
     shrink_image,
 )
-from geoaim.mapping.registration.rivals import Overview, find_rivals
+from geoaim.mapping.registration.rivals import Overview, Rival, compare_areas, find_rivals
 
 MIN_DISTANCE_PX = 1.0  # between the corners of different placements
 MIN_PATCHES_OF_PART = 16
 MIN_COMMON_SHARE = 0.5  # of the smaller set of inliers, for texture that repeats
+MIN_REPEAT_STRENGTH = 0.2  # of a peak of texture that repeats
 CLEAR_MAJORITY = 1.1  # ratio of inliers between placements of repeating texture
-CLEAR_SLOWNESS = 0.5  # ratio of the displacements since the reference of ground and traffic
-MIN_GROUND_SHARE = 0.25  # inliers of a slower part that is the ground, relative to the other part
-MIN_DOUBT_SHARE = 0.08  # with which a slower part makes the placement doubtful
-MAX_TRAFFIC_SHARE = 0.35  # with which a part that is not slower does
+MIN_DISTINCT_AREA = 0.3  # of the image that fits one placement only; texture that repeats has less
+CLEAR_SLOWNESS = 0.6  # ratio of the displacements since the reference of ground and traffic
+MIN_RIVAL_SHARE = 0.025  # area that fits only a rival, relative to what fits one of the two
+MIN_UNALIGNED_SHARE = 0.035  # of a part on which no patches lie
+CONTESTED_SHARE = 0.08  # with which the next frame is compared as well
+MIN_GROUND_SHARE = 0.2  # with which a slower part is the ground
+MAX_TRAFFIC_SHARE = 0.3  # with which a part that is not slower makes the placement doubtful
+EVEN_SHARE = 0.08  # from one half, within which neither part is taken for the ground
+MAX_OVERLAID_SHARE = 0.1  # with which a part that moves makes one fixed to the frame doubtful
 MAX_STATIC_PX = 0.15  # displacement of an overlay, which is fixed to the frame
 NEAR_PX = 0.75  # by which displacements of patches of one part differ
 
@@ -43,7 +49,7 @@ def choose_placement(
     template: PatchTemplate,
     overview: Overview,
     alignment: PatchAlignment,
-) -> PatchAlignment:
+) -> tuple[PatchAlignment, bool]:
     """Choose the placement of the ground among those that parts of the image support.
 
     Args:
@@ -53,27 +59,34 @@ def choose_placement(
         alignment: the placement found.
 
     Returns:
-        The placement of the ground, mostly the one found.
+        The placement of the ground, mostly the one found; and whether a large part of the image
+        supports another.
 
     Raises:
         AmbiguousPlacementError: none is clearly the ground.
     """
+    contested = False
     small = shrink_image(grey, round(1 / overview.scale))
     rivals = find_rivals(overview, small, alignment.matrix)
-    for start in [*_find_near_rivals(alignment), *rivals]:
-        rival = align_patches(template, grey, start, alignment.motion.model)
-        if rival is None or not rival.converged or rival.inliers.sum() < MIN_PATCHES_OF_PART:
+    for start, strength in [*_find_near_rivals(alignment), *rivals]:
+        areas = compare_areas(overview, small, alignment.matrix, start)
+        share = areas[1] / max(sum(areas), 1e-9)
+        if share < MIN_RIVAL_SHARE and sum(areas) > MIN_DISTINCT_AREA:
             continue
-        if _measure_distance(template, rival.matrix, alignment.matrix) < MIN_DISTANCE_PX:
-            continue
-        if _share_inliers(alignment, rival):
-            alignment = _choose_by_inliers(alignment, rival)
-        else:
-            alignment = _choose_slower(template, alignment, rival)
-    return alignment
+        contested |= share > CONTESTED_SHARE
+        rival = _align_rival(grey, template, start, alignment)
+        if rival is not None and _share_inliers(alignment, rival):
+            if strength > MIN_REPEAT_STRENGTH:
+                contested = True
+                alignment = _choose_by_inliers(alignment, rival)
+        elif rival is not None:
+            alignment = _choose_slower(template, alignment, rival, share)
+        elif share > MIN_UNALIGNED_SHARE:
+            _check_speed(template, alignment, start)
+    return alignment, contested
 
 
-def _find_near_rivals(alignment: PatchAlignment) -> Iterator[Float[Array, "3 3"]]:
+def _find_near_rivals(alignment: PatchAlignment) -> Iterator[Rival]:
     """The displacement that most other patches share, within the reach of the patches."""
     candidates = alignment.fitted & (alignment.correlation > MIN_INLIER_CORRELATION)
     residuals = alignment.motion.residuals[(candidates & ~alignment.inliers)[alignment.fitted]]
@@ -82,7 +95,21 @@ def _find_near_rivals(alignment: PatchAlignment) -> Iterator[Float[Array, "3 3"]
     near = np.hypot(*(residuals[:, None] - residuals).transpose(2, 0, 1)) < NEAR_PX
     members = near[near.sum(0).argmax()]
     if members.sum() >= MIN_PATCHES_OF_PART:
-        yield translation(*residuals[members].mean(0)) @ alignment.matrix
+        yield Rival(translation(*residuals[members].mean(0)) @ alignment.matrix, 1.0)
+
+
+def _align_rival(
+    grey: UInt8[Array, "H W"],
+    template: PatchTemplate,
+    start: Float[Array, "3 3"],
+    found: PatchAlignment,
+) -> PatchAlignment | None:
+    """Align the patches near another placement; None when they do not stay there."""
+    rival = align_patches(template, grey, start, found.motion.model)
+    if rival is None or not rival.converged or rival.inliers.sum() < MIN_PATCHES_OF_PART:
+        return None
+    is_distinct = _measure_distance(template, rival.matrix, found.matrix) > MIN_DISTANCE_PX
+    return rival if is_distinct else None
 
 
 def _share_inliers(one: PatchAlignment, other: PatchAlignment) -> bool:
@@ -100,18 +127,33 @@ def _choose_by_inliers(one: PatchAlignment, other: PatchAlignment) -> PatchAlign
 
 
 def _choose_slower(
-    template: PatchTemplate, found: PatchAlignment, rival: PatchAlignment
+    template: PatchTemplate, found: PatchAlignment, rival: PatchAlignment, share: float
 ) -> PatchAlignment:
     """The part that moved clearly less since the reference, if it is large enough."""
     moved, its = (_measure_distance(template, part.matrix, np.eye(3)) for part in (found, rival))
-    share = int(rival.inliers.sum()) / int(found.inliers.sum())
-    rival_is_slower = MAX_STATIC_PX < its < CLEAR_SLOWNESS * moved
-    if rival_is_slower and share > MIN_GROUND_SHARE:
-        return rival
-    found_is_slower = moved < CLEAR_SLOWNESS * its
-    if share < (MIN_DOUBT_SHARE if rival_is_slower else MAX_TRAFFIC_SHARE) or found_is_slower:
+    is_even = abs(share - 0.5) < EVEN_SHARE
+    if MAX_STATIC_PX < its < CLEAR_SLOWNESS * moved:
+        if share > MIN_GROUND_SHARE and not is_even:
+            return rival
+    elif moved < MAX_STATIC_PX:
+        if share < MAX_OVERLAID_SHARE:
+            return found
+    elif share < MAX_TRAFFIC_SHARE or (moved < CLEAR_SLOWNESS * its and not is_even):
         return found
-    raise AmbiguousPlacementError(
+    raise _report_motions(moved, its)
+
+
+def _check_speed(
+    template: PatchTemplate, found: PatchAlignment, start: Float[Array, "3 3"]
+) -> None:
+    """Refuse a placement when a part that no patches lie on moved clearly less."""
+    moved, its = (_measure_distance(template, one, np.eye(3)) for one in (found.matrix, start))
+    if its < CLEAR_SLOWNESS * moved:
+        raise _report_motions(moved, its)
+
+
+def _report_motions(moved: float, its: float) -> AmbiguousPlacementError:
+    return AmbiguousPlacementError(
         f"two motions: parts of the image moved by {moved:.1f} and {its:.1f} px since the reference"
     )
 

@@ -16,10 +16,13 @@ from numpy import ndarray as Array
 from geoaim.geometry import to_opencv, translation
 
 MAX_RIVALS = 3
-MIN_RIVAL_STRENGTH = 0.2  # of the peak at zero
-MIN_RIVAL_SIGNIFICANCE = 6.0  # standard deviations of the correlation
+MIN_RIVAL_STRENGTH = 0.03  # of the peak at zero
+MIN_RIVAL_SIGNIFICANCE = 8.0  # standard deviations of the correlation
 PEAK_RADIUS_PX = 2  # within which there is no other peak, pixels of the small image
 SMOOTHING_PX = 0.7  # of the peaks, pixels of the small image
+DETAIL_SIDE_PX = 9  # of the surroundings whose mean is no detail, pixels of the small image
+COMPARED_SIDE_PX = 7  # of the surroundings over which details are compared
+CLEAR_DIFFERENCE = 0.6  # of the other placement's difference, below which a pixel fits better
 
 
 class Overview(NamedTuple):
@@ -27,13 +30,27 @@ class Overview(NamedTuple):
 
     Attributes:
         spectrum: its Fourier transform, whitened and low-pass filtered.
+        detail: its grey levels minus their local means.
         window: that fades the image's margins.
         scale: pixels of the small image per pixel of the full image.
     """
 
     spectrum: Complex[Array, "h k"]
+    detail: Float[Array, "h w"]
     window: Float[Array, "h w"]
     scale: float
+
+
+class Rival(NamedTuple):
+    """Another placement of a frame.
+
+    Attributes:
+        reference_from_frame: in pixels of the full image.
+        strength: of its peak in the phase correlation, relative to that of the placement found.
+    """
+
+    reference_from_frame: Float[Array, "3 3"]
+    strength: float
 
 
 def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
@@ -51,12 +68,14 @@ def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
     spectrum = _whiten((small - small.mean()) * window)
     rows, columns = scipy.fft.fftfreq(height)[:, None], scipy.fft.rfftfreq(width)
     smoothing = np.exp(-2 * (np.pi * SMOOTHING_PX) ** 2 * (rows**2 + columns**2))
-    return Overview((spectrum * smoothing).astype(np.complex64), window, scale)
+    return Overview(
+        (spectrum * smoothing).astype(np.complex64), _extract_detail(small), window, scale
+    )
 
 
 def find_rivals(
     overview: Overview, small: UInt8[Array, "h w"], reference_from_frame: Float[Array, "3 3"]
-) -> list[Float[Array, "3 3"]]:
+) -> list[Rival]:
     """Find other placements of a frame, displaced from the given one, strongest first.
 
     Kuglin and Hines (1975), "The phase correlation image alignment method".
@@ -67,7 +86,7 @@ def find_rivals(
         reference_from_frame: the placement found, in pixels of the full image.
 
     Returns:
-        Transforms reference_from_frame of the rivals, in pixels of the full image.
+        The rivals.
     """
     surface = correlate_phases(overview, small, reference_from_frame)
     height, width = surface.shape
@@ -83,7 +102,7 @@ def find_rivals(
         x = (column + width // 2) % width - width // 2
         y = (row + height // 2) % height - height // 2
         shift = translation(x / overview.scale, y / overview.scale)
-        rivals.append(shift @ reference_from_frame)
+        rivals.append(Rival(shift @ reference_from_frame, peak / main))
     return rivals
 
 
@@ -101,14 +120,60 @@ def correlate_phases(
         The correlation: a peak at row y, column x says that a part of the frame belongs x pixels
         of the small image further right and y further down; negative shifts count from the end.
     """
-    scale = np.diag([overview.scale, overview.scale, 1.0])
-    matrix = scale @ reference_from_frame @ np.linalg.inv(scale)
     height, width = overview.window.shape
     centred = small.astype(np.float32) - small.mean(dtype=np.float32)
-    moved = cv2.warpPerspective(centred, to_opencv(matrix), (width, height))
+    moved = _warp(overview, centred, reference_from_frame)
     return scipy.fft.irfft2(
         overview.spectrum * _whiten(moved * overview.window).conj(), s=(height, width)
     )
+
+
+def compare_areas(
+    overview: Overview,
+    small: UInt8[Array, "h w"],
+    one: Float[Array, "3 3"],
+    other: Float[Array, "3 3"],
+) -> tuple[float, float]:
+    """Compare how much of the image fits clearly better at one of two placements.
+
+    Args:
+        overview: of the reference.
+        small: the frame, reduced like the overview.
+        one: transform reference_from_frame of a placement, in pixels of the full image.
+        other: of the other placement.
+
+    Returns:
+        Shares of the common view that fit only the one and only the other placement.
+    """
+    detail = _extract_detail(small)
+    size = (COMPARED_SIDE_PX, COMPARED_SIDE_PX)
+    seen = np.ones(small.shape, bool)
+    differences = []
+    for matrix in (one, other):
+        seen &= _warp(overview, np.ones_like(detail), matrix) > 1 - 1e-3
+        moved = _warp(overview, detail, matrix)
+        differences.append(cv2.blur(np.abs(overview.detail - moved), size))
+    if not seen.any():
+        return 1.0, 0.0
+    first, second = (difference[seen] for difference in differences)
+    noise = 0.5 * min(float(np.median(first)), float(np.median(second)))
+    return (
+        float((first < CLEAR_DIFFERENCE * second - noise).mean()),
+        float((second < CLEAR_DIFFERENCE * first - noise).mean()),
+    )
+
+
+def _warp(
+    overview: Overview, small: Float[Array, "h w"], reference_from_frame: Float[Array, "3 3"]
+) -> Float[Array, "h w"]:
+    scale = np.diag([overview.scale, overview.scale, 1.0])
+    matrix = scale @ reference_from_frame @ np.linalg.inv(scale)
+    return cv2.warpPerspective(small, to_opencv(matrix), overview.window.shape[::-1])
+
+
+def _extract_detail(small: UInt8[Array, "h w"]) -> Float[Array, "h w"]:
+    intensity = small.astype(np.float32)
+    return intensity - cv2.blur(intensity, (DETAIL_SIDE_PX, DETAIL_SIDE_PX))
 
 
 def _whiten(image: Float[Array, "h w"]) -> Complex[Array, "h k"]:

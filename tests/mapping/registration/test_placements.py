@@ -4,7 +4,7 @@ import pytest
 from geoaim.geometry import translation
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.registration.placements import AmbiguousPlacementError, choose_placement
-from geoaim.mapping.registration.rivals import find_rivals, make_overview
+from geoaim.mapping.registration.rivals import compare_areas, find_rivals, make_overview
 from tests.conftest import textured
 
 HEIGHT, WIDTH, FACTOR = 270, 480, 2
@@ -18,7 +18,7 @@ def place(reference, frame, start):
     template = make_template(reference)
     found = align_patches(template, frame, start, "homography")
     overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
-    return choose_placement(frame, template, overview, found)
+    return choose_placement(frame, template, overview, found)[0]
 
 
 def film_traffic(shift, share, seed=0):
@@ -56,10 +56,10 @@ def test_a_part_that_is_fixed_to_the_frame_is_not_taken_for_the_ground():
 
 
 def test_two_motions_of_similar_speed_are_refused():
-    reference, frame = film_traffic(shift=40, share=0.5)
-    frame = np.roll(frame, 50, axis=1)  # the camera moved as well
+    reference, frame = film_traffic(shift=40, share=0.6)
+    frame = np.roll(frame, 80, axis=1)  # the camera moved as well
     with pytest.raises(AmbiguousPlacementError, match="two motions"):
-        place(reference, frame, translation(-90.0, 0.0))
+        place(reference, frame, translation(-120.0, 0.0))
 
 
 def test_a_wrong_period_gives_way_to_the_placement_with_more_inliers():
@@ -74,3 +74,19 @@ def test_plain_ground_has_no_rival():
     reference, frame = ground[:, :WIDTH].copy(), ground[:, 8 : 8 + WIDTH].copy()
     overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
     assert find_rivals(overview, shrink_image(frame, FACTOR), translation(8.0, 0.0)) == []
+
+
+def test_areas_tell_how_much_of_the_image_each_placement_explains():
+    reference, frame = film_traffic(shift=40, share=0.25)
+    overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
+    small = shrink_image(frame, FACTOR)
+    traffic, ground = compare_areas(overview, small, translation(-40.0, 0.0), np.eye(3))
+    assert traffic == pytest.approx(0.25, abs=0.06)
+    assert ground == pytest.approx(0.75, abs=0.12)
+
+
+@pytest.mark.parametrize("found", [-20.0, -60.0])
+def test_halves_that_move_apart_are_refused_whichever_is_found(found):
+    reference, frame = film_traffic(shift=40, share=0.5)
+    with pytest.raises(AmbiguousPlacementError, match="two motions"):
+        place(reference, np.roll(frame, 20, axis=1), translation(found, 0.0))
