@@ -22,10 +22,13 @@ from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_chec
 from geoaim.errors import AimError
 from geoaim.files import atomic_write
 from geoaim.geometry import translation
+from geoaim.limits import check_memory, refuse_damaged
+from geoaim.raster_files import open_raster_file
 from geoaim.rectification import rectify
 from geoaim.world import World
 
 FORMAT = FileFormat("AIM", 1, 2, first_checked=2, error=AimError, editable=True)
+BYTES_PER_PIXEL = 12  # while an AIM is read
 BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
 
 
@@ -83,20 +86,23 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
     if not Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file")
     has_checksum = verify_checksum(path, FORMAT)
-    try:
-        with _allow_identity_transform(), rasterio.open(path) as dataset:
-            frame = _read_frame(dataset, path, has_checksum)
-            world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
-            return AIM(
-                image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
-                world_from_image=_read_transform(dataset, world, frame, path),
-                world=world,
-                coverage=dataset.read(6) + dataset.read(7).astype(np.uint16) * 256,
-                contested=dataset.read(5) > 0,
-                report=json.loads(dataset.tags().get("GEOAIM_REPORT", "{}")),
-            )
-    except RasterioError as error:
-        raise AimError(f"{path} is not a readable GeoTIFF: {error}") from error
+    with (
+        refuse_damaged(path, AimError, "a readable GeoTIFF that is an AIM"),
+        open_raster_file(path, ["GTiff"]) as dataset,
+    ):
+        frame = _read_frame(dataset, path, has_checksum)
+        world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
+        claim = f"{dataset.height} x {dataset.width} pixels"
+        needed = BYTES_PER_PIXEL * dataset.height * dataset.width
+        check_memory(path, needed, os.path.getsize(path), AimError, claim)
+        return AIM(
+            image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
+            world_from_image=_read_transform(dataset, world, frame, path),
+            world=world,
+            coverage=dataset.read(6) + dataset.read(7).astype(np.uint16) * 256,
+            contested=dataset.read(5) > 0,
+            report=dict(json.loads(dataset.tags().get("GEOAIM_REPORT", "{}"))),
+        )
 
 
 @contextmanager

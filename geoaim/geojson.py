@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import shapely
 from shapely.geometry import shape
 from shapely.geometry.base import BaseGeometry
 
 from geoaim.errors import MapError
+from geoaim.limits import refuse_damaged
 from geoaim.world import World, world_from_lonlat
 
 
@@ -35,12 +37,13 @@ def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
             return geometry
         return shapely.transform(geometry, lambda points: world_from_lonlat(world, points))
 
-    try:
+    with refuse_damaged(path, MapError, "GeoJSON"):
         content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
         features = [
-            (shape(item.get("geometry", item)), item.get("properties") or {})
+            (shape(item.get("geometry", item)), dict(item.get("properties") or {}))
             for item in content.get("features", [content])
         ]
-    except (ValueError, TypeError, KeyError, AttributeError, shapely.errors.ShapelyError) as error:
-        raise MapError(f"{path} is not GeoJSON: {error}") from error
-    return [Feature(place(geometry), properties) for geometry, properties in features]
+        for geometry, _ in features:
+            if not np.isfinite(shapely.get_coordinates(geometry)).all():
+                raise ValueError("a coordinate is not a finite number")
+        return [Feature(place(geometry), properties) for geometry, properties in features]

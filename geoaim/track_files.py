@@ -12,11 +12,13 @@ radians counter-clockwise from +x; speed in m/s, negative in reverse; length and
 metadata `geoaim_world`, and a checksum.
 """
 
+import gzip
 import json
 import os
 import warnings
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,6 +26,7 @@ import pandas as pd
 from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
 from geoaim.errors import TracksError
 from geoaim.files import atomic_write
+from geoaim.limits import check_memory, refuse_damaged
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import COLUMNS, TICKS_PER_S, Tracks
 from geoaim.world import World
@@ -34,6 +37,9 @@ LOCAL_CRS = "local"
 METADATA_KEY = b"geoaim_world"
 CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
+UNPACKED_AT_ONCE = 2**20  # bytes
+BYTES_PER_CHARACTER = 5  # in memory, of the text of a table
+BYTES_PER_VALUE = 40  # in memory, of a value of Parquet
 MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
 
@@ -66,15 +72,14 @@ def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    try:
+    with refuse_damaged(path, TracksError, "a table of tracks"):
         frame, world = (_read_parquet if path.suffix.lower() == ".parquet" else _read_csv)(path)
-    except (ValueError, KeyError, TypeError, OSError) as error:
-        raise TracksError(f"{path} is not a table of tracks: {error}") from error
     missing = [name for name in COLUMNS if name not in frame.columns]
     if missing:
         columns = ", ".join(map(str, frame.columns))
         raise TracksError(f"{path} lacks the columns {', '.join(missing)}; it has {columns}")
-    return make_tracks(frame, world)
+    with refuse_damaged(path, TracksError, "a table of tracks"):
+        return make_tracks(frame, world)
 
 
 def format_world(world: World) -> str:
@@ -108,30 +113,41 @@ def read_table(
     Raises:
         TracksError: the file is empty, or a row has more fields than there are columns.
     """
-    names = 0 if header else None
-    with warnings.catch_warnings():
+    options: dict[str, Any] = {
+        "index_col": False,
+        "sep": delimiter,
+        "header": 0 if header else None,
+        "skiprows": skip_rows,
+        "compression": "gzip" if Path(path).suffix.lower() == ".gz" else None,
+    }
+    with warnings.catch_warnings(), refuse_damaged(path, TracksError, "a table of tracks"):
         warnings.simplefilter("error", pd.errors.ParserWarning)
+        if options["compression"]:
+            _check_unpacked_size(Path(path))
         try:
-            top = pd.read_csv(
-                path, index_col=False, nrows=1, sep=delimiter, header=names, skiprows=skip_rows
-            )
+            top = pd.read_csv(Path(path), nrows=1, **options)
             table = pd.read_csv(
-                path,
-                index_col=False,
+                Path(path),
                 dtype=dict.fromkeys(set(top.columns) & set(text), str),
                 keep_default_na=False,
                 na_values={name: MISSING_VALUES for name in top.columns if name not in text},
                 low_memory=False,
-                sep=delimiter,
-                header=names,
-                skiprows=skip_rows,
+                **options,
             )
-        except (ValueError, pd.errors.ParserWarning) as error:
-            extra = isinstance(error, pd.errors.ParserWarning)
-            reason = "a row has more fields than there are columns" if extra else str(error).strip()
-            raise TracksError(f"{Path(path)} is not a table of tracks: {reason}") from error
+        except pd.errors.ParserWarning as error:
+            raise ValueError("a row has more fields than there are columns") from error
     table.index += skip_rows + header + 1
     return table
+
+
+def _check_unpacked_size(path: Path) -> None:
+    """Refuse a gzipped table that is far larger than its size explains."""
+    size, unpacked = path.stat().st_size, 0
+    with gzip.open(path) as file:
+        while part := file.read(UNPACKED_AT_ONCE):
+            unpacked += len(part)
+            needed = unpacked * BYTES_PER_CHARACTER
+            check_memory(path, needed, size, TracksError, f"over {unpacked / 1e6:.0f} MB of text")
 
 
 def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
@@ -163,7 +179,11 @@ def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
     import pyarrow.parquet as parquet
 
     has_checksum = verify_checksum(path, PARQUET)
-    table = parquet.read_table(path)
+    file = parquet.ParquetFile(path)
+    rows, columns = file.metadata.num_rows, file.metadata.num_columns
+    needed, size = rows * columns * BYTES_PER_VALUE, path.stat().st_size
+    check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
+    table = file.read()
     metadata = (table.schema.metadata or {}).get(METADATA_KEY)
     if metadata is None:
         raise ValueError(f"it has no metadata {METADATA_KEY.decode()}")

@@ -7,10 +7,13 @@ from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
+from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.tracks import COLUMNS, MAX_STATES, TICKS_PER_S, Tracks
 from geoaim.world import World
 
 MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
+BYTES_PER_STATE = 80  # of an agent at a time, while tracks are made
+MAX_STATES_PER_ROW = 500  # agents times times, for each of the few of them that have a row
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
@@ -33,10 +36,12 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
     ticks, step = np.unique(ticks, return_inverse=True)
     agent, ids = pd.factorize(rows["id"].astype(str).to_numpy(object))
     first = np.unique(agent, return_index=True)[1]
-    if len(ids) * len(ticks) > MAX_STATES:
+    least = read_memory_limit() / BYTES_PER_STATE
+    limit = int(min(max(least, MAX_STATES_PER_ROW * len(rows)), MAX_STATES))
+    if len(ids) * len(ticks) > limit:
         raise TracksError(
-            f"{len(ids)} agents times {len(ticks)} times exceed {MAX_STATES} states; "
-            "cut the recording"
+            f"{len(ids)} agents times {len(ticks)} times, of {len(rows)} rows, exceed {limit} "
+            f"states; cut the recording, or set the variable {MAX_GB_VARIABLE} to more"
         )
     present = np.zeros((len(ids), len(ticks)), bool)
     present[agent, step] = True

@@ -1,5 +1,6 @@
 """World: the local metric plane in which tracks live, a projected CRS and an origin."""
 
+import re
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -14,6 +15,8 @@ from geoaim.errors import GeoreferenceError
 LONLAT = "EPSG:4326"
 ORIGIN_STEP_M = 100.0  # origins are multiples of this
 MAX_SCALE_ERROR = 0.01  # of a metre in the CRS against one on the ground
+# what makes PROJ open files: grids and legacy definitions; "@null" is no grid
+CRS_FILES = re.compile(r"(?i)grids\s*=\s*(?!@null\b)|init\s*=\s*(?!epsg:\d)|PARAMETERFILE")
 MAX_NAME_CHARS = 40  # a longer CRS text, such as WKT, is called by its name
 MAX_AREA_DEGREES = 12.0  # a CRS for a wider area does not tell its UTM zone
 
@@ -46,9 +49,11 @@ class World:
 @lru_cache(maxsize=64)
 def parse_crs(crs: str) -> CRS:
     """Parse a CRS: "EPSG:n", a PROJ string or WKT; GeoreferenceError if pyproj does not know it."""
+    if CRS_FILES.search(crs):
+        raise GeoreferenceError(f"{crs[:200]!r} names a file; a CRS that needs none is needed.")
     try:
         return CRS.from_user_input(crs)
-    except CRSError as error:
+    except (CRSError, UnicodeError) as error:
         raise GeoreferenceError(
             f"{crs!r} is not a known coordinate reference system. Write for example 'EPSG:32635'."
         ) from error

@@ -4,6 +4,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 
 import rich.progress
 from rich.console import Console
@@ -13,7 +14,8 @@ from rich.text import Text
 from geoaim.errors import GeoaimError, GeoaimWarning
 from geoaim.progress import Progress
 
-console = Console(stderr=True)
+console = Console(stderr=True, markup=False)  # file names may have brackets
+DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback
 
 
 @contextmanager
@@ -35,7 +37,10 @@ def show_progress() -> Iterator[Progress]:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Print warnings as yellow lines; print an error as one red line and exit with code 1."""
+    """Print warnings as yellow lines; print any error as one red line and exit with code 1.
+
+    With `--debug` an error is raised as it is, with its traceback.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("always", GeoaimWarning)
         warnings.showwarning = lambda message, *_, **__: console.print(
@@ -43,8 +48,13 @@ def report_errors() -> Iterator[None]:
         )
         try:
             yield
-        except (GeoaimError, OSError, ValueError) as error:
-            console.print(Text.assemble((type(error).__name__, "bold red"), f": {error}"))
+        except Exception as error:
+            if DEBUG.get():
+                raise
+            expected = isinstance(error, GeoaimError | OSError | ValueError)
+            hint = "" if expected else " (geoaim --debug COMMAND ... shows where)"
+            message = f": {' '.join(str(error).split())}{hint}"
+            console.print(Text.assemble((type(error).__name__, "bold red"), message))
             sys.exit(1)
 
 

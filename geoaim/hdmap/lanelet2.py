@@ -126,7 +126,7 @@ def _parse(path: Path) -> ET.Element:
         raise MapError(f"{path} defines XML entities, or is not UTF-8; no map needs that")
     try:
         root = ET.fromstring(content)
-    except ET.ParseError as error:
+    except (ET.ParseError, LookupError, ValueError) as error:  # an unknown encoding
         raise MapError(f"{path} is not XML: {error}") from error
     if root.tag != "osm":
         raise MapError(f"{path} is XML of {root.tag!r}; OpenStreetMap's, 'osm', is needed")

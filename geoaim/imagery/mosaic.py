@@ -35,8 +35,10 @@ from geoaim.imagery.resampling import (
     unpremultiply,
 )
 from geoaim.imagery.sources import Layer, Source, Tiles, describe_source
+from geoaim.limits import check_memory
 from geoaim.world import World, crs_from_world
 
+BYTES_PER_PIXEL = 8  # of an image and its coverage
 BLOCK_PX = 1024  # side of the blocks to begin with
 MIN_BLOCK_PX = 16  # side below which blocks are not divided
 MAX_AFFINE_ERROR_PX = 0.005  # of the affine map from a block to a CRS
@@ -64,14 +66,14 @@ def read_imagery(
 ) -> AIM:
     """Read imagery from one or several sources as one north-up image.
 
-    A source is a GeoTIFF, an image with a world file, a VRT, an MBTiles file, a folder or a
-    pattern of such files, a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`), the address of a
-    tile service (`https://host/{z}/{x}/{y}.png`), or anything else that GDAL opens; `Tiles` has
-    options for tiles. Colours are resampled by cubic convolution, after means over what is finer
-    than the grid. Nodata, masks and alpha leave holes; so do missing tiles and, among many files,
-    those that cannot be read (with a warning). Values of more than 8 bits are stretched from their
-    1st to 99th percentile there, jointly over the bands and rasters of a source. Alpha bands are
-    recognised by their colour interpretation; other bands after the third are ignored.
+    A source is a GeoTIFF, an image with a world file, an MBTiles file, a folder or a pattern of
+    such files, a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`), or the address of a tile
+    service (`https://host/{z}/{x}/{y}.png`); `Tiles` has options for tiles. Colours are resampled
+    by cubic convolution, after means over what is finer than the grid. Nodata, masks and alpha
+    leave holes; so do missing tiles and, among many files, those that cannot be read (with a
+    warning). Values of more than 8 bits are stretched from their 1st to 99th percentile there,
+    jointly over the bands and rasters of a source. Alpha bands are recognised by their colour
+    interpretation; other bands after the third are ignored.
 
     Args:
         sources: one or several, the topmost first.
@@ -177,6 +179,7 @@ def _warn_of_upsampling(sources: Sequence[_Source], resolution: float) -> None:
 def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> AIM:
     """Resample the sources block by block, each below the ones before it."""
     grid = make_north_up_grid(region.points, resolution, region.world)
+    _check_size(sources, grid)
     image, covered = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     counts = np.zeros(len(sources))
     crses = {raster.crs: None for source in sources for raster in source.layer.rasters}
@@ -192,6 +195,16 @@ def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> A
     report = _make_report(sources, resolution, counts / covered.size)
     contested, matrix = np.zeros(grid.shape, bool), grid.world_from_grid
     return AIM(image, matrix, region.world, covered.astype(np.uint16), contested, report)
+
+
+def _check_size(sources: Sequence[_Source], grid: Grid) -> None:
+    """Refuse an image that is far larger than the files it comes from explain."""
+    files = {raster.path for source in sources for raster in source.layer.rasters}
+    size = sum(os.path.getsize(file) for file in files)
+    needed = BYTES_PER_PIXEL * grid.height * grid.width
+    names = ", ".join(source.layer.name for source in sources)
+    claim = f"{grid.height} x {grid.width} pixels"
+    check_memory(names, needed, size, ImageryError, claim)
 
 
 def _split_into_blocks(
@@ -238,7 +251,7 @@ def _add_below(
     if np.abs(total[3] - 1.0).max() < 0.001:
         return
     for raster in source.layer.rasters:
-        if raster.name in source.unreadable:
+        if raster.path in source.unreadable:
             continue
         raster_from_block = raster.grid.grid_from_world @ crs_from_block[raster.crs]
         stretch = None if raster.dtype == "uint8" else source.stretch
@@ -247,7 +260,7 @@ def _add_below(
         except ImageryError as error:
             if source.layer.single:
                 raise
-            source.unreadable[raster.name] = error
+            source.unreadable[raster.path] = error
             continue
         if resampled is not None:
             rows, columns, part = resampled

@@ -1,28 +1,28 @@
-"""Rasters of any format that GDAL opens, read from their headers, and the region wanted of them."""
+"""Rasters, read from the headers of their files, and the region wanted of them."""
 
-import re
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 from jaxtyping import Float
 from numpy import ndarray as Array
+from rasterio import Affine
 from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import RasterioError
 
 from geoaim.errors import GeoreferenceError, ImageryError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.grid import Grid
+from geoaim.raster_files import IMAGE_DRIVERS, open_raster_file
 from geoaim.world import LONLAT, World, choose_world, crs_from_world, transform_crs, world_from_crs
 
 SEQUENTIAL_DRIVERS = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # decode a file from its start
 MAX_BLOCK_PIXELS = 1_000_000_000  # of one block, which can only be decoded as a whole
-GDAL_SETTINGS = {"GDAL_ERROR_ON_LIBJPEG_WARNING": "YES"}  # else a truncated JPEG ends in grey
+MIN_PIXEL_AREA = 1e-15  # in the units of a CRS; of a degree, 0.003 mm a side
 MAX_EXTENT_DEGREES = 6.0  # of longitude or latitude, read without a region: a UTM zone is as wide
 
 Outline = tuple[str, Float[Array, "m 2"]]  # a CRS, and points along an outline in it
@@ -30,27 +30,23 @@ Outline = tuple[str, Float[Array, "m 2"]]  # a CRS, and points along an outline 
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """A raster that GDAL can open, and where it lies.
+    """A raster and where it lies.
 
     Attributes:
-        path: what GDAL opens: a file, a connection string, or XML.
-        name: its name in messages and reports.
+        path: its file.
         crs: CRS of its coordinates.
         grid: its pixels, mapped to coordinates in that CRS, x first.
         bands: number of the grey band, or of the red, green and blue ones, from 1.
         dtype: data type of these bands.
         options: of GDAL's driver.
-        retries: how often a failed read is repeated.
     """
 
     path: str
-    name: str
     crs: str
     grid: Grid
     bands: tuple[int, ...]
     dtype: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    retries: int = 0
+    options: Mapping[str, int] = field(default_factory=dict)
 
 
 def describe_raster(
@@ -59,12 +55,12 @@ def describe_raster(
     crs: str | None = None,
     bands: Sequence[int] | None = None,
     georeference: tuple[str, Float[Array, "3 3"]] | None = None,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, int] | None = None,
 ) -> Raster:
     """Read the header of a raster.
 
     Args:
-        path: what GDAL opens.
+        path: the file.
         crs: for a raster that names no CRS.
         bands: one or three band numbers, from 1; by colour interpretation when None.
         georeference: CRS and its matrix from the raster's unit square; its own when None.
@@ -77,7 +73,7 @@ def describe_raster(
         ImageryError: the file is no raster, lacks bands, georeference or CRS, or is too large.
     """
     options = dict(options or {})
-    with open_raster(path, path, options) as dataset:
+    with open_raster(path, options) as dataset:
         _refuse_decompression_bombs(dataset, path)
         chosen = _choose_bands(dataset, bands, path)
         raster_crs, matrix = georeference or _read_georeference(dataset, crs, path)
@@ -85,7 +81,6 @@ def describe_raster(
             matrix = matrix @ np.diag([1.0 / dataset.width, 1.0 / dataset.height, 1.0])
         return Raster(
             path=path,
-            name=path,
             crs=raster_crs,
             grid=Grid((dataset.height, dataset.width), matrix),
             bands=chosen,
@@ -110,12 +105,11 @@ def intersects_bounds(raster: Raster, points: Float[Array, "m 2"]) -> bool:
 
 
 @contextmanager
-def open_raster(path: str, name: str, options: Mapping[str, Any]) -> Iterator[Any]:
-    """Open a raster with rasterio, whose errors become ImageryError.
+def open_raster(path: str, options: Mapping[str, int]) -> Iterator[Any]:
+    """Open a raster; errors of rasterio become ImageryError.
 
     Args:
-        path: what GDAL opens.
-        name: of the raster in the message.
+        path: the file.
         options: of GDAL's driver.
 
     Yields:
@@ -125,22 +119,20 @@ def open_raster(path: str, name: str, options: Mapping[str, Any]) -> Iterator[An
         ImageryError: GDAL cannot open or read it.
     """
     try:
-        with warnings.catch_warnings(), rasterio.Env(**GDAL_SETTINGS):
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path, sharing=False, **options) as dataset:
-                yield dataset
+        with open_raster_file(path, options=options) as dataset:
+            yield dataset
     except (RasterioError, CPLE_BaseError) as error:
         raise ImageryError(
-            f"{name} cannot be read as imagery: {_join_reasons(error)}. Needed is a whole file "
-            "that GDAL opens, or a service that answers, with tiles of its tile_size"
+            f"{path} cannot be read as imagery: {_join_reasons(error)}. Needed is a whole "
+            f"{', '.join(IMAGE_DRIVERS)}; convert others (gdal_translate -of COG)"
         ) from error
 
 
 def _join_reasons(error: BaseException | None) -> str:
-    """GDAL's chain of messages, each once, without what follows "?", where keys stand."""
+    """GDAL's chain of messages, each once."""
     reasons = []
     while error is not None:
-        reasons.append(re.sub(r"\?\S*", "?...", str(error)).strip().rstrip("."))
+        reasons.append(str(error).strip().rstrip("."))
         error = error.__cause__ or error.__context__
     reasons = list(dict.fromkeys(reasons))[reasons[0].startswith("Read failed") :]
     return "; ".join(one for one in reasons if sum(one in other for other in set(reasons)) == 1)
@@ -178,7 +170,8 @@ def _choose_bands(dataset: Any, bands: Sequence[int] | None, name: str) -> tuple
 
 
 def _read_georeference(dataset: Any, crs: str | None, name: str) -> tuple[str, Float[Array, "3 3"]]:
-    if dataset.transform.is_identity:
+    transform = _read_world_file(Path(name)) if dataset.transform.is_identity else dataset.transform
+    if transform is None:
         points = f"{len(dataset.gcps[0])} control points and " if dataset.gcps[0] else ""
         raise ImageryError(
             f"{name} has {points}no transform from pixels to coordinates: warp it first "
@@ -190,7 +183,24 @@ def _read_georeference(dataset: Any, crs: str | None, name: str) -> tuple[str, F
             "for example crs='EPSG:32635'"
         )
     own = crs if dataset.crs is None else dataset.crs.to_string()
-    return str(own), np.array(dataset.transform, np.float64).reshape(3, 3)
+    matrix = np.array(transform, np.float64).reshape(3, 3)
+    if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < MIN_PIXEL_AREA:
+        raise ImageryError(f"{name} has the transform {list(transform)[:6]}, which has no inverse")
+    return str(own), matrix
+
+
+def _read_world_file(path: Path) -> Affine | None:
+    """The six numbers of the world file beside an image, for the corner of its first pixel."""
+    suffix = path.suffix
+    for ending in (suffix[:2] + suffix[-1:] + "w", suffix + "w", ".wld"):
+        for file in (path.with_suffix(ending), path.with_suffix(ending.upper())):
+            if file.is_file():
+                try:
+                    a, d, b, e, x, y = map(float, file.read_text(encoding="ascii").split())
+                except ValueError as error:
+                    raise ImageryError(f"{file} has other content than six numbers") from error
+                return Affine(a, b, x, d, e, y) @ Affine.translation(-0.5, -0.5)
+    return None
 
 
 @dataclass(frozen=True, eq=False)

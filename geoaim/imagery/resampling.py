@@ -1,6 +1,5 @@
 """Parts of rasters on the grid of an image: read, stretched to 8 bits, and resampled."""
 
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
@@ -161,16 +160,9 @@ def _premultiply(
 def _read(
     raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
 ) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
-    """Values and alpha in [0, 1] of a window, at so many rows and columns, with retries."""
-    for attempt in range(raster.retries + 1):
-        try:
-            with open_raster(raster.path, raster.name, raster.options) as dataset:
-                return _read_window(dataset, raster, window, shape, method)
-        except ImageryError:
-            if attempt == raster.retries:
-                raise
-            time.sleep(0.2 * 2**attempt)
-    raise AssertionError
+    """Values and alpha in [0, 1] of a window, at so many rows and columns."""
+    with open_raster(raster.path, raster.options) as dataset:
+        return _read_window(dataset, raster, window, shape, method)
 
 
 def _read_window(

@@ -3,11 +3,12 @@
 import glob
 import os
 import re
+import sqlite3
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -15,8 +16,9 @@ from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, ImageryError
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
+from geoaim.imagery.tile_service import Service, fetch_tiles
+from geoaim.limits import refuse_damaged
 
-GDAL_STRING = re.compile("<|://|^/vsi|^[A-Z0-9_]{2,}:")  # what GDAL opens that is not a file
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
 MERCATOR = "EPSG:3857"
 HALF_WORLD_M = 20037508.342789244  # from the middle of that CRS to its edges
@@ -89,7 +91,7 @@ def describe_source(
     """List the rasters of a source.
 
     Args:
-        source: a file, folder, pattern, address of a service, `Tiles`, or what GDAL opens.
+        source: a file, folder, pattern, address of a service, or `Tiles`.
         region: where imagery is wanted; everywhere when None, which a service refuses.
         resolution: wanted metres per pixel, which chooses the zoom level of tiles; None: the
             finest there is. A service needs a resolution, or `Tiles` with a zoom.
@@ -118,7 +120,7 @@ def describe_source(
             return _describe_tiles(tiles, numbered, region, resolution, describe)
         files = [f for f in sorted(Path(path).rglob("*")) if f.suffix.lower() in GEOTIFF_SUFFIXES]
         return _describe_files(path, [str(file) for file in files], describe)
-    if not os.path.exists(path) and not GDAL_STRING.search(path):
+    if not os.path.exists(path):
         if not any(sign in path for sign in "*?["):
             raise FileNotFoundError(f"{path}: no such file")
         return _describe_files(path, sorted(glob.glob(path, recursive=True)), describe)
@@ -132,8 +134,30 @@ def _describe_single(
     if options and not path.lower().endswith(".mbtiles"):
         raise ImageryError(f"{path} is not an .mbtiles file; omit `zoom`")
     raster = describe_raster(path, crs=crs, bands=bands, options=options)
-    outlines = ((raster.crs, outline_raster(raster)),)
-    return Layer(_hide_query(path), (raster,), outlines, zoom=tiles.zoom, single=True)
+    outline = raster.crs, outline_raster(raster)
+    if path.lower().endswith(".mbtiles"):
+        outline = MERCATOR, _outline_mbtiles(path, tiles.zoom)
+    return Layer(path, (raster,), (outline,), zoom=tiles.zoom, single=True)
+
+
+def _outline_mbtiles(path: str, zoom: int | None) -> Float[Array, "4 2"]:
+    """Corners of the tiles that a file has, whatever bounds it states."""
+    query = (
+        "SELECT zoom_level, MIN(tile_column), MIN(tile_row), MAX(tile_column), MAX(tile_row) "
+        "FROM tiles WHERE ? IS NULL OR zoom_level = ? GROUP BY zoom_level ORDER BY zoom_level"
+    )
+    with (
+        refuse_damaged(path, ImageryError, "an MBTiles file"),
+        closing(sqlite3.connect(f"{Path(path).absolute().as_uri()}?mode=ro", uri=True)) as database,
+    ):
+        rows = database.execute(query, (zoom, zoom)).fetchall()
+        if not rows:
+            raise ImageryError(f"{path} has no tiles{'' if zoom is None else f' of zoom {zoom}'}")
+        level, left, bottom, right, top = map(int, rows[-1])
+        if not 0 <= level <= MAX_ZOOM or min(left, bottom) < 0 or max(right, top) >= 2**level:
+            raise ImageryError(f"{path} has tile {right}/{top} at zoom {level}, where none can be")
+        low, high = np.array([left, 2**level - 1 - top]), np.array([right, 2**level - 1 - bottom])
+        return _compute_tile_corners(level, low, high + 1)
 
 
 def _describe_files(name: str, files: Sequence[str], describe: Describer) -> Layer:
@@ -191,17 +215,32 @@ def _describe_service(
     tiles: Tiles, address: str, region: Region | None, resolution: float | None
 ) -> Layer:
     name = _hide_query(address)
-    if "://" not in address:
-        raise ImageryError(f"{name} is not the URL of a tile service; for files give the folder")
     if region is None or (resolution is None and tiles.zoom is None):
         raise ImageryError(
             f"{name} is a service of the whole Earth without a resolution of its own: give the "
             "world, the corners, and a resolution or Tiles(..., zoom=...)"
         )
     zoom = _choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
-    xml, corners = _write_service_xml(tiles, address, zoom, region)
-    raster = replace(describe_raster(xml), name=name, retries=tiles.retries)
-    return Layer(name, (raster,), ((MERCATOR, corners),), zoom=zoom, single=True)
+    service = Service(
+        address=address.replace("{y}", "{-y}") if tiles.tms else address,
+        name=name,
+        tile_size=tiles.tile_size,
+        cache=Path(tiles.cache),
+        timeout=tiles.timeout,
+        retries=tiles.retries,
+    )
+    low, high = (limit * 2.0**zoom for limit in _compute_world_fractions(region))
+    low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)
+    high = np.clip(np.ceil(high) + 1, low + 1, 2**zoom).astype(int)
+    numbers = [(x, y) for x in range(low[0], high[0]) for y in range(low[1], high[1])]
+    rasters = tuple(
+        describe_raster(str(file), georeference=_georeference_tile(zoom, x, y))
+        for x, y, file in fetch_tiles(service, zoom, numbers)
+    )
+    if not rasters:
+        raise ImageryError(f"{name} has nothing but missing tiles there; choose another zoom")
+    outlines = ((MERCATOR, _compute_tile_corners(zoom, low, high)),)
+    return Layer(name, rasters, outlines, zoom=zoom, single=True)
 
 
 def _hide_query(address: str) -> str:
@@ -265,37 +304,3 @@ def _choose_zoom(
     pixel = 2.0 * HALF_WORLD_M * np.cos(latitude) / tiles.tile_size  # metres, at zoom 0
     fine = levels[levels >= np.log2(pixel / resolution) - ZOOM_TOLERANCE]
     return int(fine.min() if fine.size else levels.max())
-
-
-def _write_service_xml(
-    tiles: Tiles, address: str, zoom: int, region: Region
-) -> tuple[str, Float[Array, "4 2"]]:
-    """XML with which GDAL opens the tiles of a region and one more on each side; their corners."""
-    low, high = (limit * 2.0**zoom for limit in _compute_world_fractions(region))
-    low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)
-    high = np.clip(np.ceil(high) + 1, low + 1, 2**zoom).astype(int)
-    tms = tiles.tms or "{-y}" in address
-    if tms:
-        high[1] = 2**zoom  # GDAL counts from the window's lower edge
-    corners = _compute_tile_corners(zoom, low, high)
-    (left, top), (right, bottom) = corners[[0, 2]].tolist()
-    side = tiles.tile_size
-    width, height = (high - low) * side
-    y, origin = (0, "bottom") if tms else (low[1], "top")
-    url = escape(re.sub(r"\{-?([xyz])\}", r"${\1}", address).replace("{s}", "a"))
-    cache = escape(str(Path(tiles.cache).expanduser()))
-    xml = f"""<GDAL_WMS>
-<Service name="TMS"><ServerUrl>{url}</ServerUrl></Service>
-<DataWindow>
-<UpperLeftX>{left!r}</UpperLeftX><UpperLeftY>{top!r}</UpperLeftY>
-<LowerRightX>{right!r}</LowerRightX><LowerRightY>{bottom!r}</LowerRightY>
-<SizeX>{width}</SizeX><SizeY>{height}</SizeY>
-<TileLevel>{zoom}</TileLevel><TileX>{low[0]}</TileX><TileY>{y}</TileY><YOrigin>{origin}</YOrigin>
-</DataWindow>
-<Projection>EPSG:3857</Projection><BandsCount>4</BandsCount>
-<BlockSizeX>{side}</BlockSizeX><BlockSizeY>{side}</BlockSizeY><OverviewCount>0</OverviewCount>
-<Timeout>{tiles.timeout}</Timeout><MaxConnections>4</MaxConnections><UserAgent>geoaim</UserAgent>
-<ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes>
-<Cache><Path>{cache}</Path><Expires>2592000</Expires><MaxSize>2000000000</MaxSize></Cache>
-</GDAL_WMS>"""  # https://gdal.org/drivers/raster/wms.html
-    return xml, corners

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import torch
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
@@ -20,15 +19,19 @@ from PIL import Image
 from torch import Tensor
 
 from geoaim.errors import TracksError
+from geoaim.limits import check_memory, refuse_damaged
 from geoaim.prediction.atlas import make_atlas, make_grey_ground
 from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.simulation.ground import Ground, View, make_ground
+from geoaim.track_files import read_table
+from geoaim.track_formats.shared import check_columns
 
 HISTORY_STEPS, WINDOW_STEPS = 8, 20
 DT_S = 0.4
 PEDESTRIAN_SIZE_M = 0.5
 MIN_HEADING_TRAVEL_M = 0.15  # a shorter displacement gives no reliable heading
-COLUMNS = ["frame", "track", "u_px", "v_px"]
+FORMATS = ("JPEG", "PNG")
+BYTES_PER_PIXEL = 30  # while an image becomes a map
 
 ImageTransform = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
 
@@ -140,9 +143,9 @@ def reverse_paths(segments: Segments) -> Segments:
 
 
 def _read_resolutions(path: Path) -> dict[str, float]:
-    table = _read_table(path, ["scene", "metres_per_pixel"])
-    names, values = table["scene"].astype(str), table["metres_per_pixel"].astype(float)
-    scales = dict(zip(names, values, strict=True))
+    table = read_table(path, text=("scene",))
+    check_columns(path, table, numbers=("metres_per_pixel",), others=("scene",))
+    scales = dict(zip(table["scene"].astype(str), table["metres_per_pixel"], strict=True))
     for name, scale in scales.items():
         if not 0 < scale < math.inf:
             raise TracksError(f"{path}: metres_per_pixel of {name} is {scale}")
@@ -151,7 +154,8 @@ def _read_resolutions(path: Path) -> dict[str, float]:
 
 def _read_paths(path: Path) -> Float[Array, "B T 2"]:
     """The paths of all windows, pixels to the right and up."""
-    table = _read_table(path, COLUMNS)
+    table = read_table(path, text=("track",))
+    check_columns(path, table, numbers=("u_px", "v_px"), others=("frame", "track"))
     pixels = table[["u_px", "v_px"]].to_numpy(float)
     tracks = table["track"].to_numpy()
     if len(table) % WINDOW_STEPS or not np.isfinite(pixels).all():
@@ -164,16 +168,6 @@ def _read_paths(path: Path) -> Float[Array, "B T 2"]:
     return pixels.reshape(-1, WINDOW_STEPS, 2) * [1, -1]
 
 
-def _read_table(path: Path, columns: list[str]) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise TracksError(f"{path}: {error}") from None
-    if not set(columns) <= set(table):
-        raise TracksError(f"{path}: has the columns {list(table)}; {columns} are needed")
-    return table
-
-
 def _read_ground(
     folder: Path, name: str, resolution: float, transform: ImageTransform | None
 ) -> Ground:
@@ -181,7 +175,11 @@ def _read_ground(
     path = next((path for path in paths if path.exists()), None)
     if path is None:
         raise TracksError(f"{folder}: there is neither {paths[0].name} nor {paths[1].name}")
-    with Image.open(path) as picture:
+    needed = "a JPEG or PNG that can be read"
+    with refuse_damaged(path, TracksError, needed), Image.open(path, formats=FORMATS) as picture:
+        width, height = picture.size
+        needed_bytes, size = BYTES_PER_PIXEL * width * height, os.path.getsize(path)
+        check_memory(path, needed_bytes, size, TracksError, f"{height} x {width} pixels")
         image = np.asarray(picture.convert("RGB")).astype(np.float32) / 255
     if transform is not None:
         image = transform(image, resolution)

@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import zlib
 from pathlib import Path
 
 from geoaim.errors import TracksError
@@ -95,5 +96,5 @@ def _read_first_line(path: Path) -> str:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
         with opened(path, "rt", encoding="utf-8-sig") as file:
             return str(file.readline(MAX_LINE_CHARS)).strip()
-    except (UnicodeDecodeError, OSError) as error:
+    except (UnicodeDecodeError, OSError, EOFError, zlib.error) as error:
         raise TracksError(f"{path} is not a table of tracks: {error}") from error

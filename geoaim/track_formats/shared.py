@@ -31,6 +31,7 @@ TYPICAL_SIZES = {
     "motorcycle": (2.1, 0.8),
     "cyclist": (1.8, 0.65),
 }
+MAX_NUMBER = 1e16  # a greater one is no measured value
 OTHER_SIZE = (0.5, 0.5)
 KNOWN_TYPES = {*TYPICAL_SIZES, "pedestrian"}
 Matcher = Callable[[Path, str], bool]  # of a path and its first line, "" for a folder
@@ -102,9 +103,18 @@ def check_columns(
         raise TracksError(f"{Path(path)} has no rows")
     for name in numbers:
         if not pd.api.types.is_numeric_dtype(table[name]):
-            wrong = pd.to_numeric(table[name], errors="coerce").isna() & table[name].notna()
-            row, value = wrong.idxmax(), table[name][wrong].iloc[0]
+            wrong = ~table[name].map(_is_number)
+            first = int(wrong.argmax())
+            row, value = table.index[first], str(table[name].iloc[first])[:40]
             raise TracksError(f"{Path(path)}: {name} is {value!r} in row {row}; a number is needed")
+
+
+def _is_number(value: object) -> bool:
+    """Whether a value is missing, or a number of less than 16 digits."""
+    try:
+        return not abs(float(str(value))) >= MAX_NUMBER
+    except ValueError:
+        return False
 
 
 def check_resolution(resolution: float) -> None:

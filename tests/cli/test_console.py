@@ -1,3 +1,4 @@
+import pytest
 from typer.testing import CliRunner
 
 from geoaim.cli import app
@@ -9,3 +10,25 @@ def test_names_in_square_brackets_are_not_read_as_markup(tmp_path):
     result = run(app, ["info", str(tmp_path / "no[b]where[/b].tif")])
     assert result.exit_code == 1
     assert "no[b]where[/b].tif" in result.output.replace("\n", "")
+
+
+def test_any_failure_is_one_line_and_has_a_traceback_with_debug(tmp_path, monkeypatch):
+    def fail(path):
+        raise KeyError("of\nsome library")
+
+    monkeypatch.setattr("geoaim.aim_files.read_aim", fail)
+    result = run(app, ["info", "a.tif"])
+    assert result.exit_code == 1
+    assert "KeyError: " in result.output
+    assert "geoaim --debug COMMAND" in " ".join(result.output.split())
+    assert "Traceback" not in result.output
+    with pytest.raises(KeyError):
+        run(app, ["--debug", "info", "a.tif"], catch_exceptions=False)
+
+
+def test_result_with_brackets_in_its_name_is_printed(tmp_path):
+    output = tmp_path / "x[/y].tif"
+    result = run(app, ["draw", "samples/map.osm", "--resolution", "2", "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    assert output.exists()
+    assert "x[/y].tif" in result.output.replace("\n", "")

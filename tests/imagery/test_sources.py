@@ -1,7 +1,5 @@
-import numpy as np
 import pytest
 import rasterio
-import rasterio.shutil
 from rasterio.enums import Resampling
 
 from geoaim.errors import ImageryError
@@ -21,13 +19,8 @@ from tests.imagery.painted_ground import (
 )
 
 
-def test_virtual_rasters_and_gdal_strings_are_read(tmp_path):
+def test_zoom_is_refused_for_what_is_not_tiles(tmp_path):
     path = ortho(tmp_path / "a.tif", "EPSG:3857", 0.5)
-    rasterio.shutil.copy(path, tmp_path / "a.vrt", driver="VRT")
-    aim = read_imagery(path, world=WORLD, corners=BOX)
-    for source in (tmp_path / "a.vrt", f"GTIFF_DIR:1:{path}"):
-        other = read_imagery(source, world=WORLD, corners=BOX)
-        np.testing.assert_array_equal(aim.image, other.image)
     with pytest.raises(ImageryError, match="mbtiles file; omit"):
         read_imagery(Tiles(path, zoom=3))
 

@@ -129,7 +129,7 @@ def test_missing_and_malformed_files_are_reported(folder, tmp_path):
     for broken, why in (
         (table[:-1], "99 rows; windows of 20 rows each"),
         (table.assign(track=np.arange(len(table)) // 10), "more than one track"),
-        (table.drop(columns="u_px"), "are needed"),
+        (table.drop(columns="u_px"), "lacks the columns u_px"),
     ):
         broken.to_csv(tmp_path / "w" / "park_0.csv", index=False)
         with pytest.raises(TracksError, match=why):

@@ -18,6 +18,12 @@ from geoaim.mapping.video.frames import Frame
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 DEFAULT_RATE = 25  # frames per second, where a file states none
 KEYFRAMES_TOGETHER = 8  # that are decoded in one go: as many 4K frames take 100 MB
+# FFmpeg's containers and raw streams; playlists and lists of files would name others
+FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,"
+    "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
+)
+READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
 MIN_END_TOLERANCE_S = 0.25  # by which a file may last beyond the time of its last frame
 
 
@@ -151,7 +157,7 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
 
 def _open_container(path: Path) -> Any:
     try:
-        return av.open(str(path))
+        return av.open(f"file:{path}", options=READ_OPTIONS, metadata_errors="replace")
     except av.FFmpegError as error:
         with path.open("rb") as opened:
             head = opened.read(8)
@@ -171,6 +177,8 @@ def _select_stream(container: Any, path: Path, threads: int | None) -> Any:
     if not streams:
         kinds = ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
         raise VideoError(f"{path}: no video in this file, only {kinds}")
+    if streams[0].codec_context is None:
+        raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
     streams[0].thread_type = "AUTO"
     if threads is not None:
         streams[0].thread_count = threads

@@ -64,8 +64,8 @@ def mask_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Bool[Array,
 
 def _read_yolo(file: Path, size: tuple[int, int]) -> Float[Array, "N 4"]:
     """Boxes in pixels of a (height, width) image."""
-    rows = [line.split() for line in file.read_text().splitlines() if line.strip()]
     try:
+        rows = [line.split() for line in file.read_text("utf-8").splitlines() if line.strip()]
         if not all(len(row) in (5, 6) for row in rows):
             raise ValueError("5 fields are needed, a confidence may follow")
         values = np.array([[float(value) for value in row[1:5]] for row in rows]).reshape(-1, 4)

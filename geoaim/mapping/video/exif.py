@@ -1,14 +1,11 @@
 """Telemetry in EXIF and DJI's XMP of photos."""
 
 import re
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-import rasterio
-from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
-
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
+from geoaim.raster_files import open_raster_file
 
 NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 
@@ -30,11 +27,9 @@ def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | 
 
 def _read_exif_entry(path: Path) -> dict[str, float]:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as image:
-                tags, xmp = image.tags(), "".join(image.tags(ns="xml:XMP").values())
-    except RasterioIOError:
+        with open_raster_file(path) as image:
+            tags, xmp = image.tags(), "".join(image.tags(ns="xml:XMP").values())
+    except (OSError, UnicodeDecodeError):
         return {}
     row = {}
     for name in ("Latitude", "Longitude"):

@@ -16,12 +16,15 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, GeoreferenceError, VideoError
+from geoaim.limits import check_memory, refuse_damaged
 from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.telemetry import Telemetry
+from geoaim.raster_files import open_raster_file
 
+BYTES_PER_PIXEL = 16  # while an image is decoded
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
 INDEX_TOLERANCE = 1e-6  # frames: in floats, 0.3 s at 10 frames a second is frame 2.999...
@@ -198,10 +201,16 @@ def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
 
 def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
     """RGB with the EXIF orientation applied."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-    if image is None:
-        problem = "not an image that can be read" if path.is_file() else "there is no such file"
-        raise VideoError(f"{path}: {problem}; leave it out, or repair it")
+    if not path.is_file():
+        raise VideoError(f"{path}: there is no such file; leave it out")
+    with refuse_damaged(path, VideoError, "an image that can be read"):
+        with open_raster_file(path) as header:
+            height, width = header.shape
+        size, needed = path.stat().st_size, BYTES_PER_PIXEL * height * width
+        check_memory(path, needed, size, VideoError, f"{height} x {width} pixels")
+        image = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise ValueError("OpenCV cannot decode it")
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=image)
 
 

@@ -1,0 +1,150 @@
+"""Tiles of a service, in a cache: asked of the host that its address names, and of no other."""
+
+import hashlib
+import re
+import time
+import urllib.request
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from http.client import HTTPException, HTTPMessage
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+
+from geoaim.errors import ImageryError
+from geoaim.files import atomic_write
+from geoaim.raster_files import open_raster_file
+
+CONNECTIONS = 4
+MAX_AGE_S = 30 * 24 * 3600.0  # of a tile in the cache
+MAX_TILE_BYTES = 20_000_000
+MISSING_CODES = (204, 404)  # with which services answer for tiles that they do not have
+TILE_DRIVERS = ("PNG", "JPEG", "WEBP")
+
+
+@dataclass(frozen=True)
+class Service:
+    """A tile service.
+
+    Attributes:
+        address: with {z}, {x} and {y}, or {-y} where y counts from the south.
+        name: of the service in messages, without keys.
+        tile_size: pixels.
+        cache: folder.
+        timeout: seconds.
+        retries: how often a failed request is repeated.
+    """
+
+    address: str
+    name: str
+    tile_size: int
+    cache: Path
+    timeout: int
+    retries: int
+
+
+class _SameHost(urllib.request.HTTPRedirectHandler):
+    """Follows redirects on the same host only: others may be within reach of this machine alone."""
+
+    def redirect_request(
+        self,
+        request: urllib.request.Request,
+        response: Any,
+        code: int,
+        message: str,
+        headers: HTTPMessage,
+        url: str,
+    ) -> urllib.request.Request | None:
+        new, old = urlsplit(url), urlsplit(request.full_url)
+        if new.scheme not in ("http", "https") or new.netloc != old.netloc:
+            response.close()
+            raise ImageryError(f"redirected to {new.netloc or new.scheme}, another host")
+        return super().redirect_request(request, response, code, message, headers, url)
+
+
+def fetch_tiles(
+    service: Service, zoom: int, numbers: Sequence[tuple[int, int]]
+) -> Iterator[tuple[int, int, Path]]:
+    """Fetch tiles, or find them in the cache.
+
+    Args:
+        service: the service.
+        zoom: their level.
+        numbers: x, and y from the north, of each.
+
+    Yields:
+        x, y and file of each tile that the service has.
+
+    Raises:
+        ImageryError: the address is not one of the web, or a request failed.
+    """
+    if urlsplit(service.address).scheme not in ("http", "https"):
+        raise ImageryError(
+            f"{service.name} is not the URL of a tile service (https://...); for files give the "
+            "folder"
+        )
+    key = hashlib.sha256(service.address.encode()).hexdigest()[:16]
+    folder = service.cache.expanduser() / key
+    for old in folder.rglob("*.tile"):
+        if time.time() - old.stat().st_mtime > MAX_AGE_S:
+            old.unlink()
+    paths = [folder / f"{zoom}/{x}/{y}.tile" for x, y in numbers]
+    wanted = [item for item in zip(numbers, paths, strict=True) if not item[1].exists()]
+    with ThreadPoolExecutor(CONNECTIONS) as threads:
+        urls = [_make_url(service.address, zoom, *number) for number, _ in wanted]
+        contents = threads.map(partial(_request, service), urls)
+        try:
+            for (_, path), content in zip(wanted, contents, strict=True):
+                if content:
+                    with atomic_write(path) as temporary:
+                        temporary.write_bytes(content)
+                        _check_size(service, temporary)
+        finally:
+            threads.shutdown(cancel_futures=True)
+    for (x, y), path in zip(numbers, paths, strict=True):
+        if path.exists():
+            yield x, y, path
+
+
+def _make_url(address: str, zoom: int, x: int, y: int) -> str:
+    values = {"z": zoom, "x": x, "y": y, "-y": 2**zoom - 1 - y, "s": "a"}
+    return re.sub(r"\{(-?[xyzs])\}", lambda found: str(values[found[1]]), address)
+
+
+def _request(service: Service, url: str) -> bytes:
+    """The answer to a request; nothing where the service has no tile."""
+    request = urllib.request.Request(url, headers={"User-Agent": "geoaim"})
+    opener = urllib.request.build_opener(_SameHost)
+    for attempt in range(service.retries + 1):
+        try:
+            with opener.open(request, timeout=service.timeout) as response:
+                return bytes(response.read(MAX_TILE_BYTES))
+        except (OSError, HTTPException, ImageryError) as error:  # URLError is an OSError
+            code = 0
+            if isinstance(error, HTTPError):
+                code = error.code
+                error.close()
+            if code in MISSING_CODES:
+                return b""
+            if attempt == service.retries or isinstance(error, ImageryError):
+                reason = re.sub(r"\?\S*", "?...", str(error))
+                raise ImageryError(f"{service.name} cannot be read: {reason}") from error
+        time.sleep(0.2 * 2**attempt)
+    raise AssertionError
+
+
+def _check_size(service: Service, path: Path) -> None:
+    try:
+        with open_raster_file(path, TILE_DRIVERS) as dataset:
+            height, width = dataset.shape
+    except OSError as error:
+        raise ImageryError(
+            f"{service.name} answers with what is not recognized as PNG, JPEG or WebP"
+        ) from error
+    if (height, width) != (service.tile_size, service.tile_size):
+        raise ImageryError(
+            f"{service.name} has tiles of the size {height} x {width}; give that as tile_size"
+        )

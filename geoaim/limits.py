@@ -1,0 +1,70 @@
+"""What a file may ask for: errors of libraries on damaged files, and memory, in one line each."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from geoaim.errors import GeoaimError
+
+MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
+DEFAULT_MAX_GB = 1.0
+MAX_RATIO = 300  # bytes in memory for each of a file: flat colours compress so well, not pictures
+MAX_REASON_CHARS = 300
+
+
+def read_memory_limit() -> float:
+    """Bytes that may be allocated for a file however small it is; from the environment."""
+    text = os.environ.get(MAX_GB_VARIABLE, str(DEFAULT_MAX_GB))
+    try:
+        return float(text) * 1e9
+    except ValueError:
+        raise ValueError(f"{MAX_GB_VARIABLE} is {text!r}; a number of GB is needed") from None
+
+
+def check_memory(
+    path: str | os.PathLike[str],
+    needed: float,
+    size: float,
+    error_type: type[GeoaimError],
+    content: str,
+) -> None:
+    """Refuse a file whose content needs far more memory than its size explains.
+
+    Args:
+        path: the file.
+        needed: bytes, as the file's header states it.
+        size: of the file, bytes.
+        error_type: of the error.
+        content: what the header states, such as "60000 x 60000 pixels".
+
+    Raises:
+        GeoaimError: more than the limit, and more than `MAX_RATIO` times the file's size.
+    """
+    if needed > max(read_memory_limit(), MAX_RATIO * size):
+        raise error_type(
+            f"{path} has {size / 1e3:.0f} KB and claims {content}, which need {needed / 1e9:.1f} "
+            f"GB of memory; if that is right, set the variable {MAX_GB_VARIABLE} to more"
+        )
+
+
+@contextmanager
+def refuse_damaged(
+    path: str | os.PathLike[str], error_type: type[GeoaimError], needed: str
+) -> Iterator[None]:
+    """Turn whatever a library raises on a file's content into an error that names the file.
+
+    Args:
+        path: the file.
+        error_type: of the error.
+        needed: what the file should be, such as "a GeoTIFF".
+
+    Raises:
+        GeoaimError: the block raised something else than that, or than a missing file.
+    """
+    try:
+        yield
+    except (GeoaimError, Warning, FileNotFoundError, PermissionError, IsADirectoryError):
+        raise
+    except Exception as error:  # parsers raise errors of their own, and of every kind
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_REASON_CHARS]
+        raise error_type(f"{path} is not {needed}, or is damaged ({reason})") from error

@@ -1,0 +1,71 @@
+"""Raster files, opened so that what they hold leads to no other file and no request."""
+
+import os
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rasterio
+from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+
+SIGNATURES = {  # first bytes of files, by GDAL's driver
+    "GTiff": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    "JPEG": (b"\xff\xd8\xff",),
+    "PNG": (b"\x89PNG",),
+    "WEBP": (b"RIFF",),
+    "JP2OpenJPEG": (b"\0\0\0\x0cjP  ", b"\xff\x4f\xff\x51"),
+    "GIF": (b"GIF8",),
+    "BMP": (b"BM",),
+    "MBTiles": (b"SQLite format 3\0",),
+}
+IMAGE_DRIVERS = tuple(SIGNATURES)
+SETTINGS = {
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # .ovr and .msk beside a file may name others
+    "GDAL_PAM_ENABLED": "NO",  # and so may .aux.xml
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+    "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",  # else a truncated JPEG ends in grey
+}
+
+
+@contextmanager
+def open_raster_file(
+    path: str | os.PathLike[str],
+    drivers: Sequence[str] = IMAGE_DRIVERS,
+    *,
+    options: Mapping[str, int] | None = None,
+) -> Iterator[Any]:
+    """Open a raster file by one of GDAL's drivers that read a single file.
+
+    Args:
+        path: the file.
+        drivers: their names.
+        options: of the driver.
+
+    Yields:
+        The open dataset.
+
+    Raises:
+        RasterioIOError: none of the drivers reads the file, or it names another file.
+    """
+    with warnings.catch_warnings(), rasterio.Env(**SETTINGS):
+        # an AIM with pixels of one metre has an identity transform too
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        driver = _recognise(Path(path), drivers)
+        if Path(f"{path}.msk").exists():
+            raise RasterioIOError(f"its mask is in another file, {path}.msk; write both into one")
+        with rasterio.open(Path(path), driver=driver, sharing=False, **options or {}) as dataset:
+            if dataset.tags(ns="OVERVIEWS"):  # GDAL would open what it names
+                raise RasterioIOError("it names another file for its overviews; remove the tag")
+            yield dataset
+
+
+def _recognise(path: Path, drivers: Sequence[str]) -> str:
+    """The driver of a file by its first bytes."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    for driver in drivers:
+        if head.startswith(SIGNATURES[driver]):
+            return driver
+    raise RasterioIOError(f"not recognized as {' or '.join(drivers)}")

@@ -1,0 +1,146 @@
+"""Each reader of geoaim, with the file that is mutated and the mutations that suit its format."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from geoaim.aim_files import read_aim
+from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.lights import StopLine, read_lights, read_stop_lines
+from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.video.detections import read_detections
+from geoaim.mapping.video.exif import read_exif
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.srt import read_srt
+from geoaim.mapping.video.video import open_video
+from geoaim.prediction.checkpoints import read_model, read_state
+from geoaim.prediction.windows import WindowFiles, read_windows
+from geoaim.simulation.ground import View
+from geoaim.track_formats import read_sdd, read_tracks, read_trajnet
+from tests.faults import mutations as by
+from tests.faults.seeds import WORLD
+
+TEXT = (by.mutate_fields, by.mutate_lines)
+JSON = (*TEXT, by.mutate_json)
+BINARY = (by.mutate_numbers,)
+PNG = (by.mutate_numbers, by.mutate_chunks)
+STATE = (by.mutate_state,)
+VIEW = View(16, 16, 1.0)
+SIND_LINES = [StopLine("Traffic light 1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader: it takes the folder of the files, of which one is mutated."""
+
+    file: str
+    mutations: tuple[by.Mutation, ...]
+    read: Callable[[Path], object]
+
+
+def _read_lines(folder: Path):
+    return read_stop_lines(folder / "lines.geojson", WORLD)
+
+
+def _read_points(name: str) -> Callable[[Path], object]:
+    return lambda folder: estimate_georeference(
+        read_control_points(folder / name), height=430, width=620
+    )
+
+
+def _read_video(name: str) -> Callable[[Path], object]:
+    def read(folder: Path) -> None:
+        video = open_video(folder / name, threads=1)
+        for frame in (*video, *video.frames_at([0.3, 0.9])):
+            assert frame.grey.size
+
+    return read
+
+
+def _read_boxes(folder: Path) -> object:
+    return read_detections(folder / "boxes")(Frame(0, 0.0, None, np.zeros((48, 64), np.uint8)))
+
+
+def _read_windows(folder: Path) -> object:
+    table = folder / "scenes" / "scenes.csv"
+    return read_windows(WindowFiles(folder / "scenes", None, table), VIEW)
+
+
+def _read_image_ground(folder: Path) -> object:
+    (folder / "gates.jpg").write_bytes((folder / "image.jpg").read_bytes())
+    table = folder / "scenes" / "scenes.csv"
+    return read_windows(WindowFiles(folder / "scenes", folder, table), VIEW)
+
+
+def _tracks(name: str, mutations: tuple[by.Mutation, ...] = TEXT, **options) -> Reader:
+    reading = name.replace("Meta", "s").replace("recordings", "tracks").replace("trackss", "tracks")
+    read = read_trajnet if "trajnet" in name else read_sdd if options else read_tracks
+    return Reader(name, mutations, lambda folder: read(folder / reading, **options))
+
+
+READERS = {
+    "AIM": Reader(
+        "aim.tif", (*BINARY, by.mutate_geotiff_tags), lambda folder: read_aim(folder / "aim.tif")
+    ),
+    "tracks: plain CSV": _tracks("plain.csv"),
+    "tracks: Parquet": _tracks("plain.parquet", (*BINARY, by.mutate_parquet)),
+    "tracks: SDD": _tracks("sdd.txt", resolution=0.04),
+    "tracks: SDD, gzipped": _tracks("sdd.txt.gz", (by.mutate_gzipped,), resolution=0.04),
+    "tracks: TrajNet": _tracks("trajnet.csv", resolution=0.04),
+    "tracks: INTERACTION": _tracks("interaction.csv"),
+    "tracks: SinD": _tracks("sind.csv"),
+    "tracks: inD": _tracks("00_tracks.csv"),
+    "tracks: inD, agents": _tracks("00_tracksMeta.csv"),
+    "tracks: inD, recording": _tracks("00_recordingMeta.csv"),
+    "tracks: highD": _tracks("01_tracks.csv"),
+    "tracks: highD, agents": _tracks("01_tracksMeta.csv"),
+    "tracks: geo-trax": _tracks("geotrax.csv"),
+    "TrajNet windows": Reader("scenes/gates.csv", TEXT, _read_windows),
+    "TrajNet scenes": Reader("scenes/scenes.csv", TEXT, _read_windows),
+    "TrajNet image": Reader("image.jpg", BINARY, _read_image_ground),
+    "lights: plain": Reader(
+        "lights.csv", TEXT, lambda f: read_lights(f / "lights.csv", _read_lines(f), WORLD)
+    ),
+    "lights: SinD": Reader(
+        "sind_lights.csv", TEXT, lambda f: read_lights(f / "sind_lights.csv", SIND_LINES, WORLD)
+    ),
+    "stop lines": Reader("lines.geojson", JSON, _read_lines),
+    "drivable area": Reader(
+        "area.geojson", JSON, lambda f: read_drivable_area(f / "area.geojson", WORLD)
+    ),
+    "HD map": Reader(
+        "map.osm", (*TEXT, by.mutate_xml), lambda f: find_drivable_area(read_hdmap(f / "map.osm"))
+    ),
+    "control points: CSV": Reader("gcps.csv", TEXT, _read_points("gcps.csv")),
+    "control points: ODM": Reader("gcp_list.txt", TEXT, _read_points("gcp_list.txt")),
+    "control points: QGIS": Reader("qgis.points", TEXT, _read_points("qgis.points")),
+    "SRT": Reader("bracketed.srt", TEXT, lambda f: read_srt(f / "bracketed.srt")),
+    "SRT, older": Reader("older.srt", TEXT, lambda f: read_srt(f / "older.srt")),
+    "photo": Reader("photo.jpg", BINARY, lambda f: read_exif([f / "photo.jpg"])),
+    "detections": Reader("boxes/0.txt", TEXT, _read_boxes),
+    "video: MP4": Reader("video.mp4", BINARY, _read_video("video.mp4")),
+    "video: Matroska": Reader("video.mkv", BINARY, _read_video("video.mkv")),
+    "video: AVI": Reader("video.avi", BINARY, _read_video("video.avi")),
+    "image: PNG": Reader("image.png", PNG, _read_video("image.png")),
+    "image: JPEG": Reader("image.jpg", BINARY, _read_video("image.jpg")),
+    "image: TIFF": Reader("image.tif", BINARY, _read_video("image.tif")),
+    "imagery: GeoTIFF": Reader(
+        "ortho.tif", (*BINARY, by.mutate_geotiff_tags), lambda f: read_imagery(f / "ortho.tif")
+    ),
+    "imagery: GeoTIFF of JPEG": Reader(
+        "ortho_jpeg.tif", BINARY, lambda f: read_imagery(f / "ortho_jpeg.tif")
+    ),
+    "imagery: tiles": Reader(
+        "tiles/18/151671/84000.png", PNG, lambda f: read_imagery(f / "tiles", resolution=0.5)
+    ),
+    "imagery: MBTiles": Reader(
+        "tiles.mbtiles", (by.mutate_mbtiles,), lambda f: read_imagery(f / "tiles.mbtiles")
+    ),
+    "model": Reader("model.pt", STATE, lambda f: read_model(f / "model.pt")),
+    "checkpoint": Reader("checkpoint.pt", STATE, lambda f: read_state(f / "checkpoint.pt")),
+}

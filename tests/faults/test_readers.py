@@ -1,0 +1,29 @@
+"""Mutated files are read, or refused by an error of geoaim: in time, and within memory."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests.faults.readers import READERS
+
+MUTATIONS = 40  # of each reader; docs/bench/faults.json counts 10,000
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is measured in /proc")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Outcomes of the mutations of all readers, counted in a process that forks."""
+    path = tmp_path_factory.mktemp("faults") / "faults.json"
+    command = [sys.executable, "-m", "tests.faults.run", "--count", str(MUTATIONS), "-o", str(path)]
+    subprocess.run(command, timeout=400, stdout=subprocess.DEVNULL, check=False)
+    return json.loads(path.read_text())
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_mutated_file_is_read_or_refused(results, reader):
+    assert [fault for fault in results["faults"] if fault["reader"] == reader] == []
+    (counts,) = [row for row in results["rows"] if row["reader"] == reader]
+    assert counts["read"] + counts["refused"] == MUTATIONS
