@@ -58,6 +58,9 @@ def refuse_damaged(
         error_type: of the error.
         needed: what the file should be, such as "a GeoTIFF".
 
+    Yields:
+        Nothing.
+
     Raises:
         GeoaimError: the block raised something else than that, or than a missing file.
     """
