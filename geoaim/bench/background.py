@@ -20,6 +20,7 @@ import typer
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
+from geoaim.bench.background_queues import apply_subtractor
 from geoaim.bench.data import require_data
 from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import (
@@ -77,13 +78,6 @@ def _compute_median(frames: RegisteredFrames) -> Image:
     return result
 
 
-def _apply_subtractor(subtractor: Any, frames: RegisteredFrames) -> Image:
-    """The background image of one of OpenCV's models after all frames."""
-    for image in _warp_frames(frames):
-        subtractor.apply(image)
-    return np.asarray(subtractor.getBackgroundImage(), np.uint8)
-
-
 METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
     "plain mean": lambda frames: average_frames(frames, size=frames.size),
     "mean masked by boxes": lambda frames: average_frames(
@@ -91,10 +85,8 @@ METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
     ),
     "without boxes": lambda frames: remove_traffic(frames, size=frames.size),
     "numpy median": _compute_median,
-    "MOG2": lambda frames: _apply_subtractor(
-        cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False), frames
-    ),
-    "GSOC": lambda frames: _apply_subtractor(cv2.bgsegm.createBackgroundSubtractorGSOC(), frames),
+    "MOG2": lambda frames: apply_subtractor("MOG2", _warp_frames(frames)),
+    "GSOC": lambda frames: apply_subtractor("GSOC", _warp_frames(frames)),
 }
 
 

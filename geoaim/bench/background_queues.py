@@ -10,7 +10,8 @@ and of a place (munich_street02) that was kept for them.
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -67,10 +68,19 @@ def _without_boxes(frames: Stack) -> Background:
     return remove_traffic(registered, size=frames.shape[1:3])
 
 
-def _apply_subtractor(subtractor: Any, frames: Stack) -> Array:
+SUBTRACTORS: dict[str, Callable[[], Any]] = {
+    "MOG2": lambda: cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False),
+    "KNN": lambda: cv2.createBackgroundSubtractorKNN(history=64, detectShadows=False),
+    "GSOC": cv2.bgsegm.createBackgroundSubtractorGSOC,
+}
+
+
+def apply_subtractor(name: str, frames: Iterable[Array]) -> UInt8[Array, "H W 3"]:
+    """Compute the background image of one of OpenCV's models, a key of `SUBTRACTORS`."""
+    subtractor = SUBTRACTORS[name]()
     for image in frames:
         subtractor.apply(image)
-    return np.asarray(subtractor.getBackgroundImage())
+    return np.asarray(subtractor.getBackgroundImage(), np.uint8)
 
 
 METHODS: dict[str, Callable[[Stack], Any]] = {
@@ -78,13 +88,7 @@ METHODS: dict[str, Callable[[Stack], Any]] = {
     "mean": lambda frames: frames.mean(axis=0),
     "trimmed mean": lambda frames: trim_mean(frames, 0.2, axis=0),
     "median": lambda frames: np.median(frames, axis=0),
-    "MOG2": lambda frames: _apply_subtractor(
-        cv2.createBackgroundSubtractorMOG2(history=64, detectShadows=False), frames
-    ),
-    "KNN": lambda frames: _apply_subtractor(
-        cv2.createBackgroundSubtractorKNN(history=64, detectShadows=False), frames
-    ),
-    "GSOC": lambda frames: _apply_subtractor(cv2.bgsegm.createBackgroundSubtractorGSOC(), frames),
+    **{name: partial(apply_subtractor, name) for name in SUBTRACTORS},
 }
 
 

@@ -6,6 +6,7 @@ from jaxtyping import UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
+from geoaim.bench.stills import cut_car
 from geoaim.mapping import average_frames, open_video, read_detections, register
 
 WIDTH = 960  # of the pictures, at most
@@ -33,11 +34,7 @@ def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _
             long, short = max(right - left, bottom - top), min(right - left, bottom - top)
             if not inside or not 1.9 < long / max(short, 1) < 3.0 or short * scale < 12:
                 continue
-            body = frame.image[top:bottom, left:right]
-            body = np.rot90(body) if len(body) == long else body
-            x, y = (np.abs(np.linspace(-1, 1, n)) for n in body.shape[1::-1])
-            alpha = ((1.0 - (x[None] ** 6 + y[:, None] ** 6) ** (1 / 6)) * 12).clip(0, 1) * 255
-            sprite = np.dstack([body, alpha.astype(np.uint8)])
+            sprite = cut_car(frame.image[top:bottom, left:right], 1.0)
             sprites.append(_resize(sprite, scale))
     lengths = np.array([sprite.shape[1] for sprite in sprites])
     usual = np.abs(lengths / np.median(lengths) - 1) < 0.3

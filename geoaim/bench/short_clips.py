@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ from geoaim.synthetic import write_video
 
 STILL = "00003"
 MEGABITS = 20.0
+FRAMES, RUNS = 300, 3  # of the clip, at 30 frames/s; timed runs of each method
 METHODS = ("decode", "all", "auto")
 SET_UP_FRAMES = 60
 ORB = "ORB 2000 + MAGSAC"
@@ -90,22 +91,17 @@ def measure_set_up(runs: int) -> list[dict[str, Any]]:
     return rows
 
 
-def main(
-    json: JsonFile = None,
-    frames: Annotated[int, typer.Option(help="frames of the clip, at 30 frames/s")] = 300,
-    runs: Annotated[int, typer.Option(help="timed runs of each method")] = 3,
-) -> None:
+def main(json: JsonFile = None) -> None:
     """Measure short clips and the set-up; print tables; write JSON if asked."""
     cv2.setNumThreads(1)
-    rows = print_rows(measure_set_up(runs))
+    rows = print_rows(measure_set_up(RUNS))
     cv2.setNumThreads(THREADS)
     with TemporaryDirectory() as folder:
-        video = make_hover_video(STILL, size="1080p", count=frames, kind="queue")
+        video = make_hover_video(STILL, size="1080p", count=FRAMES, kind="queue")
         clip = write_video(video, Path(folder, "clip.mp4"), megabits=MEGABITS)
-        for spacing in (1, 30, frames):
-            rows += print_rows(measure_spacings(clip, spacing, runs))
-    command = f"python -m geoaim.bench.short_clips --frames {frames} --runs {runs}"
-    write_rows(rows, json, command=command, threads=THREADS)
+        for spacing in (1, 30, FRAMES):
+            rows += print_rows(measure_spacings(clip, spacing, RUNS))
+    write_rows(rows, json, command="python -m geoaim.bench.short_clips", threads=THREADS)
 
 
 if __name__ == "__main__":

@@ -3,24 +3,21 @@
     python -m geoaim.bench.simulator --json docs/bench/simulator.json
 
 64 scenes of 20 agents are timed beside four sines for each agent, a yardstick of the machine.
-Overlaps are compared with shapely's. Where torchdrivesim is installed, its collisions and off-road
-distances are timed in the same run.
+Where torchdrivesim is installed, its collisions and off-road distances are timed in the same run.
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
-import shapely
 import torch
 import typer
 
-from geoaim.bench.report import JsonFile, format_table, time_medians, write_rows
+from geoaim.bench.report import JsonFile, print_rows, time_medians, write_rows
 from geoaim.hdmap.drivable import find_drivable_area, sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.simulation.infractions import compute_offroad_distance
-from geoaim.simulation.overlap import box_iou, compute_box_corners
+from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.road_rules import make_drivable
 from geoaim.simulation.simulator import Scenario, step
 
@@ -36,23 +33,6 @@ def make_traffic() -> Scenario:
     present = torch.ones(SCENES, 2, AGENTS, dtype=torch.bool)
     pedestrian = torch.arange(AGENTS).expand(SCENES, AGENTS) % 4 == 0
     return Scenario(torch.stack([states, states], 1), present, sizes, pedestrian, 0.1)
-
-
-def compute_iou_with_shapely(scenario: Scenario) -> np.ndarray:
-    """Compute the intersection over union of all pairs of the first scene: (A, A)."""
-    corners = compute_box_corners(scenario.states[0, 0, :, :3], scenario.sizes[0]).double().numpy()
-    polygons = shapely.polygons(corners)
-    intersection = shapely.area(shapely.intersection(polygons[:, None], polygons))
-    area = shapely.area(polygons)
-    return np.asarray(intersection / (area[:, None] + area - intersection) * (1 - np.eye(AGENTS)))
-
-
-def compare_with_shapely() -> float:
-    """Compute the largest difference from shapely's intersection over union, in dense traffic."""
-    scenario = make_traffic()
-    dense = replace(scenario, states=scenario.states / 8)
-    iou = box_iou(dense.states[:, 0, :, :3], dense.sizes, dense.present[:, 0])[0]
-    return float(np.abs(iou.numpy() - compute_iou_with_shapely(dense)).max())
 
 
 def time_stages(repeats: int) -> list[dict[str, Any]]:
@@ -122,13 +102,11 @@ def main(
     json: JsonFile = None,
     repeats: Annotated[int, typer.Option(help="of each timing; the median counts")] = 30,
 ) -> None:
-    """Time the stages and compare overlaps with shapely's; print a table and write JSON."""
+    """Time the stages; print a table and write JSON."""
     torch.set_num_threads(1)
-    difference, rows = compare_with_shapely(), time_stages(repeats)
-    print(format_table(rows), f"IoU against shapely: {difference:.1e} at most", sep="\n\n")
+    rows = print_rows(time_stages(repeats))
     command = f"python -m geoaim.bench.simulator --repeats {repeats}"
-    more = {"largest_iou_difference_from_shapely": difference}
-    write_rows(rows, json, command=command, torch=torch.__version__, **more)
+    write_rows(rows, json, command=command, torch=torch.__version__)
 
 
 if __name__ == "__main__":

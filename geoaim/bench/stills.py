@@ -27,14 +27,17 @@ def cut_sprites(still: str) -> list[UInt8[Array, "_ _ 4"]]:
         inside = left > 2 and top > 2 and right < 3838 and bottom < 2158
         if not inside or short < 38 or long > 160 or not 2.0 < long / short < 3.2:
             continue
-        body = image[top:bottom, left:right]
-        body = np.rot90(body) if len(body) == long else body
-        x = np.abs(np.linspace(-1, 1, body.shape[1]))[None, :]
-        y = np.abs(np.linspace(-1, 1, body.shape[0]))[:, None]
-        alpha = ((1.02 - (x**6 + y**6) ** (1 / 6)) * 12).clip(0, 1) * 255
-        rgba = np.dstack([body, alpha.astype(np.uint8)])
+        rgba = cut_car(image[top:bottom, left:right], 1.02)
         sprites.append(np.pad(rgba, ((2, 2), (2, 2), (0, 0))))
     return sprites
+
+
+def cut_car(body: UInt8[Array, "h w 3"], size: float) -> UInt8[Array, "_ _ 4"]:
+    """Turn a picture of a car to the right and round its corners; its size is a share."""
+    body = np.rot90(body) if len(body) > body.shape[1] else body
+    x, y = (np.abs(np.linspace(-1, 1, side)) for side in body.shape[1::-1])
+    alpha = ((size - (x[None] ** 6 + y[:, None] ** 6) ** (1 / 6)) * 12).clip(0, 1) * 255
+    return np.dstack([body, alpha.astype(np.uint8)])
 
 
 def read_clean_still(still: str) -> UInt8[Array, "2160 3840 3"]:

@@ -37,7 +37,6 @@ MODELS = {
     "vehicle_aim_no_lights": ModelSpec(VEHICLES_ON_AIM, "aim", lights=False, seeds=2),
     "pedestrian_aim": ModelSpec(PEDESTRIANS, "aim", seeds=3),
     "pedestrian_hdm": ModelSpec(PEDESTRIANS, "hdm", seeds=3),
-    "pedestrian_roads": ModelSpec(PEDESTRIANS, "roads"),
     "pedestrian_full": ModelSpec(PEDESTRIANS, "full"),
     "pedestrian_no_map": ModelSpec(PEDESTRIANS, "none"),
 }

@@ -10,7 +10,6 @@ from geoaim.prediction.baselines import BASELINES
 TABLE = Table(
     config=PEDESTRIANS,
     cases={
-        "HD map of roads alone": Case("pedestrian_roads", "roads"),
         "HD map": Case("pedestrian_hdm", "hdm"),
         "HD map with walkways": Case("pedestrian_full", "full"),
         "AIM": Case("pedestrian_aim", "aim"),
@@ -27,9 +26,7 @@ TABLE = Table(
     },
     pairs=(
         ("AIM", "HD map"),
-        ("AIM", "HD map of roads alone"),
         ("AIM", "HD map with walkways"),
-        ("HD map of roads alone", "HD map"),
         ("AIM", "no map"),
         ("in parks, AIM", "in parks, HD map"),
         ("in parks, AIM", "in parks, HD map with walkways"),

@@ -12,8 +12,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.aim_files import read_aim, write_aim
-from geoaim.hdmap.drivable import find_drivable_area
-from geoaim.hdmap.lanelet2 import Area, HDMap, read_hdmap
+from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import Lights, read_lights
@@ -122,17 +121,6 @@ def read_map(place: Path, name: str) -> AIM:
     return MAPS[name](place)
 
 
-def keep_roads(hdmap: HDMap) -> HDMap:
-    """Keep only where vehicles may drive, as the plainest HD maps do.
-
-    Raises:
-        MapError: the map has no lane for vehicles.
-    """
-    # lines without kinds are not drawn, but set the extent of the picture
-    lines = tuple(replace(line, kind="", subtype="") for line in hdmap.lines)
-    return replace(hdmap, lines=lines, lanelets=(), areas=(Area("", find_drivable_area(hdmap)),))
-
-
 def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:
     """Degrade an image (values 0 to 1) as the paper does, which does not tell the scale.
 
@@ -210,7 +198,6 @@ def _read_annotations(place: Path, name: str) -> HDMap:
 
 MAPS: Mapping[str, Callable[[Path], AIM]] = {
     "aim": _read_background,
-    "roads": lambda place: draw_hdmap(keep_roads(_read_annotations(place, LANES))),
     "hdm": lambda place: draw_hdmap(_read_annotations(place, LANES)),
     "full": lambda place: draw_hdmap(_read_annotations(place, FULL)),
     "degraded": _read_degraded,
