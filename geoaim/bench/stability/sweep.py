@@ -75,6 +75,7 @@ def main(
     kinds: Annotated[str, typer.Option(help="separated by semicolons; all by default")] = "",
     repeats: Annotated[int, typer.Option(help="seeds of each level and base")] = 1,
     rivals: Annotated[bool, typer.Option(help="other methods on the same frames")] = False,
+    every: Annotated[int, typer.Option(help="one of so many clips")] = 1,
     quick: Annotated[bool, typer.Option(help="a few kinds, three levels of each")] = False,
 ) -> None:
     """Sweep, print the table of kinds, and write JSON, Markdown and charts."""
@@ -85,8 +86,8 @@ def main(
     output.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     for kind in chosen:
-        for case in list_cases(split, [kind.strip()], repeats=repeats):
-            if not quick or case.rank % 3 == 0:
+        for number, case in enumerate(list_cases(split, [kind.strip()], repeats=repeats)):
+            if number % every == 0 and (not quick or case.rank % 3 == 0):
                 clip = make_clip(case)
                 rows += run_geoaim(case, clip) + run_rivals(case, clip, methods)
         write_cases(pd.DataFrame(rows), output / f"{split}.json")  # so that it can be stopped
