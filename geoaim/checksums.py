@@ -1,8 +1,8 @@
 """Checksums and versions in geoaim's own files.
 
 A file has the text of `PLACEHOLDER` in its metadata or at its end. `write_checksum` fills in its
-size, CRC-32s of the size and of what comes before, by which a file that another program wrote anew
-is told from a damaged one, and the SHA-256 of the whole file in which the last is zeros.
+size, CRC-32s of the size and of the first part, by which a file that another program wrote anew is
+told from a damaged one, and the SHA-256 of the whole file in which the last is zeros.
 """
 
 import hashlib
@@ -48,7 +48,9 @@ def write_checksum(path: Path) -> None:
     with path.open("r+b") as file, mmap(file.fileno(), 0) as data:
         start = data.find(PLACEHOLDER.encode())
         size = b"%012d" % len(data)
-        head = MARK + size + b":%08x:%08x:" % (zlib.crc32(size), zlib.crc32(data[:start]))
+        head = (
+            MARK + size + b":%08x:%08x:" % (zlib.crc32(size), _crc_of_start(data, start, len(data)))
+        )
         data[start : start + len(head)] = head
         start += len(head)
         data[start : start + len(ZEROS)] = hashlib.sha256(data).hexdigest().encode()
@@ -65,8 +67,9 @@ def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bo
         found = PATTERN.match(data, start)
         intact = edited = False
         if found and int(found[2], 16) == zlib.crc32(found[1]):
-            same_start = int(found[3], 16) == zlib.crc32(data[:start])
-            edited = int(found[1]) != len(data) and not same_start
+            size = int(found[1])
+            same_start = int(found[3], 16) == _crc_of_start(data, start, size)
+            edited = size != len(data) and not same_start
             intact = found[4] == _hash(data, found.start(4))
         del found  # holds the map open
     if not (intact or (edited and file_format.editable)):
@@ -107,6 +110,16 @@ def check_version(
         GeoaimWarning,
         stacklevel=4,
     )
+
+
+def _crc_of_start(data: mmap, start: int, size: int) -> int:
+    """CRC-32 of what comes before the checksum and of an eighth of what follows it.
+
+    In a GeoTIFF that has the places of the pixels, which are others when it is written anew.
+    """
+    after = start + len(PLACEHOLDER)
+    with memoryview(data) as view:
+        return zlib.crc32(view[after : after + (size - start) // 8], zlib.crc32(view[:start]))
 
 
 def _hash(data: mmap, start: int) -> bytes:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rasterio
+import rasterio.shutil
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rasterio.enums import ColorInterp
@@ -183,6 +184,22 @@ def test_a_cropped_file_keeps_its_position(tmp_path):
     np.testing.assert_array_equal(part.image, aim.image[5:21, 10:30])
     corner = transform_points(aim.world_from_image, np.array([[10.0, 5.0]]))
     np.testing.assert_allclose(part.corners[:1], corner, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"driver": "COG", "compress": "deflate", "predictor": "yes"},
+        {"driver": "COG", "compress": "deflate", "predictor": "yes", "level": 9},
+        {"driver": "COG", "compress": "zstd"},
+        {"driver": "GTiff"},
+    ],
+)
+def test_a_copy_of_a_gis_program_is_read(tmp_path, options):
+    aim = make_aim(700, 600)
+    write_aim(aim, tmp_path / "aim.tif")
+    rasterio.shutil.copy(tmp_path / "aim.tif", tmp_path / "copy.tif", **options)
+    assert_same(read_aim(tmp_path / "copy.tif"), aim)
 
 
 def test_reprojected_file_is_refused(tmp_path):

@@ -8,9 +8,11 @@ import pytest
 import torch
 
 import geoaim
+from geoaim import aim_files, track_files
 from geoaim.aim_files import read_aim, write_aim
 from geoaim.checksums import MARK, PLACEHOLDER
 from geoaim.errors import GeoaimError, GeoaimWarning, ModelError, TracksError
+from geoaim.prediction import checkpoints
 from geoaim.prediction.checkpoints import read_model, read_state, write_model
 from geoaim.prediction.training import init_model
 from geoaim.track_files import read_plain_tracks, write_tracks
@@ -85,7 +87,19 @@ def test_no_flipped_bit_is_accepted(name, tmp_path):
                 unnamed += [] if name in str(error) else [str(error)]
             file.seek(bit // 8)
             file.write(whole[bit // 8 : bit // 8 + 1])
+    READERS[name](path)  # whole again
     assert (accepted, unnamed) == ([], [])
+
+
+def test_every_version_that_is_written_has_a_file_here():
+    newest = {
+        f"aim-{aim_files.FORMAT.newest}.tif",
+        f"model-{checkpoints.FORMAT.newest}.pt",
+        f"checkpoint-{checkpoints.FORMAT.newest}.pt",
+        f"tracks-{track_files.CSV.newest}.csv",
+        f"tracks-{track_files.PARQUET.newest}.parquet",
+    }
+    assert newest <= set(READERS) == {path.name for path in FORMATS.iterdir()}
 
 
 @pytest.mark.parametrize("name", CHECKED)
