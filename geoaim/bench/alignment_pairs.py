@@ -28,7 +28,7 @@ class Pair:
     name: str  # kind and seed of the place
     aim: AIM  # the AIM
     picture: AIM  # misplaced
-    stated_from_true: Float[Array, "3 3"]  # (3, 3) metres, by which it is misplaced
+    stated_from_true: Float[Array, "3 3"]  # metres, by which it is misplaced
     tracks: Tracks | None = None  # of a minute of traffic there
 
 

@@ -61,7 +61,7 @@ class RegisteredFrames:
 
     video: Iterable[Frame]  # the frames
     size: tuple[int, int]  # (height, width) of the frames
-    reference_from_frame: Float[Array, "T 3 3"]  # (T, 3, 3) of each frame, by its index
+    reference_from_frame: Float[Array, "T 3 3"]  # of each frame, by its index
     detections: Detections | None = None  # boxes of vehicles, or None
 
     def __iter__(self) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:

@@ -52,8 +52,7 @@ class HoverVideo:
 
     clip: HoverClip  # the rendered scene and its true transforms
     kind: Kind  # the difficulty
-    # (T,) whether a frame shows the clip's scene; the others must be refused
-    is_valid: Bool[Array, "T"]
+    is_valid: Bool[Array, "T"]  # whether a frame shows the clip's scene; the others must be refused
     other: HoverClip | None = None  # the scene that the invalid frames of a "cut" show
 
     def __len__(self) -> int:

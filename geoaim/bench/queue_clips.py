@@ -14,9 +14,9 @@ from geoaim.bench.queue_sprites import cut_place
 class QueueClip:
     """Registered frames with their truth."""
 
-    frames: UInt8[Array, "K h w 3"]  # (K, h, w, 3) RGB, spread over the clip
-    ground: UInt8[Array, "h w 3"]  # (h, w, 3) without traffic
-    share: Float32[Array, "h w"]  # (h, w) of the frames in which traffic covers the pixel, 0 to 1
+    frames: UInt8[Array, "K h w 3"]  # RGB, spread over the clip
+    ground: UInt8[Array, "h w 3"]  # without traffic
+    share: Float32[Array, "h w"]  # of the frames in which traffic covers the pixel, 0 to 1
 
 
 def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> QueueClip:

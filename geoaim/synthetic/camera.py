@@ -53,55 +53,38 @@ class Hover:
 
 @dataclass(frozen=True)
 class SpriteTracks:
-    """Sprites of agents over time, in pixels of the background (corner origin).
+    """Sprites of agents over time, in pixels of the background (corner origin)."""
 
-    Attributes:
-        sprites: one (h, w, 4) RGBA image per agent, seen from above, heading right.
-        sizes: (N, 2) length and width of the body, centred in its sprite.
-        poses: (T, N, 3) centre u, v and heading (radians, counter-clockwise as seen: heading
-            pi/2 drives up the image); NaN where the vehicle is absent.
-        shadow: right and down, how far the sun casts the bodies' shadows; (0, 0) casts none.
-        types: type of each agent, if known.
-    """
-
+    # one (h, w, 4) RGBA image per agent, seen from above, heading right
     sprites: tuple[UInt8[Array, "_ _ 4"], ...]
-    sizes: Float[Array, "N 2"]
+    sizes: Float[Array, "N 2"]  # length and width of the body, centred in its sprite
+    # (T, N, 3) centre u, v and heading (radians, counter-clockwise as seen: heading pi/2 drives up
+    # the image); NaN where the vehicle is absent
     poses: Float[Array, "T N 3"]
+    # right and down, how far the sun casts the bodies' shadows; (0, 0) casts none
     shadow: tuple[float, float] = (0.0, 0.0)
-    types: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()  # type of each agent, if known
 
 
 @dataclass(frozen=True)
 class HoverClip:
-    """A hover video before rendering: its truth, and what `render_frame` needs.
+    """A hover video before rendering: its truth, and what `render_frame` needs."""
 
-    Attributes:
-        height: rows of a frame.
-        width: columns of a frame.
-        times: (T,) seconds.
-        frame_from_background: (T, 3, 3) exact pose: still pixels to frame pixels, corner origin.
-        gains: (T,) exposure relative to frame 0.
-        traffic: the agents, in pixels of the still.
-        hover: the camera.
-        base: the still at twice the frames' resolution, blurred by the lens, packed.
-        base_from_background: (3, 3) still pixels to base pixels, a pure scale.
-        base_sprites: the sprites, resized and blurred alike; premultiply colours, and alphas.
-        noise: noise field, mean 128 and standard deviation 32.
-        noise_starts: (T, 2) row and column at which each frame crops the noise field.
-    """
-
-    height: int
-    width: int
-    times: Float[Array, "T"]
+    height: int  # rows of a frame
+    width: int  # columns of a frame
+    times: Float[Array, "T"]  # seconds
+    # exact pose: still pixels to frame pixels, corner origin
     frame_from_background: Float[Array, "T 3 3"]
-    gains: Float[Array, "T"]
-    traffic: SpriteTracks
-    hover: Hover
+    gains: Float[Array, "T"]  # exposure relative to frame 0
+    traffic: SpriteTracks  # the agents, in pixels of the still
+    hover: Hover  # the camera
+    # the still at twice the frames' resolution, blurred by the lens, packed
     base: UInt64[Array, "_ _"]
-    base_from_background: Float[Array, "3 3"]
+    base_from_background: Float[Array, "3 3"]  # still pixels to base pixels, a pure scale
+    # the sprites, resized and blurred alike; premultiply colours, and alphas
     base_sprites: tuple[tuple[UInt64[Array, "_ _"], UInt64[Array, "_ _"]], ...]
-    noise: UInt8[Array, "_ _ 3"]
-    noise_starts: Int[Array, "T 2"]
+    noise: UInt8[Array, "_ _ 3"]  # noise field, mean 128 and standard deviation 32
+    noise_starts: Int[Array, "T 2"]  # row and column at which each frame crops the noise field
 
 
 def film(

@@ -23,20 +23,13 @@ PLAN, SCENERY, GROUND, DAY = range(4)  # streams of random numbers
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A synthetic place.
+    """A synthetic place."""
 
-    Attributes:
-        seed: random seed of everything in it.
-        roads: the roads, in plan metres: from the middle, x right and y up as drawn.
-        scenery: the surroundings of the roads.
-        world: the world of its tracks.
-        world_from_plan: (3, 3) plan metres to world metres, a rotation and a shift.
-    """
-
-    seed: int
-    roads: Roads
-    scenery: Scenery
-    world: World
+    seed: int  # random seed of everything in it
+    roads: Roads  # the roads, in plan metres: from the middle, x right and y up as drawn
+    scenery: Scenery  # the surroundings of the roads
+    world: World  # the world of its tracks
+    # (3, 3) plan metres to world metres, a rotation and a shift
     world_from_plan: Float[Array, "3 3"]
 
 

@@ -41,21 +41,13 @@ TRAFFIC, FLOW, CAMERA, COLOURS = 10, 11, 20, 21  # streams of random numbers
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A made place, its recordings, and what a drone filmed of the first one.
+    """A made place, its recordings, and what a drone filmed of the first one."""
 
-    Attributes:
-        place: the place.
-        traffic_model: what its traffic is simulated from.
-        recordings: one after the other, each of at most five minutes.
-        clip: video of the first recording, from its start; None without a video.
-        resolution: at which the place is drawn.
-    """
-
-    place: Place
-    traffic_model: TrafficModel
-    recordings: tuple[TrafficRecording, ...]
-    clip: HoverClip | None
-    resolution: float
+    place: Place  # the place
+    traffic_model: TrafficModel  # what its traffic is simulated from
+    recordings: tuple[TrafficRecording, ...]  # one after the other, each of at most five minutes
+    clip: HoverClip | None  # video of the first recording, from its start; None without a video
+    resolution: float  # at which the place is drawn
 
 
 def make_sample(

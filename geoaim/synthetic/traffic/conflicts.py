@@ -31,6 +31,8 @@ MIN_ZONE_GAP_M = 16.0  # between two zones of the same paths; closer ones are me
 PARKED_REACH_M = 1.6  # of a parked vehicle along its path out of the bay
 PARKED_MARGIN_M = 0.4
 MAX_ZONES = 2  # of a pair of paths
+# every `STRIDE`-th point of a path, and its unit direction there
+Samples = tuple[Float[Array, "K 2"], Float[Array, "K 2"]]
 
 
 @dataclass(frozen=True)
@@ -76,47 +78,44 @@ class _Overlap:
     same_direction: bool
 
 
-@dataclass(frozen=True)
-class _Samples:
-    """Every `STRIDE`-th point of a path, and its unit direction there."""
-
-    points: Float[Array, "K 2"]
-    directions: Float[Array, "K 2"]
-
-
 def find_conflicts(roads: Roads, paths: tuple[VehiclePath, ...]) -> PathConflicts:
     """Compare all paths of vehicles with each other and with the crossings."""
     samples = [_sample_path(path) for path in paths]
-    longest = max(len(sample.points) for sample in samples)
+    longest = max(len(points) for points, _ in samples)
     projection = np.full((len(paths), len(paths), longest), np.inf, np.float32)
     overlaps = []
     for a, b in combinations(range(len(paths)), 2):
-        (ax, ay), (bx, by) = samples[a].points.T, samples[b].points.T
+        (points_a, directions_a), (points_b, directions_b) = samples[a], samples[b]
+        (ax, ay), (bx, by) = points_a.T, points_b.T
         distance = np.sqrt((ax[:, None] - bx) ** 2 + (ay[:, None] - by) ** 2)
-        cosine = samples[a].directions @ samples[b].directions.T
-        projection[a, b, : len(bx)] = _project(samples[a], samples[b], distance, cosine)
-        projection[b, a, : len(ax)] = _project(samples[b], samples[a], distance.T, cosine.T)
+        cosine = directions_a @ directions_b.T
+        projection[a, b, : len(bx)] = _project(samples[a], points_b, distance, cosine)
+        projection[b, a, : len(ax)] = _project(samples[b], points_a, distance.T, cosine.T)
         spans = _find_overlaps(distance, cosine)
         overlaps += _merge_overlaps([_Overlap(a, b, *span) for span in spans])
-    for a, sample in enumerate(samples):
-        projection[a, a, : len(sample.points)] = STRIDE_M * np.arange(len(sample.points))
+    for a, (points, _) in enumerate(samples):
+        projection[a, a, : len(points)] = STRIDE_M * np.arange(len(points))
     is_roundabout = roads.layout.ring_radius > 0
     zone_index, zones = _make_zones(paths, overlaps, roundabout=is_roundabout)
     crossings = _intersect_crossings(paths, roads.crossings)
     return PathConflicts(projection, zone_index, zones, *crossings)
 
 
-def _sample_path(path: VehiclePath) -> _Samples:
+def _sample_path(path: VehiclePath) -> Samples:
     heading = path.heading[::STRIDE]
-    return _Samples(path.line[::STRIDE], np.stack([np.cos(heading), np.sin(heading)], axis=1))
+    return path.line[::STRIDE], np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def _project(
-    path: _Samples, other: _Samples, distance: Float[Array, "J K"], cosine: Float[Array, "J K"]
+    path: Samples,
+    others: Float[Array, "K 2"],
+    distance: Float[Array, "J K"],
+    cosine: Float[Array, "J K"],
 ) -> Float[Array, "K"]:
     """The s on a path of each point of another, where that is in its lane and direction."""
+    points, directions = path
     nearest, columns = np.argmin(distance, axis=0), np.arange(distance.shape[1])
-    offset = ((other.points - path.points[nearest]) * path.directions[nearest]).sum(axis=1)
+    offset = ((others - points[nearest]) * directions[nearest]).sum(axis=1)
     in_lane = distance[nearest, columns] < LANE_HALF_WIDTH_M
     in_lane &= cosine[nearest, columns] > MIN_PARALLEL_COSINE
     return np.where(in_lane, STRIDE_M * nearest + offset, np.inf)
