@@ -7,15 +7,13 @@ import torch
 
 from geoaim.lights import UNKNOWN
 from geoaim.prediction.baselines import Predictor
-from geoaim.prediction.itra import ITRA
+from geoaim.prediction.itra import ITRA, MAX_VIEWS
 from geoaim.prediction.metrics import Metric, compute_metrics, concat
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.progress import Progress, no_progress
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
-
-MAX_VIEWS = 4000  # of all samples and agents, that are rendered at once
 
 
 @dataclass(frozen=True)

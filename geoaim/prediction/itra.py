@@ -47,6 +47,8 @@ from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_a
 
 MAX_ACTION = 4.0  # normalised: ground-truth actions beyond are noise of headings at standstill
 SPEED_SCALE_S = 0.5  # metres that a metre a second counts in the likelihood
+MAX_VIEWS = 4000  # that are rendered at once
+MAX_BOXES = 500_000  # of all agents in these views
 ATTRIBUTES = 3  # speed, length and width
 DT_TOLERANCE_S = 1e-3
 
@@ -305,15 +307,29 @@ class ITRA(nn.Module):
         config = self.config
         if not config.use_observations or (step - batch.history + 1) % config.view_stride:
             return features
+        rows = max(1, min(MAX_VIEWS, MAX_BOXES // states.shape[1]))
+        segments, agents = (
+            torch.split(index, rows) for index in (batch.controlled.segment, batch.controlled.agent)
+        )
+        parts = [
+            self._encode(batch, states, step, Controlled(*some))
+            for some in zip(segments, agents, strict=True)
+        ]
+        encoded = torch.cat(parts).to(features)
+        return torch.where(batch.present[:, step, None], encoded, features)
+
+    def _encode(
+        self, batch: _Batch, states: Float[Tensor, "B N 4"], step: int, controlled: Controlled
+    ) -> Float[Tensor, "e F"]:
+        """Render and encode the views of some of the controlled agents."""
         views = render_observation(
-            config.view, batch.ground, batch.segments, batch.controlled, states, step
-        )  # (E, 7, H, W)
-        if config.surface_contrast:
+            self.config.view, batch.ground, batch.segments, controlled, states, step
+        )  # (e, 7, H, W)
+        if self.config.surface_contrast:
             views = torch.cat([views, compute_surface_contrast(views)], dim=1)
         device = views.device.type
         with torch.autocast(device, dtype=torch.bfloat16, enabled=device == "cuda"):
-            encoded = self.encoder((views - 0.5).to(memory_format=torch.channels_last))
-        return torch.where(batch.present[:, step, None], encoded.to(features), features)
+            return self.encoder((views - 0.5).to(memory_format=torch.channels_last))
 
     def _normalise_actions(self, batch: _Batch) -> Float[Tensor, "E t 2"]:
         """Compute the ground-truth actions of all steps, normalised."""
