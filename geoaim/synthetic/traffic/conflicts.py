@@ -32,7 +32,7 @@ PARKED_REACH_M = 1.6  # of a parked vehicle along its path out of the bay
 PARKED_MARGIN_M = 0.4
 MAX_ZONES = 2  # of a pair of paths
 # every `STRIDE`-th point of a path, and its unit direction there
-Samples = tuple[Float[Array, "K 2"], Float[Array, "K 2"]]
+Samples = tuple[Float[Array, "J 2"], Float[Array, "J 2"]]
 
 
 @dataclass(frozen=True)
