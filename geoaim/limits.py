@@ -47,6 +47,12 @@ def check_memory(
         )
 
 
+def check_regular(path: str | os.PathLike[str], error_type: type[GeoaimError]) -> None:
+    """Refuse pipes and devices, which can be read only once."""
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+        raise error_type(f"{path} is a pipe or a device, which is read once; save it as a file")
+
+
 @contextmanager
 def refuse_damaged(
     path: str | os.PathLike[str], error_type: type[GeoaimError], needed: str
@@ -64,6 +70,7 @@ def refuse_damaged(
     Raises:
         GeoaimError: the block raised something else than that, or than a missing file.
     """
+    check_regular(path, error_type)
     try:
         yield
     except (GeoaimError, Warning, FileNotFoundError, PermissionError, IsADirectoryError):

@@ -1,11 +1,15 @@
+import os
+
 import numpy as np
 import pytest
 import rasterio
 
+from geoaim.aim_files import read_aim
 from geoaim.errors import GeoaimError, TracksError, VideoError
+from geoaim.imagery.mosaic import read_imagery
 from geoaim.limits import check_memory, refuse_damaged
 from geoaim.mapping.video.video import open_video
-from geoaim.track_formats import read_sdd
+from geoaim.track_formats import read_sdd, read_tracks
 
 
 def test_need_of_memory_is_compared_with_the_limit_and_the_size_of_the_file(monkeypatch):
@@ -56,3 +60,11 @@ def test_sparse_tracks_are_refused_before_they_fill_memory(tmp_path):
     (tmp_path / "a.txt").write_text("\n".join(lines))
     with pytest.raises(TracksError, match="20000 agents times 20000 times, of 20000 rows"):
         read_sdd(tmp_path / "a.txt", resolution=0.04)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
+@pytest.mark.parametrize("read", [read_aim, read_imagery, read_tracks, open_video])
+def test_pipe_is_refused_without_waiting_for_it(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(GeoaimError, match="is a pipe or a device"):
+        read(tmp_path / "pipe")

@@ -92,6 +92,6 @@ def _parse_frames(text: str) -> int | Literal["auto", "all"]:
         return "auto"
     if text == "all":
         return "all"
-    if not text.isdigit() or int(text) < 1:
+    if not text.isdecimal() or int(text) < 1:
         raise typer.BadParameter(f"{text!r} is not auto, all or a number", param_hint="--frames")
     return int(text)

@@ -54,6 +54,7 @@ def report_errors() -> Iterator[None]:
             expected = isinstance(error, GeoaimError | OSError | ValueError)
             hint = "" if expected else " (geoaim --debug COMMAND ... shows where)"
             message = f": {' '.join(str(error).split())}{hint}"
+            message = message.encode(errors="backslashreplace").decode()  # of undecodable names
             console.print(Text.assemble((type(error).__name__, "bold red"), message))
             sys.exit(1)
 

@@ -17,6 +17,7 @@ from rasterio.errors import RasterioError
 from geoaim.errors import GeoreferenceError, ImageryError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.grid import Grid
+from geoaim.limits import check_regular
 from geoaim.raster_files import IMAGE_DRIVERS, open_raster_file
 from geoaim.world import LONLAT, World, choose_world, crs_from_world, transform_crs, world_from_crs
 
@@ -118,6 +119,7 @@ def open_raster(path: str, options: Mapping[str, int]) -> Iterator[Any]:
     Raises:
         ImageryError: GDAL cannot open or read it.
     """
+    check_regular(path, ImageryError)
     try:
         with open_raster_file(path, options=options) as dataset:
             yield dataset

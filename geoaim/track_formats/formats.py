@@ -6,6 +6,7 @@ import zlib
 from pathlib import Path
 
 from geoaim.errors import TracksError
+from geoaim.limits import check_regular
 from geoaim.track_files import read_plain_tracks
 from geoaim.track_formats.geotrax import GEOTRAX
 from geoaim.track_formats.interaction import INTERACTION, SIND
@@ -92,6 +93,7 @@ def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
 
 
 def _read_first_line(path: Path) -> str:
+    check_regular(path, TracksError)
     try:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
         with opened(path, "rt", encoding="utf-8-sig") as file:

@@ -32,3 +32,9 @@ def test_result_with_brackets_in_its_name_is_printed(tmp_path):
     assert result.exit_code == 0, result.output
     assert output.exists()
     assert "x[/y].tif" in result.output.replace("\n", "")
+
+
+def test_name_that_is_not_utf8_is_printed():
+    result = run(app, ["info", "a\udcff.tif"])
+    assert result.exit_code == 1
+    assert "FileNotFoundError: a\\udcff.tif" in result.output

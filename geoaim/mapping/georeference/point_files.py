@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from geoaim.errors import GeoreferenceError
 from geoaim.world import LONLAT
 
@@ -26,6 +24,7 @@ DEGREE_COLUMNS = {"lon", "longitude", "lng", "lat", "latitude"}
 QGIS_COLUMNS = ("mapx", "mapy", "pixelx", "pixely")
 ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre, to its corner
 
+MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
 Lines = list[tuple[int, str]]  # with their numbers in the file
 
 
@@ -165,6 +164,7 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
 def _parse_number(value: Any, source: str) -> float:
     """Parse a finite number, or raise GeoreferenceError."""
     with suppress(TypeError, ValueError):
-        if np.isfinite(number := float(value)):
+        if abs(number := float(value)) < MAX_NUMBER:
             return number
-    raise GeoreferenceError(f"{source}: {value!r} is not a finite number. Correct or remove it.")
+    shown = str(value)[:40]
+    raise GeoreferenceError(f"{source}: {shown!r} is not a usable number. Correct or remove it.")

@@ -13,6 +13,7 @@ from typing import Any
 import av
 
 from geoaim.errors import GeoaimWarning, VideoError
+from geoaim.limits import check_regular
 from geoaim.mapping.video.frames import Frame
 
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
@@ -24,6 +25,7 @@ FORMATS = (
     "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
 )
 READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
+MAX_FAILURES_AT_END = 64  # of frames that a decoder still holds; some repeat them for ever
 MIN_END_TOLERANCE_S = 0.25  # by which a file may last beyond the time of its last frame
 
 
@@ -156,6 +158,7 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
 
 
 def _open_container(path: Path) -> Any:
+    check_regular(path, VideoError)
     try:
         return av.open(f"file:{path}", options=READ_OPTIONS, metadata_errors="replace")
     except av.FFmpegError as error:
@@ -198,8 +201,8 @@ def _read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bo
 
 def _decode(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
     """Yield decoded frames; None for each that is damaged or predicted from a damaged one."""
-    intact = True
-    while True:
+    intact, failed_at_end, packet = True, 0, None
+    while failed_at_end < MAX_FAILURES_AT_END:
         try:
             packet = next(packets, None)
             corrupt = packet is not None and packet.is_corrupt
@@ -208,6 +211,7 @@ def _decode(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
             return
         except av.FFmpegError:
             intact = False
+            failed_at_end += packet is None
             yield None
             continue
         for frame in frames:

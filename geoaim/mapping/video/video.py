@@ -196,7 +196,7 @@ def _is_image(path: Path) -> bool:
 def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
     """Sort key that puts frame_2 before frame_10."""
     parts = re.split(r"(\d+)", str(path).lower())
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
 
 
 def _read_image(path: Path) -> UInt8[Array, "H W 3"]:

@@ -466,3 +466,10 @@ def test_malformed_sidecar_warns_and_absent_one_is_none(tmp_path: Path) -> None:
     (tmp_path / "DJI_0001.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nHello\n")
     with pytest.warns(GeoaimWarning, match="telemetry is ignored"):
         assert open_video(tmp_path / "DJI_0001.mp4").telemetry is None
+
+
+def test_digits_that_are_no_numbers_are_sorted_as_text(tmp_path):
+    names = ["1\u00b22.png", "2.png", "10.png"]
+    for name in names:
+        (tmp_path / name).write_bytes(cv2.imencode(".png", np.zeros((4, 4, 3), np.uint8))[1])
+    assert open_video(tmp_path).names == tuple(names)
