@@ -37,6 +37,8 @@ Failure never looks like success: bad data raises a `GeoaimError`, a bad call a 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+__version__ = "0.1.0"
+
 if TYPE_CHECKING:
     from geoaim import hdmap as hdmap
     from geoaim import imagery as imagery

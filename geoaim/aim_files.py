@@ -71,7 +71,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
                 _write_tags(dataset, aim)
             write_checksum(temporary)
     except (RasterioError, CPLE_BaseError) as error:
-        raise AimError(f"{path} could not be written: {error}") from error
+        raise AimError(f"{Path(path).name} could not be written: {error}") from error
 
 
 def read_aim(path: str | os.PathLike[str]) -> AIM:

@@ -23,12 +23,29 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path whose file replaces `path` when the block ends without an error.
 
     The folder is created when it is missing. When the block fails, an existing file stays as it
-    was.
+    was. A symbolic link stays; the file to which it points is replaced.
     """
-    path = Path(path)
-    with _make_temporary_folder(path.parent) as folder:
-        yield Path(folder, path.name)
-        os.replace(Path(folder, path.name), path)
+    with atomic_files(path) as (temporary,):
+        yield temporary
+
+
+@contextmanager
+def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
+    """Yield temporary paths whose files replace `paths`, of one folder, like `atomic_write`.
+
+    Whenever the process is killed, the first file never stands beside others that belong to
+    another version of it: these are removed before it is replaced.
+    """
+    targets = [Path(path).resolve() if Path(path).is_symlink() else Path(path) for path in paths]
+    with _make_temporary_folder(targets[0].parent) as folder:
+        temporary = [folder / path.name for path in targets]
+        yield temporary
+        for file in temporary:
+            _flush(file)
+        for path in targets[1:]:
+            path.unlink(missing_ok=True)
+        for file, path in zip(temporary, targets, strict=True):
+            os.replace(file, path)
 
 
 @contextmanager
@@ -72,6 +89,12 @@ def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
     """Write a figure as a PNG."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
+
+
+def _flush(path: Path) -> None:
+    """Make sure that a file is on the disk, so that no power cut leaves an empty one."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
 
 
 @contextmanager

@@ -4,9 +4,11 @@ from typing import Annotated
 
 import typer
 
+from geoaim import __version__
 from geoaim.cli.align import align
 from geoaim.cli.build import build
-from geoaim.cli.console import DEBUG
+from geoaim.cli.console import DEBUG, stop_when_terminated
+from geoaim.cli.doctor import doctor
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.experiment import experiment
 from geoaim.cli.maps import draw, info, texture
@@ -18,18 +20,29 @@ from geoaim.cli.train import train
 
 COMMANDS = (
     *(build, align, draw, register, info, texture, render, simulate),
-    *(predict, evaluate, train, experiment, sample),
+    *(predict, evaluate, train, experiment, sample, doctor),
 )
 
 app = typer.Typer(name="geoaim", no_args_is_help=True, pretty_exceptions_enable=False)
 
 
+def _print_version(is_asked: bool) -> bool:
+    if is_asked:
+        typer.echo(__version__)
+        raise typer.Exit
+    return is_asked
+
+
 @app.callback()
-def set_debug(
+def prepare(
     debug: Annotated[bool, typer.Option("--debug", help="show where an error comes from")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version", callback=_print_version)
+    ] = False,
 ) -> None:
     """Aerial image-based maps (AIM) from drone video: build, render, simulate, predict."""
     DEBUG.set(debug)
+    stop_when_terminated()
 
 
 for command in COMMANDS:

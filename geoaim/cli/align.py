@@ -50,7 +50,7 @@ def align(
     """
     from geoaim.aim_files import read_aim, write_aim
     from geoaim.aim_summary import summarize_aim
-    from geoaim.files import write_figure
+    from geoaim.files import atomic_files, write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.quicklook import draw_alignment
     from geoaim.track_changes import to_world
@@ -70,8 +70,9 @@ def align(
             crs=crs,
             prior=Prior(max_shift, float(np.radians(max_rotation)), max_scaling / 100),
         )
-        write_aim(aligned, output)
         if agents is not None:
             agents = to_world(agents, aligned.world)
-        write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look)
+        with atomic_files(output, look) as (map_part, look_part):
+            write_aim(aligned, map_part)
+            write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look_part)
     print_table(f"{output} and {look}", summarize_aim(aligned))

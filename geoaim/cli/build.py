@@ -48,7 +48,7 @@ def build(
     """
     from geoaim.aim_files import write_aim
     from geoaim.aim_summary import summarize_aim
-    from geoaim.files import write_figure
+    from geoaim.files import atomic_files, write_figure
     from geoaim.mapping.georeference.from_telemetry import make_local_georeference
     from geoaim.mapping.georeference.reference_telemetry import override_telemetry
     from geoaim.mapping.pipeline import build_aim
@@ -77,13 +77,13 @@ def build(
             crs=crs,
             progress=progress,
         )
-        progress("write", 0, 2)
+        progress("write", 0, 1)
         if resolution is not None or not aim.is_affine:
             aim = rectify(aim, resolution)
-        write_aim(aim, output)
-        progress("write", 1, 2)
-        write_figure(draw_quicklook(aim), look)
-        progress("write", 2, 2)
+        with atomic_files(output, look) as (map_part, look_part):
+            write_aim(aim, map_part)
+            write_figure(draw_quicklook(aim), look_part)
+        progress("write", 1, 1)
     print_table(f"{output} and {look}", summarize_aim(aim))
 
 

@@ -1,5 +1,6 @@
 """Progress bars, errors and tables on the terminal."""
 
+import signal
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
@@ -7,6 +8,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 import rich.progress
+import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -48,6 +50,11 @@ def report_errors() -> Iterator[None]:
         )
         try:
             yield
+        except KeyboardInterrupt:
+            _say_stopped()
+            sys.exit(130)
+        except typer.BadParameter:
+            raise  # shown with the command's usage
         except Exception as error:
             if DEBUG.get():
                 raise
@@ -57,6 +64,20 @@ def report_errors() -> Iterator[None]:
             message = message.encode(errors="backslashreplace").decode()  # of undecodable names
             console.print(Text.assemble((type(error).__name__, "bold red"), message))
             sys.exit(1)
+
+
+def stop_when_terminated() -> None:
+    """Remove unfinished files on SIGTERM as on Ctrl-C, and exit with code 143."""
+
+    def stop(*_: object) -> None:
+        _say_stopped()
+        sys.exit(143)
+
+    signal.signal(signal.SIGTERM, stop)
+
+
+def _say_stopped() -> None:
+    console.print("stopped; finished files are kept, unfinished ones are removed")
 
 
 def print_table(title: str, lines: Mapping[str, str]) -> None:

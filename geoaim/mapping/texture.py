@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from geoaim.aim import AIM
-from geoaim.files import atomic_write
+from geoaim.files import atomic_files
 from geoaim.rectification import rectify
 
 VERSION = 1  # of the corner frame: docs/schemas/corner_frame-1.json
@@ -52,10 +52,6 @@ def export_texture(
         "corners": aim.corners.tolist(),
         "world": {"crs": aim.world.crs, "origin": list(aim.world.origin)},
     }
-    # both are complete before either takes its place, and the JSON comes last
-    with (
-        atomic_write(Path(folder, "texture.json")) as text,
-        atomic_write(Path(folder, frame["image"])) as picture,
-    ):
+    with atomic_files(Path(folder, "texture.json"), Path(folder, "texture.png")) as (text, picture):
         picture.write_bytes(png.tobytes())
         text.write_text(json.dumps(frame, indent=2) + "\n")

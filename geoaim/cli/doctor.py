@@ -1,0 +1,53 @@
+"""Describe the installation, for reports of problems."""
+
+import os
+import platform
+import re
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from geoaim import __version__
+from geoaim.cli.console import print_table, report_errors
+
+
+def doctor() -> None:
+    """Print versions, drivers, threads, GPU and folders: what a report of a problem needs.
+
+    Example: geoaim doctor
+    """
+    import cv2
+    import rasterio
+    import torch
+    from rasterio.drivers import raster_driver_extensions
+
+    with report_errors():
+        names = [re.split("[<>=]", line)[0] for line in requires("geoaim") or [] if ";" not in line]
+        is_gpu = torch.cuda.is_available()
+        data = os.environ.get("GEOAIM_DATA")
+        folder = Path.cwd()
+        lines = {
+            "geoaim": f"{__version__} at {Path(__file__).parents[1]}",
+            "Python": f"{platform.python_version()} on {platform.platform()}",
+            **{name: _find_version(name) for name in sorted(names)},
+            "GDAL": rasterio.__gdal_version__,
+            "raster drivers": str(len(set(raster_driver_extensions().values()))),
+            "processors": str(os.cpu_count()),
+            "threads": f"OpenCV {cv2.getNumThreads()}, torch {torch.get_num_threads()}",
+            "GPU": torch.cuda.get_device_name() if is_gpu else "none that torch can use",
+            "GEOAIM_DATA": "not set" if data is None else _describe_folder(Path(data)),
+            "working folder": _describe_folder(folder),
+        }
+    print_table("geoaim doctor", lines)
+
+
+def _find_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def _describe_folder(folder: Path) -> str:
+    if not folder.is_dir():
+        return f"{folder}: no such folder"
+    return f"{folder}: {'can' if os.access(folder, os.W_OK) else 'cannot'} be written to"
