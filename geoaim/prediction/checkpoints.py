@@ -10,6 +10,7 @@ import torch
 from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
+from geoaim.limits import refuse_damaged
 from geoaim.prediction.config import Config
 from geoaim.prediction.itra import ITRA
 
@@ -39,12 +40,11 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
     state = read_state(path)
     if "optimiser" in state:
         raise ModelError(f"{path} is a training checkpoint; give the model.pt beside it")
-    try:
-        model = ITRA(Config(**state["config"]))
+    with refuse_damaged(path, ModelError, "a model of this version"):
+        with torch.device("meta"):  # the file's weights are the only memory that is needed
+            model = ITRA(Config(**state["config"]))
         weights = {name: value.float() for name, value in state["weights"].items()}
-        model.load_state_dict(weights)
-    except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        raise ModelError(f"{path} is not a model of this version: {error}") from None
+        model.load_state_dict(weights, assign=True)
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if infinite:
         raise ModelError(

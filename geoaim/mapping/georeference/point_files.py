@@ -113,6 +113,8 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
 def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
     separator = max(",;\t", key=content[0][1].count)
     table = list(csv.reader((line for _, line in content), delimiter=separator))
+    if len(table) != len(content):
+        raise GeoreferenceError(f"{path}: a quotation mark is not closed. Close or remove it.")
     header = [name.strip().lower() for name in table[0]]
     columns = find_columns(header, f"{path}, line {content[0][0]}")
     if crs is None and any(header[columns[key]] in DEGREE_COLUMNS for key in "xy"):

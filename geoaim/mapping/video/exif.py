@@ -33,7 +33,7 @@ def _read_exif_entry(path: Path) -> dict[str, float]:
         return {}
     row = {}
     for name in ("Latitude", "Longitude"):
-        parts = _parse_numbers(tags.get(f"EXIF_GPS{name}", ""))
+        parts = _parse_numbers(tags.get(f"EXIF_GPS{name}", ""))[:3]  # degrees, minutes, seconds
         if parts:
             degrees = sum(part / 60**power for power, part in enumerate(parts))
             south_or_west = tags.get(f"EXIF_GPS{name}Ref", "").strip() in ("S", "W")
