@@ -114,17 +114,6 @@ def write_pipeline(results: Row) -> str:
     return write_table(["pipeline", "frames/s", "of decoding alone"], rows)
 
 
-def write_georeference(results: Row) -> str:
-    """How often the true corners lie in the stated 95 % region, with the expected camera."""
-    cells = [c for c in results["cells"] if c["truth"] == "as expected"]
-    counts = _distinct(cells, "points")
-    rows = []
-    for layout in _distinct(cells, "layout"):
-        own = {c["points"]: c["coverage"]["corners"] for c in cells if c["layout"] == layout}
-        rows.append([layout, *(round(own[count]) for count in counts)])
-    return write_table(["layout of the points", *(f"{count} points" for count in counts)], rows)
-
-
 def write_birdview(results: Row) -> str:
     """Time of a batch, and errors of each method against the truth."""
     parts = [
@@ -141,7 +130,6 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "background": write_background,
     "pipeline": write_pipeline,
     "length": lambda results: write_rows(results["lengths"]),
-    "georeference": write_georeference,
     "birdview": write_birdview,
 }
 
