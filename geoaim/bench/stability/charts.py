@@ -11,10 +11,11 @@ import pandas as pd
 import typer
 from matplotlib.figure import Figure
 
-from geoaim.bench.report import format_table
+from geoaim.bench.report import JsonFile, describe_machine, format_table, write_json
 from geoaim.bench.stability.judge import (
     MAX_RIGHT_ERROR_PX,
     VERDICTS,
+    compare_methods,
     count_silent,
     measure_refused,
     summarise,
@@ -130,10 +131,22 @@ def main(
     files: Annotated[list[Path], typer.Argument(help="JSON of sweeps, taken together")],
     output: Annotated[Path, typer.Option("-o", help="folder to write")] = Path("build/stability"),
     name: Annotated[str, typer.Option(help="of the files, without suffix")] = "validation",
+    json: JsonFile = None,
 ) -> None:
-    """Write the table and the charts of finished sweeps."""
+    """Write the table and the charts of finished sweeps, and the tables as JSON."""
     output.mkdir(parents=True, exist_ok=True)
-    print(write_report(read_cases(files), output, name))
+    frames = read_cases(files)
+    print(write_report(frames, output, name))
+    if json is not None:
+        content = {
+            "command": f"python -m geoaim.bench.stability.sweep --split {name} --rivals",
+            "machine": describe_machine(),
+            "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
+            "methods": compare_methods(frames),
+            "totals": count_silent(frames) | {"refused_though_easy": measure_refused(frames)},
+            "rows": summarise(frames).to_dict("records"),
+        }
+        write_json(content, json)
 
 
 if __name__ == "__main__":

@@ -111,6 +111,34 @@ def summarise(frames: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
+    """Count right, wrong and refused frames of each method; rivals refuse where they find nothing.
+
+    Args:
+        frames: rows of judged frames of all methods.
+
+    Returns:
+        A row for each method; shares in percent, milliseconds for a frame.
+    """
+    rows = []
+    for method, own in frames.groupby("method", sort=False):
+        is_wrong, is_refused = own.error > MAX_RIGHT_ERROR_PX, own.error.isna()
+        silent = is_wrong & (own.verdict != "wrong and said")
+        rows.append(
+            {
+                "method": method,
+                "frames": len(own),
+                "right, %": round(100 * float((~is_wrong & ~is_refused).mean()), 1),
+                "refused, %": round(100 * float(is_refused.mean()), 1),
+                "wrong without saying so, %": round(100 * float(silent.mean()), 1),
+                "by over 10 px, %": round(100 * float((silent & (own.error > FAR_PX)).mean()), 1),
+                "median error if right, px": round(float(own.error[~is_wrong].median()), 3),
+                "ms": round(1000 * float(own.seconds.median()), 1),
+            }
+        )
+    return rows
+
+
 def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
     """Count this library's frames that are wrong without saying so, or over five times the
     statement, and those of them that are off by over 10 px."""
