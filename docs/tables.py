@@ -23,8 +23,6 @@ def write_origin(name: str, results: Row) -> str:
     parts = []
     if "command" in results:
         parts.append(f"Made by `{results['command']}`")
-    if "commit" in results:  # the script is no longer part of the package
-        parts.append(f"at commit {results['commit']}")
     machine = results.get("machine")
     if machine:
         parts.append(f"on {machine['cores']} cores of {machine['processor'].split('@')[0].strip()}")

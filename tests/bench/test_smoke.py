@@ -13,6 +13,9 @@ from geoaim.bench import (
     figures,
     hover_videos,
     pipeline,
+    realism,
+    realism_images,
+    realism_motion,
     registration,
     registration_methods,
     registration_real,
@@ -21,7 +24,7 @@ from geoaim.bench import (
 )
 from geoaim.encode import write_video
 from geoaim.mapping.registration.register import register
-from geoaim.synthetic import reference_from_frames
+from geoaim.synthetic import make_sample, reference_from_frames, tracks_of
 from geoaim.synthetic.scenery.texture import make_natural_noise
 
 FOLDER = Path(report.__file__).parent
@@ -99,6 +102,18 @@ def test_short_clips_are_decoded_and_built(video, tmp_path):
     rows = short_clips.measure_spacings(clip, 2, 1)
     assert [row["method"] for row in rows] == ["decode", "all", "auto"]
     assert all(row["cpu_seconds"] > 0 for row in rows)
+
+
+def test_statistics_are_no_distance_from_themselves():
+    field = make_natural_noise((800, 1600), 1.2, np.random.default_rng(0))
+    grey = (110 + 30 * field).clip(0, 255).astype(np.uint8)
+    image = realism_images.measure_image(np.dstack([grey] * 3))
+    sample = make_sample(1, minutes=0.2, video=None)
+    motion = realism_motion.measure_motion(tracks_of(sample), realism_motion.VEHICLES)
+    rows = [*realism.compare("image", [image], {"a": image, "b": image})]
+    rows += realism.compare("vehicles", [motion], {"a": motion})
+    assert {"gradient", "spectrum", "acceleration, m/s2"} <= {row["statistic"] for row in rows}
+    assert all(row["synthetic to real"] == 0 for row in rows)
 
 
 def test_reports_hold_the_command_the_machine_and_the_rows(tmp_path):
