@@ -6,26 +6,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from geoaim.mapping.video.exif import read_exif
 from geoaim.mapping.video.video import open_video
 
 
 def test_exif_and_xmp_of_a_photo_are_read(tmp_path: Path) -> None:
-    pillow = pytest.importorskip("PIL.Image")  # comes with matplotlib
-    exif = pillow.Exif()
-    exif.get_ifd(0x8769)[0xA405] = 24  # FocalLengthIn35mmFilm
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: 24}  # FocalLengthIn35mmFilm
     place = {1: "S", 2: (33.0, 30.0, 36.0), 3: "E", 4: (151.0, 15.0, 0.0), 5: b"\0", 6: 120.5}
-    exif.get_ifd(0x8825).update(place)
-    xmp = (
-        b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description '
+    exif[0x8825] = place
+    xmp = (  # a segment of its own: old versions of Pillow write none
+        b'http://ns.adobe.com/xap/1.0/\0<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description '
         b'drone-dji:RelativeAltitude="+80.30" drone-dji:GimbalYawDegree="+90.00" '
         b'drone-dji:GimbalPitchDegree="-90.00"/></x:xmpmeta>'
     )
-    pillow.new("RGB", (32, 24)).save(tmp_path / "a.jpg", exif=exif, xmp=xmp)
-    heading = pillow.Exif()
-    heading.get_ifd(0x8825).update({16: "T", 17: 180.0})  # GPSImgDirection
-    pillow.new("RGB", (32, 24)).save(tmp_path / "b.jpg", exif=heading)
+    segment = b"\xff\xe1" + (len(xmp) + 2).to_bytes(2, "big") + xmp
+    photo = Image.new("RGB", (32, 24))
+    photo.save(tmp_path / "a.jpg", exif=exif, extra=segment)
+    heading = Image.Exif()
+    heading[0x8825] = {16: "T", 17: 180.0}  # GPSImgDirection
+    photo.save(tmp_path / "b.jpg", exif=heading)
     found = open_video(tmp_path, rate=2).telemetry
     assert found is not None
     np.testing.assert_allclose(found.time, [0.0, 0.5])
