@@ -1,8 +1,9 @@
 """Checksums and versions in geoaim's own files.
 
-A file has the text of `PLACEHOLDER` in its metadata or at its end. `write_checksum` fills in its
-size, CRC-32s of the size and of the first part, by which a file that another program wrote anew is
-told from a damaged one, and the SHA-256 of the whole file in which the last is zeros.
+A file is written with `PLACEHOLDER` in its metadata or at its end. `write_checksum` fills in four
+fields: the file's size, a CRC-32 of that number, a CRC-32 of the file's first part, and the SHA-256
+of the file with zeros in this field. The first three tell a file that another program rewrote from a
+damaged one.
 """
 
 import hashlib
@@ -24,15 +25,15 @@ PATTERN = re.compile(MARK + rb"(\d{12}):([0-9a-f]{8}):([0-9a-f]{8}):([0-9a-f]{64
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A file format of geoaim, of which this version reads several versions.
+    """A file format of geoaim, with the versions that can be read.
 
     Attributes:
         name: what messages call it.
         oldest: version of the oldest files that are read.
         newest: version of the files that are written.
         first_checked: version since which files have a checksum.
-        error: the error of its files.
-        editable: whether other programs may rewrite a file; its size then differs.
+        error: raised for a file that is damaged or of another version.
+        editable: whether a file that another program rewrote is accepted.
     """
 
     name: str
@@ -71,7 +72,7 @@ def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bo
             same_start = int(found[3], 16) == _crc_of_start(data, start, size)
             edited = size != len(data) and not same_start
             intact = found[4] == _hash(data, found.start(4))
-        del found  # holds the map open
+        del found  # a match would keep the file mapped
     if not (intact or (edited and file_format.editable)):
         raise file_format.error(
             f"{path} is damaged, or another program changed it: its contents do not match the "
@@ -115,7 +116,7 @@ def check_version(
 def _crc_of_start(data: mmap, start: int, size: int) -> int:
     """CRC-32 of what comes before the checksum and of an eighth of what follows it.
 
-    In a GeoTIFF that has the places of the pixels, which are others when it is written anew.
+    In a GeoTIFF these hold the offsets of the pixels, which change when it is rewritten.
     """
     after = start + len(PLACEHOLDER)
     with memoryview(data) as view:

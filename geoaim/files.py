@@ -33,8 +33,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
     """Yield temporary paths whose files replace `paths`, of one folder, like `atomic_write`.
 
-    Whenever the process is killed, the first file never stands beside others that belong to
-    another version of it: these are removed before it is replaced.
+    The other files are removed before the first one is replaced, so that a kill in between never
+    leaves a new first file beside old ones.
     """
     targets = [Path(path).resolve() if Path(path).is_symlink() else Path(path) for path in paths]
     with _make_temporary_folder(targets[0].parent) as folder:

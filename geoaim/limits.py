@@ -1,4 +1,4 @@
-"""What a file may ask for: errors of libraries on damaged files, and memory, in one line each."""
+"""Refuse files that are damaged or would need too much memory, by an error of one line."""
 
 import os
 from collections.abc import Iterator
@@ -8,12 +8,12 @@ from geoaim.errors import GeoaimError
 
 MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
 DEFAULT_MAX_GB = 1.0
-MAX_RATIO = 300  # bytes in memory for each of a file: flat colours compress so well, not pictures
+MAX_RATIO = 300  # of bytes in memory to bytes of the file; flat colours compress so well
 MAX_REASON_CHARS = 300
 
 
 def read_memory_limit() -> float:
-    """Bytes that may be allocated for a file however small it is; from the environment."""
+    """Read from the environment how many bytes may be allocated even for a small file."""
     text = os.environ.get(MAX_GB_VARIABLE, str(DEFAULT_MAX_GB))
     try:
         return float(text) * 1e9
@@ -32,13 +32,13 @@ def check_memory(
 
     Args:
         path: the file.
-        needed: bytes, as the file's header states it.
+        needed: bytes of memory that the file's header implies.
         size: of the file, bytes.
-        error_type: of the error.
+        error_type: type of the error that is raised.
         content: what the header states, such as "60000 x 60000 pixels".
 
     Raises:
-        GeoaimError: more than the limit, and more than `MAX_RATIO` times the file's size.
+        GeoaimError: it needs more than the limit, and more than `MAX_RATIO` times the file's size.
     """
     if needed > max(read_memory_limit(), MAX_RATIO * size):
         raise error_type(
@@ -61,14 +61,15 @@ def refuse_damaged(
 
     Args:
         path: the file.
-        error_type: of the error.
+        error_type: type of the error that is raised.
         needed: what the file should be, such as "a GeoTIFF".
 
     Yields:
         Nothing.
 
     Raises:
-        GeoaimError: the block raised something else than that, or than a missing file.
+        GeoaimError: the block raised any error other than a GeoaimError, a warning, or one of a
+            missing or forbidden file, which stay as they are.
     """
     check_regular(path, error_type)
     try:

@@ -1,4 +1,4 @@
-"""Raster files, opened so that what they hold leads to no other file and no request."""
+"""Open raster files such that their content makes GDAL read no other file and send no request."""
 
 import os
 import warnings
@@ -40,8 +40,8 @@ def open_raster_file(
 
     Args:
         path: the file.
-        drivers: their names.
-        options: of the driver.
+        drivers: names of the drivers to choose from, by the file's first bytes.
+        options: GDAL's open options.
 
     Yields:
         The open dataset.

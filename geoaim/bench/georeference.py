@@ -139,14 +139,14 @@ def _pick_points(
     return ControlPoints(picked, ground, None, names, (None,) * count)
 
 
-def run_cell(noise: str, count: int, trials: int, seed: int) -> dict[str, Any]:
+def measure_row(noise: str, count: int, trials: int, seed: int) -> dict[str, Any]:
     """Measure one row of the table, at the image's corners.
 
     Args:
         noise: one of NOISES.
         count: number of points.
         trials: sets of points.
-        seed: of the random numbers.
+        seed: random seed.
 
     Returns:
         Percentage of sets that are refused; of the others the percentage of corners in the stated
@@ -210,12 +210,12 @@ def main(
     json: JsonFile = None,
     chart: ChartFile = None,
     trials: Annotated[int, typer.Option(help="sets of points for each row")] = 60,
-    seed: Annotated[int, typer.Option(help="of the random numbers")] = 2,
+    seed: Annotated[int, typer.Option(help="random seed")] = 2,
 ) -> None:
     """Measure errors, refusals and stated regions by noise and number of points."""
     warnings.simplefilter("ignore", GeoaimWarning)
     cells = [(noise, count) for noise in NOISES for count in POINT_COUNTS]
-    rows = print_rows(run_cell(*cell, trials, seed) for cell in cells)
+    rows = print_rows(measure_row(*cell, trials, seed) for cell in cells)
     if json is not None:
         command = f"python -m geoaim.bench.georeference --trials {trials} --seed {seed}"
         write_json({"command": command, "rows": rows}, json)

@@ -61,7 +61,8 @@ def build(
             raise ValueError("--gcps and --frame-resolution exclude each other; give one")
         if (height, yaw) != (None, None) and (gcps, frame_resolution) != (None, None):
             raise ValueError(
-                "--height and --yaw complete telemetry; it is not used with the others"
+                "--height and --yaw complete telemetry, which --gcps and --frame-resolution "
+                "replace; give one or the other"
             )
         look = check_map_output(output, [video], [gcps])
         opened = override_telemetry(open_video(video), height=height, yaw=yaw)

@@ -51,7 +51,7 @@ def report_errors() -> Iterator[None]:
         try:
             yield
         except KeyboardInterrupt:
-            _say_stopped()
+            _print_stopped()
             sys.exit(130)
         except typer.BadParameter:
             raise  # shown with the command's usage
@@ -70,13 +70,13 @@ def stop_when_terminated() -> None:
     """Remove unfinished files on SIGTERM as on Ctrl-C, and exit with code 143."""
 
     def stop(*_: object) -> None:
-        _say_stopped()
+        _print_stopped()
         sys.exit(143)
 
     signal.signal(signal.SIGTERM, stop)
 
 
-def _say_stopped() -> None:
+def _print_stopped() -> None:
     console.print("stopped; finished files are kept, unfinished ones are removed")
 
 

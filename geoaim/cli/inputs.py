@@ -31,7 +31,16 @@ class SceneSource:
 
 
 def read_any_tracks(path: Path, world: str | None, resolution: float | None) -> "Tracks":
-    """Read tracks in any known format; world and resolution are the values of their options."""
+    """Read tracks in any known format.
+
+    Args:
+        path: the file or folder.
+        world: value of --tracks-world.
+        resolution: value of --tracks-resolution.
+
+    Returns:
+        The tracks.
+    """
     from geoaim.track_formats import read_tracks
 
     plane = None if world is None else _parse_world(world)

@@ -12,7 +12,13 @@ TRACKS = (".csv", ".parquet")
 def check_output(
     output: Path, suffixes: tuple[str, ...] = (), inputs: Iterable[Path | None] = ()
 ) -> None:
-    """Refuse an output with another suffix, in an unwritable folder, or that is also an input."""
+    """Refuse an output with another suffix, in an unwritable folder, or that is also an input.
+
+    Args:
+        output: the file to write.
+        suffixes: those allowed; empty allows all.
+        inputs: files that are read.
+    """
     if suffixes and output.suffix.lower() not in suffixes:
         raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")
     if output.resolve() in _resolve(inputs):
@@ -29,10 +35,16 @@ def check_output(
 def check_map_output(
     output: Path, sources: Iterable[str], inputs: Sequence[Path | None], *, recursive: bool = False
 ) -> Path:
-    """Check the output of a map, and that of the .png beside it, whose path is returned.
+    """Check the output of a map and the .png beside it.
 
-    Inputs are files, and sources that may also be folders (with subfolders if recursive) or
-    patterns of files.
+    Args:
+        output: the GeoTIFF to write.
+        sources: inputs that are files, folders or patterns of files.
+        inputs: files that are read.
+        recursive: whether subfolders of the sources are read too.
+
+    Returns:
+        The path of the .png.
     """
     pattern = f"{'**/' if recursive else ''}{glob.escape(output.stem)}.*"
     read = [*inputs, *(path for source in sources for path in _list_files(source, pattern))]

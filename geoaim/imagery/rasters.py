@@ -1,4 +1,4 @@
-"""Rasters, read from the headers of their files, and the region wanted of them."""
+"""Rasters as the headers of their files describe them, and the region to read."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -125,8 +125,8 @@ def open_raster(path: str, options: Mapping[str, int]) -> Iterator[Any]:
             yield dataset
     except (RasterioError, CPLE_BaseError) as error:
         raise ImageryError(
-            f"{path} cannot be read as imagery: {_join_reasons(error)}. Needed is a whole "
-            f"{', '.join(IMAGE_DRIVERS)}; convert others (gdal_translate -of COG)"
+            f"{path} cannot be read as imagery: {_join_reasons(error)}. Give a complete "
+            f"{', '.join(IMAGE_DRIVERS)}; convert other formats (gdal_translate -of COG)"
         ) from error
 
 
@@ -200,7 +200,7 @@ def _read_world_file(path: Path) -> Affine | None:
                 try:
                     a, d, b, e, x, y = map(float, file.read_text(encoding="ascii").split())
                 except ValueError as error:
-                    raise ImageryError(f"{file} has other content than six numbers") from error
+                    raise ImageryError(f"{file} does not hold six numbers") from error
                 return Affine(a, b, x, d, e, y) @ Affine.translation(-0.5, -0.5)
     return None
 

@@ -160,7 +160,7 @@ def _premultiply(
 def _read(
     raster: Raster, window: Window, shape: tuple[int, int], method: Resampling
 ) -> tuple[Float32[Array, "C h w"], Float32[Array, "h w"]]:
-    """Values and alpha in [0, 1] of a window, at so many rows and columns."""
+    """Values and alpha in [0, 1] of a window, resampled to (rows, columns)."""
     with open_raster(raster.path, raster.options) as dataset:
         return _read_window(dataset, raster, window, shape, method)
 

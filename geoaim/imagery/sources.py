@@ -155,7 +155,9 @@ def _outline_mbtiles(path: str, zoom: int | None) -> Float[Array, "4 2"]:
             raise ImageryError(f"{path} has no tiles{'' if zoom is None else f' of zoom {zoom}'}")
         level, left, bottom, right, top = map(int, rows[-1])
         if not 0 <= level <= MAX_ZOOM or min(left, bottom) < 0 or max(right, top) >= 2**level:
-            raise ImageryError(f"{path} has tile {right}/{top} at zoom {level}, where none can be")
+            raise ImageryError(
+                f"{path} has tile {right}/{top} at zoom {level}, which has none such"
+            )
         low, high = np.array([left, 2**level - 1 - top]), np.array([right, 2**level - 1 - bottom])
         return _compute_tile_corners(level, low, high + 1)
 

@@ -1,4 +1,4 @@
-"""Tiles of a service, in a cache: asked of the host that its address names, and of no other."""
+"""Fetch tiles of a service into a cache; no host but that of its address is contacted."""
 
 import hashlib
 import re
@@ -31,7 +31,7 @@ class Service:
 
     Attributes:
         address: with {z}, {x} and {y}, or {-y} where y counts from the south.
-        name: of the service in messages, without keys.
+        name: used in messages; without access keys.
         tile_size: pixels.
         cache: folder.
         timeout: seconds.
@@ -47,7 +47,7 @@ class Service:
 
 
 class _SameHost(urllib.request.HTTPRedirectHandler):
-    """Follows redirects on the same host only: others may be within reach of this machine alone."""
+    """Follows redirects on the same host only: another may be in a private network."""
 
     def redirect_request(
         self,
@@ -72,14 +72,15 @@ def fetch_tiles(
 
     Args:
         service: the service.
-        zoom: their level.
-        numbers: x, and y from the north, of each.
+        zoom: zoom level of the tiles.
+        numbers: x, and y from the north, of each tile.
 
     Yields:
         x, y and file of each tile that the service has.
 
     Raises:
-        ImageryError: the address is not one of the web, or a request failed.
+        ImageryError: the address is not an http or https URL, a request failed, or a tile has
+            another format or size.
     """
     if urlsplit(service.address).scheme not in ("http", "https"):
         raise ImageryError(
@@ -115,7 +116,7 @@ def _make_url(address: str, zoom: int, x: int, y: int) -> str:
 
 
 def _request(service: Service, url: str) -> bytes:
-    """The answer to a request; nothing where the service has no tile."""
+    """Content of a tile; empty where the service has none."""
     request = urllib.request.Request(url, headers={"User-Agent": "geoaim"})
     opener = urllib.request.build_opener(_SameHost)
     for attempt in range(service.retries + 1):
@@ -142,9 +143,9 @@ def _check_size(service: Service, path: Path) -> None:
             height, width = dataset.shape
     except OSError as error:
         raise ImageryError(
-            f"{service.name} answers with what is not recognized as PNG, JPEG or WebP"
+            f"{service.name} answered with something other than PNG, JPEG or WebP"
         ) from error
     if (height, width) != (service.tile_size, service.tile_size):
         raise ImageryError(
-            f"{service.name} has tiles of the size {height} x {width}; give that as tile_size"
+            f"{service.name} has tiles of {height} x {width} pixels; give that as tile_size"
         )

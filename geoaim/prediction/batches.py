@@ -109,12 +109,6 @@ def draw_batch(
     return Batch(batch, scale_ground(ground, factors), history, generator)
 
 
-def compute_kl_weight(config: TrainConfig, step: int) -> float:
-    """Compute the weight of the KL term at a step."""
-    warmup_steps = config.kl_warmup * config.steps
-    return config.kl_weight * min(1.0, (step + 1) / max(warmup_steps, 1.0))
-
-
 def compute_top_k(config: TrainConfig, step: int, num_anchors: int) -> int:
     """Compute how many of each agent's best trajectory proposals are trained at a step.
 

@@ -16,7 +16,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from geoaim.errors import ModelError
 from geoaim.files import atomic_write
-from geoaim.prediction.batches import compute_kl_weight, compute_top_k, draw_batch, join_processes
+from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
@@ -100,7 +100,7 @@ def train(
                 _update(
                     parts,
                     network(batch.segments, batch.ground, batch.history, batch.generator, top_k),
-                    compute_kl_weight(config, step),
+                    _compute_kl_weight(config, step),
                     step,
                 )
             )
@@ -136,6 +136,12 @@ def _make_parts(model: ITRA, config: TrainConfig) -> _Parts:
         optimiser, config.learning_rate, total_steps=config.steps + 1
     )
     return _Parts(model, optimiser, scheduler)
+
+
+def _compute_kl_weight(config: TrainConfig, step: int) -> float:
+    """Compute the weight of the KL term at a step."""
+    warmup_steps = config.kl_warmup * config.steps
+    return config.kl_weight * min(1.0, (step + 1) / max(warmup_steps, 1.0))
 
 
 def _update(parts: _Parts, losses: Losses, kl_weight: float, step: int) -> list[float]:

@@ -41,18 +41,18 @@ def write_sample(
         _write_all(sample, temporary, progress)
 
 
-def _write_all(sample: Sample, folder: Path, report: Progress) -> None:
+def _write_all(sample: Sample, folder: Path, progress: Progress) -> None:
     for number in range(len(sample.recordings)):
-        report("tracks", number, len(sample.recordings))
+        progress("tracks", number, len(sample.recordings))
         _write_traffic(sample, folder, number)
-    report("maps", 0, 3)
+    progress("maps", 0, 3)
     write_maps(sample, folder)
-    report("maps", 1, 3)
+    progress("maps", 1, 3)
     offset = write_imagery(sample, folder)
     _write_truth(sample, folder, offset)
-    report("maps", 3, 3)
+    progress("maps", 3, 3)
     if sample.clip is not None:
-        write_video_files(sample, sample.clip, folder, report)
+        write_video_files(sample, sample.clip, folder, progress)
     (folder / "README.md").write_bytes(_format_readme(sample).encode())
 
 

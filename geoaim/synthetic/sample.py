@@ -1,4 +1,4 @@
-"""A made place, its recordings, and what a drone filmed of the first one."""
+"""A synthetic place, its recordings, and what a drone filmed of the first one."""
 
 from dataclasses import dataclass, replace
 
@@ -41,7 +41,7 @@ TRAFFIC, FLOW, CAMERA, COLOURS = 10, 11, 20, 21  # streams of random numbers
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A made place, its recordings, and what a drone filmed of the first one."""
+    """A synthetic place, its recordings, and what a drone filmed of the first one."""
 
     place: Place  # the place
     traffic_model: TrafficModel  # what its traffic is simulated from

@@ -24,17 +24,17 @@ SENSOR_WIDTH_MM, FOCAL_LENGTH_MM = 36.0, 24.0  # as focal lengths are stated for
 CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
 
 
-def write_video_files(sample: Sample, clip: HoverClip, folder: Path, report: Progress) -> None:
+def write_video_files(sample: Sample, clip: HoverClip, folder: Path, progress: Progress) -> None:
     """Write the video, its control points, boxes and telemetry, and its truth.
 
     Args:
         sample: the sample.
         clip: its clip.
         folder: where the files are written.
-        report: called with the frames done and in all.
+        progress: called with the frames done and in all.
     """
     place = sample.place
-    frames = _report_frames(clip, report)
+    frames = _report_frames(clip, progress)
     write_video(frames, folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
     world_from_still = world_from_image(place, sample.resolution)
     world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
@@ -52,9 +52,9 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, report: Pro
     )
 
 
-def _report_frames(clip: HoverClip, report: Progress) -> Iterator[UInt8[Array, "H W 3"]]:
+def _report_frames(clip: HoverClip, progress: Progress) -> Iterator[UInt8[Array, "H W 3"]]:
     for number, frame in enumerate(render_frames(clip)):
-        report("film", number, len(clip.times))
+        progress("film", number, len(clip.times))
         yield frame
 
 

@@ -36,8 +36,8 @@ def read_tracks(
 ) -> Tracks:
     """Read tracks from a file in any known format; the format is detected from its first line.
 
-    Agents whose size, speed, acceleration or heading cannot be are warned of, with counts; the
-    readers of `geoaim.track_formats` do not check them.
+    Implausible sizes, speeds, accelerations and headings give a warning with the number of agents;
+    the readers of `geoaim.track_formats` do not check them.
 
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the

@@ -1,4 +1,4 @@
-"""Whether tracks can be what their types say: sizes, speeds, accelerations, headings."""
+"""Check that sizes, speeds, accelerations and headings are plausible for the agents' types."""
 
 import os
 import warnings
@@ -31,8 +31,8 @@ HALF_WINDOW_S = 0.25  # over which positions are differenced
 MIN_MOVING_SPEED = 1.0  # m/s; slower motion has too noisy a direction
 MAX_HEADING_ERROR = np.radians(60.0)
 MAX_SPEED_ERROR = (2.0, 0.5)  # m/s, and share of the greater of stated and measured speed
-NOISE = 0.05  # share of states that may be wrong without a word
-NEARLY_ALL = 0.9
+NOISE = 0.05  # share of states that may be wrong without a warning
+NEARLY_ALL = 0.9  # share with which a file is refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class _Check:
 
 
 def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
-    """Warn of tracks that cannot be what their types say, with counts.
+    """Warn of implausible tracks, with the number of agents.
 
     Args:
         path: the file that messages name.
@@ -104,9 +104,11 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
     off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
     acceleration = _measure_acceleration(tracks, velocity, half_window)
     return [
-        _Check("are faster than their type can be (is it in m/s?)", highest > max_speed, active),
         _Check(
-            "have a speed other than that of their motion (is it in m/s?)",
+            "are faster than their type can be (is the speed in m/s?)", highest > max_speed, active
+        ),
+        _Check(
+            "have a speed other than that of their motion (is the speed in m/s?)",
             wrong_speed & known,
             active & known,
             NOISE,

@@ -2,13 +2,13 @@ import numpy as np
 import pytest
 
 from geoaim.bench import georeference
-from geoaim.bench.georeference import CAMERAS, NOISES, RIVALS, fit_rival, main, run_cell
+from geoaim.bench.georeference import CAMERAS, NOISES, RIVALS, fit_rival, main, measure_row
 
 
 @pytest.mark.filterwarnings("ignore::geoaim.errors.GeoaimWarning")
 @pytest.mark.parametrize("noise", NOISES)
 def test_most_corners_lie_in_the_stated_region(noise):
-    row = run_cell(noise, 8, trials=14, seed=3)
+    row = measure_row(noise, 8, trials=14, seed=3)
     assert row["inside stated 95 %, %"] >= 85.0
     assert row["refused, %"] < 20.0
 

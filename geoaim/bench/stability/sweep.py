@@ -75,7 +75,7 @@ def main(
     kinds: Annotated[str, typer.Option(help="separated by semicolons; all by default")] = "",
     repeats: Annotated[int, typer.Option(help="seeds of each level and base")] = 1,
     rivals: Annotated[bool, typer.Option(help="other methods on the same frames")] = False,
-    every: Annotated[int, typer.Option(help="one of so many clips")] = 1,
+    every: Annotated[int, typer.Option(help="use every n-th clip")] = 1,
     quick: Annotated[bool, typer.Option(help="a few kinds, three levels of each")] = False,
 ) -> None:
     """Sweep, print the table of kinds, and write JSON, Markdown and charts."""

@@ -2,7 +2,6 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -13,7 +12,7 @@ from geoaim.errors import ImageryError
 from geoaim.geometry import translation
 from geoaim.imagery.rasters import describe_raster
 from geoaim.imagery.resampling import MIN_ALPHA, estimate_stretch, resample_raster, unpremultiply
-from geoaim.mapping.georeference.control_points import read_control_points
+from geoaim.mapping.georeference.control_points import ControlPointSource, read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
@@ -24,7 +23,7 @@ MASKED_SUFFIXES = {".png", ".tif", ".tiff"}  # may have masks; other pictures ar
 
 
 def georeference_picture(
-    path: Path, gcps: Any, *, world: World | None = None, crs: str | None = None
+    path: Path, gcps: ControlPointSource, *, world: World | None = None, crs: str | None = None
 ) -> AIM:
     """Georeference a picture by control points.
 

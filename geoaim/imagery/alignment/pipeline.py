@@ -21,6 +21,7 @@ from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
 from geoaim.imagery.alignment.result import CHI2_2D, ImageryAlignment
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
+from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.rectification import rectify
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
@@ -56,7 +57,7 @@ def align_tiles(
     *,
     tracks: Tracks | None = None,
     aim: AIM | None = None,
-    gcps: Any = None,
+    gcps: ControlPointSource | None = None,
     prior: Prior = DEFAULT_PRIOR,
     **options: Unpack[ReadOptions],
 ) -> AIM:
@@ -118,7 +119,10 @@ def _list_evidence(aim: AIM | None, tracks: Tracks | None, prior: Prior) -> list
 
 
 def _read_picture(
-    tiles: Source | Sequence[Source], gcps: Any, world: World | None, options: ReadOptions
+    tiles: Source | Sequence[Source],
+    gcps: ControlPointSource,
+    world: World | None,
+    options: ReadOptions,
 ) -> AIM:
     if not isinstance(tiles, str | os.PathLike):
         raise ValueError("control points are pixels of one image; give one file")

@@ -69,7 +69,8 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
 
     Args:
         source: a path, ControlPoints, a sequence of rasterio GroundControlPoint (or the pair with
-            its CRS that `dataset.gcps` gives), of `((u, v), (lon, lat))`, or of mappings.
+            its CRS that `dataset.gcps` gives), of `((u, v), (lon, lat))`, or of mappings with the
+            columns of a file as keys (u, v, x, y, name, frame, crs).
         crs: CRS of the coordinates where the source does not state it; "local" for a local
             plane. Where both state it, they must agree.
 

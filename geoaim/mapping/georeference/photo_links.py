@@ -1,4 +1,4 @@
-"""Links between overlapping photos of a flight, of which none shows what all others show."""
+"""Link overlapping photos of a flight where no photo overlaps with all others."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,8 +14,8 @@ from geoaim.mapping.registration.keyframes import mask_detections
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.video import Video
 
-STEP_LENGTH = 0.3  # that each further link adds to a path, in diagonals of the photos
-UNLINKED = -9999  # SciPy's predecessor of what no path reaches
+STEP_LENGTH = 0.3  # added for each link, in image diagonals: prefers paths of few links
+UNLINKED = -9999  # what SciPy gives as the predecessor where there is no path
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +23,8 @@ class PhotoLinks:
     """Homographies between overlapping photos.
 
     Attributes:
-        lengths: (T, T) distance between the centres of linked photos, in diagonals, and the length
-            of a step; 0 where there is no link.
+        lengths: (T, T) cost of each link: the distance of the photos' centres in image diagonals,
+            plus `STEP_LENGTH`; 0 where two photos are not linked.
         transforms: (i, j) -> (3, 3) pixels of photo j to those of photo i, for i < j.
     """
 
@@ -33,7 +33,7 @@ class PhotoLinks:
 
 
 def link_photos(video: Video, detections: Detections | None) -> PhotoLinks:
-    """Match the ORB features of every two photos."""
+    """Match the ORB features of each pair of photos."""
     features = [
         detect_features(frame.grey, exclude=mask_detections(frame, detections)) for frame in video
     ]

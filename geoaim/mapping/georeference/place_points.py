@@ -1,4 +1,4 @@
-"""Control points of any frames, placed in the pixels of the reference."""
+"""Transform control points that were picked on any frames to pixels of the reference."""
 
 import warnings
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from geoaim.mapping.registration.register import Reference, choose_reference, re
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.video import Video
 
-Picked = str | int | None  # frame that a control point was picked on
+FrameName = str | int | None  # of the frame that a control point was picked on
 
 
 def place_points(
@@ -59,7 +59,10 @@ def place_points(
 
 
 def _place_by_links(
-    points: ControlPoints, frames: Mapping[Picked, int], video: Video, detections: Detections | None
+    points: ControlPoints,
+    frames: Mapping[FrameName, int],
+    video: Video,
+    detections: Detections | None,
 ) -> tuple[ControlPoints, Reference]:
     links = link_photos(video, detections)
     central = choose_central_photo(links, list(frames.values()))
@@ -72,8 +75,8 @@ def _place_by_links(
 
 def _transform_points(
     points: ControlPoints,
-    transforms: Mapping[Picked, Float[Array, "3 3"]],
-    reasons: Mapping[Picked, str],
+    transforms: Mapping[FrameName, Float[Array, "3 3"]],
+    reasons: Mapping[FrameName, str],
     reference: Reference,
 ) -> ControlPoints:
     """Points in pixels of the reference; those on frames without a transform are left out."""
@@ -100,7 +103,7 @@ def _transform_points(
     return replace(merged, frames=(None,) * len(merged.pixels))
 
 
-def _find_frame_index(picked: Picked, video: Video) -> int:
+def _find_frame_index(picked: FrameName, video: Video) -> int:
     if picked is None or isinstance(picked, int):
         if picked and video.frame_count is not None and picked >= video.frame_count:
             raise GeoreferenceError(

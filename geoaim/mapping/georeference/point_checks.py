@@ -1,4 +1,7 @@
-"""Checks of control points before any fit. Errors name the points and the remedy."""
+"""Checks of control points before any fit; `estimate.py` refuses those that disagree with it.
+
+Errors name the points and the remedy.
+"""
 
 from collections.abc import Sequence
 

@@ -42,7 +42,8 @@ def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterio
             three times it or more is possible, and the residuals alone determine it.
 
     Returns:
-        Mean and covariance of the terms, the noise, and the misfit that outliers raise.
+        Mean and covariance of the terms, the noise, and the misfit, which is large where there are
+        outliers.
     """
     # Start with a wide prior, so that a strong lens is not suppressed.
     precision = 1.0 / np.concatenate([np.full(4, np.inf), 5.0 * PRIOR_SIGMA]) ** 2

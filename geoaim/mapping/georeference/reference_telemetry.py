@@ -95,8 +95,8 @@ def georeference_by_telemetry(video: Video, reference: Reference) -> Georeferenc
     if abs(telemetry.time[nearest] - time) >= MAX_GAP_S:
         warnings.warn(
             f"{source}: the telemetry states no position at {time:.2f} s, where the reference is; "
-            f"that of {telemetry.time[nearest]:.2f} s is used, so that the map is off by what the "
-            "camera flew between",
+            f"that of {telemetry.time[nearest]:.2f} s is used, so that the map is off by the "
+            "distance flown in between",
             GeoaimWarning,
             stacklevel=2,
         )

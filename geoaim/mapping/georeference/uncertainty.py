@@ -70,12 +70,13 @@ def map_uncertainty(georeference: Georeference) -> UncertaintyMap:
     grid = _measure_sigma(design) * ellipse_factor(dof)
     corners = [0, columns - 1, rows * columns - 1, (rows - 1) * columns]
     worst = int(np.argmax(grid[corners]))
-    shown = design[corners[worst]]
+    at_corner = design[corners[worst]]
     picking = np.nan_to_num(georeference.noise) ** 2 * np.eye(2)
-    left = np.eye(design.shape[2]) - shown.T @ np.linalg.pinv(shown @ shown.T + picking) @ shown
+    gain = at_corner.T @ np.linalg.pinv(at_corner @ at_corner.T + picking)
+    remaining = np.eye(design.shape[2]) - gain @ at_corner  # covariance given a point there
     factor = ellipse_factor(dof + 2.0)
     with_point = factor * np.sqrt(
-        np.linalg.eigvalsh(design @ left @ design.transpose(0, 2, 1))[:, -1].clip(0.0)
+        np.linalg.eigvalsh(design @ remaining @ design.transpose(0, 2, 1))[:, -1].clip(0.0)
     )
     return UncertaintyMap(
         grid=grid.reshape(GRID_SHAPE),

@@ -25,17 +25,17 @@ from geoaim.mapping.registration.rivals import Overview, Rival, compare_areas, f
 MIN_DISTANCE_PX = 1.0  # between the corners of different placements
 MIN_PATCHES_OF_PART = 16
 MIN_COMMON_SHARE = 0.5  # of the smaller set of inliers, for texture that repeats
-MIN_REPEAT_STRENGTH = 0.2  # of a peak of texture that repeats
+MIN_REPEAT_STRENGTH = 0.2  # of the peak of repeating texture
 CLEAR_MAJORITY = 1.1  # ratio of inliers between placements of repeating texture
-MIN_DISTINCT_AREA = 0.3  # of the image that fits one placement only; texture that repeats has less
+MIN_DISTINCT_AREA = 0.3  # of the image that fits one placement only; less if texture repeats
 CLEAR_SLOWNESS = 0.6  # ratio of the displacements since the reference of ground and traffic
 MIN_RIVAL_SHARE = 0.025  # area that fits only a rival, relative to what fits one of the two
 MIN_UNALIGNED_SHARE = 0.035  # of a part on which no patches lie
-CONTESTED_SHARE = 0.08  # with which the next frame is compared as well
-MIN_GROUND_SHARE = 0.2  # with which a slower part is the ground
-MAX_TRAFFIC_SHARE = 0.3  # with which a part that is not slower makes the placement doubtful
+CONTESTED_SHARE = 0.08  # of a rival, above which the next frame is compared as well
+MIN_GROUND_SHARE = 0.2  # of a slower part that can be the ground
+MAX_TRAFFIC_SHARE = 0.3  # of a part that is not slower; a larger one makes a frame ambiguous
 EVEN_SHARE = 0.08  # from one half, within which neither part is taken for the ground
-MAX_OVERLAID_SHARE = 0.1  # with which a part that moves makes one fixed to the frame doubtful
+MAX_OVERLAID_SHARE = 0.1  # of a moving part, if the other is static; more is ambiguous
 MAX_STATIC_PX = 0.15  # displacement of an overlay, which is fixed to the frame
 NEAR_PX = 0.75  # by which displacements of patches of one part differ
 
@@ -59,8 +59,8 @@ def choose_placement(
         alignment: the placement found.
 
     Returns:
-        The placement of the ground, mostly the one found; and whether a large part of the image
-        supports another.
+        The placement of the ground, usually the one found; and whether a large part of the image
+        supports another one.
 
     Raises:
         AmbiguousPlacementError: none is clearly the ground.
@@ -87,7 +87,7 @@ def choose_placement(
 
 
 def _find_near_rivals(alignment: PatchAlignment) -> Iterator[Rival]:
-    """The displacement that most other patches share, within the reach of the patches."""
+    """The displacement that most outlying patches share, if there are enough of them."""
     candidates = alignment.fitted & (alignment.correlation > MIN_INLIER_CORRELATION)
     residuals = alignment.motion.residuals[(candidates & ~alignment.inliers)[alignment.fitted]]
     if len(residuals) < MIN_PATCHES_OF_PART:
@@ -130,31 +130,36 @@ def _choose_slower(
     template: PatchTemplate, found: PatchAlignment, rival: PatchAlignment, share: float
 ) -> PatchAlignment:
     """The part that moved clearly less since the reference, if it is large enough."""
-    moved, its = (_measure_distance(template, part.matrix, np.eye(3)) for part in (found, rival))
+    found_shift, rival_shift = (
+        _measure_distance(template, part.matrix, np.eye(3)) for part in (found, rival)
+    )
     is_even = abs(share - 0.5) < EVEN_SHARE
-    if MAX_STATIC_PX < its < CLEAR_SLOWNESS * moved:
+    if MAX_STATIC_PX < rival_shift < CLEAR_SLOWNESS * found_shift:
         if share > MIN_GROUND_SHARE and not is_even:
             return rival
-    elif moved < MAX_STATIC_PX:
+    elif found_shift < MAX_STATIC_PX:
         if share < MAX_OVERLAID_SHARE:
             return found
-    elif share < MAX_TRAFFIC_SHARE or (moved < CLEAR_SLOWNESS * its and not is_even):
+    elif share < MAX_TRAFFIC_SHARE or (found_shift < CLEAR_SLOWNESS * rival_shift and not is_even):
         return found
-    raise _report_motions(moved, its)
+    raise _report_motions(found_shift, rival_shift)
 
 
 def _check_speed(
     template: PatchTemplate, found: PatchAlignment, start: Float[Array, "3 3"]
 ) -> None:
     """Refuse a placement when a part that no patches lie on moved clearly less."""
-    moved, its = (_measure_distance(template, one, np.eye(3)) for one in (found.matrix, start))
-    if its < CLEAR_SLOWNESS * moved:
-        raise _report_motions(moved, its)
+    found_shift, rival_shift = (
+        _measure_distance(template, one, np.eye(3)) for one in (found.matrix, start)
+    )
+    if rival_shift < CLEAR_SLOWNESS * found_shift:
+        raise _report_motions(found_shift, rival_shift)
 
 
-def _report_motions(moved: float, its: float) -> AmbiguousPlacementError:
+def _report_motions(found_shift: float, rival_shift: float) -> AmbiguousPlacementError:
     return AmbiguousPlacementError(
-        f"two motions: parts of the image moved by {moved:.1f} and {its:.1f} px since the reference"
+        f"two motions: parts of the image moved by {found_shift:.1f} and {rival_shift:.1f} px"
+        " since the reference"
     )
 
 

@@ -1,8 +1,9 @@
-"""Find other placements of a frame that a part of the image supports: the second opinion.
+"""Find other placements of a frame that a part of the image supports.
 
 A local search accepts the first placement on which enough patches agree. Coherent traffic and
 periodic texture offer more than one. The phase correlation of the reference and the registered
 frame shows them all at once: a peak for each displacement that a part of the image has.
+`placements.py` chooses between them.
 """
 
 from typing import NamedTuple
@@ -20,9 +21,9 @@ MIN_RIVAL_STRENGTH = 0.03  # of the peak at zero
 MIN_RIVAL_SIGNIFICANCE = 8.0  # standard deviations of the correlation
 PEAK_RADIUS_PX = 2  # within which there is no other peak, pixels of the small image
 SMOOTHING_PX = 0.7  # of the peaks, pixels of the small image
-DETAIL_SIDE_PX = 9  # of the surroundings whose mean is no detail, pixels of the small image
-COMPARED_SIDE_PX = 7  # of the surroundings over which details are compared
-CLEAR_DIFFERENCE = 0.6  # of the other placement's difference, below which a pixel fits better
+DETAIL_SIDE_PX = 9  # of the window whose mean is subtracted, pixels of the small image
+COMPARED_SIDE_PX = 7  # of the window in which details are compared, pixels of the small image
+CLEAR_DIFFERENCE = 0.6  # ratio of the two differences below which a pixel fits clearly better
 
 
 class Overview(NamedTuple):
@@ -139,11 +140,12 @@ def compare_areas(
     Args:
         overview: of the reference.
         small: the frame, reduced like the overview.
-        one: transform reference_from_frame of a placement, in pixels of the full image.
-        other: of the other placement.
+        one: `reference_from_frame` of the first placement, in pixels of the full image.
+        other: `reference_from_frame` of the second one.
 
     Returns:
-        Shares of the common view that fit only the one and only the other placement.
+        Shares of the area seen in both that fit clearly better at the first and at the second
+        placement.
     """
     detail = _extract_detail(small)
     size = (COMPARED_SIDE_PX, COMPARED_SIDE_PX)

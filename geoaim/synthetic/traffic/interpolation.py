@@ -30,12 +30,13 @@ def interpolate_tracks(
     """Interpolate the tracks of a recording.
 
     A vehicle moves as a kinematic bicycle whose rear axle follows its path with a slow drift in the
-    lane; between steps, s is a cubic. The speed in the tracks is that of the box centre.
+    lane; its distance along the path is a cubic of time between the steps of the simulation. The
+    speed in the tracks is that of the box centre.
 
     Args:
-        model: that was simulated.
-        recording: of its traffic.
-        place: where it drives.
+        model: the traffic model of the place.
+        recording: of that model's traffic.
+        place: the place, for the transform to the world.
         times: (T,) within the recording, seconds.
         margin: metres around the drawn extent in which agents are present.
 

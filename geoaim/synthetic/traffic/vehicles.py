@@ -33,7 +33,7 @@ class Vehicles:
 
 @dataclass(frozen=True)
 class PlacedVehicles:
-    """Vehicles, and the ground that they occupy."""
+    """Vehicles, with where their fronts and rears are along their paths."""
 
     state: Vehicles  # the n vehicles
     front: Float[Array, "n"]  # s of their foremost points along their paths, metres
@@ -111,7 +111,7 @@ def make_path_tables(
 
 
 def place_vehicles(state: Vehicles, tables: PathTables) -> PlacedVehicles:
-    """Compute the ground that vehicles occupy."""
+    """Compute where the fronts and rears of vehicles are along their paths."""
     forward = tables.forward[state.path, index_points(state.s, tables)]
     front = state.s + np.where(forward, FRONT_SHARE, REAR_SHARE) * state.length
     return PlacedVehicles(state, front, front - state.length)
