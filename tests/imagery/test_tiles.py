@@ -198,8 +198,8 @@ def test_tiles_that_a_service_lacks_are_holes(tmp_path, service, status):
     [
         ((500, b"", 0.0), "500"),
         ((403, b"", 0.0), "403"),
-        ((200, b"<html>sorry</html>", 0.0), "not recognized"),
-        ((200, tile_png(18, 0, 0, 512), 0.0), "size 512 x 512.*tile_size"),
+        ((200, b"<html>sorry</html>", 0.0), "something other than PNG"),
+        ((200, tile_png(18, 0, 0, 512), 0.0), "tiles of 512 x 512.*tile_size"),
         ((200, tile_png(18, 0, 0), 1.6), "imed out"),
     ],
     ids=["fails", "forbids", "page", "size", "slow"],
