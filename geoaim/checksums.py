@@ -2,8 +2,8 @@
 
 A file is written with `PLACEHOLDER` in its metadata or at its end. `write_checksum` fills in four
 fields: the file's size, a CRC-32 of that number, a CRC-32 of the file's first part, and the SHA-256
-of the file with zeros in this field. The first three tell a file that another program rewrote from a
-damaged one.
+of the file with zeros in this field. The first three tell a file that another program rewrote from
+a damaged one.
 """
 
 import hashlib
