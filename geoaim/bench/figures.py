@@ -1,4 +1,4 @@
-"""The README's pictures, from the bundled sample and other made places.
+"""The README's pictures, from the bundled sample and other synthetic places.
 
 python -m geoaim.bench.figures samples docs/images
 """

@@ -59,7 +59,7 @@ def estimate_stretch(
 
 
 def unpremultiply(rgba: Float32[Array, "4 h w"]) -> UInt8[Array, "h w 3"]:
-    """Colours of sums that `resample_raster` gave; black where alpha is below `MIN_ALPHA`."""
+    """Divide colours by alpha, given sums of `resample_raster`; black where alpha is too low."""
     colours = np.clip(np.rint(rgba[:3] / np.maximum(rgba[3], MIN_ALPHA)), 0, 255)
     return np.moveaxis(np.where(rgba[3] >= MIN_ALPHA, colours, 0), 0, -1).astype(np.uint8)
 

@@ -56,7 +56,7 @@ class Windows:
 
 @dataclass(frozen=True)
 class WindowFiles:
-    """Where windows lie.
+    """The folders and the table that `read_windows` reads.
 
     Attributes:
         windows: folder of `<scene>.csv`.

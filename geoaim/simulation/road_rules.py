@@ -16,7 +16,7 @@ from geoaim.simulation.scene import Scene, check_near_origin, check_touches_map
 
 @dataclass(frozen=True, eq=False)
 class RoadRules:
-    """What is off the road and the wrong way; None where the map does not say.
+    """Drivable area and one-way lanes, by which infractions are found; None where unknown.
 
     Attributes:
         drivable: distances from the drivable area.

@@ -1,4 +1,4 @@
-"""Made places with truth for everything: roads, traffic, lights, HD map, drone video, imagery.
+"""Synthetic places with ground truth: roads, traffic, lights, HD map, drone video, imagery.
 
 sample = make_sample(1, kind="roundabout")
 write_sample(sample, Path("sample"))

@@ -1,4 +1,4 @@
-"""A sample as files: what one would have of a real place, and the truth of each."""
+"""A sample as files: the data that one has of a real place, and ground truth for each."""
 
 import json
 import os

@@ -40,7 +40,7 @@ Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its image_from_fra
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """An image of the ground, and how many frames it rests on.
+    """An image of the ground, with the number of frames behind each pixel.
 
     Attributes:
         image: (H, W, 3) RGB at the first frame's exposure; 0 where no frame reaches.
@@ -160,10 +160,11 @@ def add_to_mean(
     """Add a registered frame to a mean, in place.
 
     Args:
-        mean: the mean; if it has detections, a frame of which nothing is known is skipped.
+        mean: the mean; if it has detections, a frame without an entry in them is skipped.
         frame: the frame.
         image_from_frame: (3, 3) its registration.
-        mask: of the image, 0 where the frame is left out; None leaves out the detections' boxes.
+        mask: (H, W) of the image, 0 where the frame is left out; None leaves out the boxes of
+            the detections.
     """
     if mask is None and mean.detections is not None:
         if (boxes := mean.detections(frame)) is None:

@@ -1,1 +1,1 @@
-"""The plan of a made place: approaches, lanes, paving, markings, car park, and its HD map."""
+"""The plan of a synthetic place: approaches, lanes, paving, markings, car park, and its HD map."""

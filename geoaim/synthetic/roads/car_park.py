@@ -65,12 +65,12 @@ def make_car_park(approach: Approach, s: float) -> CarPark:
 def outline_car_park_part(
     car_park: CarPark, along: tuple[float, float], deep: tuple[float, float]
 ) -> Polyline:
-    """The corners of a rectangle.
+    """Compute the corners of a rectangle in a car park.
 
     Args:
         car_park: whose car park coordinates are used.
         along: ends of the rectangle along the kerb, metres.
-        deep: its ends away from the kerb, metres.
+        deep: its ends perpendicular to the kerb, metres from it.
 
     Returns:
         Four corners in plan coordinates.

@@ -1,4 +1,4 @@
-"""The HD map of a made place, as a lanelet2 file (OpenStreetMap XML).
+"""The HD map of a synthetic place, as a lanelet2 file (OpenStreetMap XML).
 
 Lanelets between the bounds of lanes; stop lines, traffic lights and rights of way as regulatory
 elements. Like many real maps, it leaves out footpaths, car park and private roads unless it is to

@@ -1,1 +1,1 @@
-"""The look of a made place: what stands on its plots, and how it is drawn on a given day."""
+"""The look of a synthetic place: what stands on its plots, and how it is drawn on a given day."""

@@ -1,1 +1,1 @@
-"""Simulated traffic of a made place: signals, vehicles on fixed paths, pedestrians, recordings."""
+"""Simulated traffic of a place: signals, vehicles on fixed paths, pedestrians, recordings."""
