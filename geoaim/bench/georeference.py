@@ -3,7 +3,7 @@
     python -m geoaim.bench.georeference --trials 60 --json docs/bench/georeference.json \
         --chart docs/images/georeference.png
 
-Two simulators that share no code draw the truth by turns: the nine terms of the method's own model,
+Two simulators that share no code alternate: the nine terms of the method's own model,
 and a pinhole camera with tilt, pixel aspect and two lens terms (OpenCV). Points are spread,
 one-sided or clustered. Their noise, 0.5 to 5 px, is not told to the method. Settings were chosen on
 seed 1; seed 2 is published.

@@ -243,7 +243,7 @@ def _add_border(
 
 
 def _shift_origin(image_from_world: Float[Tensor, "2 3"], pixels: float) -> Float[Tensor, "2 3"]:
-    """Move an image's origin so many pixels up and to the left."""
+    """Move an image's origin by `pixels` up and to the left."""
     return image_from_world + F.pad(image_from_world.new_full((2, 1), pixels), (2, 0))
 
 

@@ -174,7 +174,7 @@ def _pursue(routes: Tensor, along: Tensor, states: Tensor, lengths: Tensor) -> T
 
 
 def _interpolate(routes: Float[Tensor, "B A P 2"], along: Float[Tensor, "B A"]) -> Tensor:
-    """Find the points (B, A, 2) so many metres along the routes; straight on beyond their ends."""
+    """Find the points (B, A, 2) at `along` metres of the routes; straight on beyond their ends."""
     segments = routes.diff(dim=2)
     length = segments.norm(dim=-1).clamp_min(MIN_SEGMENT_M)
     ends = length.cumsum(-1)

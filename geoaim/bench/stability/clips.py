@@ -23,7 +23,7 @@ from geoaim.synthetic.roads.layouts import PlaceKind
 
 FRAMES = 11
 SMALL, LARGE = (540, 960), (1080, 1920)  # height and width of the frames, px
-LARGE_SHARE = 8  # one clip of so many is large
+LARGE_SHARE = 8  # clips for each large one
 STILL_WIDTH = 3840  # px
 # Bases of each split: the generator, what it shows, and whether that is real data.
 BASES: dict[str, tuple[tuple[str, str, bool], ...]] = {

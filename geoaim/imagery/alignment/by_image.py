@@ -131,7 +131,7 @@ def _list_steps(end: float, step: float) -> Float[Array, "n"]:
 def _select_separate(
     scored: list[tuple[float, Float[Array, "3 3"]]], corners: Float[Array, "4 2"], metres: float
 ) -> list[Float[Array, "3 3"]]:
-    """The best few that move the corners by more than so many metres from each other."""
+    """The best few between which the corners move by more than `metres`."""
     selected: list[Float[Array, "3 3"]] = []
     for _, matrix in sorted(scored, key=lambda item: -item[0]):
         moved = transform_points(matrix, corners)

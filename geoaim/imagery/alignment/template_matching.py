@@ -57,7 +57,7 @@ class GreyImage(NamedTuple):
 
 
 def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
-    """Grey values of an image, reduced and smoothed for grids of so many metres per pixel."""
+    """Grey values of an image, reduced and smoothed for grids of `resolution` metres per pixel."""
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
     matrix, step = aim.grid.grid_from_world, resolution / aim.resolution

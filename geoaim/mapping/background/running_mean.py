@@ -134,10 +134,10 @@ def average_frames(
     Args:
         frames: each with its image_from_frame (3, 3), read once.
         size: (height, width) of the image, pixels.
-        detections: boxes to leave out of a frame, grown by 12 %. A frame of which nothing is
-            known (None) is left out as a whole.
-        bands: each frame is warped to one of as many horizontal bands of the image only, in turn:
-            each pixel is the mean of every `bands`-th frame that shows it.
+        detections: boxes to leave out of a frame, grown by 12 %. A frame without detections
+            (None) is left out as a whole.
+        bands: number of horizontal bands of the image. Each frame is warped to the next one only,
+            so that a pixel is the mean of every `bands`-th frame that shows it.
 
     Returns:
         The background.
@@ -208,7 +208,7 @@ def finish_mean(mean: RunningMean) -> Background:
     """
     if mean.frame is None:
         raise BackgroundError(
-            "there is no frame to average: none is registered, or no detections are known of any; "
+            "there is no frame to average: none is registered, or none has detections; "
             "look at the registration's reasons and at the names of the box files"
         )
     first = mean.sums[0]

@@ -62,7 +62,9 @@ def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Ba
         TypeError: the frames can be read only once.
     """
     if iter(frames) is frames:
-        raise TypeError("the frames are read twice: give a list, or make __iter__ start anew")
+        raise TypeError(
+            "the frames are read twice: give a list, or make __iter__ start again from the first"
+        )
     search = TrafficSearch(size)
     for frame, image_from_frame in frames:
         add_to_search(search, frame, image_from_frame)

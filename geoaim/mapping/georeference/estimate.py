@@ -160,7 +160,7 @@ def _check_plausibility(names: tuple[str, ...], posterior: Posterior, spread: fl
         raise GeoreferenceError(
             f"No place fits the control points ({', '.join(names)}): they disagree by"
             f" {100 * posterior.noise / spread:.0f} % of their distances. Are they in the right"
-            " order, on this image, and in the CRS that they claim?"
+            " order, on this image, and in the CRS that they state?"
         )
     stretch, perspective = np.hypot(*posterior.mean[4:6]), np.hypot(*posterior.mean[6:8])
     unusual = stretch > MAX_STRETCH or perspective > MAX_PERSPECTIVE

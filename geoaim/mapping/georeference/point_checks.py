@@ -89,7 +89,7 @@ def check_layout(
     if not low <= resolution <= high:
         raise GeoreferenceError(
             f"The control points give {resolution:.3g} metres per pixel; {low:g} to {high:g} is"
-            " possible. Are the coordinates in the CRS and the units that they claim?"
+            " possible. Are the coordinates in the CRS and the units that they state?"
         )
 
 

@@ -63,7 +63,7 @@ def georeference_by_telemetry(video: Video, reference: Reference) -> Georeferenc
     """Georeference the reference frame approximately by the telemetry of the video.
 
     Raises:
-        GeoreferenceError: the telemetry does not fix a place, or the camera looks at a slant.
+        GeoreferenceError: the telemetry does not fix a place, or the camera is tilted.
     """
     telemetry = video.telemetry
     if telemetry is None:

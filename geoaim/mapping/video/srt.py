@@ -132,7 +132,7 @@ def _check_changes(telemetry: Telemetry, path: str | Path) -> None:
             first = int(np.argmax(wrong))
             raise GeoreferenceError(
                 f"{path}: entry {stated[first + 1] + 1}: {name} changes by {change[first]:.0f} "
-                f"{unit} in {dt[first]:.3g} s ({wrong.sum()} such entries): no drone moves so; "
+                f"{unit} in {dt[first]:.3g} s ({wrong.sum()} such entries), which is too fast; "
                 "correct or remove the file"
             )
 

@@ -141,7 +141,7 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     if iter(source) is source:
         raise TypeError(
             "the source is a one-shot iterator, but frames are read more than once; give a list, "
-            "or an object whose __iter__ starts anew"
+            "or an object whose __iter__ starts from the first image"
         )
     if not isinstance(source, Sequence | Array):
         return _open_stream(source, rate)
@@ -202,7 +202,7 @@ def _natural_sort_key(path: Path) -> list[tuple[int, str]]:
 def _read_image(path: Path) -> UInt8[Array, "H W 3"]:
     """RGB with the EXIF orientation applied."""
     if not path.is_file():
-        raise VideoError(f"{path}: there is no such file; leave it out")
+        raise VideoError(f"{path}: no such file; leave it out of the list")
     with refuse_damaged(path, VideoError, "an image that can be read"):
         with open_raster_file(path) as header:
             height, width = header.shape
