@@ -38,20 +38,13 @@ class UncertaintyMap:
     worst_with_point: float
 
 
-def predict_covariance(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 2"]:
-    """Predict the expected squared error of `world_from_pixels`, square metres.
-
-    J S J^T with the posterior covariance S of all nine terms (Criminisi, Reid and Zisserman 1997),
-    plus the squared difference between that posterior's mean and the chosen model.
-    """
-    design = _design_errors(georeference, pixels)
-    return np.asarray(design @ design.transpose(0, 2, 1))
-
-
 def predict_uncertainty(
     georeference: Georeference, pixels: Points
 ) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
     """Predict how far pixels may be off in the world, metres, along the worst direction.
+
+    The squared error is J S J^T with the posterior covariance S of all nine terms (Criminisi, Reid
+    and Zisserman 1997), plus the squared difference of the posterior's mean and the chosen model.
 
     Returns:
         One standard deviation (M,), and the semi-major axis (M,) of the ellipse that holds the true
