@@ -23,7 +23,7 @@ from geoaim.errors import AimError
 from geoaim.files import atomic_write
 from geoaim.geometry import translation
 from geoaim.limits import check_memory, refuse_damaged
-from geoaim.raster_files import open_raster_file
+from geoaim.raster_files import create_raster_file, open_raster_file
 from geoaim.rectification import rectify
 from geoaim.world import World
 
@@ -66,7 +66,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
     }
     try:
         with atomic_write(path) as temporary:
-            with _allow_identity_transform(), rasterio.open(temporary, "w", **profile) as dataset:
+            with _allow_identity_transform(), create_raster_file(temporary, profile) as dataset:
                 _write_bands(dataset, aim)
                 _write_tags(dataset, aim)
             write_checksum(temporary)

@@ -67,6 +67,21 @@ def atomic_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.rename(folder)
 
 
+@contextmanager
+def lock_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+    """Keep other processes that lock a folder out of it until the block ends; make it if missing.
+
+    Raises:
+        ValueError: another process has locked it.
+    """
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    try:
+        with _lock(Path(folder), wait=False):
+            yield
+    except BlockingIOError:
+        raise ValueError(f"another process writes into {folder}; name another folder") from None
+
+
 def check_new_folder(folder: Path) -> None:
     """Check that a folder can be written as a whole: it is missing or empty.
 
@@ -118,7 +133,7 @@ def _make_temporary_folder(parent: Path) -> Iterator[Path]:
 def _remove_leftovers(parent: Path) -> None:
     """Remove the temporary folders of runs that were killed: those that no process has locked."""
     for folder in parent.glob(TEMPORARY + "[0-9a-f]" * 32):
-        with _lock(folder, wait=False) as is_locked:
+        with suppress(BlockingIOError), _lock(folder, wait=False) as is_locked:
             if is_locked:
                 shutil.rmtree(folder, ignore_errors=True)
 
@@ -128,13 +143,20 @@ def _lock(folder: Path, *, wait: bool) -> Iterator[bool]:
     """Lock a folder until the block or the process ends; yield whether that was possible.
 
     Folders cannot be locked on Windows and on some network drives; leftovers stay there.
+
+    Raises:
+        BlockingIOError: another process has locked it, and this one should not wait.
     """
     with ExitStack() as stack:
         is_locked = False
         if sys.platform != "win32":
-            with suppress(OSError):
+            try:
                 descriptor = os.open(folder, os.O_RDONLY)
                 stack.callback(os.close, descriptor)
                 fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
                 is_locked = True
+            except BlockingIOError:
+                raise
+            except OSError:
+                pass
         yield is_locked

@@ -1,4 +1,4 @@
-"""Open raster files such that their content makes GDAL read no other file and send no request."""
+"""Raster files: opened without reading other files or sending requests, and written whole."""
 
 import os
 import warnings
@@ -9,6 +9,7 @@ from typing import Any
 
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio.io import MemoryFile
 
 SIGNATURES = {  # first bytes of files, by GDAL's driver
     "GTiff": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
@@ -59,6 +60,20 @@ def open_raster_file(
             if dataset.tags(ns="OVERVIEWS"):  # GDAL would open what it names
                 raise RasterioIOError("it names another file for its overviews; remove the tag")
             yield dataset
+
+
+@contextmanager
+def create_raster_file(
+    path: str | os.PathLike[str], profile: Mapping[str, object]
+) -> Iterator[Any]:
+    """Yield a new dataset with rasterio's profile; its file is written when the block ends.
+
+    It is made in memory first: on a full disk GDAL leaves a part of the file without an error.
+    """
+    with MemoryFile() as memory:
+        with memory.open(**profile) as dataset:
+            yield dataset
+        Path(path).write_bytes(memory.getbuffer())
 
 
 def _recognise(path: Path, drivers: Sequence[str]) -> str:

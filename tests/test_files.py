@@ -78,3 +78,14 @@ def test_leftovers_are_removed_and_folders_in_use_are_not(tmp_path):
         first.write_text("a")
         second.write_text("b")
     assert sorted(path.name for path in tmp_path.iterdir()) == [by_hand.name, "a.txt", "b.txt"]
+
+
+def test_link_stays_and_the_file_that_it_names_is_replaced(tmp_path):
+    file, link = tmp_path / "elsewhere" / "map.tif", tmp_path / "link.tif"
+    file.parent.mkdir()
+    file.write_text("old")
+    link.symlink_to(file)
+    with atomic_write(link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert file.read_text() == "new"

@@ -68,7 +68,11 @@ def train(
         configure = configure_training if scratch else configure_fine_tuning
         config = configure(model.config.kind, steps=steps, batch_size=batch_size, seed=seed)
         config = replace(config, checkpoint_interval=CHECKPOINT_STEPS)
-        train_model(model, config, dataset, output, progress=progress)
+        try:
+            train_model(model, config, dataset, output, progress=progress)
+        except (KeyboardInterrupt, SystemExit):
+            console.print(_describe_checkpoint(output))
+            raise
         plot_training(output / "log.csv", output / "curves.png")
     console.print(
         f"{output / 'model.pt'}: trained on {len(dataset.train)} segments, validated on "
@@ -84,6 +88,13 @@ def _init_model(weights: Path | None, kind: options.AgentKind, seed: int) -> "IT
 
     default = DEFAULT_CONFIGS[kind.removesuffix("s")]
     return init_model(default if weights is None else load_model(weights, kind).config, seed=seed)
+
+
+def _describe_checkpoint(folder: Path) -> str:
+    if not (folder / "log.csv").exists():
+        return f"{folder} has no checkpoint yet; the same command starts again"
+    step = (folder / "log.csv").read_text(encoding="utf-8").splitlines()[-1].split(",")[0]
+    return f"{folder / 'checkpoint.pt'} is kept; the same command goes on after step {step}"
 
 
 def _summarize_log(log: Path) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 import time
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
 from geoaim.errors import ModelError
-from geoaim.files import atomic_write
+from geoaim.files import atomic_files, lock_folder
 from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
@@ -74,7 +75,7 @@ def train(
         The trained model, in evaluation mode.
 
     Raises:
-        ValueError: the folder holds another training.
+        ValueError: the folder holds another training, or another process trains in it.
         ModelError: its checkpoint cannot be read, or the loss is not finite.
     """
     path = Path(folder) / "checkpoint.pt"
@@ -83,7 +84,10 @@ def train(
         "training": asdict(config),
         "start": {"dataset": hash_dataset(dataset), "weights": hash_weights(model)},
     }
-    with join_processes(dataset.ground.image.device) as process:
+    with (
+        join_processes(dataset.ground.image.device) as process,
+        nullcontext() if process.rank else lock_folder(folder),
+    ):
         parts = _make_parts(copy.deepcopy(model).to(process.device).train(), config)
         log = _resume(path, parts, identity)
         ground = move_ground(dataset.ground, process.device)
@@ -115,7 +119,9 @@ def train(
                 _write_checkpoint(path, parts, identity, log)
                 began, losses = time.perf_counter(), []
         if process.rank == 0:
-            write_model(parts.model, path.with_name("model.pt"))
+            with atomic_files(path.with_name("model.pt"), path.with_name("log.csv")) as written:
+                write_model(parts.model, written[0])
+                _write_log(log, written[1])  # again: it is missing after an unlucky interruption
     return parts.model.eval()
 
 
@@ -198,11 +204,13 @@ def _write_checkpoint(
     path: Path, parts: _Parts, identity: dict[str, Any], log: list[tuple[float, ...]]
 ) -> None:
     states = {name: part.state_dict() for name, part in vars(parts).items()}
-    write_state({**identity, **states, "log": log}, path)
-    with (
-        atomic_write(path.with_name("log.csv")) as temporary,
-        temporary.open("w", newline="", encoding="utf-8") as file,
-    ):
+    with atomic_files(path, path.with_name("log.csv")) as (checkpoint, table):
+        write_state({**identity, **states, "log": log}, checkpoint)
+        _write_log(log, table)
+
+
+def _write_log(log: list[tuple[float, ...]], path: Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(LOG_COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in log)

@@ -15,6 +15,7 @@ from rasterio.enums import ColorInterp
 from shapely import Polygon
 
 from geoaim.geometry import transform_points
+from geoaim.raster_files import create_raster_file
 from geoaim.synthetic.imagery import (
     WEB,
     Imagery,
@@ -127,7 +128,7 @@ def _write_geotiff(imagery: Imagery, path: Path) -> None:
     transform = rasterio.Affine(*imagery.crs_from_image[:2].flat)
     profile |= {"crs": imagery.crs, "transform": transform, "compress": "deflate", "predictor": 2}
     profile |= {"tiled": True, "blockxsize": 256, "blockysize": 256}
-    with rasterio.open(path, "w", **profile) as dataset:
+    with create_raster_file(path, profile) as dataset:
         dataset.write(np.moveaxis(imagery.image, -1, 0), [1, 2, 3])
         dataset.write(np.where(imagery.covered, 255, 0).astype(np.uint8), 4)
         names = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)

@@ -1,14 +1,23 @@
-"""Interrupt a program before its n-th change of files: by an error, or at once as a kill does."""
+"""Interrupt a program before its n-th change of files: by an error, or at once as a kill does.
+
+Python reports its own changes. Libraries in C write without a report, but only files in temporary
+folders; a limit of the size of files makes their writing fail as on a full disk.
+"""
 
 import errno
 import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from io import StringIO
 from multiprocessing import get_context
+from multiprocessing.queues import SimpleQueue
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Literal
+
+if sys.platform != "win32":
+    import resource
 
 KILLED = 137
 CHANGES = {
@@ -17,7 +26,10 @@ CHANGES = {
 }
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
-How = Literal["kill", "error"]
+# imported once by the server of which the children are forks
+PRELOADED = ["tests.faults.small_sample", "tests.faults.writers"]
+
+How = Literal["kill", "error", "stop", "full"]
 
 
 @dataclass(frozen=True)
@@ -27,38 +39,46 @@ class Outcome:
     Args:
         exit_code: 0: it was done; `KILLED`; 1: it ended with an error.
         changes: files and folders that it changed, or was about to.
+        printed: on stderr; empty after a kill.
     """
 
     exit_code: int
     changes: int
+    printed: str
 
 
 def run_interrupted(
-    write: Callable[[Path], None], target: Path, step: int | None, *, how: How, preload: str
+    write: Callable[[Path], None], target: Path, step: int | None, *, how: How
 ) -> Outcome:
     """Run a writer in a child process and interrupt it before its n-th change of files.
 
     Args:
         write: takes the target; a function of a module.
         target: what is written; changes in its folder count.
-        step: n, from 1; None: not interrupted.
-        how: the process ends at once, or the operation fails as on a full disk.
-        preload: module that the children need, imported once.
+        step: n, from 1, or the size of files for "full"; None: not interrupted.
+        how: the process ends at once, the operation fails, Ctrl-C is pressed, or no file may
+            become larger.
     """
     context = get_context("forkserver")
-    context.set_forkserver_preload([preload])
-    changes = context.Value("i", 0)
-    child = context.Process(target=_run, args=(write, target, step, how, changes))
+    context.set_forkserver_preload(PRELOADED)
+    changes, printed = context.Value("i", 0), context.SimpleQueue()
+    child = context.Process(target=_run, args=(write, target, step, how, changes, printed))
     child.start()
     child.join(60)
     if child.exitcode is None:
         child.kill()
         raise TimeoutError(f"change {step} did not end")
-    return Outcome(child.exitcode, changes.value)
+    text = "" if printed.empty() else printed.get()
+    return Outcome(child.exitcode, changes.value, text)
 
 
 def _run(
-    write: Callable[[Path], None], target: Path, step: int | None, how: How, changes: Synchronized
+    write: Callable[[Path], None],
+    target: Path,
+    step: int | None,
+    how: How,
+    changes: Synchronized,
+    printed: SimpleQueue,
 ) -> None:
     def interrupt(event: str, arguments: tuple[object, ...]) -> None:
         if not _changes_files(event, arguments, target.parent):
@@ -66,15 +86,24 @@ def _run(
         changes.value += 1
         if changes.value == step and how == "kill":
             os._exit(KILLED)
-        if changes.value == step:
+        if changes.value == step and how == "error":
             raise OSError(errno.ENOSPC, "No space left on device")
+        if changes.value == step and how == "stop":
+            raise KeyboardInterrupt
 
     sys.addaudithook(interrupt)
+    sys.stderr = StringIO()
+    if how == "full" and step is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (step, step))
+    exit_code = 0
     try:
         write(target)
     except (OSError, ValueError):
-        os._exit(1)
-    os._exit(0)
+        exit_code = 1
+    except SystemExit as error:
+        exit_code = error.code
+    printed.put(sys.stderr.getvalue())
+    os._exit(exit_code)
 
 
 def _changes_files(event: str, arguments: tuple[object, ...], folder: Path) -> bool:

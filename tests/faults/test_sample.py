@@ -14,8 +14,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes canno
 
 
 def interrupt_sample(target: Path, step: int | None = None, how: How = "kill") -> Outcome:
-    write = small_sample.write_small_sample
-    return run_interrupted(write, target, step, how=how, preload=small_sample.__name__)
+    return run_interrupted(small_sample.write_small_sample, target, step, how=how)
 
 
 def read_files(folder: Path) -> dict[str, bytes]:

@@ -166,3 +166,12 @@ def test_fine_tuning_trains_the_best_proposals_only(tmp_path, monkeypatch):
     tuning = replace(training, anchor_annealing=0.0)
     train(first, tuning, dataset(), tmp_path / "b")
     assert set(seen) == {1}  # proposals that are spread stay so
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders cannot be locked")
+def test_second_training_in_a_folder_at_once_is_refused(tmp_path):
+    def train_again(*_):
+        with pytest.raises(ValueError, match="another process writes into"):
+            train(init_model(TINY), TRAINING, dataset(), tmp_path)
+
+    train(init_model(TINY), replace(TRAINING, steps=1), dataset(), tmp_path, progress=train_again)

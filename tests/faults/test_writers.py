@@ -1,0 +1,117 @@
+"""Each command leaves old files or new ones, whole and together, whenever it is interrupted."""
+
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from geoaim.files import TEMPORARY
+from geoaim.prediction.checkpoints import read_state
+from tests.faults import writers
+from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
+from tests.faults.test_sample import read_files, write_next
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork")
+EXIT_CODES: dict[How, set[int]] = {
+    "kill": {KILLED},
+    "error": {0, 1},  # 0: the unfinished files are not removed
+    "stop": {130},
+    "full": {1},
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command, and what it writes from old inputs and from new ones."""
+
+    name: str
+    write: Callable[[Path], None]  # from new inputs
+    old: Path
+    new: dict[str, bytes]
+    changes: int
+
+
+def make_case(name: str, folder: Path) -> Case:
+    for version in (0, 1):
+        writers.write_inputs(folder / f"inputs{version}", version)
+        write = partial(writers.write, name, folder / f"inputs{version}")
+        target = folder / str(version) / "out"
+        target.parent.mkdir()
+        outcome = run_interrupted(write, target, None, how="kill")
+        assert outcome.exit_code == 0, outcome.printed
+    old, new = folder / "0", read_files(folder / "1")
+    assert all(new[path] != content for path, content in read_files(old).items())
+    return Case(name, write, old, new, outcome.changes)
+
+
+@pytest.fixture(scope="module", params=[name for name in writers.WRITERS if name != "train"])
+def case(request, tmp_path_factory):
+    return make_case(request.param, tmp_path_factory.mktemp("case"))
+
+
+def read_after_next_run(folder: Path) -> dict[str, bytes]:
+    """Read the files of a folder into which another run has written since, which leaves no rest."""
+    write_next(folder)
+    (folder / "next.txt").unlink()
+    assert not list(folder.glob(f"{TEMPORARY}*"))
+    return read_files(folder)
+
+
+def check_outcome(outcome: Outcome, how: How) -> None:
+    """Check the exit code, and that an error is one line."""
+    assert outcome.exit_code in EXIT_CODES[how], outcome.printed
+    assert "Traceback" not in outcome.printed
+    assert outcome.printed.count("Error: ") == (outcome.exit_code == 1), outcome.printed
+
+
+@pytest.mark.parametrize("hows", [("kill",), ("error", "stop")], ids=" ".join)
+def test_interrupted_command_leaves_old_or_new_files(case, tmp_path, hows):
+    old, suffix = read_files(case.old), writers.WRITERS[case.name][1]
+    for step in range(1, case.changes + 1):
+        folder, how = tmp_path / str(step), hows[step % len(hows)]
+        shutil.copytree(case.old, folder)
+        check_outcome(run_interrupted(case.write, folder / "out", step, how=how), how)
+        left = read_after_next_run(folder)
+        assert left.items() <= old.items() or left.items() <= case.new.items(), step
+        assert any(name.endswith(suffix) for name in left), step  # a picture may be missing
+
+
+def test_full_disk_leaves_the_old_files_and_ends_in_a_line(case, tmp_path):
+    size = max(map(len, case.new.values()))
+    for limit in (0, size // 2, size - 1):
+        folder = tmp_path / str(limit)
+        shutil.copytree(case.old, folder)
+        check_outcome(run_interrupted(case.write, folder / "out", limit, how="full"), "full")
+        assert read_after_next_run(folder) == read_files(case.old), limit
+
+
+def test_interrupted_training_ends_the_same_when_it_is_called_again(tmp_path):
+    case, seen = make_case("train", tmp_path), []
+    for step in range(1, case.changes + 1):
+        target = tmp_path / "folders" / str(step) / "out"
+        target.parent.mkdir(parents=True)
+        run_interrupted(case.write, target, step, how="kill")
+        checkpoint, log = target.with_name("checkpoint.pt"), target.with_name("log.csv")
+        if log.exists():
+            rows = len(log.read_text().splitlines()) - 1
+            assert rows == len(read_state(checkpoint)["log"]), step
+        if (left := read_after_next_run(target.parent)) in seen:
+            continue
+        seen.append(left)
+        outcome = run_interrupted(case.write, target, None, how="kill")
+        assert outcome.exit_code == 0, outcome.printed
+        assert read_files(target.parent) == case.new, step
+
+
+def test_stopped_training_says_what_is_kept(tmp_path):
+    (tmp_path / "a").mkdir()
+    case = make_case("train", tmp_path / "a")
+    for step, kept in ((3, "no checkpoint yet"), (24, "goes on after step 1")):
+        (tmp_path / str(step)).mkdir()
+        outcome = run_interrupted(case.write, tmp_path / str(step) / "out", step, how="stop")
+        assert outcome.exit_code == 130
+        assert kept in " ".join(outcome.printed.split())

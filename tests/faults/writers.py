@@ -1,0 +1,151 @@
+"""The commands that write files, on inputs of a few pixels; some steps before writing are replaced.
+
+Each takes the folder of its inputs (see `write_inputs`) and the path to write, without a suffix.
+"""
+
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from itertools import count
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
+
+import cv2
+import numpy as np
+import torch
+import torch._dynamo
+from matplotlib.figure import Figure
+
+from geoaim import cli, encode, quicklook, raster_files
+from geoaim.aim_files import read_aim, write_aim
+from geoaim.files import write_figure
+from geoaim.imagery.alignment import pipeline as alignment
+from geoaim.mapping import pipeline as mapping
+from geoaim.mapping import texture
+from geoaim.mapping.registration import register
+from geoaim.prediction import dataset, pictures, predict, report, training
+from geoaim.prediction.checkpoints import write_model
+from geoaim.simulation import episodes
+from geoaim.track_files import write_tracks
+from tests.faults import seeds
+from tests.prediction.tiny import TINY, drive, hill
+
+cv2.setNumThreads(1)  # threads do not survive a fork
+torch.set_num_threads(1)
+PRELOADED = torch._dynamo, encode, raster_files, texture, pictures, predict, report, episodes
+STEPS = 2  # of the training
+
+
+def write_inputs(folder: Path, version: int) -> None:
+    """Write inputs, from which each command makes other files in each version."""
+    folder.mkdir()
+    aim, tracks = seeds.make_aim(), seeds.make_tracks()
+    write_aim(replace(aim, image=np.roll(aim.image, version, axis=0)), folder / "aim.tif")
+    later = tracks.states + np.array([2.5, 0, 0, 0])
+    states = np.concatenate([tracks.states, later], axis=1) + version / 8
+    present = np.ones(states.shape[:2], bool)
+    tracks = replace(tracks, times=np.arange(10) / 10, states=states, present=present)
+    write_tracks(tracks, folder / "tracks.csv")
+    text = seeds.TABLES["map.osm"].replace("28.29005", f"28.2900{5 + version}")
+    (folder / "map.osm").write_text(text)
+    (folder / "version").write_text(str(version))
+    write_model(training.init_model(TINY, seed=version), folder / "model.pt")
+
+
+def build(inputs: Path, target: Path) -> None:
+    with patch.object(mapping, "build_aim", lambda *_, **__: read_aim(inputs / "aim.tif")):
+        cli.build(str(seeds.SAMPLES / "hover.mp4"), target.with_suffix(".tif"))
+
+
+def align(inputs: Path, target: Path) -> None:
+    with patch.object(alignment, "align_tiles", lambda *_, **__: read_aim(inputs / "aim.tif")):
+        cli.align([str(inputs / "aim.tif")], target.with_suffix(".tif"))
+
+
+def draw(inputs: Path, target: Path) -> None:
+    aim = inputs / "aim.tif"
+    cli.draw(inputs / "map.osm", target.with_suffix(".tif"), resolution=0.5, aim=aim)
+
+
+def export_texture(inputs: Path, target: Path) -> None:
+    cli.texture(inputs / "aim.tif", target.parent, resolution=1 + _read_version(inputs))
+
+
+def register_frames(inputs: Path, target: Path) -> None:
+    matrices, ones = np.eye(3)[None] + _read_version(inputs), np.ones(1)
+    reference = register.Reference(None, 0, 0.0, "affine", None, 48, 64)
+    frames = register.Registration(
+        matrices, np.zeros(1, int), np.zeros(1), ("",), ones, ones, ones, reference
+    )
+    with patch.object(register, "register", lambda *_, **__: frames):
+        cli.register("video.mp4", target)
+
+
+def render(inputs: Path, target: Path) -> None:
+    cli.render(inputs / "aim.tif", inputs / "tracks.csv", "1", target, size=32, extent=16)
+
+
+def simulate(inputs: Path, target: Path) -> None:
+    cli.simulate(inputs / "aim.tif", inputs / "tracks.csv", target, duration=0.8)
+
+
+def predict_agents(inputs: Path, target: Path) -> None:
+    files = inputs / "aim.tif", inputs / "tracks.csv", target
+    cli.predict(*files, weights=inputs / "model.pt", duration=0.2, samples=2)
+
+
+def train(inputs: Path, target: Path) -> None:
+    """Train with a checkpoint after each step, and a clock by which all steps take as long."""
+    config = training.TrainConfig(
+        steps=STEPS, batch_size=2, history=(2, 4), mirror=True, checkpoint_interval=1
+    )
+    segments = dataset.Dataset(drive(10, 3), drive(10, 1, curve=-0.05), hill())
+    clock = SimpleNamespace(perf_counter=count().__next__)
+    with ExitStack() as stack:
+        for owner, name, value in (
+            (dataset, "make_dataset", lambda *_, **__: segments),
+            ("geoaim.prediction.config", "configure_fine_tuning", lambda *_, **__: config),
+            (sys.modules["geoaim.cli.train"], "CHECKPOINT_STEPS", 1),
+            (training, "time", clock),
+        ):
+            owner = sys.modules[owner] if isinstance(owner, str) else owner
+            stack.enter_context(patch.object(owner, name, value))
+        files = inputs / "aim.tif", inputs / "tracks.csv", target.parent
+        cli.train(*files, weights=inputs / "model.pt")
+
+
+def write(name: str, inputs: Path, target: Path) -> None:
+    """Run a command of `WRITERS`; its pictures of maps are replaced by small ones."""
+    command, suffix = WRITERS[name]
+    figure = Figure(figsize=(0.2 + _read_version(inputs) / 10, 0.2))
+    with (
+        patch.object(quicklook, "draw_quicklook", lambda *_, **__: figure),
+        patch.object(quicklook, "draw_alignment", lambda *_, **__: figure),
+        patch.object(pictures, "PICTURE_SIZE_PX", 64),
+        patch.object(report, "plot_training", lambda _, path: write_figure(figure, path)),
+    ):
+        command(inputs, target.with_suffix(suffix))
+
+
+def _read_version(inputs: Path) -> int:
+    return int((inputs / "version").read_text())
+
+
+WRITERS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
+    "build": (build, ".tif"),
+    "align": (align, ".tif"),
+    "draw": (draw, ".tif"),
+    "texture": (export_texture, ".json"),
+    "register": (register_frames, ".csv"),
+    "register, Parquet": (register_frames, ".parquet"),
+    "render, picture": (render, ".png"),
+    "render, animation": (render, ".gif"),
+    "render, video": (render, ".mp4"),
+    "simulate": (simulate, ".csv"),
+    "simulate, Parquet": (simulate, ".parquet"),
+    "predict": (predict_agents, ".csv"),
+    "predict, picture": (predict_agents, ".png"),
+    "train": (train, ".pt"),
+}
