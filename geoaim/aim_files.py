@@ -70,7 +70,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
                 _write_bands(dataset, aim)
                 _write_tags(dataset, aim)
             write_checksum(temporary)
-    except (RasterioError, CPLE_BaseError) as error:
+    except (RasterioError, CPLE_BaseError, OSError) as error:
         raise AimError(f"{Path(path).name} could not be written: {error}") from error
 
 
