@@ -52,6 +52,7 @@ from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
 
 MIN_USED_SHARE = 0.5  # of the frames, below which the build warns
+MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # of the registration, above which the build warns
 MAX_CONTESTED_SHARE = 0.1  # of the pixels, above which the build warns
 
 Accumulated = TypeVar("Accumulated", RunningMean, TrafficSearch)
@@ -230,6 +231,12 @@ def _warn_of_limits(registration: Registration, background: Background) -> None:
         _warn(
             f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "
             f"{reference.time:.1f} s ({', '.join(count_reasons(registration.reason))})"
+        )
+    typical = float(np.median(registration.uncertainty[valid]))
+    if typical > MAX_TYPICAL_UNCERTAINTY_PX:
+        _warn(
+            f"frames are registered to about {typical:.1f} px only, since parts of the image move "
+            "apart (relief, waves, rolling shutter): markings may be doubled in the background"
         )
     if background.frames_used < MIN_USED_SHARE * valid.sum():
         _warn(

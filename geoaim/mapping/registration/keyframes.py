@@ -35,7 +35,9 @@ MIN_PATCHES = 16  # inliers without which a frame is rejected, of about 300 patc
 MIN_INLIER_SHARE = 0.2  # of the patches in view
 SUFFICIENT_INLIER_SHARE = 0.5  # at which the search is not widened
 UNDOUBTED_INLIER_SHARE = 0.7  # below which the placement is always compared with others
-MAX_CORNER_UNCERTAINTY_PX = 1.0
+MAX_CORNER_UNCERTAINTY_PX = 10.0
+CONSISTENT_UNCERTAINTY_PX = 1.0  # above which a frame needs a larger share of inliers:
+MIN_UNCERTAIN_SHARE = 0.6
 # chosen on the validation part of `geoaim.bench.stability`: of frames that state 0.02 to 0.04 px
 # 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
 MISLEADING_UNCERTAINTY_PX = 0.12
@@ -237,8 +239,8 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))
-    uncertainty = widen_uncertainty(predict_corner_uncertainty(keyframe.fine, alignment.motion))
-    total = float(np.hypot(uncertainty, keyframe.uncertainty))
+    stated = widen_uncertainty(predict_corner_uncertainty(keyframe.fine, alignment.motion))
+    total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_PATCHES:
         reason = f"too little overlap: {in_view} patches in view, {MIN_PATCHES} needed"
@@ -246,8 +248,10 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
         reason = f"too few inliers: {inliers} of {in_view} patches agree"
     elif not alignment.converged:
         reason = "the alignment did not converge"
-    elif not uncertainty <= MAX_CORNER_UNCERTAINTY_PX:
-        reason = f"badly spread inliers: corners uncertain by {uncertainty:.1f} px"
+    elif not stated <= MAX_CORNER_UNCERTAINTY_PX:
+        reason = f"badly spread inliers: corners uncertain by {stated:.1f} px"
+    elif stated > CONSISTENT_UNCERTAINTY_PX and share < MIN_UNCERTAIN_SHARE:
+        reason = f"parts disagree: {share:.0%} inliers, corners uncertain by {stated:.1f} px"
     matrix = keyframe.reference_from_keyframe @ alignment.matrix
     matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
     return FrameRegistration(matrix, reason, quality, share, total)
