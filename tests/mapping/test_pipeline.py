@@ -4,6 +4,7 @@ import pytest
 from geoaim.encode import write_video
 from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping import pipeline
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.video import decoding
@@ -187,3 +188,9 @@ def test_a_clip_with_one_keyframe_is_decoded_once(frames, tmp_path, monkeypatch)
     monkeypatch.setattr(decoding, "_decode", counted)
     build_aim(path, points_on(0))
     assert len(decoded) < 40 + 16  # and the first frame when the file is opened, and for the points
+
+
+def test_uncertain_registration_is_warned_of(frames, monkeypatch):
+    monkeypatch.setattr(pipeline, "MAX_TYPICAL_UNCERTAINTY_PX", 1e-3)
+    with pytest.warns(GeoaimWarning, match="markings may be doubled"):
+        build_aim(frames, points_on(0))

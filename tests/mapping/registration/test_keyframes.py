@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from geoaim.geometry import translation
+from geoaim.mapping.registration import keyframes as limits
 from geoaim.mapping.registration.features import detect_features
 from geoaim.mapping.registration.keyframes import (
     Keyframe,
@@ -58,3 +59,11 @@ def test_frame_far_from_the_prior_is_found_by_its_features(keyframes):
     result, _ = register_frame(view(60), keyframes, keyframes[1], np.eye(3), "translation")
     assert result.valid
     np.testing.assert_allclose(result.reference_from_frame, translation(60, 0), atol=0.02)
+
+
+def test_uncertain_frame_of_which_few_patches_agree_is_rejected(keyframes, monkeypatch):
+    monkeypatch.setattr(limits, "CONSISTENT_UNCERTAINTY_PX", 0.0)
+    for share, reason in ((0.6, ""), (1.01, "parts disagree")):
+        monkeypatch.setattr(limits, "MIN_UNCERTAIN_SHARE", share)
+        result, _ = register_frame(view(5), keyframes[:1], keyframes[0], np.eye(3), "translation")
+        assert result.reason.split(":")[0] == reason
