@@ -68,7 +68,7 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
     for suffix in ("svg", "png"):
-        draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=100)
+        draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=75)
         draw_verdicts(table).savefig(folder / f"{name}-verdicts.{suffix}", dpi=100)
     return text
 
@@ -121,6 +121,7 @@ def draw_verdicts(table: pd.DataFrame) -> Figure:
         axes.barh(table.kind, share, left=left, color=colour, label=verdict)
         left += share
     axes.invert_yaxis()
+    axes.margins(y=0.01)
     axes.tick_params(labelsize=7)
     axes.set(xlim=(0, 1), xlabel="share of frames, all levels")
     figure.legend(loc="outside upper center", ncols=len(VERDICTS), fontsize=8)
@@ -132,6 +133,7 @@ def main(
     output: Annotated[Path, typer.Option("-o", help="folder to write")] = Path("build/stability"),
     name: Annotated[str, typer.Option(help="of the files, without suffix")] = "validation",
     json: JsonFile = None,
+    command: Annotated[str, typer.Option(help="that made the sweep, for the JSON")] = "",
 ) -> None:
     """Write the table and the charts of finished sweeps, and the tables as JSON."""
     output.mkdir(parents=True, exist_ok=True)
@@ -139,7 +141,7 @@ def main(
     print(write_report(frames, output, name))
     if json is not None:
         content = {
-            "command": f"python -m geoaim.bench.stability.sweep --split {name} --rivals",
+            "command": command,
             "machine": describe_machine(),
             "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
             "methods": compare_methods(frames),

@@ -17,6 +17,7 @@ MAX_RIGHT_ERROR_PX = 1.0
 TO_95 = float(np.sqrt(5.991 / 2))
 MAX_UNDERSTATEMENT = 5.0
 FAR_PX = 10.0
+SMALLEST_STATED_PX = 1e-3  # identical frames state next to nothing
 MIN_RIGHT_SHARE = 0.8  # of the frames of a level that is not beyond the breakpoint
 VERDICTS = ("right", "refused", "wrong and said", "understated", "wrong and sure")
 
@@ -103,7 +104,8 @@ def summarise(frames: pd.DataFrame) -> pd.DataFrame:
         row: dict[str, Any] = {"kind": kind, "frames": len(own)}
         row |= {verdict: int((own.verdict == verdict).sum()) for verdict in VERDICTS}
         row["inside 95 %"] = float((valid.rms <= TO_95 * valid.stated).mean())
-        row["rms / stated"] = float(np.sqrt(((valid.rms / valid.stated) ** 2).mean()))
+        stated = valid.stated.clip(lower=SMALLEST_STATED_PX)
+        row["rms / stated"] = float(np.sqrt(((valid.rms / stated) ** 2).mean()))
         for method, theirs in of_kind.groupby("method", sort=False):
             rank = find_breakpoint(theirs)
             row[f"{method} up to"] = f"{levels[rank]:g}" if rank >= 0 else "none"
@@ -118,7 +120,7 @@ def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
         frames: rows of judged frames of all methods.
 
     Returns:
-        A row for each method; shares in percent, milliseconds for a frame.
+        A row for each method; shares in percent.
     """
     rows = []
     for method, own in frames.groupby("method", sort=False):
@@ -133,7 +135,6 @@ def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
                 "wrong without saying so, %": round(100 * float(silent.mean()), 1),
                 "by over 10 px, %": round(100 * float((silent & (own.error > FAR_PX)).mean()), 1),
                 "median error if right, px": round(float(own.error[~is_wrong].median()), 3),
-                "ms": round(1000 * float(own.seconds.median()), 1),
             }
         )
     return rows
