@@ -121,6 +121,29 @@ def write_birdview(results: Row) -> str:
     return "\n\n".join(write_rows(rows) for rows in parts)
 
 
+def write_queues(results: Row) -> str:
+    """Each method on each kind of clip, means over the seeds."""
+    keys = ["RMSE", "wrong %", "wrong marked %", "good marked %", "seconds"]
+    rows = []
+    for clip in _distinct(results["rows"], "clip"):
+        for method in _distinct(results["rows"], "method"):
+            cells: list[Any] = [clip, method]
+            for key in keys:
+                values = [
+                    row[key]
+                    for row in results["rows"]
+                    if (row["clip"], row["method"]) == (clip, method) and row[key] == row[key]
+                ]
+                cells.append(fmean(values) if values else None)
+            rows.append(cells)
+    return write_table(["clip", "method", *keys], rows)
+
+
+def write_stability(results: Row) -> str:
+    """Methods side by side, then each kind of hardship."""
+    return write_rows(results["methods"]) + "\n\n" + write_rows(results["rows"])
+
+
 SOURCES = {"robustness": "registration", "length": "pipeline"}
 TABLES: dict[str, Callable[[Row], str]] = {
     "registration": write_registration,
@@ -129,6 +152,8 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "pipeline": write_pipeline,
     "length": lambda results: write_rows(results["lengths"]),
     "birdview": write_birdview,
+    "background_queues": write_queues,
+    "stability": write_stability,
 }
 
 
