@@ -31,14 +31,18 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
-    """Yield temporary paths whose files replace `paths`, of one folder, like `atomic_write`.
+    """Yield temporary paths whose files replace `paths`, like `atomic_write`.
 
     The other files are removed before the first one is replaced, so that a kill in between never
     leaves a new first file beside old ones.
     """
     targets = [Path(path).resolve() if Path(path).is_symlink() else Path(path) for path in paths]
-    with _make_temporary_folder(targets[0].parent) as folder:
-        temporary = [folder / path.name for path in targets]
+    with ExitStack() as stack:
+        folders = {
+            parent: stack.enter_context(_make_temporary_folder(parent))
+            for parent in dict.fromkeys(path.parent for path in targets)
+        }
+        temporary = [folders[path.parent] / path.name for path in targets]
         yield temporary
         for file in temporary:
             _flush(file)

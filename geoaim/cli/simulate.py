@@ -104,6 +104,7 @@ def simulate(
     Example: geoaim simulate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     --lights samples/lights.csv -o simulated.csv
     """
+    from geoaim.files import atomic_files
     from geoaim.hdmap.drivable import read_drivable_area
     from geoaim.simulation.episodes import simulate_scene
     from geoaim.simulation.road_rules import make_road_rules
@@ -125,9 +126,10 @@ def simulate(
         episode = simulate_scene(
             scene, policy, ego=ego, start=start, duration=duration, rules=rules
         )
-        write_tracks(make_tracks(episode.scene, world), output)
-        if video is not None and ego is not None:
-            _write_video(episode.scene, ego, video, progress)
+        with atomic_files(output, *([] if video is None else [video])) as parts:
+            write_tracks(make_tracks(episode.scene, world), parts[0])
+            if video is not None and ego is not None:
+                _write_video(episode.scene, ego, parts[1], progress)
     rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
     count = int(episode.controlled.sum())
     console.print(f"{output}: {count} agents by {policy}. {rates or 'no violation can be counted'}")

@@ -53,11 +53,17 @@ def case(request, tmp_path_factory):
     return make_case(request.param, tmp_path_factory.mktemp("case"))
 
 
+@pytest.fixture(scope="module")
+def training(tmp_path_factory):
+    return make_case("train", tmp_path_factory.mktemp("training"))
+
+
 def read_after_next_run(folder: Path) -> dict[str, bytes]:
     """Read the files of a folder into which another run has written since, which leaves no rest."""
-    write_next(folder)
-    (folder / "next.txt").unlink()
-    assert not list(folder.glob(f"{TEMPORARY}*"))
+    for place in (folder, *(path for path in folder.glob("[!.]*") if path.is_dir())):
+        write_next(place)
+        (place / "next.txt").unlink()
+        assert not list(place.glob(f"{TEMPORARY}*"))
     return read_files(folder)
 
 
@@ -89,8 +95,8 @@ def test_full_disk_leaves_the_old_files_and_ends_in_a_line(case, tmp_path):
         assert read_after_next_run(folder) == read_files(case.old), limit
 
 
-def test_interrupted_training_ends_the_same_when_it_is_called_again(tmp_path):
-    case, seen = make_case("train", tmp_path), []
+def test_interrupted_training_ends_the_same_when_it_is_called_again(training, tmp_path):
+    case, seen = training, []
     for step in range(1, case.changes + 1):
         target = tmp_path / "folders" / str(step) / "out"
         target.parent.mkdir(parents=True)
@@ -107,11 +113,28 @@ def test_interrupted_training_ends_the_same_when_it_is_called_again(tmp_path):
         assert read_files(target.parent) == case.new, step
 
 
-def test_stopped_training_says_what_is_kept(tmp_path):
-    (tmp_path / "a").mkdir()
-    case = make_case("train", tmp_path / "a")
+def test_stopped_training_says_what_is_kept(training, tmp_path):
     for step, kept in ((3, "no checkpoint yet"), (24, "goes on after step 1")):
         (tmp_path / str(step)).mkdir()
-        outcome = run_interrupted(case.write, tmp_path / str(step) / "out", step, how="stop")
+        outcome = run_interrupted(training.write, tmp_path / str(step) / "out", step, how="stop")
         assert outcome.exit_code == 130
         assert kept in " ".join(outcome.printed.split())
+
+
+def test_training_on_a_full_disk_ends_in_a_line(training, tmp_path):
+    size = max(map(len, training.new.values()))
+    for limit in (0, size // 2, size - 1):
+        folder = tmp_path / str(limit)
+        folder.mkdir()
+        check_outcome(run_interrupted(training.write, folder / "out", limit, how="full"), "full")
+        assert read_after_next_run(folder) == {}
+
+
+def test_training_from_a_damaged_checkpoint_ends_in_a_line_and_replaces_nothing(training, tmp_path):
+    whole = training.new["checkpoint.pt"]
+    middle, last = len(whole) // 2, len(whole) - 1
+    changed = [whole[:k] + bytes([whole[k] ^ 4]) + whole[k + 1 :] for k in (0, middle, last)]
+    for content in (b"", whole[:middle], *changed):
+        (tmp_path / "checkpoint.pt").write_bytes(content)
+        check_outcome(run_interrupted(training.write, tmp_path / "out", None, how="error"), "full")
+        assert read_files(tmp_path) == {"checkpoint.pt": content}

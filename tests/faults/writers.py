@@ -3,6 +3,7 @@
 Each takes the folder of its inputs (see `write_inputs`) and the path to write, without a suffix.
 """
 
+import gc
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -24,7 +25,9 @@ from geoaim.files import write_figure
 from geoaim.imagery.alignment import pipeline as alignment
 from geoaim.mapping import pipeline as mapping
 from geoaim.mapping import texture
+from geoaim.mapping.georeference import reference_telemetry
 from geoaim.mapping.registration import register
+from geoaim.mapping.video import video
 from geoaim.prediction import dataset, pictures, predict, report, training
 from geoaim.prediction.checkpoints import write_model
 from geoaim.simulation import episodes
@@ -34,6 +37,7 @@ from tests.prediction.tiny import TINY, drive, hill
 
 cv2.setNumThreads(1)  # threads do not survive a fork
 torch.set_num_threads(1)
+gc.freeze()  # forks share the memory of what is imported
 PRELOADED = torch._dynamo, encode, raster_files, texture, pictures, predict, report, episodes
 STEPS = 2  # of the training
 
@@ -55,8 +59,12 @@ def write_inputs(folder: Path, version: int) -> None:
 
 
 def build(inputs: Path, target: Path) -> None:
-    with patch.object(mapping, "build_aim", lambda *_, **__: read_aim(inputs / "aim.tif")):
-        cli.build(str(seeds.SAMPLES / "hover.mp4"), target.with_suffix(".tif"))
+    with (
+        patch.object(mapping, "build_aim", lambda *_, **__: read_aim(inputs / "aim.tif")),
+        patch.object(video, "open_video"),
+        patch.object(reference_telemetry, "override_telemetry"),
+    ):
+        cli.build("video.mp4", target.with_suffix(".tif"))
 
 
 def align(inputs: Path, target: Path) -> None:
@@ -89,6 +97,12 @@ def render(inputs: Path, target: Path) -> None:
 
 def simulate(inputs: Path, target: Path) -> None:
     cli.simulate(inputs / "aim.tif", inputs / "tracks.csv", target, duration=0.8)
+
+
+def film_simulation(inputs: Path, target: Path) -> None:
+    files = inputs / "aim.tif", inputs / "tracks.csv", target
+    with patch.object(sys.modules["geoaim.cli.simulate"], "VIDEO_SIZE_PX", 32):
+        cli.simulate(*files, ego="1", duration=0.8, video=target.parent / "films" / "out.mp4")
 
 
 def predict_agents(inputs: Path, target: Path) -> None:
@@ -145,6 +159,7 @@ WRITERS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
     "render, video": (render, ".mp4"),
     "simulate": (simulate, ".csv"),
     "simulate, Parquet": (simulate, ".parquet"),
+    "simulate, video": (film_simulation, ".csv"),
     "predict": (predict_agents, ".csv"),
     "predict, picture": (predict_agents, ".png"),
     "train": (train, ".pt"),
