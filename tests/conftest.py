@@ -19,6 +19,21 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
+@pytest.fixture
+def decoded_packets(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """The packets of videos that are decoded from now on."""
+    from geoaim.mapping.video import decoding
+
+    decoded: list[object] = []
+    original = decoding._decode
+
+    def note(codec: object, packets: Iterator[object]) -> Iterator[object]:
+        return original(codec, (decoded.append(packet) or packet for packet in packets))
+
+    monkeypatch.setattr(decoding, "_decode", note)
+    return decoded
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of real data; a test that asks for it is skipped where there is none."""

@@ -2,7 +2,6 @@
 
 import http.server
 import shutil
-import threading
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,6 +19,7 @@ from geoaim.mapping.video.video import open_video
 from geoaim.world import parse_crs
 from tests.faults.readers import READERS
 from tests.faults.seeds import WORLD, make_aim, write_seeds
+from tests.http_servers import run_servers
 
 SECRET = 77  # of all pixels of the canary
 
@@ -43,19 +43,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
 @pytest.fixture
 def serve():
     """Start servers that note requests, and answer that there is nothing or redirect."""
-    servers = []
-
-    def start(redirect: str | None = None):
-        server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        server.requests, server.redirect, server.daemon_threads = [], redirect, True
-        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
-        servers.append(server)
-        return server, f"http://127.0.0.1:{server.server_port}"
-
-    yield start
-    for server in servers:
-        server.shutdown()
-        server.server_close()
+    with run_servers(Handler) as start:
+        yield lambda redirect=None: start(requests=[], redirect=redirect)
 
 
 @pytest.fixture

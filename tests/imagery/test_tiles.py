@@ -1,6 +1,5 @@
 import contextlib
 import http.server
-import threading
 import time
 from collections import Counter
 
@@ -13,6 +12,7 @@ from geoaim.geometry import transform_points
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Tiles
 from geoaim.world import choose_world, transform_crs, world_from_crs
+from tests.http_servers import run_servers
 from tests.imagery.painted_ground import (
     AREA,
     BOX,
@@ -123,19 +123,13 @@ class Handler(http.server.BaseHTTPRequestHandler):
 @pytest.fixture
 def service():
     """Start a tile server that answers a path, and how often it was asked, as a function says."""
-    running = []
+    with run_servers(Handler) as start:
 
-    def start(answer):
-        server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        server.answer, server.seen, server.daemon_threads = answer, Counter(), True
-        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
-        running.append(server)
-        return server, f"http://127.0.0.1:{server.server_port}/{{z}}/{{x}}/{{y}}.png"
+        def serve(answer):
+            server, address = start(answer=answer, seen=Counter())
+            return server, f"{address}/{{z}}/{{x}}/{{y}}.png"
 
-    yield start
-    for server in running:
-        server.shutdown()
-        server.server_close()
+        yield serve
 
 
 def numbers(path: str) -> tuple[int, int, int]:
