@@ -17,7 +17,7 @@ from geoaim.bench.stability.judge import (
     VERDICTS,
     compare_methods,
     count_silent,
-    measure_refused,
+    measure_refusals,
     summarise,
 )
 from geoaim.files import atomic_write
@@ -63,7 +63,7 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
         "",
         f"{silent['frames']} frames, {silent['valid']} valid; silent failures: {silent['silent']} "
         f"({silent['share']:.2%}), of these {silent['far']} over 10 px; right frames refused "
-        f"below the best rival's breakpoint: {measure_refused(frames):.2%}",
+        f"below the best rival's breakpoint: {measure_refusals(frames):.2%}",
     ]
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
@@ -145,7 +145,8 @@ def main(
             "machine": describe_machine(),
             "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
             "methods": compare_methods(frames),
-            "totals": count_silent(frames) | {"refused_though_easy": measure_refused(frames)},
+            "totals": count_silent(frames)
+            | {"refused_below_best_breakpoint": measure_refusals(frames)},
             "rows": summarise(frames).to_dict("records"),
         }
         write_json(content, json)

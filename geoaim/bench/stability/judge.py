@@ -154,7 +154,7 @@ def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def measure_refused(frames: pd.DataFrame) -> float:
+def measure_refusals(frames: pd.DataFrame) -> float:
     """Share of refused frames at levels up to the best rival's breakpoint; NaN without rivals."""
     refused = []
     for _, of_kind in frames.groupby("kind"):
