@@ -25,23 +25,14 @@ PATTERN = re.compile(MARK + rb"(\d{12}):([0-9a-f]{8}):([0-9a-f]{8}):([0-9a-f]{64
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A file format of geoaim, with the versions that can be read.
+    """A file format of geoaim, with the versions that can be read."""
 
-    Attributes:
-        name: what messages call it.
-        oldest: version of the oldest files that are read.
-        newest: version of the files that are written.
-        first_checked: version since which files have a checksum.
-        error: raised for a file that is damaged or of another version.
-        editable: whether a file that another program rewrote is accepted.
-    """
-
-    name: str
-    oldest: int
-    newest: int
-    first_checked: int
-    error: type[GeoaimError]
-    editable: bool = False
+    name: str  # what messages call it
+    oldest: int  # version of the oldest files that are read
+    newest: int  # version of the files that are written
+    first_checked: int  # version since which files have a checksum
+    error: type[GeoaimError]  # raised for a file that is damaged or of another version
+    editable: bool = False  # whether a file that another program rewrote is accepted
 
 
 def write_checksum(path: Path) -> None:

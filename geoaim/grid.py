@@ -16,17 +16,11 @@ EDGE_TOLERANCE_PX = 1e-6  # an outline that ends on a grid line adds no row or c
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The pixels of a raster on a plane.
+    """The pixels of a raster on a plane."""
 
-    Attributes:
-        shape: (height, width) in pixels.
-        world_from_grid: (3, 3) pixels (corner origin, u right, v down) to coordinates.
-        world: the plane of the coordinates; None where the grid's owner names it.
-    """
-
-    shape: tuple[int, int]
-    world_from_grid: Float[Array, "3 3"]
-    world: World | None = None
+    shape: tuple[int, int]  # (height, width) in pixels
+    world_from_grid: Float[Array, "3 3"]  # pixels (corner origin, u right, v down) to coordinates
+    world: World | None = None  # the plane of the coordinates; None where the grid's owner names it
 
     @property
     def height(self) -> int:

@@ -64,6 +64,12 @@ def test_site_has_no_placeholder_left(site: Path) -> None:
     assert left == []
 
 
+def test_comments_beside_fields_are_attributes_on_the_page(site: Path) -> None:
+    page = (site / "reference" / "geoaim.prediction.html").read_text("utf-8")
+    assert "the highest one, of one cycle (Smith 2018)" in page  # beside a field of TrainConfig
+    assert "share of the steps in which that weight rises from zero" in page  # above a field
+
+
 def test_each_command_has_a_guide_with_its_options(site: Path, hooks: ModuleType) -> None:
     for command in hooks.list_commands():
         page = (site / "guides" / f"{command}.html").read_text("utf-8")

@@ -31,47 +31,29 @@ Ways = Mapping[str | None, "MapLine"]  # by the id in the file
 
 @dataclass(frozen=True, eq=False)
 class MapLine:
-    """A line of the map.
+    """A line of the map."""
 
-    Attributes:
-        kind: lanelet2's type: "line_thin", "curbstone", "stop_line", ...
-        subtype: lanelet2's subtype: "solid", "dashed", ...
-        points: (N, 2) metres in the world.
-    """
-
-    kind: str
-    subtype: str
-    points: Float[Array, "n 2"]
+    kind: str  # lanelet2's type: "line_thin", "curbstone", "stop_line", ...
+    subtype: str  # lanelet2's subtype: "solid", "dashed", ...
+    points: Float[Array, "n 2"]  # metres in the world
 
 
 @dataclass(frozen=True, eq=False)
 class Lanelet:
-    """A section of a lane between two borders, whose points follow the direction of travel.
+    """A section of a lane between two borders, whose points follow the direction of travel."""
 
-    Attributes:
-        subtype: "road", "crosswalk", "walkway", "bicycle_lane", ...; "road" if the file has none.
-        one_way: whether traffic may go in one direction only.
-        left: (N, 2) points of its left border, metres in the world.
-        right: (M, 2) points of its right border.
-    """
-
-    subtype: str
-    one_way: bool
-    left: Float[Array, "n 2"]
-    right: Float[Array, "m 2"]
+    subtype: str  # "road", "crosswalk", "walkway", "bicycle_lane", ...; "road" if the file has none
+    one_way: bool  # whether traffic may go in one direction only
+    left: Float[Array, "n 2"]  # points of its left border, metres in the world
+    right: Float[Array, "m 2"]  # points of its right border
 
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """An area of the map.
+    """An area of the map."""
 
-    Attributes:
-        subtype: "parking", for instance.
-        shape: polygons without their holes, metres in the world.
-    """
-
-    subtype: str
-    shape: BaseGeometry
+    subtype: str  # "parking", for instance
+    shape: BaseGeometry  # polygons without their holes, metres in the world
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,23 +31,14 @@ Outline = tuple[str, Float[Array, "m 2"]]  # a CRS, and points along an outline 
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """A raster and where it lies.
+    """A raster and where it lies."""
 
-    Attributes:
-        path: its file.
-        crs: CRS of its coordinates.
-        grid: its pixels, mapped to coordinates in that CRS, x first.
-        bands: number of the grey band, or of the red, green and blue ones, from 1.
-        dtype: data type of these bands.
-        options: of GDAL's driver.
-    """
-
-    path: str
-    crs: str
-    grid: Grid
-    bands: tuple[int, ...]
-    dtype: str
-    options: Mapping[str, int] = field(default_factory=dict)
+    path: str  # its file
+    crs: str  # CRS of its coordinates
+    grid: Grid  # its pixels, mapped to coordinates in that CRS, x first
+    bands: tuple[int, ...]  # number of the grey band, or of the red, green and blue ones, from 1
+    dtype: str  # data type of these bands
+    options: Mapping[str, int] = field(default_factory=dict)  # of GDAL's driver
 
 
 def describe_raster(
@@ -207,15 +198,10 @@ def _read_world_file(path: Path) -> Affine | None:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """The region that imagery is wanted for.
+    """The region that imagery is wanted for."""
 
-    Attributes:
-        world: plane of the wanted image.
-        points: (M, 2) points spread over the region, world metres.
-    """
-
-    world: World
-    points: Float[Array, "m 2"]
+    world: World  # plane of the wanted image
+    points: Float[Array, "m 2"]  # points spread over the region, world metres
 
     def to_crs(self, crs: str) -> Float[Array, "m 2"]:
         """The points in a CRS, x first."""

@@ -31,27 +31,20 @@ FLAT = re.compile("(?:^|[^0-9])" + NUMBERS.format("-"), re.IGNORECASE)  # NAME-x
 
 @dataclass(frozen=True)
 class Tiles:
-    """Square tiles in web Mercator (EPSG:3857), and how to read them.
+    """Square tiles in web Mercator (EPSG:3857), and how to read them."""
 
-    Attributes:
-        path: a folder of `z/x/y.png` or `NAME-x-y-z.png` (or jpg, jpeg, webp), an MBTiles file,
-            or a service's address with {z}, {x} and {y}.
-        zoom: level to read; when None, the coarsest that is not coarser than the wanted
-            resolution, or else the finest that exists.
-        tms: whether y counts from the south, as in the Tile Map Service scheme.
-        tile_size: of a service, pixels.
-        cache: folder in which a service's tiles are kept for 30 days.
-        timeout: of a service, seconds.
-        retries: how often a failed read of a service is repeated.
-    """
-
+    # a folder of `z/x/y.png` or `NAME-x-y-z.png` (or jpg, jpeg, webp), an MBTiles file, or a
+    # service's address with {z}, {x} and {y}
     path: str | os.PathLike[str]
+    # level to read; when None, the coarsest that is not coarser than the wanted resolution, or else
+    # the finest that exists
     zoom: int | None = None
-    tms: bool = False
-    tile_size: int = 256
+    tms: bool = False  # whether y counts from the south, as in the Tile Map Service scheme
+    tile_size: int = 256  # of a service, pixels
+    # folder in which a service's tiles are kept for 30 days
     cache: str | os.PathLike[str] = "~/.cache/geoaim/tiles"
-    timeout: int = 20
-    retries: int = 2
+    timeout: int = 20  # of a service, seconds
+    retries: int = 2  # how often a failed read of a service is repeated
 
 
 Source = str | os.PathLike[str] | Tiles
@@ -61,22 +54,14 @@ Describer = Callable[[str, Georeference | None], Raster]
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """The rasters of one source.
+    """The rasters of one source."""
 
-    Attributes:
-        name: of the source in messages and reports.
-        rasters: all of them, or the tiles that show the region.
-        outlines: of all that the source has, wherever it lies.
-        zoom: of tiles.
-        single: whether it is one file or service, which must be readable.
-        unreadable: names of those of many files that were left out with a warning.
-    """
-
-    name: str
-    rasters: tuple[Raster, ...]
-    outlines: tuple[Outline, ...]
-    zoom: int | None = None
-    single: bool = False
+    name: str  # of the source in messages and reports
+    rasters: tuple[Raster, ...]  # all of them, or the tiles that show the region
+    outlines: tuple[Outline, ...]  # of all that the source has, wherever it lies
+    zoom: int | None = None  # of tiles
+    single: bool = False  # whether it is one file or service, which must be readable
+    # names of those of many files that were left out with a warning
     unreadable: tuple[str, ...] = ()
 
 

@@ -27,23 +27,14 @@ TILE_DRIVERS = ("PNG", "JPEG", "WEBP")
 
 @dataclass(frozen=True)
 class Service:
-    """A tile service.
+    """A tile service."""
 
-    Attributes:
-        address: with {z}, {x} and {y}, or {-y} where y counts from the south.
-        name: used in messages; without access keys.
-        tile_size: pixels.
-        cache: folder.
-        timeout: seconds.
-        retries: how often a failed request is repeated.
-    """
-
-    address: str
-    name: str
-    tile_size: int
-    cache: Path
-    timeout: int
-    retries: int
+    address: str  # with {z}, {x} and {y}, or {-y} where y counts from the south
+    name: str  # used in messages; without access keys
+    tile_size: int  # pixels
+    cache: Path  # folder
+    timeout: int  # seconds
+    retries: int  # how often a failed request is repeated
 
 
 class _SameHost(urllib.request.HTTPRedirectHandler):

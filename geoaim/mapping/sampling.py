@@ -29,24 +29,18 @@ MAX_BANDS = 12
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """A choice of frames, and how they are averaged.
+    """A choice of frames, and how they are averaged."""
 
-    Attributes:
-        read: returns a new iterator over batches; each batch yields frames in order of time.
-        frame_count: maximum number of frames that `read` yields; None when it is unknown.
-        tolerance: change at which the background has converged, grey levels; 0 reads all frames.
-        bands: n horizontal bands of the image: each pixel averages every n-th frame, which takes n
-            times less work per frame.
-        plain_mean: whether the mean includes traffic that no detections mask.
-        fits_memory: whether the frames may be kept, so that they are decoded once.
-    """
-
+    # returns a new iterator over batches; each batch yields frames in order of time
     read: Callable[[], Iterator[Iterator[Frame]]]
-    frame_count: int | None
+    frame_count: int | None  # maximum number of frames that `read` yields; None when it is unknown
+    # change at which the background has converged, grey levels; 0 reads all frames
     tolerance: float = 0.0
+    # n horizontal bands of the image: each pixel averages every n-th frame, which takes n times
+    # less work per frame
     bands: int = 1
-    plain_mean: bool = False
-    fits_memory: bool = False
+    plain_mean: bool = False  # whether the mean includes traffic that no detections mask
+    fits_memory: bool = False  # whether the frames may be kept, so that they are decoded once
 
 
 def sample_video(video: Video, frames: FrameCount) -> Sampling:

@@ -22,34 +22,21 @@ from geoaim.simulation.ground import Ground
 
 @dataclass(frozen=True)
 class Process:
-    """One of the processes that `torchrun` starts.
+    """One of the processes that `torchrun` starts."""
 
-    Attributes:
-        rank: its number.
-        world_size: how many there are.
-        device: the device that it trains on.
-    """
-
-    rank: int
-    world_size: int
-    device: torch.device
+    rank: int  # its number
+    world_size: int  # how many there are
+    device: torch.device  # the device that it trains on
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What a training step needs, in the order of `ITRA.forward`.
+    """What a training step needs, in the order of `ITRA.forward`."""
 
-    Attributes:
-        segments: the batch, or a process's share of it, augmented.
-        ground: the map, augmented.
-        history: observed steps.
-        generator: source of the model's noise.
-    """
-
-    segments: Segments
-    ground: Ground
-    history: int
-    generator: torch.Generator
+    segments: Segments  # the batch, or a process's share of it, augmented
+    ground: Ground  # the map, augmented
+    history: int  # observed steps
+    generator: torch.Generator  # source of the model's noise
 
 
 @contextmanager

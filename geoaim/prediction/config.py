@@ -12,51 +12,33 @@ SEGMENT_STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps from one segment's s
 
 @dataclass(frozen=True)
 class Config:
-    """Hyperparameters of an ITRA model.
+    """Hyperparameters of an ITRA model."""
 
-    Attributes:
-        kind: agents that the model controls, "vehicle" or "pedestrian".
-        motion: kinematic model: "bicycle", "unicycle", or "slide" for tracks of positions without
-            measured headings.
-        dt: time between steps, s.
-        use_observations: whether the model gets rendered views; without them it knows the agent's
-            own motion and size only.
-        view_size: side of a view, pixels.
-        resolution: metres per pixel of a view.
-        surface_contrast: whether views have a channel of the colour distance to the ground under
-            the agent.
-        light_width: width of a light's bar on its stop line, metres.
-        view_stride: encode a view every `view_stride` steps and reuse its features in between; 1
-            as in the paper.
-        hidden_size: width of the GRU's hidden state.
-        feature_size: width of an encoded view.
-        latent_size: width of the latent z.
-        sigma: standard deviation of states in the likelihood, metres.
-        heading_scale: metres that a radian counts in the likelihood: half an agent's length.
-        num_anchors: trajectory proposals; 0 as in the paper.
-        anchor_points: points of a proposal, evenly spaced in time, the last one at its end.
-        history: observed steps that proposals need; 0 without proposals.
-        horizon: predicted steps that proposals cover; 0 without proposals.
-    """
-
-    kind: str
+    kind: str  # agents that the model controls, "vehicle" or "pedestrian"
+    # kinematic model: "bicycle", "unicycle", or "slide" for tracks of positions without measured
+    # headings
     motion: str
-    dt: float
+    dt: float  # time between steps, s
+    # whether the model gets rendered views; without them it knows the agent's own motion and size
+    # only
     use_observations: bool = True
-    view_size: int = 64
-    resolution: float = 0.8
+    view_size: int = 64  # side of a view, pixels
+    resolution: float = 0.8  # metres per pixel of a view
+    # whether views have a channel of the colour distance to the ground under the agent
     surface_contrast: bool = False
-    light_width: float = LIGHT_BAR_WIDTH_M
+    light_width: float = LIGHT_BAR_WIDTH_M  # width of a light's bar on its stop line, metres
+    # encode a view every `view_stride` steps and reuse its features in between; 1 as in the paper
     view_stride: int = 5
-    hidden_size: int = 128
-    feature_size: int = 96
-    latent_size: int = 8
-    sigma: float = 0.2
+    hidden_size: int = 128  # width of the GRU's hidden state
+    feature_size: int = 96  # width of an encoded view
+    latent_size: int = 8  # width of the latent z
+    sigma: float = 0.2  # standard deviation of states in the likelihood, metres
+    # metres that a radian counts in the likelihood: half an agent's length
     heading_scale: float = 2.0
-    num_anchors: int = 0
-    anchor_points: int = 3
-    history: int = 0
-    horizon: int = 0
+    num_anchors: int = 0  # trajectory proposals; 0 as in the paper
+    anchor_points: int = 3  # points of a proposal, evenly spaced in time, the last one at its end
+    history: int = 0  # observed steps that proposals need; 0 without proposals
+    horizon: int = 0  # predicted steps that proposals cover; 0 without proposals
 
     @property
     def view(self) -> ObservationView:
@@ -90,40 +72,30 @@ DEFAULT_CONFIGS = {
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Hyperparameters of a training.
+    """Hyperparameters of a training."""
 
-    Attributes:
-        steps: of the optimiser.
-        batch_size: segments of a step, of all processes together.
-        learning_rate: the highest one, of one cycle (Smith 2018).
-        kl_weight: weight of the KL term after its warm-up. 1 is the evidence lower bound; a larger
-            weight leaves less information in latents, and models rely more on the observation.
-        kl_warmup: share of the steps in which that weight rises from zero, so that latents come to
-            be used (Bowman et al. 2016).
-        history: least and most observed steps, drawn for each batch.
-        anchor_annealing: share of the steps over which ever fewer proposals of each agent are
-            trained, all at first and one in the end; 0: one from the start.
-        mirror: whether half of the batches are mirrored; not for agents that keep to one side.
-        scale_jitter: largest share by which a batch is scaled up or down.
-        colour_jitter: largest share by which a batch's map is made brighter or darker, by channel.
-        seed: of all noise.
-        checkpoint_interval: steps from one checkpoint to the next.
-        log_start: whether the log begins with minADE before the first step.
-    """
-
-    steps: int
-    batch_size: int = 64
-    learning_rate: float = 2e-3
+    steps: int  # of the optimiser
+    batch_size: int = 64  # segments of a step, of all processes together
+    learning_rate: float = 2e-3  # the highest one, of one cycle (Smith 2018)
+    # weight of the KL term after its warm-up. 1 is the evidence lower bound; a larger weight leaves
+    # less information in latents, and models rely more on the observation
     kl_weight: float = 3.0
+    # share of the steps in which that weight rises from zero, so that latents come to be used
+    # (Bowman et al. 2016)
     kl_warmup: float = 0.3
+    # least and most observed steps, drawn for each batch
     history: tuple[int, int] = (1, MAX_HISTORY_STEPS)
+    # share of the steps over which ever fewer proposals of each agent are trained, all at first and
+    # one in the end; 0: one from the start
     anchor_annealing: float = 0.8
+    # whether half of the batches are mirrored; not for agents that keep to one side
     mirror: bool = False
-    scale_jitter: float = 0.0
+    scale_jitter: float = 0.0  # largest share by which a batch is scaled up or down
+    # largest share by which a batch's map is made brighter or darker, by channel
     colour_jitter: float = 0.0
-    seed: int = 0
-    checkpoint_interval: int = 250
-    log_start: bool = False
+    seed: int = 0  # of all noise
+    checkpoint_interval: int = 250  # steps from one checkpoint to the next
+    log_start: bool = False  # whether the log begins with minADE before the first step
 
 
 def configure_training(kind: str, *, steps: int, batch_size: int, seed: int = 0) -> TrainConfig:

@@ -18,17 +18,11 @@ VAL_FRACTION = 0.05  # share of each recording, at its end, as in the paper
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Training and validation segments on one ground.
+    """Training and validation segments on one ground."""
 
-    Attributes:
-        train: segments to train on.
-        val: segments to validate with.
-        ground: the map of all segments.
-    """
-
-    train: Segments
-    val: Segments
-    ground: Ground
+    train: Segments  # segments to train on
+    val: Segments  # segments to validate with
+    ground: Ground  # the map of all segments
 
 
 def make_dataset(

@@ -18,18 +18,12 @@ from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
 @dataclass(frozen=True)
 class EvalConfig:
-    """Options of an evaluation.
+    """Options of an evaluation."""
 
-    Attributes:
-        history: observed steps.
-        samples: futures of each segment.
-        seed: of the noise.
-        show_lights: whether predictors get the lights' states; infractions are counted anyway.
-    """
-
-    history: int
-    samples: int
-    seed: int = 0
+    history: int  # observed steps
+    samples: int  # futures of each segment
+    seed: int = 0  # of the noise
+    # whether predictors get the lights' states; infractions are counted anyway
     show_lights: bool = True
 
 

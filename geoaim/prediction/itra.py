@@ -58,34 +58,22 @@ ChooseAnchor = Callable[[Float[Tensor, "E 4"], Float[Tensor, "E F"]], Float[Tens
 
 @dataclass(frozen=True, eq=False)
 class Losses:
-    """Means over controlled agents and predicted steps.
+    """Means over controlled agents and predicted steps."""
 
-    Attributes:
-        nll: negative log-likelihood of the ground-truth states, without its constant.
-        kl: Kullback-Leibler divergence of the posterior from the prior, nats.
-        anchor: `compute_anchor_loss` of the proposals, metres; 0 without proposals.
-    """
-
+    # negative log-likelihood of the ground-truth states, without its constant
     nll: Float[Tensor, ""]
-    kl: Float[Tensor, ""]
-    anchor: Float[Tensor, ""]
+    kl: Float[Tensor, ""]  # Kullback-Leibler divergence of the posterior from the prior, nats
+    anchor: Float[Tensor, ""]  # `compute_anchor_loss` of the proposals, metres; 0 without proposals
 
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
-    """Segments with the index of their controlled agents.
+    """Segments with the index of their controlled agents."""
 
-    Attributes:
-        segments: states of all agents.
-        ground: the map.
-        controlled: index of the E controlled agents.
-        history: observed steps.
-    """
-
-    segments: Segments
-    ground: Ground
-    controlled: Controlled
-    history: int
+    segments: Segments  # states of all agents
+    ground: Ground  # the map
+    controlled: Controlled  # index of the E controlled agents
+    history: int  # observed steps
 
     @property
     def truth(self) -> Float[Tensor, "E T 4"]:

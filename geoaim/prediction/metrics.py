@@ -27,15 +27,10 @@ CONFIDENCE = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Metric:
-    """A quantity that is averaged over agents, samples or steps of B segments.
+    """A quantity that is averaged over agents, samples or steps of B segments."""
 
-    Attributes:
-        sums: (B,) sum over each segment.
-        counts: (B,) number of summands in each segment.
-    """
-
-    sums: Float[Array, "B"]
-    counts: Float[Array, "B"]
+    sums: Float[Array, "B"]  # sum over each segment
+    counts: Float[Array, "B"]  # number of summands in each segment
 
     @property
     def mean(self) -> float:

@@ -18,26 +18,17 @@ CHANNELS = 7  # ground (3), vehicles, pedestrians, red and yellow lights, green 
 
 @dataclass(frozen=True)
 class ObservationView(View):
-    """The view of an agent.
+    """The view of an agent."""
 
-    Attributes:
-        light_width: width of a light's bar on its stop line, metres.
-    """
-
-    light_width: float = LIGHT_BAR_WIDTH_M
+    light_width: float = LIGHT_BAR_WIDTH_M  # width of a light's bar on its stop line, metres
 
 
 @dataclass(frozen=True, eq=False)
 class Controlled:
-    """Index of the E agents that a model controls.
+    """Index of the E agents that a model controls."""
 
-    Attributes:
-        segment: (E,) row of the segment.
-        agent: (E,) column of the agent in it.
-    """
-
-    segment: Int[Tensor, "E"]
-    agent: Int[Tensor, "E"]
+    segment: Int[Tensor, "E"]  # row of the segment
+    agent: Int[Tensor, "E"]  # column of the agent in it
 
 
 def index_controlled(segments: Segments) -> Controlled:

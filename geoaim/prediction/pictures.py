@@ -31,15 +31,10 @@ MARGIN_M = 15.0  # of a picture around all paths
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A view and where it is.
+    """A view and where it is."""
 
-    Attributes:
-        view: size and resolution.
-        pose: (1, 3) x, y and heading of its centre.
-    """
-
-    view: View
-    pose: Float[Tensor, "1 3"]
+    view: View  # size and resolution
+    pose: Float[Tensor, "1 3"]  # x, y and heading of its centre
 
 
 def draw_futures(

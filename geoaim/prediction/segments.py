@@ -15,27 +15,16 @@ VEHICLE, PEDESTRIAN = 0, 1  # layers of an observation; cyclists are drawn with 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """B pieces of T steps, each with up to N agents and L lights.
+    """B pieces of T steps, each with up to N agents and L lights."""
 
-    Attributes:
-        states: (B, T, N, 4) x, y, heading, speed; 0 while absent.
-        present: (B, T, N) whether the agent is there.
-        sizes: (B, N, 2) length and width, metres; 1 in padding.
-        layers: (B, N) the layer that the agent is drawn in, `VEHICLE` or `PEDESTRIAN`.
-        controlled: (B, N) whether the model controls the agent; others replay.
-        stop_lines: (B, L, 2, 2) both ends of each light's line, metres.
-        light_states: (B, T, L) as in `geoaim.lights`.
-        dt: time between steps, s.
-    """
-
-    states: Float[Tensor, "B T N 4"]
-    present: Bool[Tensor, "B T N"]
-    sizes: Float[Tensor, "B N 2"]
-    layers: Int[Tensor, "B N"]
-    controlled: Bool[Tensor, "B N"]
-    stop_lines: Float[Tensor, "B L 2 2"]
-    light_states: Int[Tensor, "B T L"]
-    dt: float
+    states: Float[Tensor, "B T N 4"]  # x, y, heading, speed; 0 while absent
+    present: Bool[Tensor, "B T N"]  # whether the agent is there
+    sizes: Float[Tensor, "B N 2"]  # length and width, metres; 1 in padding
+    layers: Int[Tensor, "B N"]  # the layer that the agent is drawn in, `VEHICLE` or `PEDESTRIAN`
+    controlled: Bool[Tensor, "B N"]  # whether the model controls the agent; others replay
+    stop_lines: Float[Tensor, "B L 2 2"]  # both ends of each light's line, metres
+    light_states: Int[Tensor, "B T L"]  # as in `geoaim.lights`
+    dt: float  # time between steps, s
 
     def __len__(self) -> int:
         return len(self.states)

@@ -38,35 +38,23 @@ ImageTransform = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows of all scenes in one plane.
+    """Windows of all scenes in one plane."""
 
-    Attributes:
-        segments: each with one pedestrian. No headings are measured: the heading at all steps is
-            that of the last observed displacement.
-        ground: the maps of all scenes.
-        resolutions: (B,) metres per pixel of each window's scene.
-        scenes: the scene of each window.
-    """
-
+    # each with one pedestrian. No headings are measured: the heading at all steps is that of the
+    # last observed displacement
     segments: Segments
-    ground: Ground
-    resolutions: Float[Tensor, "B"]
-    scenes: tuple[str, ...]
+    ground: Ground  # the maps of all scenes
+    resolutions: Float[Tensor, "B"]  # metres per pixel of each window's scene
+    scenes: tuple[str, ...]  # the scene of each window
 
 
 @dataclass(frozen=True)
 class WindowFiles:
-    """The folders and the table that `read_windows` reads.
+    """The folders and the table that `read_windows` reads."""
 
-    Attributes:
-        windows: folder of `<scene>.csv`.
-        images: folder of `<scene>.jpg` or `.png`; None: no map.
-        table: CSV with the resolution of each scene's image.
-    """
-
-    windows: str | os.PathLike[str]
-    images: str | os.PathLike[str] | None
-    table: str | os.PathLike[str]
+    windows: str | os.PathLike[str]  # folder of `<scene>.csv`
+    images: str | os.PathLike[str] | None  # folder of `<scene>.jpg` or `.png`; None: no map
+    table: str | os.PathLike[str]  # CSV with the resolution of each scene's image
 
 
 def read_windows(

@@ -19,20 +19,13 @@ from geoaim.simulation.rasterization import PixelBoxes, project_poses, rasterize
 
 @dataclass(frozen=True, eq=False)
 class OrientedBoxes:
-    """Oriented boxes in B views; later ones are painted over earlier ones.
+    """Oriented boxes in B views; later ones are painted over earlier ones."""
 
-    Attributes:
-        poses: (B, A, 3) x and y of the centre, metres, and heading, radians.
-        sizes: (B, A, 2) or (A, 2) length and width, metres.
-        colours: (B, A, C) or (A, C).
-        present: (B, A); None: all are.
-        heading_colours: (B, A, C) or (A, C) of triangles that show the heading; None: no triangles.
-    """
-
-    poses: Float[Tensor, "B A 3"]
-    sizes: Float[Tensor, "... A 2"]
-    colours: Float[Tensor, "... A C"]
-    present: Bool[Tensor, "B A"] | None = None
+    poses: Float[Tensor, "B A 3"]  # x and y of the centre, metres, and heading, radians
+    sizes: Float[Tensor, "... A 2"]  # (B, A, 2) or (A, 2) length and width, metres
+    colours: Float[Tensor, "... A C"]  # (B, A, C) or (A, C)
+    present: Bool[Tensor, "B A"] | None = None  # (B, A); None: all are
+    # (B, A, C) or (A, C) of triangles that show the heading; None: no triangles
     heading_colours: Float[Tensor, "... A C"] | None = None
 
 

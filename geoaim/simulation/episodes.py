@@ -46,17 +46,12 @@ REVERSING_SPEED_MPS = -0.1
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """A simulated scene.
+    """A simulated scene."""
 
-    Attributes:
-        scene: what happened in the simulation.
-        controlled: (A,) agents that the policy moved.
-        rates: share of the controlled agents' simulated steps with an infraction, by its name;
-            an infraction that could not occur is left out.
-    """
-
-    scene: Scene
-    controlled: Bool[Tensor, "A"]
+    scene: Scene  # what happened in the simulation
+    controlled: Bool[Tensor, "A"]  # agents that the policy moved
+    # share of the controlled agents' simulated steps with an infraction, by its name; an infraction
+    # that could not occur is left out
     rates: Mapping[str, float]
 
 

@@ -16,18 +16,13 @@ GREY = 0.5
 class View:
     """The size of a camera's picture, in which its heading is up.
 
-    Attributes:
-        height: pixels.
-        width: pixels.
-        resolution: metres per pixel.
-
     Raises:
         ValueError: a side or the resolution is not positive.
     """
 
-    height: int
-    width: int
-    resolution: float
+    height: int  # pixels
+    width: int  # pixels
+    resolution: float  # metres per pixel
 
     def __post_init__(self) -> None:
         if self.height < 1 or self.width < 1 or not 0 < self.resolution < math.inf:
@@ -38,17 +33,13 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A texture and its place in the world.
+    """A texture and its place in the world."""
 
-    Attributes:
-        image: (C, H, W) the texture, with a border of one pixel in the colour beyond its edges.
-        coverage: (1, H, W) 1 where the texture shows the ground, 0 where not and in the border.
-        image_from_world: (2, 3) metres to pixels (corner origin).
-    """
-
+    # the texture, with a border of one pixel in the colour beyond its edges
     image: Float[Tensor, "C h w"]
+    # 1 where the texture shows the ground, 0 where not and in the border
     coverage: Float[Tensor, "1 h w"]
-    image_from_world: Float[Tensor, "2 3"]
+    image_from_world: Float[Tensor, "2 3"]  # metres to pixels (corner origin)
 
     @property
     def bounds(self) -> Float[Tensor, "2 2"]:

@@ -20,30 +20,20 @@ WRONG_WAY_ANGLE_RAD = 2.0  # at which a heading differs too much from a lane's d
 
 @dataclass(frozen=True, eq=False)
 class Drivable:
-    """Signed distances from the edge of the drivable area, as a raster.
+    """Signed distances from the edge of the drivable area, as a raster."""
 
-    Attributes:
-        distance: (H, W) metres at the centres of the pixels: positive outside, negative inside.
-        grid_from_world: (2, 3) metres to pixels (corner origin).
-    """
-
+    # metres at the centres of the pixels: positive outside, negative inside
     distance: Float[Tensor, "H W"]
-    grid_from_world: Float[Tensor, "2 3"]
+    grid_from_world: Float[Tensor, "2 3"]  # metres to pixels (corner origin)
 
 
 @dataclass(frozen=True, eq=False)
 class Lanes:
-    """Directions of one-way lanes, sampled at M points along their centre lines.
+    """Directions of one-way lanes, sampled at M points along their centre lines."""
 
-    Attributes:
-        points: (M, 2) metres.
-        directions: (M,) radians.
-        radii: (M,) metres around a point within which an agent is on its lane.
-    """
-
-    points: Float[Tensor, "M 2"]
-    directions: Float[Tensor, "M"]
-    radii: Float[Tensor, "M"]
+    points: Float[Tensor, "M 2"]  # metres
+    directions: Float[Tensor, "M"]  # radians
+    radii: Float[Tensor, "M"]  # metres around a point within which an agent is on its lane
 
 
 def compute_offroad_distance(

@@ -22,19 +22,17 @@ Action = Float[Tensor, "... 2"]
 class MotionModel(NamedTuple):
     """How agents of one kind move.
 
-    Attributes:
-        step: from states (..., 4), actions (..., 2), lengths of the agents (...), metres, and `dt`,
-            seconds, to the next states.
-        inverse: from states, next states, lengths and `dt` to the actions.
-        scale: typical magnitudes of both components of an action, by which networks normalise them.
-
     >>> state = torch.tensor([0.0, 0.0, 0.0, 10.0])
     >>> bicycle.step(state, torch.zeros(2), torch.tensor(4.5), 0.1).tolist()
     [1.0, 0.0, 0.0, 10.0]
     """
 
+    # from states (..., 4), actions (..., 2), lengths of the agents (...), metres, and `dt`,
+    # seconds, to the next states
     step: Callable[[State, Action, Float[Tensor, "..."], float], State]
+    # from states, next states, lengths and `dt` to the actions
     inverse: Callable[[State, State, Float[Tensor, "..."], float], Action]
+    # typical magnitudes of both components of an action, by which networks normalise them
     scale: tuple[float, float]
 
 

@@ -20,40 +20,25 @@ MIN_SLOPE = 1e-6  # avoids divisions by zero
 
 @dataclass(frozen=True, eq=False)
 class PixelBoxes:
-    """The N present boxes of all pictures, in paint order, in pixels.
+    """The N present boxes of all pictures, in paint order, in pixels."""
 
-    Attributes:
-        picture: (N,) index of its picture.
-        centre: (N, 2) column and row, corner origin.
-        axis: (N, 2) unit vector of its heading, right and down.
-        sizes: (N, 2) length and width.
-        colours: (N, C) of the box.
-        triangle_colours: (N, C) of the triangle at its front; the box's own where it has none.
-        has_triangle: (N,).
-    """
-
-    picture: Int[Tensor, "N"]
-    centre: Float[Tensor, "N 2"]
-    axis: Float[Tensor, "N 2"]
-    sizes: Float[Tensor, "N 2"]
-    colours: Float[Tensor, "N C"]
+    picture: Int[Tensor, "N"]  # index of its picture
+    centre: Float[Tensor, "N 2"]  # column and row, corner origin
+    axis: Float[Tensor, "N 2"]  # unit vector of its heading, right and down
+    sizes: Float[Tensor, "N 2"]  # length and width
+    colours: Float[Tensor, "N C"]  # of the box
+    # of the triangle at its front; the box's own where it has none
     triangle_colours: Float[Tensor, "N C"]
     has_triangle: Bool[Tensor, "N"]
 
 
 @dataclass(frozen=True, eq=False)
 class Fragments:
-    """What the boxes contribute to n pixels, in paint order; a pixel may occur several times.
+    """What the boxes contribute to n pixels, in paint order; a pixel may occur several times."""
 
-    Attributes:
-        pixel: (n,) index among the pixels of all pictures.
-        colour: (C, n) multiplied by alpha.
-        alpha: (n,) share of the pixel that the box covers.
-    """
-
-    pixel: Int[Tensor, "n"]
-    colour: Float[Tensor, "C n"]
-    alpha: Float[Tensor, "n"]
+    pixel: Int[Tensor, "n"]  # index among the pixels of all pictures
+    colour: Float[Tensor, "C n"]  # multiplied by alpha
+    alpha: Float[Tensor, "n"]  # share of the pixel that the box covers
 
 
 def project_poses(

@@ -16,15 +16,10 @@ from geoaim.simulation.scene import Scene, check_near_origin, check_touches_map
 
 @dataclass(frozen=True, eq=False)
 class RoadRules:
-    """Drivable area and one-way lanes, by which infractions are found; None where unknown.
+    """Drivable area and one-way lanes, by which infractions are found; None where unknown."""
 
-    Attributes:
-        drivable: distances from the drivable area.
-        lanes: directions of one-way lanes.
-    """
-
-    drivable: Drivable | None = None
-    lanes: Lanes | None = None
+    drivable: Drivable | None = None  # distances from the drivable area
+    lanes: Lanes | None = None  # directions of one-way lanes
 
 
 NO_ROAD_RULES = RoadRules()

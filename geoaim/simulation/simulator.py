@@ -20,21 +20,13 @@ ROUTE_SPACING_M = 1.0  # above the jitter in the recorded positions of waiting a
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """What was recorded in B pieces of a scene, T steps each.
+    """What was recorded in B pieces of a scene, T steps each."""
 
-    Attributes:
-        states: (B, T, A, 4) x, y, heading, speed; 0 while absent.
-        present: (B, T, A).
-        sizes: (B, A, 2) length and width, metres.
-        pedestrian: (B, A) agents that move by the unicycle instead of the bicycle model.
-        dt: time between two steps, seconds.
-    """
-
-    states: Float[Tensor, "B T A 4"]
+    states: Float[Tensor, "B T A 4"]  # x, y, heading, speed; 0 while absent
     present: Bool[Tensor, "B T A"]
-    sizes: Float[Tensor, "B A 2"]
-    pedestrian: Bool[Tensor, "B A"]
-    dt: float
+    sizes: Float[Tensor, "B A 2"]  # length and width, metres
+    pedestrian: Bool[Tensor, "B A"]  # agents that move by the unicycle instead of the bicycle model
+    dt: float  # time between two steps, seconds
 
 
 # from a scenario and the states so far, until the step t, to the actions of all agents

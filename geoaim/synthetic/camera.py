@@ -24,31 +24,18 @@ NOISE_SHIFT = 256  # px, range of the random origin at which each frame crops th
 
 @dataclass(frozen=True)
 class Hover:
-    """Motion and image quality of a hovering camera.
+    """Motion and image quality of a hovering camera."""
 
-    Attributes:
-        count: number of frames.
-        frame_rate: frames per second.
-        drift: mean distance of the image centre from where frame 0 saw it, frame pixels.
-        yaw: standard deviation of the camera's heading, radians.
-        zoom: standard deviation of the scale, relative.
-        perspective: standard deviation of the corners' shift by tilt, frame pixels.
-        vibration: standard deviation of the shift from frame to frame, frame pixels.
-        blur: standard deviation of the lens blur, frame pixels.
-        noise: standard deviation of the sensor noise, grey levels.
-        exposure: standard deviation of the gain over the clip; frame 0 has gain 1.
-    """
-
-    count: int = 120
-    frame_rate: float = 30.0
-    drift: float = 28.0
-    yaw: float = 0.006
-    zoom: float = 0.004
-    perspective: float = 1.5
-    vibration: float = 0.4
-    blur: float = 0.6
-    noise: float = 2.0
-    exposure: float = 0.03
+    count: int = 120  # number of frames
+    frame_rate: float = 30.0  # frames per second
+    drift: float = 28.0  # mean distance of the image centre from where frame 0 saw it, frame pixels
+    yaw: float = 0.006  # standard deviation of the camera's heading, radians
+    zoom: float = 0.004  # standard deviation of the scale, relative
+    perspective: float = 1.5  # standard deviation of the corners' shift by tilt, frame pixels
+    vibration: float = 0.4  # standard deviation of the shift from frame to frame, frame pixels
+    blur: float = 0.6  # standard deviation of the lens blur, frame pixels
+    noise: float = 2.0  # standard deviation of the sensor noise, grey levels
+    exposure: float = 0.03  # standard deviation of the gain over the clip; frame 0 has gain 1
 
 
 @dataclass(frozen=True)

@@ -31,16 +31,12 @@ TRACK_MARGIN_M = 20.0  # around tracks that the map shows
 
 
 class ReadOptions(TypedDict, total=False):
-    """Options of `align_tiles` for reading imagery.
+    """Options of `align_tiles` for reading imagery."""
 
-    Attributes:
-        resolution: metres per pixel; with control points the picture is resampled north up.
-        crs: of imagery, or of control points, that name none.
-        bands: numbers of the grey band, or of the red, green and blue ones, from 1.
-    """
-
+    # metres per pixel; with control points the picture is resampled north up
     resolution: float | None
-    crs: str | None
+    crs: str | None  # of imagery, or of control points, that name none
+    # numbers of the grey band, or of the red, green and blue ones, from 1
     bands: Sequence[int] | None
 
 

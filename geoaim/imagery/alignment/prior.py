@@ -9,18 +9,13 @@ import numpy as np
 class Prior:
     """The largest expected error of the imagery's position.
 
-    Attributes:
-        max_shift: metres.
-        max_rotation: radians.
-        max_scaling: change of scale as a share: 0.05 is 5 %.
-
     Raises:
         ValueError: the shift is not positive, the rotation is beyond pi, or the scaling beyond 0.5.
     """
 
-    max_shift: float = 15.0
-    max_rotation: float = float(np.radians(5))
-    max_scaling: float = 0.05
+    max_shift: float = 15.0  # metres
+    max_rotation: float = float(np.radians(5))  # radians
+    max_scaling: float = 0.05  # change of scale as a share: 0.05 is 5 %
 
     def __post_init__(self) -> None:
         if not (

@@ -26,17 +26,11 @@ MAX_WINDOWS = 300  # on one grid, about
 
 
 class Level(NamedTuple):
-    """A grid of the pyramid.
+    """A grid of the pyramid."""
 
-    Attributes:
-        grid: in the world.
-        reference: (H, W, 2) orientation channels of the AIM on the grid.
-        image: the imagery, smoothed for the grid.
-    """
-
-    grid: Grid
-    reference: Float32[Array, "H W 2"]
-    image: GreyImage
+    grid: Grid  # in the world
+    reference: Float32[Array, "H W 2"]  # orientation channels of the AIM on the grid
+    image: GreyImage  # the imagery, smoothed for the grid
 
     @property
     def side(self) -> int:

@@ -18,20 +18,13 @@ MAX_SIGMA_M = 1.0  # a direction of greater standard deviation counts as undeter
 
 @dataclass(frozen=True, eq=False)
 class ImageryAlignment:
-    """How imagery has to be moved to its true place.
+    """How imagery has to be moved to its true place."""
 
-    Attributes:
-        true_from_stated: (3, 3) metres; stated = by the image's own georeference.
-        model: the simplest motion model that the evidence supports.
-        covariance: (2, 2) of a point of the imagery, square metres.
-        center: (2,) of the ground that the evidence comes from, metres.
-        evidence: numbers that the alignment rests on, for the report.
-    """
-
-    true_from_stated: Float[Array, "3 3"]
-    model: Model
-    covariance: Float[Array, "2 2"]
-    center: Float[Array, "2"]
+    true_from_stated: Float[Array, "3 3"]  # metres; stated = by the image's own georeference
+    model: Model  # the simplest motion model that the evidence supports
+    covariance: Float[Array, "2 2"]  # of a point of the imagery, square metres
+    center: Float[Array, "2"]  # of the ground that the evidence comes from, metres
+    # numbers that the alignment rests on, for the report
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
     @property

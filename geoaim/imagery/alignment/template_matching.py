@@ -29,31 +29,20 @@ MIN_CURVATURE = 1e-4  # of a correlation peak: a flatter one has no position
 
 
 class WindowShifts(NamedTuple):
-    """Where windows of one image were found in another.
+    """Where windows of one image were found in another."""
 
-    Attributes:
-        centers: (M, 2) of the windows, pixels of the grid.
-        shifts: (M, 2) to where they were found, pixels; NaN where the peak has no position.
-        information: (M, 2, 2) sharpness of the peaks: low along a straight edge.
-    """
-
-    centers: Float[Array, "M 2"]
+    centers: Float[Array, "M 2"]  # of the windows, pixels of the grid
+    # to where they were found, pixels; NaN where the peak has no position
     shifts: Float[Array, "M 2"]
-    information: Float[Array, "M 2 2"]
+    information: Float[Array, "M 2 2"]  # sharpness of the peaks: low along a straight edge
 
 
 class GreyImage(NamedTuple):
-    """Grey values of an image, smoothed for grids of one resolution.
+    """Grey values of an image, smoothed for grids of one resolution."""
 
-    Attributes:
-        grey: (H, W) brightness.
-        valid: (H, W) 255 where the image shows ground.
-        image_from_world: (3, 3) metres to pixels.
-    """
-
-    grey: Float32[Array, "H W"]
-    valid: UInt8[Array, "H W"]
-    image_from_world: Float[Array, "3 3"]
+    grey: Float32[Array, "H W"]  # brightness
+    valid: UInt8[Array, "H W"]  # 255 where the image shows ground
+    image_from_world: Float[Array, "3 3"]  # metres to pixels
 
 
 def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:

@@ -19,17 +19,11 @@ MODE_HALF_WIDTH = 0.05  # of the logarithm of a ratio
 
 @dataclass(eq=False)
 class Exposure:
-    """Grey levels above black where frames first showed the points of a grid; filled in place.
+    """Grey levels above black where frames first showed the points of a grid; filled in place."""
 
-    Attributes:
-        spacing: of the grid, pixels of the image.
-        level: (h, w) grey levels, 0 where no frame has shown the point.
-        gain: of the last frame.
-    """
-
-    spacing: int
-    level: Float32[Array, "h w"]
-    gain: float = 1.0
+    spacing: int  # of the grid, pixels of the image
+    level: Float32[Array, "h w"]  # grey levels, 0 where no frame has shown the point
+    gain: float = 1.0  # of the last frame
 
 
 def start_exposure(size: tuple[int, int]) -> Exposure:

@@ -40,44 +40,31 @@ Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its image_from_fra
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """An image of the ground, with the number of frames behind each pixel.
+    """An image of the ground, with the number of frames behind each pixel."""
 
-    Attributes:
-        image: (H, W, 3) RGB at the first frame's exposure; 0 where no frame reaches.
-        coverage: (H, W) number of frames averaged at each pixel; 0 where none shows the ground.
-        contested: (H, W) the ground is in doubt: masked in every frame (the image then shows the
-            mean with traffic, and coverage is 0), or two lasting states were seen.
-        frames_used: frames that were read and averaged.
-        change: grey levels by which the latter half of the frames changed the image: the 99.9 %
-            quantile over blocks of 8 x 8 pixels. NaN where it was not measured.
-        gains: (frames_used,) factors that bring each frame to the exposure of the first.
-    """
-
-    image: UInt8[Array, "H W 3"]
+    image: UInt8[Array, "H W 3"]  # RGB at the first frame's exposure; 0 where no frame reaches
+    # number of frames averaged at each pixel; 0 where none shows the ground
     coverage: UInt16[Array, "H W"]
+    # the ground is in doubt: masked in every frame (the image then shows the mean with traffic, and
+    # coverage is 0), or two lasting states were seen
     contested: Bool[Array, "H W"]
-    frames_used: int
+    frames_used: int  # frames that were read and averaged
+    # grey levels by which the latter half of the frames changed the image: the 99.9 % quantile over
+    # blocks of 8 x 8 pixels. NaN where it was not measured
     change: float
-    gains: Float[Array, "frames_used"]
+    gains: Float[Array, "frames_used"]  # factors that bring each frame to the exposure of the first
 
 
 @dataclass(eq=False)
 class Accumulation:
-    """What frames have added up to so far, and whether further ones would hardly change it.
+    """What frames have added up to so far, and whether further ones would hardly change it."""
 
-    Attributes:
-        size: (height, width) of the image, pixels.
-        tolerance: `change` at which it has converged, grey levels; 0 takes all frames.
-        exposure: of the frames so far.
-        blocks: means of blocks when `change` was last measured.
-        change: as in `Background`.
-    """
-
-    size: tuple[int, int]
-    tolerance: float = 0.0
-    exposure: Exposure = field(init=False)
+    size: tuple[int, int]  # (height, width) of the image, pixels
+    tolerance: float = 0.0  # `change` at which it has converged, grey levels; 0 takes all frames
+    exposure: Exposure = field(init=False)  # of the frames so far
+    # means of blocks when `change` was last measured
     blocks: Float32[Array, "h w c"] | None = field(init=False, default=None)
-    change: float = field(init=False, default=np.nan)
+    change: float = field(init=False, default=np.nan)  # as in `Background`
 
     def __post_init__(self) -> None:
         self.exposure = start_exposure(self.size)
@@ -90,21 +77,15 @@ class Accumulation:
 
 @dataclass(eq=False)
 class RunningMean(Accumulation):
-    """A mean of the frames that `add_to_mean` has added so far, in place.
+    """A mean of the frames that `add_to_mean` has added so far, in place."""
 
-    Attributes:
-        detections: what to leave out of each frame, or None.
-        bands: horizontal bands of the image that the frames fill in turn.
-        sums: of the image's planes; none before the first frame.
-        gains: factors that bring each frame to the exposure of the first.
-        frame: the last one added.
-    """
-
-    detections: Detections | None = None
-    bands: int = 1
+    detections: Detections | None = None  # what to leave out of each frame, or None
+    bands: int = 1  # horizontal bands of the image that the frames fill in turn
+    # of the image's planes; none before the first frame
     sums: tuple["_PlaneSums", ...] = field(init=False, default=())
+    # factors that bring each frame to the exposure of the first
     gains: list[float] = field(init=False, default_factory=list)
-    frame: Frame | None = field(init=False, default=None)
+    frame: Frame | None = field(init=False, default=None)  # the last one added
 
 
 @dataclass(frozen=True, eq=False)

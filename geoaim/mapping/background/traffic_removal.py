@@ -50,17 +50,11 @@ DISC = np.array([[0, 1, 1, 1, 0], *[[1] * 5] * 3, [0, 1, 1, 1, 0]], np.uint8)
 
 @dataclass(frozen=True)
 class Traffic:
-    """Traffic, moving or standing, in K registered frames.
+    """Traffic, moving or standing, in K registered frames."""
 
-    Attributes:
-        masks: (K, h, w) pixels that do not show the ground in this frame.
-        contested: (h, w) pixels where the frames do not decide what the ground is.
-        background: (h, w, 3) the ground, in the frames' colours.
-    """
-
-    masks: Masks
-    contested: Bool[Array, "h w"]
-    background: Image
+    masks: Masks  # (K, h, w) pixels that do not show the ground in this frame
+    contested: Bool[Array, "h w"]  # pixels where the frames do not decide what the ground is
+    background: Image  # (h, w, 3) the ground, in the frames' colours
 
 
 def find_traffic(stack: Stack, seen: Masks) -> Traffic:

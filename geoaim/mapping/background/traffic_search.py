@@ -30,16 +30,13 @@ MAX_SMALL_SIDE_PX = 1024  # of the frames in which traffic is searched
 
 @dataclass(eq=False)
 class TrafficSearch(Accumulation):
-    """Small copies of the frames that `add_to_search` has added so far, and the traffic in them.
+    """Small copies of the frames that `add_to_search` has added so far, and the traffic in them."""
 
-    Attributes:
-        stack: the small frames, warped to the image.
-        seen: where each of them shows the image.
-        traffic: in these frames, if it was searched after the last of them.
-    """
-
+    # the small frames, warped to the image
     stack: list[UInt8[Array, "h w 3"]] = field(init=False, default_factory=list)
+    # where each of them shows the image
     seen: list[Bool[Array, "h w"]] = field(init=False, default_factory=list)
+    # in these frames, if it was searched after the last of them
     traffic: Traffic | None = field(init=False, default=None)
 
     @property

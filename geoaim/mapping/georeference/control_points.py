@@ -36,21 +36,13 @@ from geoaim.world import LONLAT, parse_crs
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """Ground control points.
+    """Ground control points."""
 
-    Attributes:
-        pixels: (M, 2) u right, v down, origin at the image's corner.
-        coordinates: (M, 2) x, y (or longitude, latitude) in `crs`.
-        crs: of the coordinates; None for a local metric plane.
-        names: (M,) of the points, for messages.
-        frames: (M,) image name or frame index that each was picked on; None is the video's
-            first.
-    """
-
-    pixels: Float[Array, "m 2"]
-    coordinates: Float[Array, "m 2"]
-    crs: str | None
-    names: tuple[str, ...]
+    pixels: Float[Array, "m 2"]  # u right, v down, origin at the image's corner
+    coordinates: Float[Array, "m 2"]  # x, y (or longitude, latitude) in `crs`
+    crs: str | None  # of the coordinates; None for a local metric plane
+    names: tuple[str, ...]  # (M,) of the points, for messages
+    # (M,) image name or frame index that each was picked on; None is the video's first
     frames: tuple[str | int | None, ...]
 
 

@@ -20,15 +20,12 @@ UNLINKED = -9999  # what SciPy gives as the predecessor where there is no path
 
 @dataclass(frozen=True, eq=False)
 class PhotoLinks:
-    """Homographies between overlapping photos.
+    """Homographies between overlapping photos."""
 
-    Attributes:
-        lengths: (T, T) cost of each link: the distance of the photos' centres in image diagonals,
-            plus `STEP_LENGTH`; 0 where two photos are not linked.
-        transforms: (i, j) -> (3, 3) pixels of photo j to those of photo i, for i < j.
-    """
-
+    # cost of each link: the distance of the photos' centres in image diagonals, plus `STEP_LENGTH`;
+    # 0 where two photos are not linked
     lengths: Float[Array, "T T"]
+    # (i, j) -> (3, 3) pixels of photo j to those of photo i, for i < j
     transforms: dict[tuple[int, int], Float[Array, "3 3"]]
 
 

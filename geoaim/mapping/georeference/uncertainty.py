@@ -17,25 +17,15 @@ CORNERS = ("top left", "top right", "bottom right", "bottom left")
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyMap:
-    """Radii that hold the true place in 95 % of cases, metres.
+    """Radii that hold the true place in 95 % of cases, metres."""
 
-    Attributes:
-        grid: (9, 15) over the image, from corner to corner.
-        middle: of the image.
-        median: of the grid.
-        worst_corner: "top left", "top right", "bottom right" or "bottom left".
-        worst: at that corner.
-        median_with_point: median of the grid with a further control point in that corner.
-        worst_with_point: at that corner with this point.
-    """
-
-    grid: Float[Array, "9 15"]
-    middle: float
-    median: float
-    worst_corner: str
-    worst: float
-    median_with_point: float
-    worst_with_point: float
+    grid: Float[Array, "9 15"]  # over the image, from corner to corner
+    middle: float  # of the image
+    median: float  # of the grid
+    worst_corner: str  # "top left", "top right", "bottom right" or "bottom left"
+    worst: float  # at that corner
+    median_with_point: float  # median of the grid with a further control point in that corner
+    worst_with_point: float  # at that corner with this point
 
 
 def predict_uncertainty(

@@ -30,22 +30,15 @@ class YuvEncoding(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One decoded frame. `grey` and `image` are computed on first access and cached.
+    """One decoded frame. `grey` and `image` are computed on first access and cached."""
 
-    Attributes:
-        index: position in presentation order; from `sample` and `frames_at` of a video file it is
-            time x average rate, an estimate where the frame rate varies.
-        time: seconds since the first frame, from presentation timestamps.
-        name: file name of an image, None for a frame of a video.
-        decoded: the frame of PyAV, or the array, that holds the pixels.
-        quarter_turns: counter-clockwise, that turn the pixels upright.
-    """
-
+    # position in presentation order; from `sample` and `frames_at` of a video file it is time x
+    # average rate, an estimate where the frame rate varies
     index: int
-    time: float
-    name: str | None
-    decoded: Any
-    quarter_turns: int = 0
+    time: float  # seconds since the first frame, from presentation timestamps
+    name: str | None  # file name of an image, None for a frame of a video
+    decoded: Any  # the frame of PyAV, or the array, that holds the pixels
+    quarter_turns: int = 0  # counter-clockwise, that turn the pixels upright
 
     @cached_property
     def grey(self) -> UInt8[Array, "H W"]:

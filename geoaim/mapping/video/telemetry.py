@@ -24,28 +24,18 @@ PLAUSIBLE = {
 
 @dataclass(frozen=True)
 class Telemetry:
-    """State of the camera over time; NaN where the file does not state it.
+    """State of the camera over time; NaN where the file does not state it."""
 
-    Attributes:
-        time: (T,) seconds, on the clock of the video's frames.
-        latitude: (T,) degrees, WGS 84.
-        longitude: (T,) degrees, WGS 84.
-        height: (T,) metres above the take-off point.
-        altitude: (T,) metres above sea level, as the drone measures it.
-        yaw: (T,) radians counter-clockwise from east, in [-pi, pi): heading of the camera, and of
-            the top of the image when the camera looks straight down.
-        pitch: (T,) radians, 0 at the horizon and -pi/2 straight down.
-        focal_length: (T,) millimetres, 35 mm equivalent.
-    """
-
-    time: Float[Array, " T"]
-    latitude: Float[Array, " T"]
-    longitude: Float[Array, " T"]
-    height: Float[Array, " T"]
-    altitude: Float[Array, " T"]
+    time: Float[Array, " T"]  # seconds, on the clock of the video's frames
+    latitude: Float[Array, " T"]  # degrees, WGS 84
+    longitude: Float[Array, " T"]  # degrees, WGS 84
+    height: Float[Array, " T"]  # metres above the take-off point
+    altitude: Float[Array, " T"]  # metres above sea level, as the drone measures it
+    # radians counter-clockwise from east, in [-pi, pi): heading of the camera, and of the top of
+    # the image when the camera looks straight down
     yaw: Float[Array, " T"]
-    pitch: Float[Array, " T"]
-    focal_length: Float[Array, " T"]
+    pitch: Float[Array, " T"]  # radians, 0 at the horizon and -pi/2 straight down
+    focal_length: Float[Array, " T"]  # millimetres, 35 mm equivalent
 
 
 def make_telemetry(times: list[float], rows: list[dict[str, float]], source: str) -> Telemetry:

@@ -15,23 +15,14 @@ SEASONS: tuple[Season, ...] = get_args(Season)
 
 @dataclass(frozen=True)
 class Day:
-    """The day on which a place is observed.
+    """The day on which a place is observed."""
 
-    Attributes:
-        season: colours of grass and leaves.
-        azimuth: direction to the sun on the plan, radians counter-clockwise from +x.
-        elevation: height of the sun, radians.
-        clouds: 0 for a clear sky, 1 for an overcast one without shadows.
-        number: seed of what differs between days: parked cars and, with `changes`, more.
-        changes: number of changes since day 0: trees felled, tar repaired, containers.
-    """
-
-    season: Season = "summer"
-    azimuth: float = 2.24
-    elevation: float = 1.02
-    clouds: float = 0.0
-    number: int = 0
-    changes: int = 0
+    season: Season = "summer"  # colours of grass and leaves
+    azimuth: float = 2.24  # direction to the sun on the plan, radians counter-clockwise from +x
+    elevation: float = 1.02  # height of the sun, radians
+    clouds: float = 0.0  # 0 for a clear sky, 1 for an overcast one without shadows
+    number: int = 0  # seed of what differs between days: parked cars and, with `changes`, more
+    changes: int = 0  # number of changes since day 0: trees felled, tar repaired, containers
 
 
 @dataclass(frozen=True)
