@@ -6,10 +6,10 @@ without a CRS.
 """
 
 import os
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from xml.parsers import expat
 
 import numpy as np
 from jaxtyping import Float
@@ -88,66 +88,111 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    root = _parse(path)
-    nodes, world = _locate_nodes(path, root, world)
-    ways = _read_ways(path, root, nodes)
-    lanelets = tuple(_make_lanelet(path, x, ways) for x in _list_relations(root, "lanelet"))
+    file = _parse(path)
+    points, world = _locate_nodes(path, file, world)
+    ways = _read_ways(path, file, points)
+    lanelets = tuple(_make_lanelet(path, x, ways) for x in _list_relations(file, "lanelet"))
     if not lanelets:
         raise MapError(
             f"{path} has {len(ways)} ways and no lanelets; a lanelet2 map is needed (a road map of "
             "OpenStreetMap has no lanes' outlines)"
         )
     lines = tuple(line for line in ways.values() if len(line.points) > 1)
-    areas = tuple(_make_area(path, x, ways) for x in _list_relations(root, "multipolygon"))
-    return HDMap(lines, lanelets, areas, tuple(_list_stop_lines(root, ways)), world)
+    areas = tuple(_make_area(path, x, ways) for x in _list_relations(file, "multipolygon"))
+    return HDMap(lines, lanelets, areas, tuple(_list_stop_lines(file, ways)), world)
 
 
-def _parse(path: Path) -> ET.Element:
+@dataclass(frozen=True, eq=False)
+class _Element:
+    """A way or a relation of a file."""
+
+    id: str | None
+    tags: dict[str | None, str] = field(default_factory=dict)
+    nodes: list[str | None] = field(default_factory=list)  # of a way
+    members: list[tuple[str | None, str | None]] = field(default_factory=list)  # role, reference
+
+
+@dataclass(frozen=True, eq=False)
+class _File:
+    """The elements of a file."""
+
+    nodes: dict[str | None, int] = field(default_factory=dict)  # number of each id
+    lonlat: list[str | None] = field(default_factory=list)  # of one node after another
+    ways: list[_Element] = field(default_factory=list)
+    relations: list[_Element] = field(default_factory=list)
+
+
+def _parse(path: Path) -> _File:
     content = path.read_bytes()
     if b"\0" in content or any(part in content for part in XML_DECLARATIONS):
         raise MapError(f"{path} defines XML entities, or is not UTF-8; no map needs that")
+    file, parser = _File(), expat.ParserCreate()
+
+    def check_root(name: str, _: Mapping[str, str]) -> None:
+        if name != "osm":
+            raise MapError(f"{path} is XML of {name!r}; OpenStreetMap's, 'osm', is needed")
+        parser.StartElementHandler = _make_handler(file)
+
+    parser.StartElementHandler = check_root
     try:
-        root = ET.fromstring(content)
-    except (ET.ParseError, LookupError, ValueError) as error:  # an unknown encoding
+        parser.Parse(content, True)
+    except (expat.ExpatError, LookupError, ValueError) as error:  # an unknown encoding
         raise MapError(f"{path} is not XML: {error}") from error
-    if root.tag != "osm":
-        raise MapError(f"{path} is XML of {root.tag!r}; OpenStreetMap's, 'osm', is needed")
-    for deleted in root.findall("*[@action='delete']"):  # editors keep deleted elements
-        root.remove(deleted)
-    return root
+    return file
 
 
-def _get_tag(element: ET.Element, name: str) -> str:
-    return next((tag.get("v", "") for tag in element.iter("tag") if tag.get("k") == name), "")
+def _make_handler(file: _File) -> Callable[[str, Mapping[str, str]], None]:
+    """Make the function that adds what an XML element states to a file."""
+    nodes, lonlat = file.nodes, file.lonlat
+    last = of_node = _Element(None)
+
+    def add(name: str, values: Mapping[str, str]) -> None:
+        nonlocal last
+        if name == "nd":
+            last.nodes.append(values.get("ref"))
+        elif name == "node":
+            last = of_node
+            if values.get("action") != "delete":  # editors keep deleted elements
+                nodes[values.get("id")] = len(lonlat) // 2
+                lonlat.extend((values.get("lon"), values.get("lat")))
+        elif name == "member":
+            last.members.append((values.get("role"), values.get("ref")))
+        elif name == "tag":
+            last.tags.setdefault(values.get("k"), values.get("v", ""))
+        elif name in ("way", "relation"):
+            last = _Element(values.get("id"))
+            if values.get("action") != "delete":
+                (file.ways if name == "way" else file.relations).append(last)
+
+    return add
 
 
-def _list_relations(root: ET.Element, kind: str) -> Iterator[ET.Element]:
-    return (item for item in root.iter("relation") if _get_tag(item, "type") == kind)
+def _list_relations(file: _File, kind: str) -> Iterator[_Element]:
+    return (item for item in file.relations if item.tags.get("type") == kind)
 
 
-def _read_ways(path: Path, root: ET.Element, nodes: Mapping[str | None, Array]) -> Ways:
+def _read_ways(path: Path, file: _File, points: Float[Array, "n 2"]) -> Ways:
     ways = {}
-    for way in root.iter("way"):
-        refs = [node.get("ref") for node in way.iter("nd")]
-        missing = [ref for ref in refs if ref not in nodes]
+    for way in file.ways:
+        missing = [node for node in way.nodes if node not in file.nodes]
         if missing:
-            raise MapError(f"{path}: way {way.get('id')} has node {missing[0]}, which is missing")
-        points = np.array([nodes[ref] for ref in refs], np.float64).reshape(-1, 2)
-        ways[way.get("id")] = MapLine(_get_tag(way, "type"), _get_tag(way, "subtype"), points)
+            raise MapError(f"{path}: way {way.id} has node {missing[0]}, which is missing")
+        rows = np.array([file.nodes[node] for node in way.nodes], int)
+        kind, subtype = way.tags.get("type", ""), way.tags.get("subtype", "")
+        ways[way.id] = MapLine(kind, subtype, points[rows])
     return ways
 
 
 def _locate_nodes(
-    path: Path, root: ET.Element, world: World | None
-) -> tuple[dict[str | None, Float[Array, "2"]], World]:
-    """World metres of each node, and the world."""
-    nodes = list(root.iter("node"))
+    path: Path, file: _File, world: World | None
+) -> tuple[Float[Array, "n 2"], World]:
+    """World metres of the nodes, and the world."""
     try:
-        lonlat = np.array([[node.get("lon"), node.get("lat")] for node in nodes], np.float64)
+        lonlat = np.array(file.lonlat, np.float64).reshape(-1, 2)
     except (TypeError, ValueError) as error:
         raise MapError(f"{path}: a node has no longitude and latitude: {error}") from error
-    if len(nodes) == 0 or not np.isfinite(lonlat).all():
-        raise MapError(f"{path} has {len(nodes)} nodes; each needs a longitude and a latitude")
+    if len(lonlat) == 0 or not np.isfinite(lonlat).all():
+        raise MapError(f"{path} has {len(lonlat)} nodes; each needs a longitude and a latitude")
     local = bool((np.abs(lonlat) < MAX_LOCAL_DEGREES).all())
     if world is None:
         world = World(None) if local else choose_world(lonlat)
@@ -157,22 +202,20 @@ def _locate_nodes(
             f"{path} has {kind}, and the world is {world.crs or 'a plane without a CRS'}; give a "
             "world of the same kind"
         )
-    if local:
-        corner = transform_crs(LONLAT, LOCAL_CRS, np.zeros((1, 2)))
-        points = transform_crs(LONLAT, LOCAL_CRS, lonlat) - corner - world.origin
-    else:
-        points = world_from_lonlat(world, lonlat)
-    return dict(zip([node.get("id") for node in nodes], points, strict=True)), world
+    if not local:
+        return world_from_lonlat(world, lonlat), world
+    corner = transform_crs(LONLAT, LOCAL_CRS, np.zeros((1, 2)))
+    return transform_crs(LONLAT, LOCAL_CRS, lonlat) - corner - world.origin, world
 
 
-def _make_lanelet(path: Path, relation: ET.Element, ways: Ways) -> Lanelet:
+def _make_lanelet(path: Path, relation: _Element, ways: Ways) -> Lanelet:
     """A lanelet whose borders both follow its direction, however the file orders their points."""
     sides = {}
     for role in ("left", "right"):
         refs = [ref for ref in _list_members(relation, role) if ref in ways]
         if len(refs) != 1 or len(ways[refs[0]].points) < 2:
             raise MapError(
-                f"{path}: lanelet {relation.get('id')} has {len(refs)} {role} lines of two points "
+                f"{path}: lanelet {relation.id} has {len(refs)} {role} lines of two points "
                 "or more; one is needed"
             )
         sides[role] = ways[refs[0]].points
@@ -185,22 +228,22 @@ def _make_lanelet(path: Path, relation: ET.Element, ways: Ways) -> Lanelet:
     x, y = np.concatenate([left, right[::-1]]).T
     if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0:  # the left border lies on the right
         left, right = left[::-1], right[::-1]
-    one_way = _get_tag(relation, "one_way") != "no"
-    return Lanelet(_get_tag(relation, "subtype") or "road", one_way, left, right)
+    one_way = relation.tags.get("one_way") != "no"
+    return Lanelet(relation.tags.get("subtype") or "road", one_way, left, right)
 
 
-def _list_members(relation: ET.Element, role: str) -> list[str | None]:
-    return [m.get("ref") for m in relation.iter("member") if m.get("role") == role]
+def _list_members(relation: _Element, role: str) -> list[str | None]:
+    return [ref for member, ref in relation.members if member == role]
 
 
-def _make_area(path: Path, relation: ET.Element, ways: Ways) -> Area:
+def _make_area(path: Path, relation: _Element, ways: Ways) -> Area:
     outer, inner = (_enclose(path, relation, role, ways) for role in ("outer", "inner"))
-    return Area(_get_tag(relation, "subtype"), outer - inner)
+    return Area(relation.tags.get("subtype", ""), outer - inner)
 
 
-def _enclose(path: Path, relation: ET.Element, role: str, ways: Ways) -> BaseGeometry:
+def _enclose(path: Path, relation: _Element, role: str, ways: Ways) -> BaseGeometry:
     """The polygons that the lines of a role enclose."""
-    refs, area = _list_members(relation, role), f"{path}: area {relation.get('id')}"
+    refs, area = _list_members(relation, role), f"{path}: area {relation.id}"
     missing = [ref for ref in refs if ref not in ways]
     if missing:
         raise MapError(f"{area} has way {missing[0]}, which is missing")
@@ -215,11 +258,11 @@ def _enclose(path: Path, relation: ET.Element, role: str, ways: Ways) -> BaseGeo
     return polygons
 
 
-def _list_stop_lines(root: ET.Element, ways: Ways) -> Iterator[StopLine]:
+def _list_stop_lines(file: _File, ways: Ways) -> Iterator[StopLine]:
     """The stop lines of traffic lights; a light without a name is named by its id."""
-    for relation in root.iter("relation"):
-        if _get_tag(relation, "subtype") == "traffic_light":
-            signal = _get_tag(relation, "name") or str(relation.get("id"))
+    for relation in file.relations:
+        if relation.tags.get("subtype") == "traffic_light":
+            signal = relation.tags.get("name") or str(relation.id)
             for ref in _list_members(relation, "ref_line"):
                 if ref in ways and len(ways[ref].points) > 1:
                     yield StopLine(signal, ways[ref].points[[0, -1]])

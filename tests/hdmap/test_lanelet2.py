@@ -1,4 +1,5 @@
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from geoaim.world import World
 
 NODES = {1: (0, 0), 2: (20, 0), 3: (0, 4), 4: (20, 4), 5: (20, 0), 6: (20, 4)}
 METRE = 1 / 111_320  # degrees
+MANY_NODES = 20_000
 
 
 def _osm(path, *, left=(3, 4), right=(1, 2), more="", at=(0.0, 0.0), head="<osm version='0.6'>"):
@@ -108,7 +110,7 @@ def test_what_an_editor_has_deleted_is_left_out(tmp_path):
         ({"more": _park("99")}, "area 40 has way 99"),
         ({"more": _park("12")}, "area 40 has 1 outer lines that close no ring"),
         ({"left": (3,)}, "lanelet 20 has 1 left lines of two points"),
-        ({"head": "<html>"}, "is not XML"),
+        ({"head": "<html>"}, "is XML of 'html'"),
         ({"head": "<!DOCTYPE osm><osm>"}, "defines XML entities"),
         ({"at": (8.0, 49.0)}, "longitudes and latitudes, and the world is a plane without a CRS"),
     ],
@@ -125,3 +127,17 @@ def test_road_map_without_lanelets_is_refused(tmp_path):
         read_hdmap(path)
     with pytest.raises(FileNotFoundError):
         read_hdmap(tmp_path / "none.osm")
+
+
+def test_memory_of_many_nodes_is_half_of_a_tree_of_the_xml(tmp_path):
+    lines = [
+        f"<node id='{k}' lon='{8 + k * 1e-6:.9f}' lat='49'/>" for k in range(100, 100 + MANY_NODES)
+    ]
+    path = _osm(tmp_path / "a.osm", at=(8.0, 49.0), more="".join(lines))
+    read_hdmap(path)  # what is imported and kept on the way does not count
+    tracemalloc.start()
+    try:
+        assert len(read_hdmap(path).lanelets) == 1
+        assert tracemalloc.get_traced_memory()[1] < 500 * MANY_NODES  # 330; with a tree 680
+    finally:
+        tracemalloc.stop()
