@@ -7,8 +7,9 @@ import torch
 
 from geoaim.lights import UNKNOWN
 from geoaim.prediction.baselines import Predictor
-from geoaim.prediction.itra import ITRA, MAX_VIEWS
+from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, compute_metrics, concat
+from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.progress import Progress, no_progress

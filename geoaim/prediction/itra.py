@@ -33,6 +33,7 @@ from geoaim.prediction.anchors import (
     select_anchor,
 )
 from geoaim.prediction.config import Config
+from geoaim.prediction.neighbours import split_views
 from geoaim.prediction.networks import build_cnn, build_mlp
 from geoaim.prediction.observation import (
     CHANNELS,
@@ -47,8 +48,6 @@ from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_a
 
 MAX_ACTION = 4.0  # normalised: ground-truth actions beyond are noise of headings at standstill
 SPEED_SCALE_S = 0.5  # metres that a metre a second counts in the likelihood
-MAX_VIEWS = 4000  # that are rendered at once
-MAX_BOXES = 500_000  # of all agents in these views
 ATTRIBUTES = 3  # speed, length and width
 DT_TOLERANCE_S = 1e-3
 
@@ -295,14 +294,8 @@ class ITRA(nn.Module):
         config = self.config
         if not config.use_observations or (step - batch.history + 1) % config.view_stride:
             return features
-        rows = max(1, min(MAX_VIEWS, MAX_BOXES // states.shape[1]))
-        segments, agents = (
-            torch.split(index, rows) for index in (batch.controlled.segment, batch.controlled.agent)
-        )
-        parts = [
-            self._encode(batch, states, step, Controlled(*some))
-            for some in zip(segments, agents, strict=True)
-        ]
+        split = split_views(config.view, batch.segments, batch.controlled, states, step)
+        parts = [self._encode(batch, states, step, some) for some in split]
         encoded = torch.cat(parts).to(features)
         return torch.where(batch.present[:, step, None], encoded, features)
 

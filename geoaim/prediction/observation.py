@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from geoaim.lights import GREEN, RED, YELLOW
@@ -29,6 +29,8 @@ class Controlled:
 
     segment: Int[Tensor, "E"]  # row of the segment
     agent: Int[Tensor, "E"]  # column of the agent in it
+    # columns of the agents that its view may show, then -1; None: all
+    seen: Int[Tensor, "E n"] | None = None
 
 
 def index_controlled(segments: Segments) -> Controlled:
@@ -58,12 +60,14 @@ def render_observation(
         A view of each of the E controlled agents, in 7 channels between 0 and 1: ground (RGB),
         vehicles, pedestrians, red and yellow lights, green lights.
     """
-    poses = states[controlled.segment, :, :3]  # (E, N, 3)
-    itself = torch.arange(states.shape[1], device=states.device) == controlled.agent[:, None]
-    visible = segments.present[controlled.segment, step] & ~itself  # (E, N)
+    poses = _select_seen(states[..., :3], controlled)  # (E, n, 3)
     cameras = states[controlled.segment, controlled.agent, :3]  # (E, 3)
-    layers, sizes = segments.layers[controlled.segment], segments.sizes[controlled.segment]
-    white = sizes.new_ones(1, 3).expand(states.shape[1], 3)
+    layers, sizes = (_select_seen(x, controlled) for x in (segments.layers, segments.sizes))
+    seen = torch.arange(states.shape[1], device=states.device)
+    seen = seen[None] if controlled.seen is None else controlled.seen
+    visible = _select_seen(segments.present[:, step], controlled)
+    visible = visible & (seen != controlled.agent[:, None]) & (seen >= 0)  # (E, n)
+    white = sizes.new_ones(1, 3).expand(poses.shape[1], 3)
     boxes = [
         OrientedBoxes(poses, sizes, white, visible & (layers == layer), white)
         for layer in (VEHICLE, PEDESTRIAN)
@@ -73,6 +77,13 @@ def render_observation(
     groups = [(RED, YELLOW), (GREEN,)]
     boxes += make_stop_line_layers(stop_lines, light_states, groups, width=view.light_width)
     return render_layers(view, cameras, ground, boxes)
+
+
+def _select_seen(values: Shaped[Tensor, "B N ..."], controlled: Controlled) -> Tensor:
+    """Values of the agents that each view may show."""
+    if controlled.seen is None:
+        return values[controlled.segment]
+    return values[controlled.segment[:, None], controlled.seen.clamp_min(0)]
 
 
 def compute_surface_contrast(views: Float[Tensor, "E 7 H W"]) -> Float[Tensor, "E 1 H W"]:

@@ -139,21 +139,18 @@ def write_futures(
         world: of the scene.
         dt: time between steps, s.
     """
-    sample, agent, step = torch.isfinite(futures[..., 0]).nonzero().unbind(1)
-    values = futures[sample, agent, step].double().cpu().numpy()
-    table = pd.DataFrame(
-        {
-            "sample": sample.cpu().numpy(),
-            "id": np.array(scene.ids, object)[agent.cpu().numpy()],
-            "type": np.array(scene.types, object)[agent.cpu().numpy()],
-            "time": (float(scene.times[start]) + (step.cpu().numpy() + 1) * dt).round(3),
-        }
-    )
-    for column, name in enumerate(("x", "y", "heading", "speed")):
-        table[name] = values[:, column].round(4)
+    begin = float(scene.times[start])
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         file.write(format_world(world))
-        table.to_csv(file, index=False)
+        for sample, future in enumerate(futures):  # a table of all takes much memory
+            agent, step = torch.isfinite(future[..., 0]).nonzero().cpu().numpy().T
+            values = future.double().cpu().numpy()[agent, step].round(4)
+            table = pd.DataFrame(values, columns=["x", "y", "heading", "speed"])
+            table.insert(0, "time", (begin + (step + 1) * dt).round(3))
+            table.insert(0, "type", np.array(scene.types, object)[agent])
+            table.insert(0, "id", np.array(scene.ids, object)[agent])
+            table.insert(0, "sample", sample)
+            table.to_csv(file, index=False, header=sample == 0)
 
 
 def _select_predicted(futures: Float[Tensor, "K N T 4"]) -> Float[Tensor, "K N T 2"]:

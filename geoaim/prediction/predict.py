@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.itra import DT_TOLERANCE_S, ITRA
@@ -37,8 +38,8 @@ def predict(
 
     Raises:
         TracksError: no agent of the kind is present at that step.
-        ValueError: the scene's dt is not the model's, there is no such step, or a model with
-            proposals needs a longer history.
+        ValueError: the scene's dt is not the model's, there is no such step, a model with
+            proposals needs a longer history, or the futures need too much memory.
     """
     config, total = model.config, len(scene.times)
     start = total - 1 if start is None else start
@@ -49,9 +50,10 @@ def predict(
             f"the scene's dt is {scene.dt:g} s and the model's {config.dt:g} s; resample the tracks"
         )
     first = max(0, start + 1 - (config.history or MAX_HISTORY_STEPS))
-    steps = slice(first, start + 1 + horizon)
-    segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     history = start + 1 - first
+    steps = slice(first, start + 1 + horizon)
+    _check_size(samples, len(scene.ids), history + horizon)
+    segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     futures = model.sample(
         segment,
         prefilter_ground(scene.ground, config.resolution),
@@ -61,3 +63,14 @@ def predict(
     )[0, :, history:]  # (K, T, N, 4)
     present = segment.present[0, history:, :, None]
     return torch.where(present, futures, torch.nan).transpose(1, 2)
+
+
+def _check_size(samples: int, agents: int, steps: int) -> None:
+    """Refuse futures that need more memory than the limit."""
+    needed = 4 * 4 * samples * agents * steps  # bytes of float32
+    if needed > read_memory_limit():
+        raise ValueError(
+            f"{samples} futures of {agents:,} agents over {steps:,} steps need "
+            f"{needed / 1e9:,.1f} GB of memory; ask for fewer samples or a shorter duration, or "
+            f"set the variable {MAX_GB_VARIABLE} to more"
+        )

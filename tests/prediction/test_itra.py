@@ -154,7 +154,7 @@ def test_segments_that_do_not_fit_the_model_are_rejected():
 def test_views_in_batches_give_the_same_futures(monkeypatch):
     futures = []
     for limit in (1000, 4):
-        monkeypatch.setattr("geoaim.prediction.itra.MAX_BOXES", limit)
+        monkeypatch.setattr("geoaim.prediction.neighbours.MAX_BOXES", limit)
         sample = model().sample
         futures.append(sample(drive(), hill(), history=4, samples=3, generator=noise()))
     torch.testing.assert_close(futures[0], futures[1])

@@ -196,3 +196,8 @@ def test_baselines_replay_agents_that_are_not_controlled(scene):
     others = ~segments.controlled[:, None].expand(-1, 20, -1)
     truth = segments.states
     assert torch.equal(futures[:, 0][others], truth[others])
+
+
+def test_futures_that_need_too_much_memory_are_refused(scene):
+    with pytest.raises(ValueError, match=r"6 futures of .* agents .* GB .* a shorter duration"):
+        predict(ITRA(TINY).eval(), scene, horizon=10**9, generator=noise())
