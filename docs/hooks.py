@@ -3,6 +3,7 @@
 - A page of the API reference for each package, and a page in the menu for each decision.
 - `<!-- options: build -->` becomes the table of that command's options.
 - `<!-- table: NAME -->` becomes a table made of the results in docs/bench (see tables.py).
+- What stands before such a comment on its line, for readers of the sources, is left out.
 - A formula between `$$` becomes a picture, so that pages need no script from another server.
 """
 
@@ -54,11 +55,13 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Fill in tables, lists and formulas."""
-    markdown = re.sub(r"<!-- options: (\w+) -->", lambda m: write_options(m[1]), markdown)
-    markdown = re.sub(r"<!-- table: (\w+) -->", lambda m: write_results(m[1]), markdown)
-    markdown = markdown.replace("<!-- decisions -->", write_decisions())
-    markdown = markdown.replace("<!-- packages -->", write_packages())
-    markdown = markdown.replace("<!-- modules -->", write_modules())
+    # what stands before a comment on its line is for readers of the sources
+    writers = {"options": write_options, "table": write_results}
+    pattern = r"^.*<!-- (options|table): (\w+) -->$"
+    markdown = re.sub(pattern, lambda m: writers[m[1]](m[2]), markdown, flags=re.M)
+    lists = {"decisions": write_decisions, "packages": write_packages, "modules": write_modules}
+    pattern = r"^.*<!-- (decisions|packages|modules) -->$"
+    markdown = re.sub(pattern, lambda m: lists[m[1]](), markdown, flags=re.M)
     return re.sub(r"^\$\$\n(.+?)\n\$\$$", lambda m: draw_formula(m[1]), markdown, flags=re.M | re.S)
 
 

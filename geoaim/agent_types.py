@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray as Array
 
-# types that models control and views colour by group; all other types, motorcycles too, are OTHER
+# types by group: models control groups, and `make_layers` draws them; the colours of pictures are
+# by type (`layers.TYPE_COLOURS`). All other types, motorcycles too, are OTHER
 AGENT_GROUPS: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("car", "van", "truck", "bus"),
     "pedestrian": ("pedestrian",),

@@ -47,6 +47,7 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
 
     Raises:
         AimError: the grid would be too large, or the file cannot be written.
+        ValueError: the resolution is not positive.
     """
     if resolution is not None or not aim.is_affine:
         aim = rectify(aim, resolution)
@@ -81,7 +82,8 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
     long as its CRS and bands are the same.
 
     Raises:
-        AimError: the file is not an AIM, or is damaged; the message says what it is.
+        FileNotFoundError: there is no such file.
+        AimError: the file is not an AIM, is damaged, or needs too much memory.
     """
     if not Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file")

@@ -16,7 +16,8 @@ def summarize_aim(aim: AIM) -> Lines:
     """Summarize an AIM: its size, position, how it was made and how accurate it is.
 
     Returns:
-        Name -> value with its unit, in the order of the stages.
+        Text of a value with its unit, by its name, such as "image": "640 x 360 px, 32 x 18 m"; in
+        the order of the stages. Stages that the report lacks are left out.
     """
     report: Any = aim.report
     lines = _summarize_image(aim)

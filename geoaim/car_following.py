@@ -17,12 +17,15 @@ ArrayOrTensor = Any  # numpy.ndarray or torch.Tensor; torch must not be imported
 
 @dataclass(frozen=True)
 class DriverParameters:
-    """How a driver follows others; a number, or an array with one entry for each driver."""
+    """How a driver follows others.
+
+    The values are in `simulation/policies.py` (`DRIVER`) and `synthetic/traffic/simulate.py`.
+    """
 
     acceleration: float  # a, the maximum, m/s²
     deceleration: float  # b, the comfortable one, m/s²
     standstill_gap: float  # s0, metres
-    headway: ArrayOrTensor | float  # T, seconds
+    headway: ArrayOrTensor | float  # T, seconds; of all drivers, or (...) of each
 
 
 def compute_gap_ratio(
@@ -34,10 +37,11 @@ def compute_gap_ratio(
         driver: its parameters.
         speed: (...) of the driver, m/s.
         closing_speed: (...) its speed minus that of the leader, m/s.
-        gap: (...) to the leader, metres; infinite without one.
+        gap: (...) to the leader, metres; infinite without one, and at least `MIN_GAP_M`.
 
     Returns:
-        (...) the ratio; its square times the maximum acceleration is the braking term.
+        (...) the ratio; its square times the maximum acceleration is the braking term. Arguments
+        are broadcast.
     """
     approach = speed * closing_speed / (2 * math.sqrt(driver.acceleration * driver.deceleration))
     desired = driver.standstill_gap + (speed * driver.headway + approach).clip(0)

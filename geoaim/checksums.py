@@ -36,7 +36,7 @@ class FileFormat:
 
 
 def write_checksum(path: Path) -> None:
-    """Fill in the placeholder of a complete file."""
+    """Replace the `PLACEHOLDER` that a complete file contains, once, by its checksum."""
     with path.open("r+b") as file, mmap(file.fileno(), 0) as data:
         start = data.find(PLACEHOLDER.encode())
         size = b"%012d" % len(data)
@@ -49,7 +49,12 @@ def write_checksum(path: Path) -> None:
 
 
 def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bool:
-    """Tell whether a file has a checksum; raise its format's error if it does not match."""
+    """Tell whether a file has a checksum.
+
+    Raises:
+        GeoaimError: it has one that does not match (`file_format.error`). In an editable format, a
+            file that another program rewrote is accepted.
+    """
     if os.path.getsize(path) == 0:
         return False
     with open(path, "rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
@@ -75,13 +80,17 @@ def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bo
 def check_version(
     path: str | os.PathLike[str], stated: object, file_format: FileFormat, *, has_checksum: bool
 ) -> None:
-    """Refuse files of unknown versions, and newer ones without a checksum; warn of older ones.
+    """Check a file's version; warn of one that is older than checksums.
 
     Args:
-        path: the file.
+        path: the file, for messages.
         stated: its version, as the file states it.
         file_format: the format.
         has_checksum: whether `verify_checksum` found one.
+
+    Raises:
+        GeoaimError: the version cannot be read, or has a checksum that this file lacks
+            (`file_format.error`).
     """
     name, oldest, newest = file_format.name, file_format.oldest, file_format.newest
     if not isinstance(stated, int) or not oldest <= stated <= newest:

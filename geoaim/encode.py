@@ -23,11 +23,11 @@ def write_video(
     """Encode frames as H.264 (yuv420p).
 
     Args:
-        frames: (H, W, 3) RGB images of one size.
-        path: the video file to write.
+        frames: (H, W, 3) RGB images of one size with even sides.
+        path: the video file to write; its suffix, such as .mp4, chooses the container.
         frame_rate: frames per second.
-        crf: constant rate factor of x264; lower is better.
-        megabits: bit rate in Mbit/s; it replaces the constant quality.
+        crf: constant rate factor of x264, 0 to 51; lower is better.
+        megabits: bit rate in Mbit/s instead of `crf`.
         keyframe_interval: frames from one keyframe to the next; None makes it a second.
 
     Returns:

@@ -31,10 +31,10 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
-    """Yield temporary paths whose files replace `paths`, like `atomic_write`.
+    """Yield a list of temporary paths whose files replace `paths` together, like `atomic_write`.
 
-    The other files are removed before the first one is replaced, so that a kill in between never
-    leaves a new first file beside old ones.
+    The block must write all of them. The other files are removed before the first one is replaced,
+    so that a kill in between never leaves a new first file beside old ones.
     """
     targets = [Path(path).resolve() if Path(path).is_symlink() else Path(path) for path in paths]
     with ExitStack() as stack:
@@ -105,7 +105,7 @@ def check_new_folder(folder: Path) -> None:
 
 
 def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
-    """Write a figure as a PNG."""
+    """Write a figure as a PNG of 100 pixels per inch, by `atomic_write`."""
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
 

@@ -26,9 +26,12 @@ class Feature:
 
 
 def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
-    """Read a GeoJSON file in longitude and latitude, or in metres for a world without a CRS.
+    """Read the shapes of a GeoJSON file in longitude and latitude, as metres of the world.
+
+    For a world without a CRS the file is in metres, too.
 
     Raises:
+        FileNotFoundError: there is no such file.
         MapError: the file is not GeoJSON.
     """
 

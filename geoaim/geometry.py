@@ -22,7 +22,7 @@ def from_opencv(matrix: Float[Array, "*batch 3 3"]) -> Float[Array, "*batch 3 3"
 def transform_points(
     matrix: Float[Array, "*#batch 3 3"], points: Float[Array, "*#batch m 2"]
 ) -> Float[Array, "*#batch m 2"]:
-    """Map points by a homography; a matrix of NaN gives NaN.
+    """Map points by a homography, broadcast over leading axes; a matrix of NaN gives NaN.
 
     >>> transform_points(np.array([[1.0, 0, 3], [0, 1, 4], [0, 0, 1]]), np.zeros((1, 2)))
     array([[3., 4.]])
@@ -35,7 +35,11 @@ def transform_points(
 def transform_boxes(
     matrix: Float[Array, "*#batch 3 3"], boxes: Float[Array, "*#batch m 4"]
 ) -> Float[Array, "*#batch m 4 2"]:
-    """Map the four corners of boxes (left, top, right, bottom) by a homography."""
+    """Map the corners of boxes (left, top, right, bottom) by a homography.
+
+    Returns:
+        (..., m, 4, 2) top-left, top-right, bottom-right, bottom-left of each box.
+    """
     left, top, right, bottom = np.moveaxis(np.asarray(boxes, np.float64), -1, 0)
     corners = np.stack([left, top, right, top, right, bottom, left, bottom], axis=-1)
     mapped = transform_points(matrix, corners.reshape(*boxes.shape[:-2], 4 * boxes.shape[-2], 2))
@@ -57,7 +61,7 @@ def wrap_angle(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def translation(x: float, y: float) -> Float[Array, "3 3"]:
-    """The matrix of a translation."""
+    """Make the matrix that moves points by x and y."""
     return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]])
 
 
@@ -65,8 +69,8 @@ def make_similarity(centre: Float[Array, "2"], angle: float, scale: float) -> Fl
     """Make the matrix of a rotation and scaling about a point.
 
     Args:
-        centre: the point that stays where it is.
-        angle: radians, counter-clockwise.
+        centre: (2,) the point that stays where it is.
+        angle: radians, counter-clockwise where y points up.
         scale: factor of all distances.
 
     Returns:

@@ -16,7 +16,7 @@ EDGE_TOLERANCE_PX = 1e-6  # an outline that ends on a grid line adds no row or c
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The pixels of a raster on a plane."""
+    """The pixels of a raster on a plane: its size, and its transform from pixels to coordinates."""
 
     shape: tuple[int, int]  # (height, width) in pixels
     world_from_grid: Float[Array, "3 3"]  # pixels (corner origin, u right, v down) to coordinates
@@ -66,6 +66,7 @@ def make_north_up_grid(
 
     Raises:
         AimError: the grid would have more than 30,000 pixels a side.
+        ValueError: the resolution is not positive.
     """
     if not (np.isfinite(resolution) and resolution > 0):
         raise ValueError(f"resolution must be a positive number of metres, found {resolution}")

@@ -64,16 +64,20 @@ class Lights:
 
 
 def find_light_states(lights: Lights, times: Float[Array, "T"]) -> Int8[Array, "T L"]:
-    """Find the state of each light at each time; `UNKNOWN` before its first one."""
+    """Find the state of each light at each time (s); `UNKNOWN` before its first one."""
     last = np.searchsorted(lights.times, np.asarray(times), side="right") - 1
     states = lights.states[np.maximum(last, 0)]
     return np.where(last[:, None] < 0, UNKNOWN, states).astype(np.int8)
 
 
 def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLine, ...]:
-    """Read hand-drawn stop lines from GeoJSON: lines with the property `signal`.
+    """Read stop lines drawn by hand in GeoJSON: lines with the property `signal`, its name.
+
+    The file is in longitude and latitude, or in metres for a world without a CRS. Of a line with
+    bends the two ends count.
 
     Raises:
+        FileNotFoundError: there is no such file.
         MapError: the file is not GeoJSON, has no line with a signal, or one without a length.
     """
     features = read_features(path, world)
@@ -104,13 +108,15 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
 
     Args:
         path: the .csv file.
-        lines: stop lines of the signals; signals of the table without a line are left out.
+        lines: stop lines of the signals, from `read_stop_lines` or `HDMap.stop_lines`; signals of
+            the table without a line are left out.
         world: the plane of the lines.
 
     Returns:
         The lights, in the order in which the table first names their signals.
 
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: the file is not such a table, a state is not one of `STATES`, a signal has
             two states at one time, or no signal has a stop line.
     """
@@ -120,10 +126,11 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
     signals = list(dict.fromkeys(rows["signal"]))
     used = [line for signal in signals for line in lines if line.signal == signal]
     if not used:
-        available = ", ".join(line.signal for line in lines) or "none"
+        given = ", ".join(dict.fromkeys(line.signal for line in lines))
+        available = f"stop lines were given of {given}" if given else "no stop lines were given"
         raise TracksError(
-            f"{path}: none of the signals {', '.join(map(str, signals))} has a stop line; there "
-            f"are stop lines of {available}"
+            f"{path}: none of the signals {', '.join(map(str, signals))} has a stop line; "
+            f"{available}"
         )
     rows = rows.drop_duplicates().assign(state=rows["state"].map(STATES.index))
     states = rows.pivot(index="time", columns="signal", values="state").ffill().fillna(UNKNOWN)

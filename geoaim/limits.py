@@ -13,7 +13,11 @@ MAX_REASON_CHARS = 300
 
 
 def read_memory_limit() -> float:
-    """Read from the environment how many bytes may be allocated even for a small file."""
+    """Read how many bytes may be allocated even for a small file: 1e9 times `GEOAIM_MAX_GB`.
+
+    Raises:
+        ValueError: that environment variable is not a number.
+    """
     text = os.environ.get(MAX_GB_VARIABLE, str(DEFAULT_MAX_GB))
     try:
         return float(text) * 1e9
@@ -28,7 +32,7 @@ def check_memory(
     error_type: type[GeoaimError],
     content: str,
 ) -> None:
-    """Refuse a file whose content needs far more memory than its size explains.
+    """Check that a file does not need far more memory than its size explains.
 
     Args:
         path: the file.
@@ -38,7 +42,8 @@ def check_memory(
         content: what the header states, such as "60000 x 60000 pixels".
 
     Raises:
-        GeoaimError: it needs more than the limit, and more than `MAX_RATIO` times the file's size.
+        GeoaimError: it needs more than `read_memory_limit` and than `MAX_RATIO` times its size; of
+            the type `error_type`.
     """
     if needed > max(read_memory_limit(), MAX_RATIO * size):
         raise error_type(
@@ -48,7 +53,7 @@ def check_memory(
 
 
 def check_regular(path: str | os.PathLike[str], error_type: type[GeoaimError]) -> None:
-    """Refuse pipes and devices, which can be read only once."""
+    """Raise `error_type` for pipes and devices, which can be read only once."""
     if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
         raise error_type(f"{path} is a pipe or a device, which is read once; save it as a file")
 
@@ -68,8 +73,8 @@ def refuse_damaged(
         Nothing.
 
     Raises:
-        GeoaimError: the block raised any error other than a GeoaimError, a warning, or one of a
-            missing or forbidden file, which stay as they are.
+        GeoaimError: of the type `error_type`, where the block raised any error other than a
+            GeoaimError, a warning, or one of a missing or forbidden file; these stay as they are.
     """
     check_regular(path, error_type)
     try:

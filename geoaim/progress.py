@@ -6,10 +6,10 @@ Progress = Callable[[str, float, float | None], None]  # stage, done, total if i
 
 
 def no_progress(stage: str, done: float, total: float | None) -> None:
-    """Ignore progress; the default of functions that report it.
+    """Do nothing: the default of functions that report their progress.
 
     Args:
         stage: name of the stage.
-        done: amount of work done.
+        done: amount of work done in it, such as frames.
         total: amount of work in all; None if unknown.
     """

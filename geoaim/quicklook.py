@@ -28,7 +28,9 @@ Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
 
 
 def draw_quicklook(aim: AIM) -> Figure:
-    """Draw the image with its control points, the camera drift, the coverage and the summary."""
+    """Draw an AIM's image with its control points, and beside it the camera's drift, the coverage,
+    the uncertainty and the summary; `write_figure` writes it.
+    """
     figure = Figure(figsize=(14, 6.4), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=[2.4, 1])
     _draw_points(figure.add_subplot(grid[:, 0]), aim)
@@ -112,12 +114,12 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
     """Draw imagery before and after alignment.
 
     Args:
-        imagery: the result of `align_tiles`.
-        aim: reference shown in every other square of a checkerboard.
+        imagery: the result of `align_tiles`; without an alignment in its report, both are alike.
+        aim: in the same world; shown in every other square of a checkerboard.
         tracks: in the same world; drawn on top.
 
     Returns:
-        The figure, with the stated position on the left.
+        The figure, with the stated position on the left and the aligned one on the right.
     """
     figure = Figure(figsize=(15, 7.5), layout="constrained")
     stated = _undo_alignment(imagery)

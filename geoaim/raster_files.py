@@ -41,13 +41,14 @@ def open_raster_file(
 
     Args:
         path: the file.
-        drivers: names of the drivers to choose from, by the file's first bytes.
+        drivers: names of the drivers to choose from, by the file's first bytes (`SIGNATURES`).
         options: GDAL's open options.
 
     Yields:
-        The open dataset.
+        The open rasterio dataset.
 
     Raises:
+        FileNotFoundError: there is no such file.
         RasterioIOError: none of the drivers reads the file, or it names another file.
     """
     with warnings.catch_warnings(), rasterio.Env(**SETTINGS):
@@ -57,8 +58,11 @@ def open_raster_file(
         if Path(f"{path}.msk").exists():
             raise RasterioIOError(f"its mask is in another file, {path}.msk; write both into one")
         with rasterio.open(Path(path), driver=driver, sharing=False, **options or {}) as dataset:
-            if dataset.tags(ns="OVERVIEWS"):  # GDAL would open what it names
-                raise RasterioIOError("it names another file for its overviews; remove the tag")
+            if names := list(dataset.tags(ns="OVERVIEWS")):  # GDAL would open what they name
+                raise RasterioIOError(
+                    f"its tag {names[0]} (domain OVERVIEWS) names another file for its overviews; "
+                    f"copy it without tags: gdal_translate -nomd {Path(path).name} copy.tif"
+                )
             yield dataset
 
 

@@ -32,6 +32,7 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
 
     Raises:
         AimError: the grid would have more than 30,000 pixels per side.
+        ValueError: the resolution is not positive.
     """
     sides = _measure_pixels(aim)
     if resolution is None:
@@ -72,12 +73,12 @@ def sample_nearest(
     """Sample the nearest pixels of a raster on a grid; 0 outside the raster.
 
     Args:
-        raster: (H, W) or (H, W, C).
-        image_from_grid: (3, 3) pixels of the grid to pixels of the raster.
+        raster: (H, W) or (H, W, C), of a type that OpenCV warps: uint8, uint16 or float.
+        image_from_grid: (3, 3) pixels of the grid to pixels of the raster (corner origin).
         shape: (height, width) of the grid.
 
     Returns:
-        Pixels of the grid.
+        (height, width) or (height, width, C) pixels of the grid.
     """
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)

@@ -46,7 +46,7 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
     Args:
         tracks: at any times.
         rate: in Hz.
-        max_gap: an agent is absent between recorded states that are more seconds apart.
+        max_gap: seconds; an agent is absent between recorded states that are further apart.
 
     Returns:
         The same agents, even those that are absent at all of the new times.

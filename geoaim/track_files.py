@@ -46,7 +46,9 @@ MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
 
-    CSV keeps times to the millisecond, Parquet to the microsecond; ValueError if they are closer.
+    Raises:
+        ValueError: the suffix is another one, no agent is present, or times are closer than a
+            millisecond (CSV) or a microsecond (Parquet).
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -67,7 +69,8 @@ def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
     """Read tracks in the plain format; `geoaim.read_tracks` reads every known format.
 
     Raises:
-        TracksError: the file is not in the plain format; the message says what was found.
+        FileNotFoundError: there is no such file.
+        TracksError: the file is not in the plain format, or is damaged.
     """
     path = Path(path)
     if not path.exists():
@@ -83,7 +86,7 @@ def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
 
 
 def format_world(world: World) -> str:
-    """Format the first lines of a table of positions: its CRS and origin."""
+    """Format the first two lines of a table of positions: `# crs: ...` and `# origin: ...`."""
     east, north = map(float, world.origin)
     crs = " ".join((world.crs or LOCAL_CRS).split())  # WKT may have line breaks
     return f"# crs: {crs}\n# origin: {east!r} {north!r}\n"
@@ -101,7 +104,7 @@ def read_table(
 
     Args:
         path: the file; it may be gzipped.
-        text: columns that stay text, so that an agent may be called 007 or NA.
+        text: names or numbers of columns that stay text, so that an agent may be called 007 or NA.
         delimiter: between fields.
         header: whether the first row names the columns; without it they are numbered.
         skip_rows: number of lines above the table.
@@ -111,7 +114,8 @@ def read_table(
         the file, counted from 1.
 
     Raises:
-        TracksError: the file is empty, or a row has more fields than there are columns.
+        FileNotFoundError: there is no such file.
+        TracksError: the file is empty or unreadable, or a row has more fields than columns.
     """
     options: dict[str, Any] = {
         "index_col": False,

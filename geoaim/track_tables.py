@@ -18,11 +18,12 @@ MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
 def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
-    """Make tracks from a table with the columns `COLUMNS`, one row for each agent and time.
+    """Make tracks from a table with one row for each agent and time.
 
-    An agent's type and size are those of its first row, and agents are in the order of their first
-    rows. Messages name a row by its label in the table's index, for which `read_table` gives its
-    number in the file.
+    The columns are those of `COLUMNS`: id, type, time (s), x, y (m), heading (rad, at most 2 pi
+    either way), speed (m/s), length, width (m). An agent's type and size are those of its first
+    row, and agents are in the order of their first rows. Messages name a row by its label in the
+    table's index, for which `read_table` gives its number in the file.
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in

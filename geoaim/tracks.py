@@ -26,7 +26,8 @@ class Tracks:
             the agent is absent.
         present: (N, T) whether the agent is present.
         sizes: (N, 2) length and width of the agents' boxes, metres.
-        types: N agent types: "car", "van", "truck", "bus", "pedestrian", "cyclist", ...
+        types: N agent types: "car", "van", "truck", "bus", "motorcycle", "pedestrian", "cyclist";
+            others are allowed, and belong to no group of `geoaim.agent_types`.
         ids: N unique names.
         world: the plane of x and y.
 
@@ -66,7 +67,7 @@ class Tracks:
             raise ValueError("a state is not finite where its agent is present")
 
     def to_frame(self) -> pd.DataFrame:
-        """One row for each agent and each time at which it is present; columns are `COLUMNS`."""
+        """Make a table with a row for each agent and time at which it is present (`COLUMNS`)."""
         agent, step = np.nonzero(self.present)
         values = np.column_stack([self.times[step], self.states[agent, step], self.sizes[agent]])
         frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))

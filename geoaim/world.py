@@ -26,21 +26,22 @@ class World:
     """A metric plane, x east and y north, in metres from an origin.
 
     Attributes:
-        crs: a projected CRS in metres, in any form that pyproj reads, or None for a
-            local plane.
+        crs: a projected CRS in metres ("EPSG:n", PROJ string or WKT); None for a local plane.
         origin: easting and northing of the world's (0, 0) in that CRS, metres.
 
     Raises:
-        GeoreferenceError: the CRS is unknown, geographic, not in metres, or not x east y north.
+        GeoreferenceError: the CRS is unknown, geographic, not in metres, or not x east y north; or
+            the origin is not two finite numbers.
     """
 
     crs: str | None
     origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.origin).all():
+        if np.shape(self.origin) != (2,) or not np.isfinite(self.origin).all():
             raise GeoreferenceError(
-                f"The origin {self.origin} of a world is not a pair of finite numbers."
+                f"The origin of a world is {self.origin}; two finite numbers, easting and northing,"
+                " are needed."
             )
         if self.crs is not None and (problem := describe_crs_problem(self.crs, self.origin)):
             raise GeoreferenceError(problem)
@@ -48,7 +49,11 @@ class World:
 
 @lru_cache(maxsize=64)
 def parse_crs(crs: str) -> CRS:
-    """Parse a CRS: "EPSG:n", a PROJ string or WKT; GeoreferenceError if pyproj does not know it."""
+    """Parse "EPSG:n", a PROJ string or WKT.
+
+    Raises:
+        GeoreferenceError: pyproj does not know it, or it names a file such as a grid.
+    """
     if CRS_FILES.search(crs):
         raise GeoreferenceError(f"{crs[:200]!r} names a file; a CRS that needs none is needed.")
     try:
@@ -85,7 +90,11 @@ def find_utm_crs(longitude: float, latitude: float) -> str:
 
 
 def describe_crs_problem(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> str:
-    """Describe why a CRS cannot be that of a world, and what to use; empty when it can."""
+    """Describe why a CRS cannot be that of a `World`, and what to use; "" when it can.
+
+    Raises:
+        GeoreferenceError: it is no CRS at all.
+    """
     parsed = parse_crs(crs)
     name = crs if len(crs) < MAX_NAME_CHARS else repr(parsed.name)
     units = {axis.unit_name for axis in parsed.axis_info[:2]}
@@ -128,7 +137,7 @@ def _suggest_crs(crs: CRS) -> str:
 
 
 def choose_world(lonlat: Float[Array, "m 2"], *, crs: str | None = None) -> World:
-    """Choose a world for points (longitude and latitude, degrees): their UTM zone or another CRS.
+    """Choose a world for points (longitude, latitude in degrees); without `crs` their UTM zone.
 
     The origin is the mean of the points, rounded to 100 m.
 
@@ -154,15 +163,15 @@ def transform_crs(
     """Transform points between CRSs, x (or longitude) first whatever the CRS's axis order.
 
     Args:
-        source: the CRS of the points.
+        source: the CRS of the points, as `parse_crs` reads it.
         destination: the CRS to transform to.
-        points: (M, 2) coordinates.
+        points: (M, 2) coordinates; those that are not finite stay so.
 
     Returns:
         (M, 2) coordinates in the destination.
 
     Raises:
-        GeoreferenceError: a point cannot be expressed in the destination.
+        GeoreferenceError: a CRS is unknown, or a point cannot be expressed in the destination.
     """
     points = np.asarray(points, np.float64)
     if source == destination:
@@ -218,18 +227,22 @@ def crs_from_world(
 
     Returns:
         (M, 2) coordinates, x first whatever the CRS's axis order.
+
+    Raises:
+        GeoreferenceError: a point cannot be expressed there, or a CRS is given and the world has
+            none.
     """
     points = np.asarray(points, np.float64) + world.origin
     return points if crs is None else transform_crs(_require_crs(world), crs, points)
 
 
 def world_from_lonlat(world: World, lonlat: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
-    """Convert longitude and latitude (WGS 84, degrees) to world metres."""
+    """Convert longitude, latitude (WGS 84, degrees) to world metres; see `world_from_crs`."""
     return world_from_crs(world, lonlat, LONLAT)
 
 
 def lonlat_from_world(world: World, points: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
-    """Convert world metres to longitude and latitude (WGS 84, degrees)."""
+    """Convert world metres to longitude, latitude (WGS 84, degrees); see `crs_from_world`."""
     return crs_from_world(world, points, LONLAT)
 
 

@@ -51,6 +51,12 @@ def test_utm_zone_of_known_places(longitude, latitude, crs):
     assert find_utm_crs(longitude, latitude) == crs
 
 
+@pytest.mark.parametrize("origin", [(1.0, 2.0, 3.0), (1.0,), (1.0, np.nan)])
+def test_an_origin_of_other_than_two_finite_numbers_is_refused(unchecked, origin):
+    with pytest.raises(GeoreferenceError, match="two finite numbers"):
+        World(None, origin)
+
+
 def test_places_on_both_sides_of_the_date_line_share_a_world():
     world = choose_world(np.array([[179.9999, 10.0], [-179.9999, 10.0]]))
     near = world_from_lonlat(world, np.array([[179.9999, 10.0], [-179.9999, 10.0]]))

@@ -11,6 +11,7 @@ from geoaim.cli.console import DEBUG, stop_when_terminated
 from geoaim.cli.doctor import doctor
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.experiment import experiment
+from geoaim.cli.frame import frame
 from geoaim.cli.maps import draw, info, texture
 from geoaim.cli.predict import predict
 from geoaim.cli.register import register
@@ -19,7 +20,7 @@ from geoaim.cli.simulate import render, simulate
 from geoaim.cli.train import train
 
 COMMANDS = (
-    *(build, align, draw, register, info, texture, render, simulate),
+    *(frame, build, align, draw, register, info, texture, render, simulate),
     *(predict, evaluate, train, experiment, sample, doctor),
 )
 

@@ -187,12 +187,19 @@ def _locate_nodes(
     path: Path, file: _File, world: World | None
 ) -> tuple[Float[Array, "n 2"], World]:
     """World metres of the nodes, and the world."""
-    try:
-        lonlat = np.array(file.lonlat, np.float64).reshape(-1, 2)
-    except (TypeError, ValueError) as error:
-        raise MapError(f"{path}: a node has no longitude and latitude: {error}") from error
-    if len(lonlat) == 0 or not np.isfinite(lonlat).all():
-        raise MapError(f"{path} has {len(lonlat)} nodes; each needs a longitude and a latitude")
+    if not file.nodes:
+        raise MapError(f"{path} has no nodes, the points of a map")
+    numbers = map(_parse_degrees, file.lonlat)
+    lonlat = np.fromiter(numbers, np.float64, len(file.lonlat)).reshape(-1, 2)
+    wrong = ~np.isfinite(lonlat).all(axis=1)
+    if wrong.any():
+        first = int(wrong.argmax())
+        name = next((name for name, number in file.nodes.items() if number == first), None)
+        lon, lat = file.lonlat[2 * first : 2 * first + 2]
+        raise MapError(
+            f"{path}: node {name} has lon {lon!r} and lat {lat!r}; two numbers of degrees are "
+            "needed"
+        )
     local = bool((np.abs(lonlat) < MAX_LOCAL_DEGREES).all())
     if world is None:
         world = World(None) if local else choose_world(lonlat)
@@ -206,6 +213,13 @@ def _locate_nodes(
         return world_from_lonlat(world, lonlat), world
     corner = transform_crs(LONLAT, LOCAL_CRS, np.zeros((1, 2)))
     return transform_crs(LONLAT, LOCAL_CRS, lonlat) - corner - world.origin, world
+
+
+def _parse_degrees(text: str | None) -> float:
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return np.nan
 
 
 def _make_lanelet(path: Path, relation: _Element, ways: Ways) -> Lanelet:

@@ -5,6 +5,7 @@ from geoaim.mapping.background.running_mean import average_frames
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.place_tracks import place_tracks
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import register, write_registration
 from geoaim.mapping.texture import export_texture
@@ -17,6 +18,7 @@ __all__ = [
     "estimate_georeference",
     "export_texture",
     "open_video",
+    "place_tracks",
     "read_control_points",
     "read_detections",
     "register",

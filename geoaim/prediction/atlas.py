@@ -45,7 +45,8 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
 
 def make_grey_ground() -> Ground:
     """Make a ground that is grey everywhere: no map."""
-    return make_ground(torch.full((3, 1, 1), GREY), torch.eye(3)[:2])
+    ground = make_ground(torch.full((3, 1, 1), GREY), torch.eye(3)[:2])
+    return replace(ground, averaged_over=math.inf)
 
 
 def scale_ground(ground: Ground, factors: Float[Tensor, "2"]) -> Ground:

@@ -42,7 +42,8 @@ def evaluate(
     Args:
         predictor: a model's `sample`, or one of `BASELINES`.
         segments: the ground truth.
-        ground: the map.
+        ground: the map; `prefilter_ground` it first to save time, since predictors that render it
+            do so for each batch otherwise.
         config: options.
         rules: where vehicles may drive, for infractions.
         progress: takes stage, done and total.

@@ -43,7 +43,7 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.segments import Segments, repeat
-from geoaim.simulation.ground import Ground
+from geoaim.simulation.ground import Ground, prefilter_ground
 from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_angle
 
 MAX_ACTION = 4.0  # normalised: ground-truth actions beyond are noise of headings at standstill
@@ -140,9 +140,9 @@ class ITRA(nn.Module):
 
         Args:
             segments: the ground truth.
-            ground: the map.
+            ground: the map, averaged by `prefilter_ground` as that of `make_dataset` is.
             history: observed steps.
-            generator: source of all noise.
+            generator: source of all noise, on the segments' device.
             top_k: proposals of each agent that are trained, its best ones.
 
         Returns:
@@ -196,18 +196,21 @@ class ITRA(nn.Module):
 
         Args:
             segments: whose first steps are observed; later steps of controlled agents are ignored.
-            ground: the map.
+            ground: the map, which `prefilter_ground` averages for the model's views here, unless
+                it has done so before, which saves time when this is called often.
             history: observed steps.
-            samples: futures to draw.
-            generator: source of the noise.
+            samples: K futures to draw.
+            generator: source of the noise, on the segments' device.
             latent_scale: factor on the prior's standard deviation.
 
         Returns:
-            States of all agents at all steps, the observed ones included.
+            States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
+            ones included.
 
         Raises:
             ValueError: the segments do not fit the model.
         """
+        ground = prefilter_ground(ground, self.config.resolution)
         one = self._index(segments, ground, history)
         observed = self._encode_history(one, self._normalise_actions(one))
         number = segments.controlled.long()  # (B, N) row of each controlled agent
@@ -324,15 +327,19 @@ class ITRA(nn.Module):
         if abs(segments.dt - config.dt) > DT_TOLERANCE_S:
             raise ValueError(f"segments have a dt of {segments.dt:g} s, the model {config.dt:g} s")
         if not 1 <= history < total:
-            raise ValueError(f"{history} of {total} steps are observed; 1 to {total - 1} can be")
+            raise ValueError(
+                f"history is {history}, but the segments have {total} steps; give 1 to "
+                f"{total - 1}, so that a step remains to predict"
+            )
         if not segments.controlled.any():
             raise ValueError("no agent in these segments is controlled")
         batch = _Batch(segments, ground, index_controlled(segments), history)
         if config.num_anchors:
             if (history, total - history) != (config.history, config.horizon):
                 raise ValueError(
-                    f"{history} of {total} steps are observed; the model's proposals cover "
-                    f"{config.horizon} steps after {config.history}"
+                    f"history is {history} and the segments have {total} steps; the model's "
+                    f"proposals need a history of {config.history} and "
+                    f"{config.history + config.horizon} steps"
                 )
             if not batch.present[:, :history].all():
                 raise ValueError(

@@ -8,7 +8,6 @@ from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.itra import DT_TOLERANCE_S, ITRA
-from geoaim.simulation.ground import prefilter_ground
 from geoaim.simulation.scene import Scene
 
 
@@ -55,11 +54,7 @@ def predict(
     _check_size(samples, len(scene.ids), history + horizon)
     segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     futures = model.sample(
-        segment,
-        prefilter_ground(scene.ground, config.resolution),
-        history=history,
-        samples=samples,
-        generator=generator,
+        segment, scene.ground, history=history, samples=samples, generator=generator
     )[0, :, history:]  # (K, T, N, 4)
     present = segment.present[0, history:, :, None]
     return torch.where(present, futures, torch.nan).transpose(1, 2)

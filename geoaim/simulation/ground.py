@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -40,6 +40,7 @@ class Ground:
     # 1 where the texture shows the ground, 0 where not and in the border
     coverage: Float[Tensor, "1 h w"]
     image_from_world: Float[Tensor, "2 3"]  # metres to pixels (corner origin)
+    averaged_over: float = 0.0  # metres to a side, by `prefilter_ground`; 0: not averaged
 
     @property
     def bounds(self) -> Float[Tensor, "2 2"]:
@@ -95,20 +96,26 @@ def make_ground(
 
 def move_ground(ground: Ground, device: torch.device | str) -> Ground:
     """Copy a ground to a device."""
-    return Ground(
-        ground.image.to(device), ground.coverage.to(device), ground.image_from_world.to(device)
+    return replace(
+        ground,
+        image=ground.image.to(device),
+        coverage=ground.coverage.to(device),
+        image_from_world=ground.image_from_world.to(device),
     )
 
 
 def prefilter_ground(ground: Ground, resolution: float) -> Ground:
-    """Average a ground over the pixels of a view, so that finer textures do not alias.
+    """Average a ground over pixels of `resolution` metres, so that views of it do not alias.
 
-    Each pixel becomes the mean of the texture, interpolated by cubic convolution (Keys 1981), over
-    a square of one of the view's pixels. One bilinear lookup for each pixel is then close to the
-    mean over it, however the view is turned. Where the texture is much finer than the view, it is
-    subsampled to four pixels for each of the view's, and the square is made smaller by the blur of
-    looking up among fewer pixels. The texture's pixels must be about square.
+    A ground that is averaged over as much already is returned as it is. Each pixel becomes the mean
+    of the texture, interpolated by cubic convolution (Keys 1981), over a square of one of the
+    view's pixels. One bilinear lookup is then close to the mean over it, however the view is
+    turned. A texture much finer than the view is subsampled to four pixels for each of the view's,
+    with a smaller square for the blur of looking up among fewer pixels. The texture's pixels must
+    be about square.
     """
+    if ground.averaged_over >= resolution:
+        return ground
     ratio = resolution / _compute_resolution(ground.image_from_world)
     stride = max(1, int(ratio / 4 + 1e-3))
     weights = _compute_weights(math.sqrt(ratio**2 - 2 * (stride**2 - 1)))
@@ -117,7 +124,7 @@ def prefilter_ground(ground: Ground, resolution: float) -> Ground:
     image, coverage = (
         _filter(plane, weights, stride, margin) for plane in (ground.image, ground.coverage)
     )
-    return Ground(image, coverage, matrix)
+    return Ground(image, coverage, matrix, averaged_over=resolution)
 
 
 def render_coverage(

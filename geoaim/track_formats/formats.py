@@ -34,22 +34,23 @@ FORMATS = (PLAIN, SDD, SIND, INTERACTION, IND, HIGHD, GEOTRAX, TRAJNET)
 def read_tracks(
     path: str | os.PathLike[str], *, world: World | None = None, resolution: float | None = None
 ) -> Tracks:
-    """Read tracks from a file in any known format; the format is detected from its first line.
+    """Read tracks from a file in any format of `FORMATS`, and warn of implausible ones.
 
-    Implausible sizes, speeds, accelerations and headings give a warning with the number of agents;
-    the readers of `geoaim.track_formats` do not check them.
+    The readers of `geoaim.track_formats`, one for each format, do not check plausibility.
 
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
             folder of a SinD recording.
-        world: the CRS and origin of x and y, for files that do not state them: INTERACTION, SinD
-            and geo-trax (which takes the CRS only, since its coordinates have no origin).
-        resolution: metres per pixel, for files in image pixels: SDD and TrajNet.
+        world: the CRS and origin of x and y; only for INTERACTION, SinD and geo-trax, which do not
+            state them (geo-trax takes the CRS only). None: a local plane.
+        resolution: metres per pixel; only for files in pixels: required for SDD, and for TrajNet
+            unless `scenes.csv` has it.
 
     Returns:
         The tracks.
 
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: the file has none of the formats, is broken, or nearly all of its agents or
             states are implausible.
         ValueError: a required option is missing, the format does not take a given option, or
@@ -76,7 +77,12 @@ def read_tracks(
 
 
 def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
-    """Detect a file's format from its name and first line; raise TracksError if there is none."""
+    """Detect a file's format from its name and first line.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: it has no known format.
+    """
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")

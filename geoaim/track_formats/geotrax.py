@@ -22,9 +22,10 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
 
     Headings and speeds are derived from the positions over half a second; a size that was not
     measured is the median of its class. `crs` is that of Local_X (east) and Local_Y (north), None
-    for a local plane without a CRS; the world's origin is near the mean position.
+    for a local plane without a CRS; the world's origin is near the mean position. Times begin at 0.
 
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: columns are missing, or a value is not a number.
     """
     table = read_table(path, text=("Vehicle_ID",))

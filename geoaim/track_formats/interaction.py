@@ -33,6 +33,7 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
     local plane without a CRS.
 
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: columns are missing, or a value is not a number.
     """
     table = _read_states(path, heading="psi_rad")
@@ -51,12 +52,13 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
 
 
 def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
-    """Read one of a SinD recording's files `SIND_FILES`, or both from the recording's folder.
+    """Read a SinD recording's vehicles or pedestrians (`SIND_FILES`), or both from its folder.
 
     Vehicles have the heading yaw_rad; pedestrians, which are points, that of their motion. `world`
     is the plane of x and y; None for a local plane without a CRS.
 
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: a folder has neither file, columns are missing, or a value is not a number.
     """
     path = Path(path)

@@ -34,13 +34,14 @@ HIGHD_MIN_HEADING_SPEED = 2.0  # m/s; slower motion on a motorway has no usable 
 
 
 def read_ind(path: str | os.PathLike[str]) -> Tracks:
-    """Read a recording of inD, rounD, exiD or uniD: `recordingId, trackId, frame, xCenter, ...`.
+    """Read `XX_tracks.csv` of inD, rounD, exiD or uniD, and the two tables beside it.
 
     The world is the UTM zone of the recording, with its origin. Agents written as points, as
     pedestrians and cyclists are, get the typical size of their type.
 
     Raises:
-        TracksError: a file or columns are missing, or a value is not a number.
+        FileNotFoundError: there is no such file.
+        TracksError: a table beside it or columns are missing, or a value is not a number.
         GeoreferenceError: the recording's location lies in no UTM zone.
     """
     table = read_table(path, text=("trackId",))
@@ -70,14 +71,15 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
 
 
 def read_highd(path: str | os.PathLike[str]) -> Tracks:
-    """Read a recording of highD: `frame, id, x, y, width, height, xVelocity, yVelocity, ...`.
+    """Read `XX_tracks.csv` of highD, and the two tables beside it.
 
     In the file y points down and (x, y) is a corner of the box; in the tracks y points up and
     (x, y) is the middle, in a local plane without a CRS. The heading is that of the
     motion, or that of the carriageway for an agent that hardly moves.
 
     Raises:
-        TracksError: a file or columns are missing, or a value is not a number.
+        FileNotFoundError: there is no such file.
+        TracksError: a table beside it or columns are missing, or a value is not a number.
     """
     table = read_table(path, text=("id",))
     check_columns(path, table, numbers=HIGHD_COLUMNS, others=("id",))

@@ -15,8 +15,11 @@ from geoaim.world import World
 def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
     """Replace headings and speeds by those of the positions over `half_window` seconds either side.
 
-    An agent that stands keeps the direction of its last motion; no agent drives in reverse.
+    The window reaches the neighbouring states where most of these are further apart. A state
+    without another one in it has speed 0. An agent that stands keeps the direction of its last
+    motion; no agent drives in reverse.
     """
+    half_window = widen_half_window(tracks, half_window)
     velocity = np.nan_to_num(estimate_velocity(tracks, half_window))
     states = tracks.states.copy()
     states[..., 2] = np.where(tracks.present, estimate_heading(velocity), np.nan)
@@ -25,24 +28,34 @@ def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
 
 
 def make_tracks_from_positions(rows: pd.DataFrame, world: World, *, half_window: float) -> Tracks:
-    """Make tracks from rows without heading and speed; both are derived from the positions.
+    """Make tracks from rows without heading and speed; `derive_motion` computes both.
 
     Args:
-        rows: has the columns of `make_tracks` other than heading and speed.
+        rows: one for each agent and time; columns id, type, time (s), x, y, length, width (m).
         world: the plane of x and y.
         half_window: seconds to each side over which positions are differenced.
 
     Returns:
         The tracks.
+
+    Raises:
+        TracksError: `make_tracks` refuses the rows.
     """
     tracks = make_tracks(rows.assign(heading=0.0, speed=0.0)[list(COLUMNS)], world)
     return derive_motion(tracks, half_window=half_window)
 
 
-def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2"]:
-    """Estimate velocities by central differences; one-sided where a track begins or ends.
+def widen_half_window(tracks: Tracks, half_window: float) -> float:
+    """Widen a window, if needed, to the median time between an agent's states, in seconds."""
+    agent, step = np.nonzero(tracks.present)
+    dt = np.diff(tracks.times[step])[np.diff(agent) == 0]
+    return max(half_window, 1.01 * float(np.median(dt)) if len(dt) else 0.0)
 
-    A step without another one within `half_window` has NaN.
+
+def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2"]:
+    """Estimate velocities (m/s) by differences of positions over `half_window` seconds either side.
+
+    One-sided where a track begins or ends; NaN where the window holds no other state.
     """
     velocity = np.full((*tracks.present.shape, 2), np.nan)
     for agent in range(len(tracks.ids)):
@@ -57,7 +70,10 @@ def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2
 
 
 def fill_headings(rows: pd.DataFrame) -> pd.DataFrame:
-    """Fill headings that are NaN: with the agent's last known one, else its next one, else 0."""
+    """Fill NaN in the column heading: with the agent's last known one, else its next, else 0.
+
+    The rows also need the columns id and time. The result is a copy.
+    """
     headings = rows.sort_values("time").groupby("id")["heading"]
     return rows.assign(heading=headings.ffill().fillna(headings.bfill()).fillna(0.0))
 
@@ -65,7 +81,7 @@ def fill_headings(rows: pd.DataFrame) -> pd.DataFrame:
 def compute_signed_speed(
     velocity: Float[Array, "*m 2"], heading: Float[Array, "*m"]
 ) -> Float[Array, "*m"]:
-    """Speeds in m/s, negative where the motion is against the heading.
+    """Compute speeds from velocities (m/s), negative where these point against the heading (rad).
 
     >>> compute_signed_speed(np.array([[3.0, 4.0], [0.0, -2.0]]), np.array([0.0, np.pi / 2]))
     array([ 5., -2.])

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.geometry import wrap_angle
-from geoaim.track_formats.motion import estimate_velocity
+from geoaim.track_formats.motion import estimate_velocity, widen_half_window
 from geoaim.tracks import Tracks
 
 # By type: greatest length and width in metres, and speed in m/s.
@@ -44,16 +44,17 @@ class _Check:
     checked: Bool[Array, "N *T"]
     tolerance: float = 0.0  # share that may be wrong by noise
 
+    @property
+    def unit(self) -> str:
+        return "agents" if self.wrong.ndim == 1 else "states"
+
 
 def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
-    """Warn of implausible tracks, with the number of agents.
-
-    Args:
-        path: the file that messages name.
-        tracks: its tracks.
+    """Warn (`GeoaimWarning`) of tracks beyond the limits of this module, with the number of agents.
 
     Raises:
-        TracksError: nearly all agents or states are implausible.
+        TracksError: 90 % of the agents or states, or more, are implausible in one way; the message
+            names `path`.
     """
     found = []
     for check in (*_check_sizes(tracks), *_check_motion(tracks)):
@@ -63,7 +64,9 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
         agents = check.wrong.reshape(len(tracks.ids), -1).any(axis=1).sum()
         text = f"{agents} of {len(tracks.ids)} agents {check.problem}"
         if share >= NEARLY_ALL:
-            raise TracksError(f"{Path(path)}: {text}, in {100 * share:.0f} % of what was checked")
+            raise TracksError(
+                f"{Path(path)}: {text}: {100 * share:.0f} % of the {check.unit} that were checked"
+            )
         found.append(text)
     if found:
         warnings.warn(
@@ -88,7 +91,7 @@ def _check_sizes(tracks: Tracks) -> list[_Check]:
 
 def _check_motion(tracks: Tracks) -> list[_Check]:
     max_speed = _list_limits(tracks)[:, 2, None]
-    half_window = _choose_half_window(tracks)
+    half_window = widen_half_window(tracks, HALF_WINDOW_S)
     velocity = estimate_velocity(tracks, half_window)
     known = np.isfinite(velocity[..., 0])
     velocity = np.nan_to_num(velocity)
@@ -127,13 +130,6 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
             NOISE,
         ),
     ]
-
-
-def _choose_half_window(tracks: Tracks) -> float:
-    """Seconds to each side over which positions are differenced: at least one step of an agent."""
-    agent, step = np.nonzero(tracks.present)
-    dt = np.diff(tracks.times[step])[np.diff(agent) == 0]
-    return max(HALF_WINDOW_S, 1.01 * float(np.median(dt)) if len(dt) else 0.0)
 
 
 def _measure_acceleration(

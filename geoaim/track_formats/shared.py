@@ -62,7 +62,10 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
 
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map names of agent types to ours; keep others in lower case, with a warning."""
+    """Map names of agent types to ours by `AGENT_TYPES`; keep others in lower case, with a warning.
+
+    `path` is the file that the warning names.
+    """
     types = names.str.lower().replace(AGENT_TYPES)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
     if unknown:
@@ -84,13 +87,16 @@ def check_columns(
     numbers: tuple[str, ...],
     others: tuple[str, ...] = (),
 ) -> None:
-    """Raise TracksError if columns or all rows are missing, or a value is not a number.
+    """Check that a table from `read_table` has rows and columns; missing values pass.
 
     Args:
         path: the file that the message names.
         table: the table as read.
         numbers: required columns of numbers.
         others: required columns of any type.
+
+    Raises:
+        TracksError: columns or all rows are missing, or a value is not a number.
     """
     missing = [name for name in (*others, *numbers) if name not in table.columns]
     if missing:
@@ -118,13 +124,17 @@ def _is_number(value: object) -> bool:
 
 
 def check_resolution(resolution: float) -> None:
-    """Refuse metres per pixel that are not positive and finite."""
+    """Raise ValueError for metres per pixel that are not positive and finite."""
     if not 0 < resolution < np.inf:
         raise ValueError(f"resolution is {resolution}; a positive number of metres is needed")
 
 
 def fill_sizes(rows: pd.DataFrame) -> Float[Array, "m 2"]:
-    """Length and width in metres; where a size is 0 or missing, the typical one of the type."""
+    """Complete the columns length and width (m) of rows by `TYPICAL_SIZES` of the column type.
+
+    Returns:
+        (m, 2) length and width; a side that is 0 or NaN is the typical one.
+    """
     typical = np.array([TYPICAL_SIZES.get(name, OTHER_SIZE) for name in rows["type"]])
     sizes = rows[["length", "width"]].to_numpy(np.float64)
     return np.where(np.isnan(sizes) | (sizes == 0), typical.reshape(-1, 2), sizes)

@@ -35,12 +35,14 @@ AGENT_TYPES = {"Biker": "cyclist"}
 def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
     """Read `annotations.txt` or `annotations.txt.gz` of the Stanford Drone Dataset.
 
-    x points to the right and y up, in metres from the top-left corner of the reference image,
-    whose resolution is given in metres per pixel. Headings and speeds are derived from the
-    positions over a second.
+    x points to the right and y up, in metres from the top-left corner of the image, at
+    `resolution` metres per pixel. Headings and speeds are derived from the positions over a
+    second. Rows that are marked as lost are left out.
 
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: the file does not have this format, or all agents are lost in it.
+        ValueError: the resolution is not positive.
     """
     check_resolution(resolution)
     table = read_table(path, text=(9,), delimiter=" ", header=False)
@@ -83,9 +85,13 @@ def read_trajnet(path: str | os.PathLike[str], *, resolution: float | None = Non
         resolution: metres per pixel; None for that in `scenes.csv`, a table with the columns
             scene and metres_per_pixel in the file's folder or the one above.
 
+    Returns:
+        The tracks.
+
     Raises:
+        FileNotFoundError: there is no such file.
         TracksError: columns are missing, or a value is not a number.
-        ValueError: the resolution is neither given nor in `scenes.csv`.
+        ValueError: the resolution is neither given nor in `scenes.csv`, or is not positive.
     """
     if resolution is None:
         resolution = _look_up_resolution(Path(path))
@@ -117,8 +123,9 @@ def _look_up_resolution(path: Path) -> float:
                 if len(values) == 1:
                     return float(values.iloc[0])
     raise ValueError(
-        f"{path} is in pixels, and no scenes.csv beside it has their size for {path.stem!r}; "
-        "give resolution, metres per pixel, such as 0.04"
+        f"{path} is in pixels, and no scenes.csv in its folder or the one above gives "
+        f"metres_per_pixel of scene {path.stem!r}; give a resolution in metres per pixel, such as "
+        "0.04"
     )
 
 

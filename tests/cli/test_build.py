@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from typer.testing import CliRunner
 
 from geoaim.cli import app
+from geoaim.mapping.video.video import open_video
 
 run = CliRunner().invoke
 
@@ -26,6 +28,14 @@ def test_an_error_is_one_line_and_exit_code_1_and_writes_nothing(frames_folder, 
     assert result.exit_code == 1
     assert "give four or more control points" in " ".join(result.output.split())
     assert not list(tmp_path.iterdir())
+
+
+def test_frame_saves_a_frame_of_the_video(frames_folder, tmp_path):
+    output = tmp_path / "frame.png"
+    command = ["frame", str(frames_folder), "--time", "2", "-o", str(output)]
+    assert run(app, command).exit_code == 0
+    saved = np.asarray(Image.open(output))
+    np.testing.assert_array_equal(saved, list(open_video(frames_folder))[2].image)
 
 
 def test_register_writes_a_row_for_each_frame(frames_folder, tmp_path):

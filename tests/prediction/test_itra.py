@@ -134,7 +134,7 @@ def test_segments_that_do_not_fit_the_model_are_rejected():
     segments = drive(6)
     with pytest.raises(ValueError, match=r"a dt of 0.1 s, the model 0.4 s"):
         model(replace(TINY, dt=0.4))(segments, hill(), 2, noise())
-    with pytest.raises(ValueError, match=r"2 of 6 steps are observed; .* cover 5 steps after 2"):
+    with pytest.raises(ValueError, match=r"history is 2 .* 6 steps; .* 2 and 7 steps"):
         model(KINDS["slide with proposals"])(segments, hill(), 2, noise())
     absent = segments.present.clone()
     absent[:, 0] = False
@@ -144,7 +144,9 @@ def test_segments_that_do_not_fit_the_model_are_rejected():
         )
     with pytest.raises(ValueError, match="two or more observed steps; history is 1"):
         model(replace(KINDS["slide with proposals"], history=1))
-    with pytest.raises(ValueError, match="6 of 6 steps are observed"):
+    with pytest.raises(
+        ValueError, match="history is 6, but the segments have 6 steps; give 1 to 5"
+    ):
         model()(segments, hill(), 6, noise())
     none = replace(segments, controlled=torch.zeros_like(segments.controlled))
     with pytest.raises(ValueError, match="no agent in these segments is controlled"):

@@ -19,6 +19,7 @@ from geoaim.prediction.itra import ITRA
 from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import predict
+from geoaim.prediction.training import init_model
 from geoaim.simulation.ground import prefilter_ground
 from geoaim.simulation.scene import make_scene, slice_scene
 from geoaim.track_changes import resample_tracks
@@ -62,6 +63,19 @@ def test_pretrained_models_are_small_and_control_their_kind(hdmap, kind):
     truth = scene.poses[:, 13:23]
     assert torch.equal(futures[0, ..., :3][others], truth[others])
     assert torch.isnan(futures[:, ~mine & ~scene.present[:, 12:23].any(dim=1)]).all()
+
+
+def test_samples_are_the_same_whether_or_not_the_map_is_prefiltered(scene):
+    model = init_model(TINY)
+    segments = cut_segments(scene, "vehicle", steps=12, stride=12, joint=True)
+    plain, fine = scene.ground, prefilter_ground(scene.ground, model.config.resolution)
+    first, second = (
+        model.sample(segments, ground, history=2, samples=2, generator=noise())
+        for ground in (plain, fine)
+    )
+    assert torch.equal(first, second)
+    assert prefilter_ground(fine, model.config.resolution) is fine
+    assert fine.image.shape != plain.image.shape
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])

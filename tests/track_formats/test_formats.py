@@ -1,9 +1,11 @@
 import numpy as np
+import pandas as pd
 import pytest
 
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_formats import derive_motion, read_tracks, read_trajnet
 from geoaim.track_formats.formats import detect_format
+from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.world import World
 from tests.track_formats import test_interaction, test_levelx, test_readers
 
@@ -100,7 +102,7 @@ def test_trajnet_windows_become_one_recording_in_metres(tmp_path):
 
 def test_trajnet_resolution_is_looked_up_in_scenes_csv(tmp_path):
     path = _windows(tmp_path)
-    with pytest.raises(ValueError, match=r"no scenes.csv beside it has .* give resolution"):
+    with pytest.raises(ValueError, match=r"no scenes.csv in its folder .* give a resolution"):
         read_tracks(path)
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\ngates_0,0.05\n")
     assert read_tracks(path).states[0, 0, 0] == pytest.approx(5)
@@ -116,6 +118,13 @@ def test_real_files_are_read(data_folder):
     assert len(read_tracks(tracks / "songdo_u/U_video_cut.csv", world=world).ids) == 144
     path = next((tracks / "sdd_raw").glob("gates/video4/annotations.txt.gz"))
     assert "pedestrian" in read_tracks(path, resolution=0.0441).types
+
+
+def test_a_window_shorter_than_the_time_between_states_reaches_the_neighbours():
+    columns = {"id": "1", "type": "car", "time": [0.0, 1.0, 2.0], "x": [0.0, 4.0, 8.0], "y": 0.0}
+    rows = pd.DataFrame({**columns, "length": 4.5, "width": 1.8})
+    tracks = make_tracks_from_positions(rows, World(None), half_window=0.25)
+    assert tracks.states[0, :, 3].tolist() == [4.0, 4.0, 4.0]
 
 
 def test_a_real_file_with_reversed_headings_warns_and_derive_motion_corrects_it(data_folder):

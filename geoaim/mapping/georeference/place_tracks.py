@@ -1,0 +1,60 @@
+"""Transform tracks in pixels of a video's frames to the world of its map."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from geoaim.errors import TracksError
+from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
+from geoaim.mapping.registration.register import Registration
+from geoaim.track_formats.motion import derive_motion
+from geoaim.tracks import Tracks
+
+MAX_TIME_OFFSET_S = 0.02  # between a track's time and that of its frame: half a frame at 25 Hz
+
+
+def place_tracks(
+    tracks: Tracks,
+    registration: Registration,
+    georeference: Georeference,
+    *,
+    resolution: float,
+    half_window: float = 0.5,
+) -> Tracks:
+    """Transform tracks in pixels of a video's frames to the world of its map.
+
+    Args:
+        tracks: as readers of files in pixels give them: x is u and y is -v of each frame, times
+            `resolution`; times are those of the video.
+        registration: of all frames of the video to the georeferenced one.
+        georeference: of that frame.
+        resolution: metres per pixel with which the tracks were read.
+        half_window: seconds to each side over which `derive_motion` computes headings and speeds.
+
+    Returns:
+        The tracks in the world of the georeference, of the same sizes; agents are absent at frames
+        that are not registered.
+
+    Raises:
+        TracksError: a time is not that of a frame, or no agent is present at a registered one.
+    """
+    time = registration.time
+    nearest = np.rint(np.interp(tracks.times, time, np.arange(len(time)))).astype(int)
+    offset = np.abs(time[nearest] - tracks.times)
+    if offset.max(initial=0.0) > MAX_TIME_OFFSET_S:
+        raise TracksError(
+            f"no frame of the registration is at {tracks.times[offset.argmax()]:g} s, where the "
+            f"tracks have agents; the nearest is {offset.max():.2g} s off: register all frames of "
+            "the video of the tracks"
+        )
+    present = tracks.present & registration.valid[nearest]
+    if not present.any():
+        raise TracksError("no agent is present at a frame that is registered")
+    pixels = tracks.states[..., :2].swapaxes(0, 1) * [1, -1] / resolution  # (T, N, 2)
+    pixels = transform_points(registration.reference_from_frame[nearest], pixels).swapaxes(0, 1)
+    states = np.full_like(tracks.states, np.nan)
+    states[present] = 0.0
+    states[present, :2] = world_from_pixels(georeference, pixels[present])
+    placed = replace(tracks, states=states, present=present, world=georeference.world)
+    return derive_motion(placed, half_window=half_window)
