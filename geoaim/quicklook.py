@@ -28,9 +28,7 @@ Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
 
 
 def draw_quicklook(aim: AIM) -> Figure:
-    """Draw an AIM's image with its control points, and beside it the camera's drift, the coverage,
-    the uncertainty and the summary; `write_figure` writes it.
-    """
+    """Draw an AIM: its image with control points, drift, coverage, uncertainty and summary."""
     figure = Figure(figsize=(14, 6.4), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=[2.4, 1])
     _draw_points(figure.add_subplot(grid[:, 0]), aim)

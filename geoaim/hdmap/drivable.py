@@ -22,13 +22,17 @@ MIN_AREA_M2 = 0.1  # of a drawn area: degrees taken for metres enclose less
 
 
 def outline_lanelet(lanelet: Lanelet) -> Polygon:
-    """The polygon between the borders of a lanelet."""
+    """Make the polygon between the borders of a lanelet; several where it crosses itself."""
     ring = Polygon(np.concatenate([lanelet.left, lanelet.right[::-1]]))
     return ring if ring.is_valid else shapely.make_valid(ring)
 
 
 def sample_borders(lanelet: Lanelet, shares: Float[Array, "n"]) -> Float[Array, "2 n 2"]:
-    """Points of the left and the right border of a lanelet at shares of their lengths."""
+    """Sample the left and the right border of a lanelet at shares (0 to 1) of their lengths.
+
+    Returns:
+        (2, n, 2) metres: points of the left border, then of the right one.
+    """
     sides = (
         shapely.line_interpolate_point(LineString(line), shares, normalized=True)
         for line in (lanelet.left, lanelet.right)
@@ -37,7 +41,7 @@ def sample_borders(lanelet: Lanelet, shares: Float[Array, "n"]) -> Float[Array, 
 
 
 def find_drivable_area(hdmap: HDMap) -> MultiPolygon:
-    """Unite the lanes and car parks of a map, and close narrow gaps between lanes.
+    """Unite the lanes and car parks of a map, in metres; gaps up to `MAX_GAP_M` are closed.
 
     Raises:
         MapError: the map has no lane for vehicles.
@@ -55,11 +59,11 @@ def find_drivable_area(hdmap: HDMap) -> MultiPolygon:
 def sample_lane_directions(
     hdmap: HDMap,
 ) -> tuple[Float[Array, "m 2"], Float[Array, "m"], Float[Array, "m"]]:
-    """Sample the directions of one-way lanes.
+    """Sample the directions of one-way lanes for vehicles.
 
     Returns:
-        Points along the middles of lanes (m), the directions there (rad), and the distance from
-        each point to the border of its lane (m).
+        Points about `LANE_SPACING_M` apart along the middles of lanes (m), the directions there
+        (rad), and the distance from each to the border of its lane (m), or to the next point.
     """
     points, directions, reaches = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for lanelet in hdmap.lanelets:
@@ -76,7 +80,7 @@ def sample_lane_directions(
 
 
 def read_drivable_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
-    """Read polygons from a GeoJSON file as one area in the world.
+    """Read polygons drawn by hand (see `read_features`) as one area, in metres of the world.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -98,6 +102,6 @@ def read_drivable_area(path: str | os.PathLike[str], world: World) -> MultiPolyg
 
 
 def to_polygons(geometry: BaseGeometry) -> MultiPolygon:
-    """The polygons among the parts of any geometry."""
+    """Select the polygons among the parts of any geometry; lines and points are dropped."""
     parts = shapely.get_parts(shapely.get_parts(np.atleast_1d(geometry)))
     return MultiPolygon([part for part in parts if isinstance(part, Polygon) and not part.is_empty])

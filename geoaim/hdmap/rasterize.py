@@ -51,10 +51,11 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
     """Draw an HD map as a north-up image in the map's world, `resolution` metres per pixel.
 
     Surfaces are below lines, lines below stop lines; arrows show the direction of one-way lanes.
-    The colours are `SURFACES`, `LINES`, `ROAD`, `ARROW` and `GROUND`. Coverage is 1 everywhere.
+    The colours are the constants of this module. Coverage is 1 everywhere.
 
     Raises:
         ValueError: the resolution is not positive, or the image would be too large.
+        AimError: the image would have more than 30,000 pixels a side.
     """
     points = np.concatenate([line.points for line in hdmap.lines])
     corners = np.stack([points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M])

@@ -21,15 +21,15 @@ MAX_CELLS = 9_000_000  # about a gigabyte of memory during the computation
 def compute_signed_distance(
     area: MultiPolygon, *, resolution: float = 0.2
 ) -> tuple[Float32[Array, "H W"], Grid]:
-    """Compute the distance to the edge of an area, on a grid of `resolution` metres a cell.
+    """Compute the distance to the edge of an area (metres), on a grid of `resolution` m a cell.
 
     A distance is that to the nearest cell of a mask `SUPERSAMPLING` times as fine, which is half a
-    cell of the mask from the edge on average. Cells are coarser where there would be more than
-    `MAX_CELLS`.
+    cell of the mask from the edge on average. For more than `MAX_CELLS`, cells are made coarser,
+    with a warning.
 
     Returns:
         (H, W) metres at the centers of cells, positive outside the area and negative inside; and
-        the grid, which reaches `MARGIN_M` beyond the area.
+        the north-up grid, which reaches `MARGIN_M` beyond the area.
 
     Raises:
         MapError: the area is empty, or too narrow for a cell of the mask.

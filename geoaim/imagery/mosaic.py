@@ -71,18 +71,18 @@ def read_imagery(
     service (`https://host/{z}/{x}/{y}.png`); `Tiles` has options for tiles. Colours are resampled
     by cubic convolution, after means over what is finer than the grid. Nodata, masks and alpha
     leave holes; so do missing tiles and, among many files, those that cannot be read (with a
-    warning). Values of more than 8 bits are stretched from their 1st to 99th percentile there,
-    jointly over the bands and rasters of a source. Alpha bands are recognised by their colour
-    interpretation; other bands after the third are ignored.
+    warning). Values of more than 8 bits are stretched from their 1st to 99th percentile in the
+    region, jointly over the bands and rasters of a source. Alpha bands are recognised by their
+    colour interpretation; other bands after the third are ignored.
 
     Args:
         sources: one or several, the topmost first.
-        world: plane of the image; when None, the UTM zone of the imagery.
-        corners: (N, 2) world metres, whose bounds are covered; when None, all the imagery.
-        resolution: metres per pixel; that of the finest source there, to four digits, when None.
+        world: plane of the image, with a CRS; None: the UTM zone of the imagery.
+        corners: (N, 2) metres of `world`, whose bounds are covered; None: all the imagery.
+        resolution: metres per pixel; None: that of the finest source there, to four digits.
         crs: for sources that name no CRS, such as images with world files.
-        bands: number of the grey band or of the red, green and blue ones, from 1; when None, by
-            their colour interpretation, else the first three (or one of fewer).
+        bands: number of the grey band or of the red, green and blue ones, from 1; None: by their
+            colour interpretation, else the first three (the first of fewer).
 
     Returns:
         The image; coverage is 1 where imagery is. The report has, for each source, its CRS, its

@@ -49,19 +49,21 @@ def describe_raster(
     georeference: tuple[str, Float[Array, "3 3"]] | None = None,
     options: Mapping[str, int] | None = None,
 ) -> Raster:
-    """Read the header of a raster.
+    """Read the header of a raster; no pixel is read.
 
     Args:
         path: the file.
         crs: for a raster that names no CRS.
-        bands: one or three band numbers, from 1; by colour interpretation when None.
-        georeference: CRS and its matrix from the raster's unit square; its own when None.
+        bands: one or three band numbers, from 1; None: by colour interpretation.
+        georeference: CRS, and the (3, 3) matrix to it from the unit square (0, 0) top-left to
+            (1, 1) bottom-right over the raster; None: the file's own, or its world file's.
         options: of GDAL's driver.
 
     Returns:
-        The raster; no pixel has been read.
+        What the header says.
 
     Raises:
+        FileNotFoundError: there is no such file.
         ImageryError: the file is no raster, lacks bands, georeference or CRS, or is too large.
     """
     options = dict(options or {})
@@ -82,7 +84,7 @@ def describe_raster(
 
 
 def outline_raster(raster: Raster) -> Float[Array, "m 2"]:
-    """Points along the edges of a raster, in its CRS."""
+    """Sample points along the four edges of a raster, in its CRS."""
     corners = image_corners(*raster.grid.shape)
     shares = np.linspace(0.0, 1.0, 9)[:, None]
     edges = [a + (b - a) * shares for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]
@@ -90,7 +92,7 @@ def outline_raster(raster: Raster) -> Float[Array, "m 2"]:
 
 
 def intersects_bounds(raster: Raster, points: Float[Array, "m 2"]) -> bool:
-    """Whether a raster has a pixel within the bounds of points in its CRS."""
+    """Tell whether a raster has a pixel within the bounds of points (x, y in its CRS)."""
     pixels = transform_points(raster.grid.grid_from_world, points)
     inside = (pixels.max(axis=0) > 0) & (pixels.min(axis=0) < raster.grid.shape[::-1])
     return bool(inside.all())
@@ -209,17 +211,17 @@ class Region:
 
 
 def make_region(world: World, corners: Float[Array, "n 2"]) -> Region:
-    """The region within the bounds of points in world metres."""
+    """Make the region within the bounds of points in world metres."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     shares = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9)), axis=-1)
     return Region(world, low + (high - low) * shares.reshape(-1, 2))
 
 
 def enclose_outlines(outlines: Sequence[Outline], world: World | None) -> Region:
-    """The region around outlines, in a world of their own when None is given.
+    """Make the region around outlines; `world` None chooses their UTM zone.
 
     Raises:
-        ImageryError: the outlines extend over more than one image can show.
+        ImageryError: the outlines span more than `MAX_EXTENT_DEGREES`.
     """
     lonlat = np.concatenate([transform_crs(crs, LONLAT, points) for crs, points in outlines])
     spans = np.ptp(lonlat, axis=0)
@@ -234,7 +236,7 @@ def enclose_outlines(outlines: Sequence[Outline], world: World | None) -> Region
 
 
 def describe_extent(outlines: Sequence[Outline]) -> str:
-    """Longitudes and latitudes of outlines, for a message."""
+    """Describe the longitudes and latitudes of outlines in words, for a message."""
     try:
         lonlat = np.concatenate([transform_crs(crs, LONLAT, points) for crs, points in outlines])
     except GeoreferenceError as error:
@@ -244,7 +246,7 @@ def describe_extent(outlines: Sequence[Outline]) -> str:
 
 
 def measure_resolution(raster: Raster, region: Region) -> float:
-    """Metres a pixel of a raster in the middle of a region: the root of the area of a pixel."""
+    """Measure metres a pixel of a raster in the middle of a region: the root of a pixel's area."""
     middle = (region.points.min(axis=0) + region.points.max(axis=0)) / 2.0
     cross = middle + 5.0 * np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
     points = Region(region.world, cross).to_crs(raster.crs)

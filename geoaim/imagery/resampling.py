@@ -33,10 +33,16 @@ class Stretch(NamedTuple):
 def estimate_stretch(
     rasters: Sequence[Raster], points: Mapping[str, Float[Array, "m 2"]]
 ) -> Stretch | None:
-    """The 1st and 99th percentile of rasters of more than 8 bits, jointly over all their bands.
+    """Estimate the 1st and 99th percentile of rasters of more than 8 bits, jointly over all bands.
 
-    About a million pixels between the points (given for each CRS) are read. None when all rasters
-    have 8 bits, or no valid pixel can be read there.
+    About a million pixels within the bounds of the points are read.
+
+    Args:
+        rasters: of which those of 8 bits do not count.
+        points: (m, 2) around the wanted region, by each CRS of the rasters.
+
+    Returns:
+        The stretch; None when all rasters have 8 bits, or no valid pixel can be read there.
     """
     deep = [raster for raster in rasters if raster.dtype != "uint8"]
     samples = [np.empty(0, np.float32)]
@@ -59,7 +65,7 @@ def estimate_stretch(
 
 
 def unpremultiply(rgba: Float32[Array, "4 h w"]) -> UInt8[Array, "h w 3"]:
-    """Divide colours by alpha, given sums of `resample_raster`; black where alpha is too low."""
+    """Divide the colours of `resample_raster` by alpha; black where it is below `MIN_ALPHA`."""
     colours = np.clip(np.rint(rgba[:3] / np.maximum(rgba[3], MIN_ALPHA)), 0, 255)
     return np.moveaxis(np.where(rgba[3] >= MIN_ALPHA, colours, 0), 0, -1).astype(np.uint8)
 

@@ -79,7 +79,8 @@ def describe_source(
         source: a file, folder, pattern, address of a service, or `Tiles`.
         region: where imagery is wanted; everywhere when None, which a service refuses.
         resolution: wanted metres per pixel, which chooses the zoom level of tiles; None: the
-            finest there is. A service needs a resolution, or `Tiles` with a zoom.
+            finest there is. A service needs a resolution, or `Tiles` with a zoom. Without a region
+            it has no effect.
         crs: for rasters that name no CRS; None refuses them.
         bands: numbers, from 1, of a grey band or of the red, green and blue ones; None chooses by
             colour interpretation.

@@ -59,7 +59,7 @@ class _SameHost(urllib.request.HTTPRedirectHandler):
 def fetch_tiles(
     service: Service, zoom: int, numbers: Sequence[tuple[int, int]]
 ) -> Iterator[tuple[int, int, Path]]:
-    """Fetch tiles, or find them in the cache.
+    """Fetch tiles, or find them in the cache, where they stay for 30 days.
 
     Args:
         service: the service.

@@ -15,7 +15,7 @@ MAX_AUTO_FRAMES = 64
 
 
 def read_in_one_pass(video: Video) -> Iterator[Iterator[Frame]]:
-    """Decode the frames of all batches in order of time, then yield them as `read_batches`."""
+    """Yield the batches of `read_batches`, all of whose frames are decoded first, in one pass."""
     batches = list(_list_batch_times(video.duration))
     times = np.sort(np.concatenate([times for times, _ in batches]))
     frames = list(video.read_at(times, batches[-1][1] / 2))
@@ -28,7 +28,10 @@ def read_in_one_pass(video: Video) -> Iterator[Iterator[Frame]]:
 
 
 def read_batches(video: Video) -> Iterator[Iterator[Frame]]:
-    """Yield batches of frames, each frame once."""
+    """Yield batches of 16, 16 and 32 frames, each spread over a video of known length.
+
+    No frame comes twice. Batches must be read to their ends, in order.
+    """
     read: set[float] = set()
     for times, spacing in _list_batch_times(video.duration):
         # a keyframe within half a step replaces a frame

@@ -76,16 +76,17 @@ def build_aim(
             places the map approximately by the telemetry beside the video.
         detections: vehicles to leave out, as `read_detections` reads them: a folder of YOLO text
             files, or a function of a frame. None removes traffic by the frames themselves.
-        frames: how many frames are used. "auto" samples up to 64 over the video, and stops when the
-            background has converged. "all" averages every frame, and traffic too if there are no
-            detections; in a long video each frame adds one stripe, so that a pixel averages at
-            least 50 frames.
+        frames: how many frames are used. A number samples as many over the video; "auto" up to 64,
+            until the background has converged. "all" averages every frame, and traffic too if there
+            are no detections; in a long video each frame adds one stripe, so that a pixel averages
+            at least 50 frames.
         crs: of the map, projected and in metres, if control points place it; None keeps that of
             the points, or takes their UTM zone.
-        progress: called with the stage, the frames done and the frames in all.
+        progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
-        The map, in the pixels of the reference frame; its report describes every stage.
+        The map, in the pixels of the reference frame without lens distortion; its report has the
+        keys source, registration, background and georeference.
 
     Raises:
         VideoError: no frame could be read.

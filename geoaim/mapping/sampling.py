@@ -75,7 +75,7 @@ def sample_video(video: Video, frames: FrameCount) -> Sampling:
 def read_registered(
     sampling: Sampling, registration: Registration
 ) -> Iterator[tuple[Frame, Float[Array, "3 3"]]]:
-    """Read the frames of a registration again: each valid one with its reference_from_frame."""
+    """Read sampled frames again: yield each that is registered, with its reference_from_frame."""
     rows = {time: row for row, time in enumerate(registration.time.tolist())}
     valid = registration.valid
     registered = (frame for frame in chain.from_iterable(sampling.read()) if frame.time in rows)

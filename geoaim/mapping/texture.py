@@ -32,7 +32,8 @@ def export_texture(
         resolution: metres per pixel of the texture; None keeps that of the image.
 
     Raises:
-        AimError: the texture would be too large.
+        AimError: the texture would have more than 30,000 pixels a side.
+        ValueError: the resolution is not positive.
     """
     if resolution is not None or not aim.is_affine:
         aim = rectify(aim, resolution)

@@ -30,11 +30,11 @@ def georeference_picture(
     Args:
         path: of the picture.
         gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
-        world: plane of the AIM; see `estimate_georeference` when None.
+        world: plane of the AIM; None: that which `estimate_georeference` chooses.
         crs: of control points that name none.
 
     Returns:
-        The picture as an AIM; coverage is 1 where it is not masked.
+        The picture as an AIM, not resampled; coverage is 1 where it is not masked.
 
     Raises:
         GeoreferenceError: the control points do not fix a place.

@@ -80,8 +80,8 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
         prior: how far off the imagery may be.
 
     Returns:
-        The alignment, with its covariance; evidence has the number of windows, of those that
-        agree, and log10 of the number of false alarms.
+        The alignment, with its covariance; `evidence` has the keys windows, windows_agreeing and
+        log10_false_alarms.
 
     Raises:
         AlignmentError: both overlap too little, have too little in common, or fit in two ways.
@@ -229,10 +229,11 @@ def _verify_candidates(candidates: list[_Candidate], level: Level, prior: Prior)
 
 
 def count_false_alarms(windows: float, agreeing: float) -> float:
-    """log10 of the expected number of tests in which as many windows agree by chance.
+    """Compute log10 of the expected number of tests in which as many windows agree by chance.
 
     A contrario (Desolneux, Moisan and Morel 2000): windows of unrelated images are found anywhere
     in the square that is searched. Two of them always agree with a fitted similarity.
+    `windows` and `agreeing` count windows that do not overlap.
     """
     agreeing_by_chance = np.pi * AGREEMENT_PX**2 / (2 * VERIFY_SEARCH_PX + 1) ** 2
     hits = int(agreeing) - 2

@@ -73,8 +73,8 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
         prior: how far off the imagery may be; its scale is taken as right.
 
     Returns:
-        The mean of the posterior, with its covariance; evidence has the number of poses and the
-        standard deviation of the rotation.
+        The mean of the posterior, with its covariance; `evidence` has the keys poses and
+        rotation_sigma_degrees.
 
     Raises:
         AlignmentError: vehicles move at too few places, or the imagery does not fix the place.
@@ -98,7 +98,7 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
 
 
 def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:
-    """Sample poses of moving vehicles: x, y, heading; one per cell of position (m) and heading."""
+    """Sample poses (x, y, heading) of moving vehicles, one in each cell of `CELL_SIZE`."""
     vehicles = np.array([agent_type in VEHICLE_TYPES for agent_type in tracks.types])
     moving = tracks.present & vehicles[:, None]
     moving[moving] = np.abs(tracks.states[moving][:, 3]) > MIN_SPEED_M_S

@@ -46,7 +46,7 @@ class GreyImage(NamedTuple):
 
 
 def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
-    """Grey values of an image, reduced and smoothed for grids of `resolution` metres per pixel."""
+    """Convert an AIM to grey, smoothed (and shrunk) for grids of `resolution` metres per pixel."""
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
     matrix, step = aim.grid.grid_from_world, resolution / aim.resolution
@@ -61,7 +61,10 @@ def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
 
 
 def smooth_for_step(image: Array, step: float) -> Array:
-    """Smooth an image against aliasing on a grid whose pixels are `step` times as large."""
+    """Smooth an image against aliasing on a grid whose pixels are `step` times as large.
+
+    A step of 1 or less returns the image itself.
+    """
     if step <= 1:
         return image
     return cv2.GaussianBlur(image, (0, 0), 0.45 * np.sqrt(step**2 - 1) + 1e-3)
@@ -120,7 +123,7 @@ def compute_orientation(
 
 
 def find_edges(channels: Float32[Array, "H W 2"]) -> Bool[Array, "H W"]:
-    """Pixels with any edge, however weak."""
+    """Mark pixels with any edge, however weak, in channels of `compute_orientation`."""
     return (channels[..., 0] != 0) | (channels[..., 1] != 0)
 
 

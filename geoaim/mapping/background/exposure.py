@@ -33,13 +33,13 @@ def start_exposure(size: tuple[int, int]) -> Exposure:
 
 
 def estimate_gain(exposure: Exposure, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> float:
-    """Estimate the factor that brings a frame to the exposure of those before it.
+    """Estimate the factor that brings a frame to the exposure of the first one.
 
-    It is the mode of the ratios of grey levels. One factor serves all colours: a real drone's step
-    in exposure was 0.983, 0.984 and 0.986 in red, green and blue.
+    It is the mode of the ratios of grey levels above black. One factor serves all colours: a real
+    drone's step in exposure was 0.983, 0.984 and 0.986 in red, green and blue.
 
     Args:
-        exposure: of the frames before; points that this frame shows first are filled in.
+        exposure: of the frames before; points that this frame shows first are filled in, in place.
         frame: the frame.
         image_from_frame: (3, 3) its registration.
 
@@ -76,12 +76,12 @@ def apply_gain(
     """Multiply the pixels' distance from a neutral value.
 
     Args:
-        pixels: (H, W) or (H, W, C).
+        pixels: (H, W) or (H, W, C), from 0 to 255.
         gain: the factor.
-        neutral: the value that stays as it is: black, or 128 for chroma.
+        neutral: the value that stays as it is: `black_level`, or 128 for chroma.
 
     Returns:
-        The pixels, rounded; the same array where the gain is about 1.
+        The pixels, rounded and limited; the same array where the gain is within 0.002 of 1.
     """
     if abs(gain - 1) < MIN_GAIN_CHANGE:
         return pixels

@@ -115,8 +115,8 @@ def average_frames(
     Args:
         frames: each with its image_from_frame (3, 3), read once.
         size: (height, width) of the image, pixels.
-        detections: boxes to leave out of a frame, grown by 12 %. A frame without detections
-            (None) is left out as a whole.
+        detections: gives the boxes to leave out of a frame, grown by 12 %. A frame for which it
+            gives None is left out as a whole.
         bands: number of horizontal bands of the image. Each frame is warped to the next one only,
             so that a pixel is the mean of every `bands`-th frame that shows it.
 
@@ -124,7 +124,7 @@ def average_frames(
         The background.
 
     Raises:
-        BackgroundError: no frame.
+        BackgroundError: there is no frame, or none with detections.
     """
     mean = RunningMean(size, detections=detections, bands=bands)
     for frame, image_from_frame in frames:
@@ -207,12 +207,18 @@ def finish_mean(mean: RunningMean) -> Background:
 
 
 def is_time_to_check(count: int, bands: int = 1) -> bool:
-    """Whether change is measured after this number of frames: at 16, 32, 64 ..."""
+    """Tell whether change is measured after this number of frames: 16, 32, 64, ...
+
+    With several bands the first is the next power of two from 16 times their number on.
+    """
     return count >= FIRST_CHECK_FRAMES * bands and count.bit_count() == 1
 
 
 def measure_change(accumulation: Accumulation, blocks: Float32[Array, "h w c"]) -> None:
-    """Measure the change of block means as a high quantile; NaN without any common block."""
+    """Set `change` to the 99.9 % quantile of how much block means differ from the last ones given.
+
+    NaN in the blocks, for no data, is left out; without a common block the change is NaN.
+    """
     if accumulation.blocks is not None:
         change = np.abs(blocks - accumulation.blocks)
         known = change[np.isfinite(change)]
@@ -222,7 +228,7 @@ def measure_change(accumulation: Accumulation, blocks: Float32[Array, "h w c"]) 
 
 
 def average_blocks(pixels: Float32[Array, "H W *c"], reduction: int = 1) -> Float32[Array, "h w c"]:
-    """Average blocks of 8 x 8 pixels of the image, whose size is `reduction` times the pixels'."""
+    """Average blocks of 8 x 8 pixels of an image, `pixels` being it shrunk by `reduction`."""
     size = [max(extent * reduction // BLOCK_PX, 1) for extent in pixels.shape[1::-1]]
     blocks = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.float32)
     return blocks.reshape(size[1], size[0], -1)

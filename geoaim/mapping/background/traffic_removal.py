@@ -64,6 +64,9 @@ def find_traffic(stack: Stack, seen: Masks) -> Traffic:
         stack: (K, h, w, 3) frames warped to one image, at one exposure, any colour space, any
             order; modified in place where `seen` is False.
         seen: (K, h, w) where the frame covers the image.
+
+    Returns:
+        The traffic, and the ground behind it.
     """
     background = _compute_median(stack, seen)
     noise = _estimate_noise(stack, seen, background)

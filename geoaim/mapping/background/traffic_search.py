@@ -54,6 +54,9 @@ def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Ba
         frames: each with its image_from_frame (3, 3); read twice, so no one-shot iterator.
         size: (height, width) of the image, pixels.
 
+    Returns:
+        The background.
+
     Raises:
         BackgroundError: fewer than 4 frames.
         TypeError: the frames can be read only once.
@@ -98,6 +101,9 @@ def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Backg
     Args:
         frames: those of the search, in the same order, each with its image_from_frame (3, 3).
         search: as filled by `add_to_search`.
+
+    Returns:
+        The background.
 
     Raises:
         BackgroundError: fewer than 4 frames.

@@ -39,7 +39,8 @@ def measure_warp_blur(matrix: Float[Array, "3 3"], size: tuple[int, int]) -> Flo
     """Measure the mean blur of a bilinear warp along x and y: d (1 - d) at the sub-pixel phase d.
 
     That is the second moment of the two interpolation weights about the point, in px squared: 0
-    where pixels fall on pixels, 1/6 where the phases are uniformly distributed.
+    where pixels fall on pixels, 1/6 where the phases are uniformly distributed. The arguments are
+    those of `warp`.
     """
     steps = [(np.arange(PHASES) + 0.5) * extent / PHASES // 1 + 0.5 for extent in size[::-1]]
     points = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
@@ -83,7 +84,10 @@ def draw_footprint(
 
 
 def draw_polygons(polygons: Float[Array, "n m 2"], size: tuple[int, int]) -> UInt8[Array, "h w"]:
-    """Draw convex polygons to 1/16 px: 1 inside, else 0; their origin is the image's corner."""
+    """Draw n convex polygons of m corners (pixels) to 1/16 px, on an image of (height, width).
+
+    1 inside any of them, else 0.
+    """
     mask = np.zeros(size, np.uint8)
     for polygon in np.rint((polygons - 0.5).clip(-30000, 30000) * 16).astype(np.int32):
         cv2.fillConvexPoly(mask, polygon, [1], shift=4)

@@ -66,8 +66,13 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
         crs: CRS of the coordinates where the source does not state it; "local" for a local
             plane. Where both state it, they must agree.
 
+    Returns:
+        The points; those without a name are called "point 1", ...
+
     Raises:
-        GeoreferenceError: a line cannot be read, is not finite, or the CRS is missing or mixed.
+        GeoreferenceError: there is no such file, a line cannot be read, is not finite, or the CRS
+            is missing or mixed.
+        TypeError: an item is no control point.
 
     >>> read_control_points([((10, 20), (27.5, 53.9))]).crs
     'EPSG:4326'
@@ -142,9 +147,9 @@ def _merge_crs(stated: Sequence[Any]) -> str | None:
 
 
 def merge_observations(points: ControlPoints) -> ControlPoints:
-    """Merge points with equal coordinates on several frames: the median pixel is taken.
+    """Merge points of equal coordinates that were picked on several frames, at the median pixel.
 
-    The name and the frame of the first are kept. The pixels must refer to one image already. Points
+    The pixels must refer to one image already. The name and the frame of the first are kept. Points
     that appear twice on the same frame stay unmerged; `estimate_georeference` refuses them.
     """
     _, group = np.unique(points.coordinates, axis=0, return_inverse=True)

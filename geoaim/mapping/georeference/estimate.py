@@ -63,7 +63,8 @@ def estimate_georeference(
         points: at least four on one image, better six or more, spread over it.
         height: of the image, pixels.
         width: of the image, pixels.
-        world: the target plane; None keeps the points' CRS if it is metric, else chooses UTM.
+        world: the target plane; None: `choose_world` with the points' CRS if it is metric, else
+            with their UTM zone; a local plane for local points.
         outside: whether points may lie outside the image, since other images showed them.
 
     Returns:

@@ -30,9 +30,9 @@ def approximate_georeference(
     """Approximate the georeference of a camera that looks straight down, by telemetry alone.
 
     Args:
-        latitude: degrees.
-        longitude: degrees.
-        height_above_ground: metres.
+        latitude: of the image's centre, degrees (WGS 84).
+        longitude: of the image's centre, degrees.
+        height_above_ground: of the camera, metres.
         yaw: direction of the image's top, radians counter-clockwise from east; for a compass
             heading h in degrees, pi / 2 - radians(h).
         field_of_view: across the image's width, radians.
@@ -70,7 +70,13 @@ def make_local_georeference(*, resolution: float, size: tuple[int, int]) -> Geor
 
     Args:
         resolution: metres per pixel.
-        size: height and width of the image, pixels.
+        size: (height, width) of the image, pixels.
+
+    Returns:
+        The georeference, marked approximate.
+
+    Raises:
+        ValueError: the resolution is not positive.
     """
     if not (np.isfinite(resolution) and resolution > 0.0):
         raise ValueError(f"resolution is {resolution}; it is a positive number of metres.")

@@ -40,7 +40,7 @@ class Georeference:
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:
-    """Transform distorted pixels (m, 2) to world metres (m, 2), correcting the distortion."""
+    """Transform pixels as they lie in the image to world metres, correcting lens distortion."""
     size = (georeference.height, georeference.width)
     undistorted = undistort_points(pixels, georeference.radial, *size)
     return transform_points(georeference.world_from_image, undistorted)

@@ -11,12 +11,12 @@ Points = Float[Array, "m 2"]  # rows of x and y, or of u and v
 
 
 def half_diagonal(height: float, width: float) -> float:
-    """Half the image's diagonal in pixels."""
+    """Compute half the image's diagonal in pixels: the unit of the normalised plane."""
     return float(np.hypot(height, width) / 2.0)
 
 
 def plane_from_image(height: float, width: float) -> Float[Array, "3 3"]:
-    """Transform from pixels to the normalised plane."""
+    """Make the transform from pixels (corner origin) to the normalised plane."""
     unit = half_diagonal(height, width)
     return np.array([[1.0, 0.0, -width / 2], [0.0, -1.0, height / 2], [0.0, 0.0, unit]]) / unit
 
@@ -35,12 +35,12 @@ def fit_similarity(
     One point that is kilometres off would otherwise spoil the scale of everything that follows.
 
     Args:
-        points: of the normalised plane.
-        targets: their places.
+        points: two or more; of four or more, one is left out.
+        targets: where each lies, in any other plane.
         mirrored: mirror the points first, y to -y.
 
     Returns:
-        The similarity, targets from points, and its sum of squared residuals.
+        The similarity, targets from points, and its sum of squared residuals without that point.
     """
     z = points[:, 0] + 1j * points[:, 1]
     z = z.conj() if mirrored else z
@@ -65,7 +65,7 @@ def undistort_points(pixels: Points, radial: float, height: int, width: int) -> 
 
     Args:
         pixels: u, v as they lie in the image.
-        radial: k.
+        radial: k, positive where the lens moves points towards the centre.
         height: of the image, pixels.
         width: of the image, pixels.
 

@@ -32,7 +32,7 @@ def reject_outlier(names: tuple[str, ...], pairs: PointPairs, sigma: float) -> B
         sigma: expected noise of a coordinate, in units of the normalised plane.
 
     Returns:
-        (M,) whether each point is used: False for the wrong one.
+        (M,) whether each point is used: False for the wrong one, if any.
 
     Raises:
         GeoreferenceError: a point is wrong and it cannot be told which, or several are.

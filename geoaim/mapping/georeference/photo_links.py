@@ -30,7 +30,7 @@ class PhotoLinks:
 
 
 def link_photos(video: Video, detections: Detections | None) -> PhotoLinks:
-    """Match the ORB features of each pair of photos."""
+    """Match the ORB features of each pair of photos, outside the boxes of detections."""
     features = [
         detect_features(frame.grey, exclude=mask_detections(frame, detections)) for frame in video
     ]
@@ -48,7 +48,7 @@ def link_photos(video: Video, detections: Detections | None) -> PhotoLinks:
 
 
 def choose_central_photo(links: PhotoLinks, wanted: list[int]) -> int:
-    """Choose the photo from which most of the wanted ones are linked, by the shortest paths."""
+    """Choose the photo that is linked to most of the wanted ones (indices), then the nearest."""
     distance = dijkstra(links.lengths)[:, wanted]
     linked = np.isfinite(distance)
     total = np.where(linked, distance, 0.0).sum(axis=1)

@@ -39,7 +39,7 @@ def place_points(
         detections: vehicles that registration leaves out.
 
     Returns:
-        One control point for each place, and the reference to whose pixels they refer.
+        One control point for each place, in pixels of the reference, and that reference.
 
     Raises:
         GeoreferenceError: too few points can be placed, or a frame is missing.

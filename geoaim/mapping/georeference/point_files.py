@@ -44,7 +44,7 @@ def read_point_file(path: Path) -> list[PointRow]:
     """Read a file of control points; the format is recognised by its content.
 
     Raises:
-        GeoreferenceError: the file or one of its lines cannot be read.
+        GeoreferenceError: there is no such file, or it or one of its lines cannot be read.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -130,10 +130,10 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
 
 
 def make_row(values: Mapping[str, Any], source: str) -> PointRow:
-    """Make a row of u, v, x, y and, where they are stated, name, frame and CRS.
+    """Make a row of the values u, v, x, y and, where they are stated, name, frame and crs.
 
     Raises:
-        GeoreferenceError: one of the first four is no finite number.
+        GeoreferenceError: one of the first four is no finite number; the message names `source`.
     """
     u, v, x, y = (_parse_number(values[key], source) for key in "uvxy")
     name, frame = str(values.get("name") or ""), values.get("frame")
@@ -142,10 +142,12 @@ def make_row(values: Mapping[str, Any], source: str) -> PointRow:
 
 
 def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
-    """Find the columns of u, v, x, y and, where present, name, frame and CRS.
+    """Find the index of the columns u, v, x, y and, where present, name, frame and crs.
+
+    The header is in lower case; `COLUMN_NAMES` lists what a column may be called.
 
     Raises:
-        GeoreferenceError: one of the first four is missing.
+        GeoreferenceError: one of the first four is missing; the message names `source`.
     """
     columns = {
         key: header.index(name)

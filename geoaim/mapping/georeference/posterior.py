@@ -38,8 +38,8 @@ def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterio
     Args:
         pairs: control points in the normalised plane.
         sigma: expected standard deviation of a point's coordinate, in units of that plane.
-        sigma_dof: degrees of freedom that this counts for; 0: any noise from a hundredth of it to
-            three times it or more is possible, and the residuals alone determine it.
+        sigma_dof: degrees of freedom that `sigma` counts for beside the residuals; 0: the residuals
+            alone determine the noise, from a hundredth of `sigma` up.
 
     Returns:
         Mean and covariance of the terms, the noise, and the misfit, which is large where there are
@@ -99,7 +99,7 @@ def _estimate_noise(
 
 
 def ellipse_factor(dof: float) -> float:
-    """Standard deviations to the ellipse that holds 95 % of errors in the plane.
+    """Compute how many standard deviations the ellipse that holds 95 % of errors in the plane has.
 
     sqrt(2 F), with F the quantile of the F distribution with 2 and `dof` degrees of freedom.
 

@@ -13,7 +13,7 @@ from geoaim.world import LONLAT, choose_world, transform_crs
 
 
 def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
-    """Choose the first frame, at 0 s, where `gcps` refer to its pixels; else None, any frame."""
+    """Choose the reference's time: 0.0 where `gcps` are of the first frame; None leaves it open."""
     if isinstance(gcps, ControlPoints):
         return 0.0 if all(frame in (None, 0) for frame in gcps.frames) else None
     return None if gcps is None else 0.0

@@ -63,7 +63,8 @@ def georeference_by_telemetry(video: Video, reference: Reference) -> Georeferenc
     """Georeference the reference frame approximately by the telemetry of the video.
 
     Raises:
-        GeoreferenceError: the telemetry does not fix a place, or the camera is tilted.
+        GeoreferenceError: there is no telemetry, it lacks a value, or the camera is tilted by more
+            than 10 degrees from straight down.
     """
     telemetry = video.telemetry
     if telemetry is None:

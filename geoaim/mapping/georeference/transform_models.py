@@ -60,7 +60,7 @@ class Candidate:
 
 
 def select_pairs(pairs: PointPairs, keep: Bool[Array, "m"]) -> PointPairs:
-    """Keep the pairs where the mask is True."""
+    """Keep the pairs where the mask `keep` is True."""
     return PointPairs(pairs.image[keep], pairs.ground[keep])
 
 
@@ -72,7 +72,7 @@ def apply_terms(terms: Terms, points: Points) -> Points:
 
 
 def term_jacobian(terms: Terms, points: Points) -> Float[Array, "m 2 9"]:
-    """Differentiate `apply_terms` by the nine terms."""
+    """Differentiate `apply_terms`: [:, i, k] is the derivative of x (i = 0) or y by term k."""
     square = np.sum(points**2, axis=1, keepdims=True)
     undistorted = points * (1.0 + terms[8] * square)
     denominator = 1.0 + undistorted @ terms[6:8]
@@ -147,7 +147,7 @@ def fit_terms(
 
 
 def invert_normal_matrix(normal: Float[Array, "k k"]) -> Float[Array, "k k"]:
-    """Invert J^T J, scaled to a unit diagonal; a tiny ridge lets undetermined terms pass."""
+    """Invert a normal matrix J^T J; a tiny ridge keeps variances of undetermined terms finite."""
     scale = 1.0 / np.sqrt(np.diag(normal) + 1e-30)
     even = normal * scale * scale[:, None] + 1e-12 * np.eye(len(normal))
     return np.asarray(np.linalg.inv(even) * scale * scale[:, None])

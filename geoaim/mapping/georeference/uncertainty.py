@@ -45,7 +45,7 @@ def predict_uncertainty(
 
 
 def map_uncertainty(georeference: Georeference) -> UncertaintyMap:
-    """Map the uncertainty over the image, and predict what a point in the worst corner would do."""
+    """Map the uncertainty over the image, now and with a further point in its worst corner."""
     rows, columns = GRID_SHAPE
     v, u = np.linspace(0, georeference.height, rows), np.linspace(0, georeference.width, columns)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

@@ -66,7 +66,10 @@ class _Run:
 def open_video_file(path: Path, threads: int | None) -> VideoFile:
     """Decode the first frame of a video file, and read the properties that the file states.
 
+    `threads` is the number of decoding threads; None leaves it to the decoder.
+
     Raises:
+        FileNotFoundError: there is no such file.
         VideoError: the file is empty, no video, has no video stream, or no frame can be decoded.
     """
     with _open_container(path) as container:
@@ -95,7 +98,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
 
 
 def read_frames(file: VideoFile) -> Iterator[Frame]:
-    """Yield every frame in presentation order; warn at the end when frames were missing."""
+    """Yield every frame in presentation order; `GeoaimWarning` at the end if some were missing."""
     index, time, missing = -1, -1 / file.rate, 0
     gaps: list[str] = []
     with _open_container(file.path) as container:
@@ -129,7 +132,8 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
         slack: seconds; 0 decodes exactly the frame at each time.
 
     Yields:
-        The frames; their index is estimated from the time.
+        The frames; their index is estimated from the time. Those that cannot be read are left out,
+        with a `GeoaimWarning`.
     """
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)

@@ -17,14 +17,19 @@ DetectionSource = str | Path | Sequence[Float[Array, "N 4"]] | Detections
 
 
 def read_detections(source: DetectionSource) -> Detections:
-    """Read detections from a folder of YOLO text files, or from arrays in the order of the frames.
+    """Read boxes of vehicles from a folder of YOLO text files, or from arrays, one for each frame.
 
-    Detections are returned as they are. A text file is named like the frame's image, or by the
-    frame's index (`000123.txt` or `123.txt`), and has one row per box: class, centre x, centre y,
-    width, height; all but the class are shares of the image's size.
+    An array has rows left, top, right, bottom in pixels. A text file is named like the frame's
+    image, or by the frame's index (`000123.txt` or `123.txt`), and has one row per box: class,
+    centre x, centre y, width, height; all but the class are shares of the image's size.
+
+    Returns:
+        A function from a `Frame` to its boxes (N, 4) left, top, right, bottom in pixels, or to None
+        for a frame without a file or array. A source that is such a function is returned as it is.
 
     Raises:
-        GeoaimError: the folder holds no text files, or a row has another form.
+        GeoaimError: the folder holds no text files; or, when the boxes of a frame are read, a row
+            has another form.
     """
     if callable(source):
         return source
@@ -45,13 +50,13 @@ def read_detections(source: DetectionSource) -> Detections:
 
 
 def grow_boxes(boxes: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
-    """Enlarge each box by 12 % about its centre."""
+    """Enlarge boxes (left, top, right, bottom) by 12 % about their centres."""
     centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * BOX_SCALE
     return np.concatenate([centre - half, centre + half], axis=1)
 
 
 def mask_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Bool[Array, "H W"]:
-    """Mask of a (height, width) image that is True inside the boxes, enlarged by 12 %."""
+    """Make a mask of a (height, width) image, True inside boxes (pixels) enlarged by 12 %."""
     mask = np.zeros(size, bool)
     limits = np.array(size[::-1])
     grown = grow_boxes(boxes)

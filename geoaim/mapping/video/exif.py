@@ -13,7 +13,7 @@ NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | None:
     """Read telemetry from the EXIF and DJI's XMP of photos; None when no photo has a position.
 
-    Time is the index over `rate`, as in `open_video`.
+    Time is the index of a photo over `rate` (frames per second), as in `open_video`.
 
     Raises:
         GeoreferenceError: a position or another value is not possible.

@@ -93,8 +93,8 @@ def image_from_planes(
 
     Args:
         y: (H, W) luma, integer or float.
-        u: (H / 2, W / 2) blue difference, rounded up.
-        v: (H / 2, W / 2) red difference, rounded up.
+        u: (H / 2, W / 2), rounded up: blue difference, 128 for grey.
+        v: the same for red.
         encoding: of the planes, as `Frame.encoding` states it.
 
     Returns:

@@ -42,6 +42,7 @@ def read_srt(path: str | Path) -> Telemetry:
     """Read telemetry from a DJI .SRT file.
 
     Raises:
+        FileNotFoundError: there is no such file.
         GeoreferenceError: the file has no time lines or no position, a value is not a number with
             a decimal point, a value is not possible, or it changes faster than a drone can move.
     """

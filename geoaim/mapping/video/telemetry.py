@@ -42,12 +42,13 @@ def make_telemetry(times: list[float], rows: list[dict[str, float]], source: str
     """Make telemetry from fields as files state them.
 
     Args:
-        times: seconds.
-        rows: the fields of each time: angles in degrees, yaw clockwise from north.
+        times: (T) seconds.
+        rows: (T) the fields of `PLAUSIBLE` at each time, of which any may be missing: degrees,
+            metres, millimetres; yaw clockwise from north, pitch -90 straight down.
         source: the file that messages name.
 
     Returns:
-        The telemetry; NaN where a row lacks a field.
+        The telemetry in its own units; NaN where a row lacks a field.
 
     Raises:
         GeoreferenceError: no time has a position, or a value is not possible.

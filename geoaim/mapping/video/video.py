@@ -80,7 +80,7 @@ class Video:
             return None
 
     def frames_at(self, times: Iterable[float]) -> Iterator[Frame]:
-        """Read the frames displayed at some times (s), in order of time and each once."""
+        """Read the frames displayed at some times (s since the first), in order and each once."""
         ordered = np.unique(np.asarray(list(times), np.float64))
         if not np.isfinite(ordered).all():
             raise ValueError("times must be finite numbers of seconds")
@@ -122,6 +122,7 @@ def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = 
     Raises:
         VideoError: the source does not exist, or no frame of it can be read.
         TypeError: the source is a one-shot iterator, or no source of frames.
+        ValueError: the rate is not positive.
 
     >>> video = open_video(np.zeros((5, 4, 6, 3), np.uint8), rate=10)
     >>> [(frame.index, frame.time) for frame in video.sample(3)]
