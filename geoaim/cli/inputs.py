@@ -31,12 +31,12 @@ class SceneSource:
 
 
 def read_any_tracks(path: Path, world: str | None, resolution: float | None) -> "Tracks":
-    """Read tracks in any known format.
+    """Read tracks by `read_tracks`.
 
     Args:
         path: the file or folder.
-        world: value of --tracks-world.
-        resolution: value of --tracks-resolution.
+        world: value of --tracks-world: a CRS and two numbers, or None.
+        resolution: value of --tracks-resolution: metres per pixel, or None.
 
     Returns:
         The tracks.
@@ -50,7 +50,11 @@ def read_any_tracks(path: Path, world: str | None, resolution: float | None) -> 
 def read_scene(
     source: SceneSource, *, rate: float | None = None
 ) -> tuple["Scene", "HDMap | None", "World"]:
-    """Read a scene, its HD map and its world; tracks are resampled if a rate in Hz is given."""
+    """Read a scene, its HD map (None without one) and its world; a rate (Hz) resamples tracks.
+
+    Raises:
+        ValueError: lights are given without the places of their stop lines, or the other way.
+    """
     from geoaim.aim_files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.simulation.scene import make_scene
@@ -70,7 +74,11 @@ def read_scene(
 
 
 def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
-    """Load the model of a file, or the pretrained one; it must predict the given agents."""
+    """Load the model of a file; None: the pretrained one of the kind ("vehicles" if None).
+
+    Raises:
+        ValueError: the file's model predicts agents of another kind than the given one.
+    """
     from geoaim.prediction.checkpoints import read_model, read_pretrained
 
     if weights is None:
@@ -83,7 +91,10 @@ def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
 
 
 def get_horizon(model: "ITRA", duration: float | None = None) -> int:
-    """Get the number of predicted steps: of a duration in s, or the default of the model."""
+    """Get the number of steps, at least 1, in a predicted duration (s, rounded to steps).
+
+    None: the horizon of the model's proposals, or else 4 s of vehicles and 8 s of pedestrians.
+    """
     config = model.config
     if duration is None and config.horizon:
         return config.horizon

@@ -16,8 +16,11 @@ def check_output(
 
     Args:
         output: the file to write.
-        suffixes: those allowed; empty allows all.
-        inputs: files that are read.
+        suffixes: those allowed, in lower case; empty allows all.
+        inputs: files that are read; None is skipped.
+
+    Raises:
+        ValueError: it is refused.
     """
     if suffixes and output.suffix.lower() not in suffixes:
         raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")
@@ -45,6 +48,9 @@ def check_map_output(
 
     Returns:
         The path of the .png.
+
+    Raises:
+        ValueError: `check_output` refuses one of them, or the .png is an input.
     """
     pattern = f"{'**/' if recursive else ''}{glob.escape(output.stem)}.*"
     read = [*inputs, *(path for source in sources for path in _list_files(source, pattern))]

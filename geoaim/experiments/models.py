@@ -21,7 +21,7 @@ from geoaim.prediction.training import hash_weights, init_model, train
 
 
 @dataclass(frozen=True)
-class ModelSpec:
+class _ModelSpec:
     """How a model is trained on synthetic places."""
 
     config: Config  # of the model
@@ -31,14 +31,14 @@ class ModelSpec:
 
 
 MODELS = {
-    "vehicle_aim": ModelSpec(VEHICLES_ON_AIM, "aim", seeds=2),
-    "vehicle_hdm": ModelSpec(VEHICLES, "hdm", seeds=2),
-    "vehicle_no_map": ModelSpec(VEHICLES, "none"),
-    "vehicle_aim_no_lights": ModelSpec(VEHICLES_ON_AIM, "aim", lights=False, seeds=2),
-    "pedestrian_aim": ModelSpec(PEDESTRIANS, "aim", seeds=3),
-    "pedestrian_hdm": ModelSpec(PEDESTRIANS, "hdm", seeds=3),
-    "pedestrian_full": ModelSpec(PEDESTRIANS, "full"),
-    "pedestrian_no_map": ModelSpec(PEDESTRIANS, "none"),
+    "vehicle_aim": _ModelSpec(VEHICLES_ON_AIM, "aim", seeds=2),
+    "vehicle_hdm": _ModelSpec(VEHICLES, "hdm", seeds=2),
+    "vehicle_no_map": _ModelSpec(VEHICLES, "none"),
+    "vehicle_aim_no_lights": _ModelSpec(VEHICLES_ON_AIM, "aim", lights=False, seeds=2),
+    "pedestrian_aim": _ModelSpec(PEDESTRIANS, "aim", seeds=3),
+    "pedestrian_hdm": _ModelSpec(PEDESTRIANS, "hdm", seeds=3),
+    "pedestrian_full": _ModelSpec(PEDESTRIANS, "full"),
+    "pedestrian_no_map": _ModelSpec(PEDESTRIANS, "none"),
 }
 
 

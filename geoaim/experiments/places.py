@@ -108,7 +108,8 @@ def read_map(place: Path, name: str) -> AIM:
 
     Args:
         place: folder of the place.
-        name: one of `MAPS`.
+        name: "aim", "hdm" (lanes), "full" (and walkways), "degraded", "another day" or "none"
+            (grey): a key of `MAPS`.
 
     Returns:
         The map.
@@ -122,10 +123,10 @@ def read_map(place: Path, name: str) -> AIM:
 
 
 def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:
-    """Degrade an image (values 0 to 1) as the paper does, which does not tell the scale.
+    """Degrade an image by blur and noise as the paper does, which does not tell the scale.
 
     Args:
-        image: to degrade.
+        image: to degrade, 0 to 1.
         size: standard deviation of the Gaussian blur, and side of the squares that share one draw
             of Gaussian noise, pixels.
 
@@ -148,7 +149,7 @@ def make_place_scene(
     Args:
         recording: agents and lights.
         aim: from `read_map`.
-        dt: time between steps, s.
+        dt: time between steps, s, to which tracks are resampled.
         lights: whether the scene has traffic lights.
 
     Returns:

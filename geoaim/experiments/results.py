@@ -58,10 +58,10 @@ def write_results(
 
 
 def compute_seed_means(trainings: Sequence[Metrics]) -> list[dict[str, float]]:
-    """Compute the means of each training of a model, which show how much trainings differ."""
+    """Compute the mean of each metric, by name, of each training of a model."""
     return [{name: metric.mean for name, metric in one.items()} for one in trainings]
 
 
 def compute_differences(one: Metrics, other: Metrics) -> dict[str, tuple[float, float]]:
-    """Compute 95 % intervals of one method minus another on the same segments."""
+    """Compute the 95 % interval, low and high, of one method minus another on the same segments."""
     return {name: bootstrap_interval(one[name], other[name]) for name in one if name in other}

@@ -37,7 +37,7 @@ from geoaim.track_formats import read_tracks
 
 
 @dataclass(frozen=True)
-class Junction:
+class _Junction:
     """A junction of the dataset."""
 
     hdmap: str  # file of its HD map
@@ -47,7 +47,7 @@ class Junction:
 
 
 JUNCTIONS = {
-    "Chongqing": Junction(
+    "Chongqing": _Junction(
         "NR_ll2.osm",
         "6_22_NR_1/Ped_smoothed_tracks.csv",
         (
@@ -68,7 +68,7 @@ JUNCTIONS = {
             (2545, 739, 17.5, 27.7),
         ),
     ),
-    "Changchun": Junction(
+    "Changchun": _Junction(
         "Changchun_Pudong.osm",
         "changchun_pudong_507_009/Ped_smoothed_tracks.csv",
         (

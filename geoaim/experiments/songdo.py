@@ -27,7 +27,7 @@ FINE_TUNING = configure_fine_tuning("vehicle", steps=100, batch_size=32)
 
 def run(workspace: Workspace) -> list[Path]:
     """Real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
-    dataset = make_songdo_dataset(read_scene())
+    dataset = _make_songdo_dataset(read_scene())
     model = train_model("vehicle_aim", workspace)
     tuned = train_once(model, FINE_TUNING, lambda: dataset, "vehicle_songdo", workspace)
     options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
@@ -41,8 +41,8 @@ def run(workspace: Workspace) -> list[Path]:
     return write_results("songdo", metrics, settings, workspace.results)
 
 
-def make_songdo_dataset(scene: Scene) -> Dataset:
-    """Split a recording by vehicles, since it is too short to be split by time."""
+def _make_songdo_dataset(scene: Scene) -> Dataset:
+    """Split a recording by vehicles, as it is too short to be split by time."""
     ground, offsets = make_atlas([scene.ground], VEHICLES.view)
     steps, stride = SEGMENT_STEPS["vehicle"], len(scene.times)
     segments = shift(cut_segments(scene, "vehicle", steps=steps, stride=stride), offsets[0])

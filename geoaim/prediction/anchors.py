@@ -57,12 +57,12 @@ class AnchorHead(nn.Module):
         """Propose trajectories as offsets from constant velocity.
 
         Args:
-            pose: state at the last observed step.
+            pose: x, y, heading, speed of E agents at the last observed step.
             past: observed positions in the world, metres.
             features: encoded views.
 
         Returns:
-            Points of A proposals in the world, metres, and the logit of each proposal.
+            P points of A proposals in the world, metres, and the logit of each proposal.
         """
         local = agent_from_world(pose[:, None], past)  # (E, t, 2)
         inputs = torch.cat([features, local.flatten(1)], dim=1)  # (E, F + 2 t)
@@ -80,7 +80,7 @@ def compute_anchor_loss(
     target: Float[Tensor, "E P 2"],
     top_k: int,
 ) -> Float[Tensor, ""]:
-    """Compute the distance of the best proposals from the ground truth.
+    """Compute the loss of trajectory proposals against the ground truth.
 
     Only the `top_k` best proposals of each agent are trained: all at first and one in the end, so
     that no proposal stays unused (evolving winner-takes-all, Makansi et al. 2019). The logits are
@@ -93,7 +93,8 @@ def compute_anchor_loss(
         top_k: proposals of each agent that are trained.
 
     Returns:
-        Metres over all points, half of the metres at the end, and a tenth of the cross entropy.
+        The sum of mean metres over all points, half of the metres at the end, and a tenth of the
+        cross entropy.
     """
     distances = (anchors - target[:, None]).norm(dim=-1)  # (E, A, P)
     mean, best = distances.mean(dim=2).topk(top_k, dim=1, largest=False)
@@ -113,7 +114,7 @@ def select_anchor(
         rank: 0 for the likeliest proposal; ranks beyond the last one start over.
 
     Returns:
-        The points of the selected proposals.
+        The points of the proposal of each agent.
     """
     order = logits.argsort(dim=1, descending=True)
     rows = torch.arange(len(rank), device=rank.device)

@@ -22,7 +22,7 @@ def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Ten
         view: the views that will be rendered; its resolution decides that of the atlas.
 
     Returns:
-        One ground, and the offset of each place in it, metres.
+        One ground, prefiltered for the view, and the metres (x, y) by which each place has moved.
     """
     resolution = view.resolution / PIXELS_PER_VIEW_PIXEL
     margin = math.hypot(view.height, view.width) / 2 * view.resolution
@@ -50,6 +50,6 @@ def make_grey_ground() -> Ground:
 
 
 def scale_ground(ground: Ground, factors: Float[Tensor, "2"]) -> Ground:
-    """Scale x and y of the plane in which the ground lies; see `segments.scale`."""
+    """Scale x and y of the plane in which a ground lies, as `segments.scale` does with segments."""
     inverse = torch.cat([1 / factors, factors.new_ones(1)]).to(ground.image)
     return replace(ground, image_from_world=ground.image_from_world * inverse)

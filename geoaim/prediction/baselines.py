@@ -34,10 +34,10 @@ class Predictor(Protocol):
 
         Args:
             segments: whose first steps are observed.
-            ground: the map.
+            ground: the map, prefiltered or not (see `ITRA.sample`); baselines do not use it.
             history: observed steps.
-            samples: futures to draw.
-            generator: source of the noise.
+            samples: K futures to draw.
+            generator: source of the noise, on the segments' device.
 
         Returns:
             States of all agents at all steps, the observed ones included.

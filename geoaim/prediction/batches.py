@@ -71,7 +71,7 @@ def draw_batch(
         config: seed, sizes and augmentation.
         segments: all training segments.
         ground: their map, on the process's device.
-        step: of the training.
+        step: of the training, from 0.
         process: gets its share of the batch; augmentation is the same for all.
 
     Returns:

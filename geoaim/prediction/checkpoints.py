@@ -25,17 +25,11 @@ def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
 
 
 def read_model(path: str | os.PathLike[str]) -> ITRA:
-    """Read a model, in evaluation mode.
-
-    Args:
-        path: a `model.pt`.
-
-    Returns:
-        The model, on the CPU.
+    """Read a `model.pt`; the model is on the CPU, in evaluation mode.
 
     Raises:
+        FileNotFoundError: there is no such file.
         ModelError: the file is not a model, is damaged, or a weight is not finite.
-        OSError: there is no such file.
     """
     state = read_state(path)
     if "optimiser" in state:
@@ -54,7 +48,7 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
 
 
 def read_pretrained(kind: str) -> ITRA:
-    """Read the model of an agent kind that comes with the package, trained on synthetic places.
+    """Read the model "vehicle" or "pedestrian" that comes with the package; see `read_model`.
 
     >>> read_pretrained("pedestrian").config.motion
     'unicycle'
@@ -63,7 +57,7 @@ def read_pretrained(kind: str) -> ITRA:
 
 
 def write_state(state: dict[str, Any], path: str | os.PathLike[str]) -> None:
-    """Write numbers and tensors; an interrupted write leaves the old file."""
+    """Write numbers and tensors by their names; an interrupted write leaves the old file."""
     with atomic_write(path) as temporary:
         torch.save({"format": FORMAT.newest, **state}, temporary)
         with temporary.open("ab") as file:  # zip archives may be followed by other bytes
@@ -75,8 +69,8 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Read a state that `write_state` wrote, without running code from the file.
 
     Raises:
+        FileNotFoundError: there is no such file.
         ModelError: the file is not such a state, is damaged, or has another version.
-        OSError: there is no such file.
     """
     path = Path(path)
     if path.is_dir():

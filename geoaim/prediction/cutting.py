@@ -59,15 +59,15 @@ def cut_segments(
 
 
 def cut_future(scene: Scene, kind: str, dt: float, *, steps: slice, start: int) -> Segments:
-    """Cut one segment around a step, in which all agents of a kind that are present are controlled.
+    """Cut one segment that controls all agents of a kind that are present at the step `start`.
 
     Args:
         scene: with steps at even intervals; beyond its end other agents go straight on and lights
             stay as they are.
         kind: "vehicle" or "pedestrian".
         dt: time between steps, s, which a scene of one step does not tell.
-        steps: first step of the segment, and the step after its last one.
-        start: the last observed step, at which agents have to be present.
+        steps: from the first step of the segment to after its last, which may be beyond the scene.
+        start: the last observed step, an index of the scene's steps.
 
     Returns:
         One segment with all agents of the scene.
@@ -87,7 +87,7 @@ def cut_future(scene: Scene, kind: str, dt: float, *, steps: slice, start: int) 
 
 
 def select_kind(scene: Scene, kind: str) -> Bool[Tensor, "N"]:
-    """Mask of the agents of a kind, by their types."""
+    """Mark the agents of a kind ("vehicle", "pedestrian" or "cyclist"), by their types."""
     return torch.tensor([name in AGENT_GROUPS[kind] for name in scene.types]).to(
         scene.present.device
     )

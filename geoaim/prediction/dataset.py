@@ -36,7 +36,7 @@ def make_dataset(
 
     Args:
         scenes: at the config's dt; scenes of one place share their ground.
-        config: of the model: its agent kind and its view.
+        config: of the model: its agent kind ("vehicle" or "pedestrian") and its view.
         val_fraction: share of each scene's steps, at its end, for validation.
         progress: takes stage, done and total.
 
@@ -74,7 +74,7 @@ def make_dataset(
 
 
 def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:
-    """Split a scene into its beginning and its end, which is a share of its steps."""
+    """Split a scene into its beginning, and its end with `val_fraction` (0 to 1) of the steps."""
     first = round(len(scene.times) * (1 - val_fraction))
     return slice_scene(scene, slice(0, first)), slice_scene(scene, slice(first, None))
 

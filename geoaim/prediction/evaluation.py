@@ -100,7 +100,7 @@ def evaluate_windows(
 
 
 def make_window_predictor(model: ITRA, samples: int) -> Predictor:
-    """Make the predictor of a model for windows.
+    """Make the predictor of a model for `evaluate_windows` with `samples` futures.
 
     Latents stay at their mean where every sample follows a proposal of its own.
     """

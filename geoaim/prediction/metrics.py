@@ -70,7 +70,7 @@ def compute_metrics(
     metrics = {}
     for name, errors in (
         ("ADE", compute_ade(futures, segments, history)),
-        ("FDE", compute_fde(futures, segments)),
+        ("FDE", _compute_fde(futures, segments)),
     ):
         best = torch.where(controlled, errors.amin(dim=1), 0.0).sum(dim=1)
         metrics[f"min{name}"] = _make_metric(best, count)
@@ -98,7 +98,7 @@ def compute_ade(
     return offsets.norm(dim=-1).mean(dim=2)
 
 
-def compute_fde(futures: Float[Tensor, "B K T N 4"], segments: Segments) -> Float[Tensor, "B K N"]:
+def _compute_fde(futures: Float[Tensor, "B K T N 4"], segments: Segments) -> Float[Tensor, "B K N"]:
     """Compute the final displacement error of every sample: distance at the last step, metres."""
     return (futures[:, :, -1, :, :2] - segments.states[:, None, -1, :, :2]).norm(dim=-1)
 
@@ -113,10 +113,10 @@ def bootstrap_interval(
     Args:
         metric: of B segments.
         other: of the same segments, subtracted draw by draw.
-        seed: of the draws.
+        seed: of the draws; two metrics are drawn alike.
 
     Returns:
-        Lower and upper bound.
+        Lower and upper bound of 95 % confidence.
 
     >>> low, high = bootstrap_interval(Metric(np.array([1.0, 2.0, 3.0]), np.ones(3)))
     >>> bool(1 <= low < 2 < high <= 3)
@@ -158,7 +158,7 @@ def average_seeds(trainings: Sequence[Mapping[str, Metric]]) -> dict[str, Metric
 
 
 def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
-    """Summarise metrics as means with the bounds of their intervals."""
+    """Summarise each metric as {"mean": ..., "low": ..., "high": ...}, its 95 % interval."""
     summary = {}
     for name, metric in metrics.items():
         low, high = bootstrap_interval(metric)

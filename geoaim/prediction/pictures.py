@@ -45,11 +45,11 @@ def draw_futures(
     Args:
         scene: map, agents and lights.
         futures: from `predict`.
-        start: the last observed step.
+        start: index of the last observed step.
         camera: what to show; None: `fit_camera`.
 
     Returns:
-        An RGB picture.
+        An RGB picture; futures are orange, the ground truth is white.
     """
     camera = camera or fit_camera(scene, futures, start)
     paths = _select_predicted(futures)
@@ -100,10 +100,10 @@ def film_futures(
     Args:
         scene: map and agents.
         futures: from `predict`.
-        start: the last observed step.
+        start: index of the last observed step.
 
     Yields:
-        An RGB picture for each step.
+        An RGB picture for each predicted step.
     """
     camera = fit_camera(scene, futures, start)
     ground, paths = (
@@ -134,7 +134,7 @@ def write_futures(
     Args:
         scene: names, types and times.
         futures: from `predict`.
-        start: the last observed step.
+        start: index of the last observed step.
         path: of the file.
         world: of the scene.
         dt: time between steps, s.

@@ -25,20 +25,21 @@ def predict(
     Args:
         model: from `read_model` or `train`.
         scene: map, agents and lights, at the model's dt.
-        samples: futures to draw.
-        horizon: steps to predict.
-        start: the last observed step; None: the scene's last step.
-        generator: source of the noise.
+        samples: K futures to draw.
+        horizon: T steps to predict; of a model with proposals, that of its config.
+        start: index of the last observed step; None: the scene's last step.
+        generator: source of the noise, on the scene's device.
 
     Returns:
-        x, y, heading and speed of all agents at the steps after `start`; NaN where absent. Agents
+        x, y, heading and speed of all agents at the T steps after `start`; NaN where absent. Agents
         of other kinds replay, and go straight on beyond the scene's end; lights then stay as they
         are.
 
     Raises:
         TracksError: no agent of the kind is present at that step.
         ValueError: the scene's dt is not the model's, there is no such step, a model with
-            proposals needs a longer history, or the futures need too much memory.
+            proposals needs a longer history or another horizon, or the futures need too much
+            memory.
     """
     config, total = model.config, len(scene.times)
     start = total - 1 if start is None else start

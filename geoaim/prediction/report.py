@@ -19,7 +19,7 @@ CURVES = {
 
 
 def format_markdown(summaries: Mapping[str, Summary]) -> str:
-    """Format a table: a row for each method, a column for each metric with its 95 % interval.
+    """Format summaries (see `summarise`) as a table, a row for each method by its name.
 
     >>> print(format_markdown({"a": {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}}))
     | | minADE |

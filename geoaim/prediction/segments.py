@@ -34,7 +34,7 @@ TENSORS = [field.name for field in fields(Segments) if field.name != "dt"]
 
 
 def pick(segments: Segments, index: Tensor | slice) -> Segments:
-    """Select some of the segments."""
+    """Select some of the segments, by their rows or a mask of them."""
     return _map_tensors(segments, lambda tensor: tensor[index])
 
 
@@ -49,7 +49,7 @@ def repeat(segments: Segments, samples: int) -> Segments:
 
 
 def concat(parts: Sequence[Segments]) -> Segments:
-    """Concatenate segments, padded to the largest numbers of agents and lights.
+    """Concatenate segments of equally many steps, padded to the most agents and lights.
 
     Raises:
         ValueError: there are none, or the time between their steps differs.
@@ -64,7 +64,7 @@ def concat(parts: Sequence[Segments]) -> Segments:
 
 
 def shift(segments: Segments, offset: Float[Tensor, "2"]) -> Segments:
-    """Shift segments in the plane, by metres."""
+    """Shift segments in the plane, by metres x and y."""
     change = torch.cat([offset, offset.new_zeros(2)])
     return replace(
         segments, states=segments.states + change, stop_lines=segments.stop_lines + offset

@@ -82,7 +82,7 @@ def train(
     identity = {
         "config": asdict(model.config),
         "training": asdict(config),
-        "start": {"dataset": hash_dataset(dataset), "weights": hash_weights(model)},
+        "start": {"dataset": _hash_dataset(dataset), "weights": hash_weights(model)},
     }
     with (
         join_processes(dataset.ground.image.device) as process,
@@ -125,8 +125,8 @@ def train(
     return parts.model.eval()
 
 
-def hash_dataset(dataset: Dataset) -> str:
-    """Hash a dataset, to tell it from another."""
+def _hash_dataset(dataset: Dataset) -> str:
+    """Hash a dataset's training segments and map, to tell it from another."""
     train = dataset.train
     return _hash_tensors([train.states, train.light_states, dataset.ground.image])
 

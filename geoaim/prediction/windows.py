@@ -68,9 +68,9 @@ def read_windows(
 
     Args:
         files: where they lie.
-        view: of the model.
+        view: of the model, `config.view`; its resolution decides that of the map.
         scenes: names; none: all.
-        transform: applied to each image (values 0 to 1), with its resolution.
+        transform: makes another image of each (H, W, 3) image, 0 to 1, and its metres per pixel.
 
     Returns:
         The windows, with their scenes side by side in an atlas.
@@ -102,7 +102,10 @@ def read_windows(
 
 
 def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
-    """Make a segment of one pedestrian from each path, with headings from its observed steps."""
+    """Make a segment of one pedestrian from each path (metres, steps of `DT_S`).
+
+    The heading at all steps is that of the last observed motion.
+    """
     count, steps = paths.shape[:2]
     last = paths[:, HISTORY_STEPS - 1]
     recent, whole = last - paths[:, HISTORY_STEPS - 4], last - paths[:, 0]
@@ -126,7 +129,7 @@ def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
 
 
 def reverse_paths(segments: Segments) -> Segments:
-    """Reverse paths in time, as an augmentation."""
+    """Reverse the paths of `make_path_segments` in time, as an augmentation."""
     return make_path_segments(segments.states[:, :, 0, :2].flip(1))
 
 

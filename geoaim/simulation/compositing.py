@@ -16,12 +16,13 @@ def composite(
     """Paint fragments over pictures, one after the other.
 
     Args:
-        pixels: (C, P) of all pictures, which are painted in place; or kept, and followed by planes.
-        fragments: in paint order; with planes, `fragments.pixel` counts the pixels of these alone.
-        planes: number of empty planes that are painted instead.
+        pixels: (C, P) of all pictures, from `sample_ground`; painted in place without planes.
+        fragments: in paint order, of C channels; with planes of one channel, and `fragments.pixel`
+            counts on from plane to plane.
+        planes: number of empty planes that are painted instead of the C channels.
 
     Returns:
-        (C + planes, P).
+        (C + planes, P): the given pixels, then the planes.
     """
     pixel, colour, alpha = fragments.pixel, fragments.colour, fragments.alpha
     return _Composite.apply(pixels, colour, alpha, pixel, planes)  # type: ignore[no-untyped-call]

@@ -50,8 +50,8 @@ class Episode:
 
     scene: Scene  # what happened in the simulation
     controlled: Bool[Tensor, "A"]  # agents that the policy moved
-    # share of the controlled agents' simulated steps with an infraction, by its name; an infraction
-    # that could not occur is left out
+    # share of the controlled agents' simulated steps with an infraction: "collision", "red light",
+    # "off road", "wrong way"; an infraction that could not occur is left out
     rates: Mapping[str, float]
 
 
@@ -68,7 +68,7 @@ def simulate_scene(
 
     Args:
         scene: the recording.
-        policy: one of `POLICY_NAMES`.
+        policy: "idm", "constant-velocity", "constant-turn-rate" or "replay".
         ego: name of the controlled agent; None: all agents that never reverse.
         start: time at which the simulation begins, seconds; None: the scene's first.
         duration: of the simulation, seconds, including the first `HISTORY_STEPS` steps.

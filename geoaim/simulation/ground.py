@@ -61,13 +61,13 @@ def make_ground(
     """Make a ground of a texture.
 
     Args:
-        image: (C, H, W) a map's image, or a plain colour (C, 1, 1) for no map.
-        image_from_world: (2, 3) metres to its pixels (corner origin).
+        image: (C, H, W) a map's image, 0 to 1, or a plain colour (C, 1, 1) for no map.
+        image_from_world: (2, 3) metres to its pixels (corner origin, v down).
         coverage: (H, W) where the image shows the ground; None: everywhere.
         outside: (C,) colour where it does not, and beyond the image; None: mid-grey.
 
     Returns:
-        The ground.
+        The ground, of the image's dtype and on its device.
 
     Raises:
         ValueError: the transform is singular, a number is not finite, or shapes do not match.
@@ -95,7 +95,7 @@ def make_ground(
 
 
 def move_ground(ground: Ground, device: torch.device | str) -> Ground:
-    """Copy a ground to a device."""
+    """Move a ground to a device; the result is another object."""
     return replace(
         ground,
         image=ground.image.to(device),
@@ -134,11 +134,11 @@ def render_coverage(
 
     Args:
         view: size and resolution of the pictures.
-        cameras: (B, 3) x, y, heading.
+        cameras: (B, 3) x, y, heading of the pictures' centres.
         ground: the map.
 
     Returns:
-        (B, 1, H, W) from 0, beyond the map and in its gaps, to 1.
+        (B, 1, H, W) from 0, beyond the map and in its gaps, to 1; without gradients.
     """
     with torch.no_grad():
         share = sample_ground(view, cameras, ground.coverage, ground.image_from_world)
@@ -160,7 +160,7 @@ def sample_ground(
         image_from_world: (2, 3) metres to its pixels (corner origin).
 
     Returns:
-        (C, P) with P = B H W, one view after the other.
+        (C, P) with P = B H W, one view after the other; beyond the texture its border.
     """
     height, width = image.shape[-2:]
     scale = image.new_tensor([2 / width, 2 / height])  # grid_sample: -1 to 1
@@ -192,7 +192,7 @@ def world_from_pixels(
 def apply_matrix(
     matrix: Float[Tensor, "2 2"], vectors: Float[Tensor, "... 2"]
 ) -> Float[Tensor, "... 2"]:
-    """Multiply vectors by a matrix, by sums: autocast and TF32 round matrix products."""
+    """Multiply each vector by one matrix, by sums: autocast and TF32 round matrix products."""
     return (matrix * vectors[..., None, :]).sum(-1)
 
 

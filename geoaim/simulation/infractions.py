@@ -50,10 +50,10 @@ def compute_offroad_distance(
         drivable: signed distances; beyond the raster, the distance to the raster is added.
         poses: (..., 3) x, y, heading.
         sizes: (..., 2) length and width, metres.
-        present: (...).
+        present: (...); poses of absent agents may be NaN.
 
     Returns:
-        (...) metres, 0 on the road.
+        (...) metres, 0 on the road and for absent agents.
     """
     safe = torch.where(present[..., None], poses, 0.0)
     corners = compute_box_corners(safe, sizes)
@@ -62,7 +62,7 @@ def compute_offroad_distance(
 
 
 def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
-    """Interpolate the signed distance at points; beyond the raster, add the distance to it."""
+    """Interpolate the signed distance at points (metres); beyond the raster, add that to it."""
     height, width = drivable.distance.shape
     matrix = drivable.grid_from_world
     pixels = apply_matrix(matrix[:, :2].to(points), points) + matrix[:, 2].to(points)
@@ -85,10 +85,10 @@ def compute_collision_iou(
     Args:
         poses: (B, A, 3) x, y, heading of one agent or more.
         sizes: (B, A, 2) length and width, metres.
-        present: (B, A).
+        present: (B, A); poses of absent agents may be NaN.
 
     Returns:
-        (B, A); an agent collides where it is positive.
+        (B, A) from 0 to 1; an agent collides where it is positive.
     """
     return box_iou(poses, sizes, present).amax(dim=-1)
 
@@ -112,7 +112,7 @@ def detect_red_light_running(
         states: (B, L) of the lights, as in `geoaim.lights`.
 
     Returns:
-        (B, A).
+        (B, A) True for those that run a red light in this step.
     """
     start = _locate_fronts(last_poses, lengths)[:, :, None]  # (B, A, 1, 2)
     end = _locate_fronts(poses, lengths)[:, :, None]

@@ -96,8 +96,13 @@ displacement = MotionModel(_step_displacement, _invert_displacement, scale=(0.5,
 MOTION_MODELS = {"bicycle": bicycle, "unicycle": unicycle, "slide": displacement}
 
 
-def world_from_agent(state: State, points: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
-    """Map points in agents' frames (metres forward, left) to the world."""
+def world_from_agent(
+    state: Float[Tensor, "... 4"], points: Float[Tensor, "... 2"]
+) -> Float[Tensor, "... 2"]:
+    """Map points in agents' frames (metres forward, left) to the world.
+
+    Leading axes of states (x, y, heading, speed) and points are broadcast.
+    """
     forward, left = points.unbind(-1)
     cosine, sine = state[..., 2].cos(), state[..., 2].sin()
     x = state[..., 0] + forward * cosine - left * sine
@@ -105,8 +110,10 @@ def world_from_agent(state: State, points: Float[Tensor, "... 2"]) -> Float[Tens
     return torch.stack([x, y], dim=-1)
 
 
-def agent_from_world(state: State, points: Float[Tensor, "... 2"]) -> Float[Tensor, "... 2"]:
-    """Map points in the world to agents' frames (metres forward, left)."""
+def agent_from_world(
+    state: Float[Tensor, "... 4"], points: Float[Tensor, "... 2"]
+) -> Float[Tensor, "... 2"]:
+    """Map points in the world to agents' frames: the inverse of `world_from_agent`."""
     x, y = (points - state[..., :2]).unbind(-1)
     cosine, sine = state[..., 2].cos(), state[..., 2].sin()
     return torch.stack([x * cosine + y * sine, y * cosine - x * sine], dim=-1)

@@ -28,11 +28,11 @@ TRAIL_WIDTH_M = 0.4
 
 
 def make_agent_boxes(scene: Scene, steps: Int[Tensor, "B"], ego: Int[Tensor, "B"]) -> OrientedBoxes:
-    """Make boxes of all agents, coloured by type.
+    """Make boxes of all agents, coloured by type, with white triangles at their fronts.
 
     Args:
         scene: whose agents.
-        steps: (B,) of the views.
+        steps: (B,) index of each view's step.
         ego: (B,) row of the agent in each view that has the ego's colour.
 
     Returns:
@@ -54,12 +54,12 @@ def make_trail_boxes(scene: Scene, steps: Int[Tensor, "B"], *, duration: float) 
     """Make the trails of the agents that are present at each step.
 
     Args:
-        scene: whose agents.
-        steps: (B,) at which trails end.
+        scene: whose agents, at even intervals.
+        steps: (B,) index of the step of each view, at which trails end.
         duration: of the trails, seconds.
 
     Returns:
-        Boxes of the trails' segments.
+        (B, N S) boxes of the S segments of each trail, coloured by type.
     """
     count = round(duration / scene.dt)
     offsets = torch.arange(-count, 1, device=scene.poses.device)
@@ -80,11 +80,12 @@ def make_layers(
 
     Args:
         scene: whose agents and lights.
-        steps: (B,) of the views.
+        steps: (B,) index of each view's step.
         ego: (B,) row of the ego in each view.
 
     Returns:
-        The ego, each of `AGENT_GROUPS`, all other agents, and lights of each state.
+        (B, N) boxes with the keys ego, vehicle, pedestrian, cyclist and other; (B, L) with the keys
+        green, yellow and red.
     """
     boxes = make_agent_boxes(scene, steps, ego)
     present = _get_poses(scene, steps)[1]
@@ -101,7 +102,7 @@ def make_layers(
 
 
 def get_agent_colours(scene: Scene) -> Float[Tensor, "N 3"]:
-    """Get the colour of each agent's type."""
+    """Get the colour (RGB, 0 to 1) of each agent's type."""
     return scene.sizes.new_tensor([TYPE_COLOURS.get(kind, OTHER_COLOUR) for kind in scene.types])
 
 

@@ -12,7 +12,9 @@ CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))  # forward, left;
 def compute_box_corners(
     poses: Float[Tensor, "... 3"], sizes: Float[Tensor, "... 2"]
 ) -> Float[Tensor, "... 4 2"]:
-    """Compute the corners of boxes by centre, heading and size, counter-clockwise from front left.
+    """Compute the corners of boxes, counter-clockwise from front left.
+
+    Poses are x, y, heading of the centres, sizes length and width; leading axes are broadcast.
 
     >>> compute_box_corners(torch.zeros(3), torch.tensor([4.0, 2.0])).tolist()
     [[2.0, 1.0], [-2.0, 1.0], [-2.0, -1.0], [2.0, -1.0]]
@@ -26,7 +28,7 @@ def compute_box_corners(
 def compute_intersection_area(
     poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]
 ) -> Float[Tensor, "n"]:
-    """Compute the area of the intersection of each pair of boxes.
+    """Compute the area of the intersection of each pair of boxes (x, y, heading; length, width).
 
     The outline of the intersection consists of the pieces of either box's edges inside the other
     box. Half the sum of the cross products of these pieces' ends is the area (Green's theorem).
@@ -57,10 +59,10 @@ def box_iou(
     Args:
         poses: (B, A, 3) x, y, heading.
         sizes: (B, A, 2) length and width, metres.
-        present: (B, A).
+        present: (B, A); poses of absent boxes may be NaN.
 
     Returns:
-        (B, A, A); 0 of a box with itself and with absent ones.
+        (B, A, A) from 0 to 1; 0 of a box with itself and with absent ones.
     """
     count = poses.shape[1]
     safe = torch.where(present[..., None], poses, 0.0)

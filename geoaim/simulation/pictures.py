@@ -26,17 +26,17 @@ BATCH_SIZE = 16  # pictures that are rendered at once
 def render_agent_video(
     scene: Scene, agent: int, view: View, steps: Int[Tensor, "S"], *, trail: float = 0.0
 ) -> Iterator[UInt8[Array, "H W 3"]]:
-    """Render what surrounds an agent.
+    """Render the view of an agent, heading up: the map, lights and all agents.
 
     Args:
         scene: with its map and lights.
         agent: row of the agent in the centre.
         view: size and resolution of the pictures.
-        steps: (S,) at which the agent is present.
+        steps: (S,) index of each step to render, at which the agent is present.
         trail: duration of the agents' trails, seconds; 0: none.
 
     Yields:
-        (H, W, 3) a picture of each step.
+        (H, W, 3) an RGB picture of each step.
     """
     ground = prefilter_ground(scene.ground, view.resolution)
     for batch in torch.split(steps, BATCH_SIZE):
@@ -61,9 +61,9 @@ def write_pictures(
     """Write a video, an animation, or a single picture.
 
     Args:
-        pictures: (H, W, 3) each; with even sides for .mp4.
+        pictures: (H, W, 3) RGB each; with even sides for .mp4.
         path: .mp4, .gif or .png, which holds the first picture.
-        frame_rate: pictures per second.
+        frame_rate: pictures per second; without effect on a .png.
 
     Raises:
         ValueError: the path has another suffix, or there are no pictures.

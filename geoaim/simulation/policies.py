@@ -24,12 +24,12 @@ MIN_DESIRED_SPEED_MPS = 0.1  # a slower vehicle is parked
 
 
 def constant_velocity(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """Neither accelerate nor turn."""
+    """Neither accelerate nor turn: a `Policy`."""
     return torch.zeros_like(path[:, -1, :, :2])
 
 
 def constant_turn_rate(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """Keep speed and the turn of the last step; go straight on at an agent's first step."""
+    """Keep speed and the last step's turn: a `Policy`; straight on at an agent's first step."""
     if path.shape[1] < 2:
         return constant_velocity(scenario, path)
     now = path.shape[1] - 1
@@ -40,7 +40,7 @@ def constant_turn_rate(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Te
 
 
 def replay(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """Reach the recorded speed and heading of the next step."""
+    """Reach the recorded speed and heading of the next step: a `Policy`."""
     return invert_step(scenario, path[:, -1], scenario.states[:, path.shape[1]])
 
 
@@ -58,15 +58,21 @@ def make_idm_policy(
 
     Args:
         routes: (B, A, P, 2) points, metres; the last segment extends beyond them.
-        desired_speeds: (B, A) m/s; agents with 0 stay where they are.
-        stop_lines: (L, 2, 2) both ends of each light's line, metres.
+        desired_speeds: (B, A) m/s; with 0.1 or less an agent brakes to a standstill and stays.
+        stop_lines: (L, 2, 2) both ends of each light's line, metres; given with `light_states` or
+            not at all.
         light_states: (B, T, L) at all steps of the scenario, as in `geoaim.lights`.
 
     Returns:
         The policy.
+
+    Raises:
+        ValueError: only one of `stop_lines` and `light_states` is given.
     """
+    if (stop_lines is None) != (light_states is None):
+        raise ValueError("stop_lines and light_states go together; one of them is None")
     lines = None
-    if stop_lines is not None and light_states is not None and len(stop_lines):
+    if stop_lines is not None and len(stop_lines):
         lines = _intersect_stop_lines(routes, stop_lines)  # (B, A, P-1, L)
 
     def act(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:

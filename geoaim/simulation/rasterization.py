@@ -62,14 +62,9 @@ def project_poses(
 
 
 def rasterize(view: View, boxes: PixelBoxes) -> Fragments:
-    """Rasterize boxes with their triangles; differentiable by centre, axis, sizes and colours.
+    """Rasterize boxes, in paint order, to fragments, box by box.
 
-    Args:
-        view: size of the pictures.
-        boxes: in paint order.
-
-    Returns:
-        The fragments, box by box.
+    Only the size of the view counts. Differentiable by centre, axis, sizes and colours.
     """
     with torch.no_grad():
         owner, place = find_pixels(view, boxes.centre, boxes.axis, boxes.sizes)
@@ -109,12 +104,12 @@ def find_pixels(
 
     Args:
         view: size of the pictures.
-        centre: (N, 2) column and row.
+        centre: (N, 2) column and row, pixels (corner origin).
         axis: (N, 2) unit vector of the heading, right and down.
         sizes: (N, 2) length and width, pixels.
 
     Returns:
-        (n,) box of each pixel; (n, 2) its column and row.
+        (n,) index of the box of each pixel; (n, 2) column and row of the pixel.
     """
     half = sizes / 2 + HALF_DIAGONAL_PX
     v, reach = centre[:, 1], (axis.abs().flip(1) * half).sum(1)

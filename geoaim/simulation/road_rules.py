@@ -26,10 +26,11 @@ NO_ROAD_RULES = RoadRules()
 
 
 def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> RoadRules:
-    """Make road rules of an HD map, of a drivable area drawn by hand, or of the area and the lanes.
+    """Make road rules of an HD map's lanes, and of a drivable area; None: that of the HD map.
 
     Raises:
-        MapError: the map or the area lies too far from the world's origin.
+        MapError: the map or the area lies too far from the world's origin, or the map has no lane
+            for vehicles.
     """
     if area is None and hdmap is not None:
         area = find_drivable_area(hdmap)
@@ -38,10 +39,10 @@ def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Ro
 
 
 def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
-    """Rasterize the signed distance from the edge of the drivable area, in metres per pixel.
+    """Rasterize the signed distance from the edge of an area, at `resolution` metres per pixel.
 
     Raises:
-        MapError: the area lies too far from the world's origin.
+        MapError: the area is empty or too narrow, or lies too far from the world's origin.
     """
     check_near_origin("drivable area", np.array(area.bounds).reshape(2, 2))
     distance, grid = compute_signed_distance(area, resolution=resolution)
@@ -61,7 +62,7 @@ def make_lanes(hdmap: HDMap) -> Lanes:
 
 
 def check_rules(scene: Scene, rules: RoadRules) -> None:
-    """Refuse rules of another place than the scene's map.
+    """Check that rules are not of another place than the scene's map.
 
     Raises:
         TracksError: no lane, or no part of the drivable area, lies on the map.

@@ -62,7 +62,7 @@ class Scene:
 
 
 def slice_scene(scene: Scene, steps: slice) -> Scene:
-    """Cut some steps out of a scene."""
+    """Cut some steps out of a scene; its agents stay, even those that are absent then."""
     return replace(
         scene,
         times=scene.times[steps],
@@ -78,11 +78,11 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
 
     Args:
         aim: the map.
-        tracks: of the agents.
+        tracks: of the agents, in any world with a CRS if the map's has one.
         lights: None for a scene without traffic lights.
 
     Returns:
-        The scene at the tracks' times. Its map is grey where the AIM has no coverage.
+        The scene at the tracks' times, on the CPU. Its map is grey where the AIM has no coverage.
 
     Raises:
         TracksError: only some of the three are georeferenced, no track or no stop line touches the
@@ -116,7 +116,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
 
 
 def make_ground_from_aim(aim: AIM) -> Ground:
-    """Make the ground of an AIM; a tilted view is rectified to north up first."""
+    """Make the ground of an AIM, not prefiltered; a tilted view is rectified to north up first."""
     if not aim.is_affine:
         aim = rectify(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
@@ -125,9 +125,9 @@ def make_ground_from_aim(aim: AIM) -> Ground:
 
 
 def make_tracks(scene: Scene, world: World) -> Tracks:
-    """Make tracks of a scene's agents, without those that are never present.
+    """Make tracks of a scene's agents that are ever present; `world` is that of its map.
 
-    `world` is that of its map. Times are rounded to the microsecond.
+    Times are rounded to the microsecond.
     """
     agents = scene.present.any(dim=1).nonzero()[:, 0]
     states = scene.states[agents].double()
@@ -144,10 +144,10 @@ def make_tracks(scene: Scene, world: World) -> Tracks:
 
 
 def find_agent(scene: Scene, name: str) -> int:
-    """Find the row of an agent.
+    """Find the row of the agent whose id is `name`.
 
     Raises:
-        TracksError: no agent has that name.
+        TracksError: no agent has that id.
     """
     if name not in scene.ids:
         more = ", ..." if len(scene.ids) > MAX_LISTED_AGENTS else ""
@@ -184,7 +184,7 @@ def find_agent_step(scene: Scene, agent: int, time: float | None) -> Int[Tensor,
 
 
 def find_step(scene: Scene, time: float | None) -> int:
-    """Find the step nearest to a time in seconds; the last one for None.
+    """Find the index of the step nearest to a time in seconds; of the last one for None.
 
     Raises:
         ValueError: the time is not within the scene's.
@@ -198,15 +198,15 @@ def find_step(scene: Scene, time: float | None) -> int:
 
 
 def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Array, "2 2"]) -> None:
-    """Refuse data of another place than the map's.
+    """Check that data are not of another place than the map.
 
     Args:
-        name: of the data, for the message.
+        name: of the data, such as "track", for the message.
         points: (n, 2) metres.
         bounds: (2, 2) lowest and highest x and y of the map.
 
     Raises:
-        TracksError: no point lies on the map.
+        TracksError: no point lies within the bounds.
     """
     low, high = bounds
     if not ((points > low) & (points < high)).all(axis=1).any():
@@ -218,10 +218,10 @@ def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Arra
 
 
 def check_near_origin(name: str, points: Float[Array, "n 2"]) -> None:
-    """Refuse data too far from its world's origin for tensors of float32.
+    """Check that data lie near enough to their world's origin for tensors of float32.
 
     Raises:
-        MapError: a point lies more than `MAX_ORIGIN_DISTANCE_M` away.
+        MapError: a coordinate is beyond `MAX_ORIGIN_DISTANCE_M`; the message calls the data `name`.
     """
     distance = np.abs(points).max(initial=0)
     if distance > MAX_ORIGIN_DISTANCE_M:

@@ -122,7 +122,7 @@ def step(
     actions: Float[Tensor, "B A 2"],
     controlled: Bool[Tensor, "B A"],
 ) -> Float[Tensor, "B A 4"]:
-    """Simulate one step: controlled agents act, others replay.
+    """Simulate one step: controlled agents act while recorded as present, others replay.
 
     Args:
         scenario: the recording.
@@ -149,7 +149,7 @@ def step(
 def invert_step(
     scenario: Scenario, states: Float[Tensor, "B A 4"], next_states: Float[Tensor, "B A 4"]
 ) -> Float[Tensor, "B A 2"]:
-    """Find the actions by which `step` reaches the next states' speeds and headings.
+    """Find the actions by which `step` reaches the speeds and headings of the next states.
 
     Args:
         scenario: the recording.
@@ -173,7 +173,7 @@ def rollout(
         scenario: the recording.
         policy: gives the actions of all agents; it must not read later steps of the scenario.
         controlled: (B, A) agents that the policy moves.
-        history: first steps, in which all agents replay.
+        history: number of first steps, 1 or more, in which all agents replay.
 
     Returns:
         (B, T, A, 4) x, y, heading, speed of all agents at all steps.

@@ -86,12 +86,12 @@ def film(
     """Plan a hover video over a still; frames show as much of it as they can, never beyond.
 
     Args:
-        background: the still.
+        background: the still, RGB.
         traffic: agents in pixels of the still, with a step for each frame.
         hover: the camera.
         height: rows of a frame.
         width: columns of a frame.
-        generator: source of randomness.
+        generator: source of the camera's motion and of the noise.
 
     Returns:
         The clip; `render_frame` renders its frames.
@@ -130,13 +130,13 @@ def film(
 
 
 def render_frames(clip: HoverClip) -> Iterator[UInt8[Array, "H W 3"]]:
-    """Render all frames of a clip in order."""
+    """Render all frames of a clip in order; see `render_frame`."""
     for index in range(len(clip.times)):
         yield render_frame(clip, index)
 
 
 def render_frame(clip: HoverClip, index: int) -> UInt8[Array, "H W 3"]:
-    """Render a frame: ground and agents through the lens, with gain and noise."""
+    """Render a frame as RGB: ground and agents through the lens, with gain and noise."""
     image = render_background(clip, index)
     for patch in _render_vehicles(clip, index, clip.frame_from_background[index]):
         blend_patch(image, patch)
@@ -155,7 +155,7 @@ def render_background(clip: HoverClip, index: int = 0) -> UInt8[Array, "H W 3"]:
 
 
 def reference_from_frames(clip: HoverClip, reference: int = 0) -> Float[Array, "T 3 3"]:
-    """Compute the exact transforms from all frames to the reference frame, (T, 3, 3)."""
+    """Compute the exact transforms from pixels of all frames to those of frame `reference`."""
     return clip.frame_from_background[reference] @ np.linalg.inv(clip.frame_from_background)
 
 
@@ -181,7 +181,7 @@ def list_boxed_agents(clip: HoverClip, index: int) -> tuple[Int[Array, "n"], Flo
 
 
 def measure_traffic_share(clip: HoverClip, reference: int = 0) -> Float32[Array, "H W"]:
-    """Measure the share of frames in which agents or shadows cover each reference pixel."""
+    """Measure the share of frames (0 to 1) in which agents or shadows cover a reference pixel."""
     counts = np.zeros((clip.height, clip.width), np.float32)
     covered = np.zeros_like(counts)
     pose = clip.frame_from_background[reference]

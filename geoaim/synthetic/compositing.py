@@ -25,7 +25,7 @@ def paste(
     """Paste sprites onto an image, in place.
 
     Args:
-        image: the image.
+        image: RGB.
         sprites: an RGBA picture of each of N agents, seen from above, heading right.
         poses: (N, 3) centre u, v in pixels (corner origin) and heading (radians); NaN if absent.
     """
@@ -52,12 +52,12 @@ def warp_sprite(
     """Warp a sprite into its window of an image.
 
     Args:
-        sprite: packed premultiplied colour and alpha.
+        sprite: premultiplied colour and alpha, each from `pack`.
         frame_from_centred: (3, 3) sprite pixels around its centre to image pixels.
         shape: height and width of the image.
 
     Yields:
-        The window with colour and alpha; nothing if the sprite lies outside.
+        One patch for `blend_patch`; nothing if the sprite lies outside.
     """
     rows, columns = sprite[0].shape
     frame_from_sprite = frame_from_centred @ translation(-columns / 2, -rows / 2)
@@ -71,7 +71,10 @@ def warp_sprite(
 
 
 def compute_background_from_sprite(pose: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """Compute transforms from sprite pixels (x forward, y right, centred) to background pixels."""
+    """Compute transforms to background pixels from sprite pixels (x forward, y right, centred).
+
+    Poses are u, v (pixels) and heading (radians, counter-clockwise as seen).
+    """
     cosine, sine = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
     rows = [[cosine, sine, pose[..., 0]], [-sine, cosine, pose[..., 1]], [zero, zero, one]]

@@ -26,12 +26,15 @@ def round_reproducibly(values: Float[Array, "*n"]) -> Float[Array, "*n"]:
 
 
 def blur(image: UInt8[Array, "H W *c"], sigma: float) -> UInt8[Array, "H W *c"]:
-    """Blur by a Gaussian; OpenCV's integer arithmetic for uint8 is the same on all machines."""
+    """Blur by a Gaussian of `sigma` pixels; 0 or less returns the image itself.
+
+    OpenCV's integer arithmetic for uint8 is the same on all machines.
+    """
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma)) if sigma > 0 else image
 
 
 def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array, "_ _ *c"]:
-    """Resize to (width, height), blurred first to avoid aliasing; OpenCV's area mean is inexact."""
+    """Resize to (width, height), blurred first if smaller: OpenCV's area mean is inexact."""
     shrink = image.shape[1] / size[0]
     if shrink > 1:
         smooth = blur(image, 0.5 * np.sqrt(shrink**2 - 1))
@@ -40,7 +43,7 @@ def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array,
 
 
 def premultiply(sprite: UInt8[Array, "h w 4"]) -> UInt8[Array, "_ _ 4"]:
-    """Premultiply colours by alpha and add a transparent rim, for resampling."""
+    """Premultiply RGBA colours by alpha and add a transparent rim of a pixel, for resampling."""
     whole = sprite.astype(np.uint16)
     whole[..., :3] = (whole[..., :3] * whole[..., 3:] + 127) // 255
     return np.pad(whole.astype(np.uint8), ((1, 1), (1, 1), (0, 0)))
@@ -68,7 +71,7 @@ def warp(
         width: columns of the result.
 
     Returns:
-        The image.
+        Three channels; those that were not packed are 0.
     """
     image = np.empty((height, width, 3), np.uint8)
     flat = words.ravel()

@@ -65,12 +65,12 @@ def photograph(
     Args:
         place: the place.
         day: the day.
-        tracks: the traffic.
+        tracks: the traffic, in the place's world.
         sensor_resolution: metres per pixel of the photo.
         resolution: metres per pixel at which the place is drawn before the sensor reduces it.
 
     Returns:
-        The extent of the drawn place at the sensor's resolution.
+        RGB, the extent of the drawn place at the sensor's resolution.
     """
     generator = _make_generator(place, day.number)
     still = draw_place(place, day, resolution=resolution)
@@ -86,8 +86,8 @@ def georeference_photo(
 
     Args:
         place: the place.
-        photo: the photo, as from `photograph`: all of the drawn place.
-        crs: a projected CRS.
+        photo: from `photograph`: all of the drawn place.
+        crs: a projected CRS in metres.
         offset: metres east and north by which the stated position is off the true one.
 
     Returns:
@@ -114,7 +114,11 @@ def draw_offset(place: Place) -> tuple[float, float]:
 
 
 def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Array, "T T 3"]]]:
-    """XYZ tiles of an imagery in EPSG:3857: column, row and picture; white where nothing is."""
+    """Cut imagery in EPSG:3857 into XYZ tiles of 256 px at a zoom level.
+
+    Yields:
+        Column, row (from the north) and RGB picture, white where there is no imagery.
+    """
     side = 2 * ROUND / 2**zoom
     corners = transform_points(imagery.crs_from_image, image_corners(*imagery.image.shape[:2]))
     spans = np.floor((corners * [1, -1] + ROUND) / side).astype(int)

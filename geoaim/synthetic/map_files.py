@@ -35,7 +35,7 @@ ZOOM = 19  # of the tiles
 
 
 def write_maps(sample: Sample, folder: Path) -> None:
-    """Write `map.osm`, as HD maps often are, `map_full.osm` with everything, and all surfaces."""
+    """Write `map.osm` (public lanes alone), `map_full.osm` (everything) and `surfaces.geojson`."""
     place = sample.place
     frame = place.roads, place.world_from_plan, place.world
     (folder / "map.osm").write_bytes(make_lanelet_map(*frame))
@@ -58,7 +58,7 @@ def write_maps(sample: Sample, folder: Path) -> None:
 
 
 def write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
-    """Write an orthophoto and tiles of another day; return their offset, metres east and north."""
+    """Write `ortho.tif` and `tiles/` of another day; return their offset, metres east and north."""
     place = sample.place
     tracks = tracks_of(sample, len(sample.recordings) - 1)
     states, present = tracks.states[:, -1:], tracks.present[:, -1:]
@@ -77,7 +77,7 @@ def write_jpeg(image: UInt8[Array, "H W 3"], path: Path, *, quality: int) -> Non
     """Write an image as JPEG.
 
     Args:
-        image: the image.
+        image: RGB.
         path: file to write; its folders are made.
         quality: 0 to 100.
     """

@@ -61,7 +61,7 @@ def draw_place(
         resolution: metres per pixel.
 
     Returns:
-        The image.
+        RGB of `HEIGHT_M` by `WIDTH_M` metres; `world_from_image` tells where.
     """
     day = Day() if day is None else day
     canvas = make_canvas(resolution, np.random.default_rng([place.seed, GROUND]))

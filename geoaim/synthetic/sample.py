@@ -64,7 +64,7 @@ def make_sample(
     Args:
         seed: the same seed gives the same numbers and frames on every machine.
         kind: "junction", "t", "roundabout", "street", "park" or "campus".
-        minutes: duration of the traffic.
+        minutes: duration of the traffic, in recordings of at most five minutes.
         video: height and width of its frames, pixels; None for no video.
         hover: the drone's camera.
         resolution: metres per pixel of the drawn place, 0.05 to 0.2.
@@ -102,7 +102,7 @@ def make_sample(
 
 
 def tracks_of(sample: Sample, number: int = 0) -> Tracks:
-    """Return the tracks of a recording, 10 per second."""
+    """Interpolate the tracks of recording `number` at 10 Hz, in the place's world."""
     place, recording = sample.place, sample.recordings[number]
     times = np.arange(int(recording.times[-1] * RATE + 1e-9) + 1) / RATE
     return interpolate_tracks(sample.traffic_model, recording, place, times=times)

@@ -31,7 +31,7 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, progress: P
         sample: the sample.
         clip: its clip.
         folder: where the files are written.
-        progress: called with the frames done and in all.
+        progress: called with the stage, the frames done and in all.
     """
     place = sample.place
     frames = _report_frames(clip, progress)

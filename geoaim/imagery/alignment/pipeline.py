@@ -30,7 +30,7 @@ from geoaim.world import World
 TRACK_MARGIN_M = 20.0  # around tracks that the map shows
 
 
-class ReadOptions(TypedDict, total=False):
+class _ReadOptions(TypedDict, total=False):
     """Options of `align_tiles` for reading imagery."""
 
     # metres per pixel; with control points the picture is resampled north up
@@ -55,7 +55,7 @@ def align_tiles(
     aim: AIM | None = None,
     gcps: ControlPointSource | None = None,
     prior: Prior = DEFAULT_PRIOR,
-    **options: Unpack[ReadOptions],
+    **options: Unpack[_ReadOptions],
 ) -> AIM:
     """Read third-party imagery and correct its position.
 
@@ -120,7 +120,7 @@ def _read_picture(
     tiles: Source | Sequence[Source],
     gcps: ControlPointSource,
     world: World | None,
-    options: ReadOptions,
+    options: _ReadOptions,
 ) -> AIM:
     if not isinstance(tiles, str | os.PathLike):
         raise ValueError("control points are pixels of one image; give one file")

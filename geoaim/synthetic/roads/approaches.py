@@ -48,7 +48,7 @@ class Approach:
 
 
 def plan_from_road(approach: Approach, points: Float[Array, "m 2"]) -> Polyline:
-    """Convert road coordinates (s, t) of an approach to plan coordinates."""
+    """Convert road coordinates (s, t) of an approach to plan coordinates, all in metres."""
     s, t = np.asarray(points, np.float64).T
     forward = make_unit_vector(approach.angle)
     left = rotate_90(forward)
@@ -59,7 +59,7 @@ def plan_from_road(approach: Approach, points: Float[Array, "m 2"]) -> Polyline:
 
 
 def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, float]) -> Polyline:
-    """The outline of a rectangle in road coordinates, which bends with the road.
+    """Outline a rectangle in road coordinates, which bends with the road.
 
     Args:
         approach: the road.
@@ -87,6 +87,6 @@ def locate_outbound_lane(approach: Approach, index: int) -> float:
 
 
 def classify_turn(origin: Approach, destination: Approach) -> str:
-    """L, S or R: left, straight on or right from one approach into another."""
+    """Classify the way from one approach into another: "L" left, "S" straight on, "R" right."""
     change = wrap_angle(np.asarray(destination.angle - origin.angle - np.pi))
     return "S" if abs(change) < np.pi / 4 else "L" if change > 0 else "R"

@@ -49,7 +49,7 @@ class Manoeuvre:
 
 
 def make_car_park(approach: Approach, s: float) -> CarPark:
-    """Place a car park with its driveway at s of an approach.
+    """Place a car park with its driveway at s (metres) of an approach, on its outbound side.
 
     Traffic uses every other bay: a vehicle that backs out would touch one in the next bay.
     """
@@ -81,7 +81,7 @@ def outline_car_park_part(
 
 
 def make_manoeuvres(car_park: CarPark, approach: Approach) -> list[Manoeuvre]:
-    """The path from the road into each open bay, and the path out of it; both turn right only."""
+    """Make the path from the road into each open bay, and that out of it; both turn right only."""
     manoeuvres = []
     for bay in car_park.open_bays:
         road = _enter_driveway(car_park, approach)

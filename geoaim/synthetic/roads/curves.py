@@ -10,7 +10,7 @@ QUINTIC_POINTS = 200
 
 
 def make_unit_vector(angle: float) -> Float[Array, "2"]:
-    """The direction of an angle (radians, counter-clockwise from +x)."""
+    """Make the vector of length 1 at an angle (radians, counter-clockwise from +x)."""
     return np.array([np.cos(angle), np.sin(angle)])
 
 
@@ -20,38 +20,38 @@ def rotate_90(vectors: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
 
 
 def compute_headings(line: Polyline) -> Float[Array, "L"]:
-    """The direction at each point, radians, unwrapped."""
+    """Compute the direction at each point, in radians without jumps, so that it may exceed pi."""
     tangent = np.gradient(line, axis=0, edge_order=2 if len(line) > 2 else 1)
     return np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
 
 
 def compute_arc_lengths(line: Polyline) -> Float[Array, "L"]:
-    """Metres along the polyline at each of its points."""
+    """Compute the metres along a polyline at each of its points, from 0."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 
 def compute_curvature(line: Polyline) -> Float[Array, "L"]:
-    """Curvature at each point, 1/m, positive to the left; the points are equally spaced."""
+    """Compute the curvature (1/m, positive to the left) at each of equally spaced points."""
     spacing = compute_arc_lengths(line)[-1] / max(len(line) - 1, 1)
     return np.gradient(compute_headings(line)) / spacing
 
 
 def resample_polyline(line: Polyline, spacing: float = POINT_SPACING_M) -> Polyline:
-    """Points at equal distances of about `spacing` metres; both ends stay."""
+    """Resample a polyline at equal distances of about `spacing` metres; both ends stay."""
     s = compute_arc_lengths(line)
     samples = np.linspace(0, s[-1], max(2, round(s[-1] / spacing) + 1))
     return np.stack([np.interp(samples, s, line[:, k]) for k in (0, 1)], axis=1)
 
 
 def offset_polyline(line: Polyline, left: Float[Array, "L"] | float) -> Polyline:
-    """The parallel curve `left` metres to the left."""
+    """Make the parallel curve `left` metres (one number, or one at each point) to the left."""
     angle = compute_headings(line)
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     return line + np.reshape(left, (-1, 1)) * normal
 
 
 def sample_arc(radius: float, angles: tuple[float, float]) -> Polyline:
-    """Equally spaced points on a circle around the origin, from one angle to another (radians)."""
+    """Sample an arc about the origin from one angle to another (radians), every 0.5 m or so."""
     start, end = angles
     angle = np.linspace(start, end, max(2, round(abs(end - start) * radius / POINT_SPACING_M) + 1))
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)

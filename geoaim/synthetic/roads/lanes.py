@@ -52,7 +52,7 @@ class Route:
 
 
 def make_lanes(layout: Layout) -> tuple[tuple[Lane, ...], tuple[Route, ...]]:
-    """All lanes of a layout, and all routes over them."""
+    """Make all lanes of a layout, and all routes over them."""
     lanes = [lane for approach in layout.approaches for lane in _make_approach_lanes(approach)]
     by_name = {lane.name: lane for lane in lanes}
     if layout.ring_radius:
@@ -65,7 +65,7 @@ def make_lanes(layout: Layout) -> tuple[tuple[Lane, ...], tuple[Route, ...]]:
 
 
 def compute_lane_bounds(lane: Lane) -> tuple[Polyline, Polyline]:
-    """The left and the right bound of a lane."""
+    """Compute the left and the right bound of a lane, in plan metres."""
     share = np.linspace(0, 1, len(lane.centreline))
     half = 0.5 * (lane.width[0] + (lane.width[1] - lane.width[0]) * share)
     return offset_polyline(lane.centreline, half), offset_polyline(lane.centreline, -half)

@@ -39,7 +39,7 @@ class Layout:
 
 
 def make_layout(kind: PlaceKind, generator: np.random.Generator) -> Layout:
-    """Draw the layout of a place.
+    """Draw a random layout of a kind of place.
 
     Raises:
         ValueError: the kind is unknown.

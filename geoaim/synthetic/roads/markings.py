@@ -37,7 +37,7 @@ RING_LINE_ANGLES = (0.05, 0.5)  # radians from an approach, between which that l
 
 
 def make_markings(roads: Roads) -> list[Polyline]:
-    """The white markings of all roads."""
+    """Make the white markings of all roads, as polygons in plan metres."""
     layout = roads.layout
     polygons: list[Polyline] = []
     for approach in layout.approaches:
@@ -55,7 +55,7 @@ def make_markings(roads: Roads) -> list[Polyline]:
 
 
 def make_cycle_strips(roads: Roads) -> list[Polyline]:
-    """The coloured strips on which cycles cross, between crossings and stop lines."""
+    """Make the coloured strips on which cycles cross at junctions, as polygons in plan metres."""
     strips = []
     if roads.layout.kind == "junction":
         for approach in roads.layout.approaches:
@@ -66,7 +66,7 @@ def make_cycle_strips(roads: Roads) -> list[Polyline]:
 
 
 def make_tactile_strips(roads: Roads) -> list[Polyline]:
-    """The tactile paving at both ends of the marked crossings."""
+    """Make the tactile paving at both ends of marked crossings, as rectangles in plan metres."""
     strips = []
     for crossing in roads.crossings:
         if crossing.marked:
@@ -79,7 +79,10 @@ def make_tactile_strips(roads: Roads) -> list[Polyline]:
 
 
 def list_landmarks(roads: Roads) -> tuple[tuple[str, ...], Float[Array, "M 2"]]:
-    """Names and places of surveyable points: stop lines' ends, crossings' corners, manholes."""
+    """List names and places (plan metres) of points that a surveyor would take.
+
+    These are ends of stop lines, corners of crossings, and manholes.
+    """
     names, points = [], []
     for approach in roads.layout.approaches:
         if np.isfinite(approach.stop) and not roads.layout.ring_radius:
@@ -97,7 +100,7 @@ def list_landmarks(roads: Roads) -> tuple[tuple[str, ...], Float[Array, "M 2"]]:
 
 
 def locate_manholes(roads: Roads) -> Float[Array, "M 2"]:
-    """The middles of manhole covers: two on each approach."""
+    """Locate the centres of manhole covers, in plan metres: two on each approach."""
     points = []
     for k, approach in enumerate(roads.layout.approaches):
         for min_s, share in ((22.0 + 3 * k, 0.4), (41.0 + 2 * k, -0.6)):
@@ -108,7 +111,11 @@ def locate_manholes(roads: Roads) -> Float[Array, "M 2"]:
 
 
 def locate_give_way_line(layout: Layout, approach: Approach) -> Polyline:
-    """The middle of a roundabout's give-way line at an approach."""
+    """Compute the centreline of a roundabout's give-way line at an approach.
+
+    Returns:
+        (8, 2) points in plan metres. Only layouts with a `ring_radius` have such lines.
+    """
     angle = approach.angle + np.linspace(*RING_LINE_ANGLES, 8)
     radius = layout.ring_radius + RING_LINE_OFFSET_M + 0.2
     return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)

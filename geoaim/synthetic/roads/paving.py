@@ -103,12 +103,12 @@ def _make_crossings(
 
 
 def outline_road(paving: Paving) -> Polygon:
-    """The ground within the outer kerbs: carriageway and islands."""
+    """Outline the ground within the outer kerbs, in plan metres: carriageway and islands."""
     return Polygon(shapely.union_all([paving.carriageway, paving.islands]).exterior)
 
 
 def outline_crossing(crossing: Crossing) -> Polygon:
-    """The ground of a crossing, from kerb to kerb."""
+    """Outline the ground of a crossing, from kerb to kerb, in plan metres."""
     return LineString(crossing.ends).buffer(crossing.width / 2, cap_style="flat")
 
 

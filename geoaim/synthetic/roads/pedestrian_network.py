@@ -129,8 +129,8 @@ def find_route(
         factors: (E,) by which the length of each edge is multiplied.
 
     Returns:
-        The line of each edge in the direction of travel, and its crossing (-1: none); empty if
-        there is no route.
+        The line (plan metres) of each edge in the direction of travel, and the index of its
+        crossing (-1: none); empty if there is no route.
     """
     graph = nx.MultiGraph()
     for edge, factor in zip(network.edges, factors, strict=True):

@@ -50,12 +50,12 @@ def make_roads(kind: PlaceKind, generator: np.random.Generator) -> Roads:
 
 
 def find_approach(layout: Layout, name: str) -> Approach:
-    """The approach of that name."""
+    """Find the approach of a name; StopIteration if there is none."""
     return next(approach for approach in layout.approaches if approach.name == name)
 
 
 def find_signal(roads: Roads, lane: str, turn: str) -> str:
-    """The name of the traffic light for a turn from a lane.
+    """Find the name of the traffic light for a turn from a lane.
 
     Args:
         roads: the plan.

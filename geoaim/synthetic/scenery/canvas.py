@@ -33,7 +33,7 @@ Window: TypeAlias = tuple[slice, slice]
 class Canvas:
     """The image being drawn (changed in place), with the noise for its textures."""
 
-    image: Float32[Array, "H W 3"]  # grey levels
+    image: Float32[Array, "H W 3"]  # RGB in grey levels, 0 to 255; beyond until `grade_colours`
     image_from_plan: Float[Array, "3 3"]  # plan metres to pixels, a scale and a flip
     resolution: float  # metres per pixel
     generator: np.random.Generator  # source of randomness
@@ -123,7 +123,7 @@ def fill(
     Args:
         canvas: the canvas, changed in place.
         shape: polygons in plan metres; their union is filled.
-        colour: mean colour.
+        colour: mean RGB colour, 0 to 255.
         strength: opacity, 0 to 1.
         grain: noise fields and their standard deviations in grey levels.
         only: area to which drawing is clipped.
@@ -149,7 +149,7 @@ def shade(
     Args:
         canvas: the canvas, changed in place.
         shape: polygons in plan metres.
-        share: share of the light that is taken, for all channels or each.
+        share: share of the light that is taken, 0 to 1; for all channels or each.
         only: area to which drawing is clipped.
     """
     window, mask = rasterize_shape(canvas, shape)
@@ -161,7 +161,7 @@ def shade(
 
 
 def make_circle(centre: Float[Array, "2"], radius: float) -> Float[Array, "24 2"]:
-    """Make a circle as a polygon of 24 corners."""
+    """Make a circle as a polygon of 24 corners, in the unit of its centre and radius."""
     turn = np.linspace(0, 2 * np.pi, 25)[:-1]
     return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1) + centre
 

@@ -58,10 +58,10 @@ PALETTES: dict[Season, _Palette] = {
 
 
 def compute_shadow_offset(day: Day) -> Float[Array, "2"]:
-    """Compute the shadow's offset per metre of height, plan metres."""
+    """Compute where a point one metre high casts its shadow: plan metres from its foot."""
     return -np.array([np.cos(day.azimuth), np.sin(day.azimuth)]) / np.tan(day.elevation)
 
 
 def compute_shadow_depth(day: Day) -> Float[Array, "3"]:
-    """Compute the share of light that a shadow takes from each channel."""
+    """Compute the share of light, 0 to 1, that a shadow takes from red, green and blue."""
     return (1 - day.clouds) * np.array([0.58, 0.55, 0.47])

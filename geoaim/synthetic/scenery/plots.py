@@ -24,14 +24,14 @@ from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.canvas import make_bar, make_rectangle
 from geoaim.synthetic.scenery.scenery import Building, Parcel, Scenery, Spot, Tree
 
-USES = ("block", "houses", "park", "plaza", "field", "houses", "block")
+USES = ("block", "houses", "park", "plaza", "field", "houses", "block")  # twice: twice as likely
 PARCEL_WIDTH_M = (30.0, 46.0)  # smallest and largest
 CLEARANCE_M = 1.5  # around buildings
 TREE_SPACING_M = 9.0  # mean distance of street trees
 
 
 def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
-    """Place scenery on the plots and along the roads."""
+    """Place buildings, trees and all else of a `Scenery` on the plots and along the roads."""
     no_area, verges, lamps = Polygon(), _make_verges(roads), _make_lamps(roads)
     areas = verges, no_area, no_area, no_area, no_area
     trees = _make_street_trees(roads, verges, generator)

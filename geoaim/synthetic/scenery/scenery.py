@@ -39,9 +39,9 @@ class Spot:
 
 @dataclass(frozen=True, eq=False)
 class Parcel:
-    """A piece of ground (plan metres) with one use, one of `USES`."""
+    """A piece of ground (plan metres) with one use."""
 
-    use: str
+    use: str  # "block", "houses", "park", "plaza" or "field"
     area: Polygon
 
 

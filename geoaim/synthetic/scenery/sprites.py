@@ -31,13 +31,13 @@ def draw_tree(
 
     Args:
         radius: pixels.
-        colour: leaves in full light.
+        colour: RGB of leaves in full light, 0 to 255.
         light: direction towards the sun in the image, right and down, of length 1.
-        grain: noise of variance 1, of at least 2.4 radii each way.
+        grain: noise of variance 1, of more than 2.4 radii each way.
         generator: source of the crown's shape.
 
     Returns:
-        RGBA.
+        RGBA, about 2.4 radii each way.
     """
     side = 2 * int(radius * 1.2) + 1
     axis = np.linspace(-1.2, 1.2, side)
@@ -57,7 +57,10 @@ def draw_tree(
 
 
 def draw_bare_tree(radius: int, generator: np.random.Generator) -> UInt8[Array, "_ _ 4"]:
-    """Draw a tree without leaves from above: branches that fork outwards."""
+    """Draw a tree without leaves from above as RGBA: branches that fork outwards.
+
+    Its radius is in pixels; the picture has about 2.4 radii each way.
+    """
     side = 2 * int(radius * 1.2) + 1
     mask = np.zeros((side, side), np.uint8)
     tips = [(np.array([side / 2, side / 2]), turn, 0.42) for turn in np.arange(7) * 2 * np.pi / 7]
@@ -114,11 +117,11 @@ def draw_vehicle(
     Args:
         length: metres.
         width: metres.
-        colour: of the paint.
+        colour: RGB of the paint, 0 to 255.
         resolution: metres per pixel.
 
     Returns:
-        RGBA, centred.
+        RGBA, centred, with a transparent rim of `MARGIN` pixels.
     """
     a, b = length / 2, width / 2
     parts = _outline_car(a, b, colour) if length <= LORRY_LENGTH_M else _outline_lorry(a, b, colour)
@@ -132,12 +135,12 @@ def draw_pedestrian(
     """Draw a pedestrian or a cyclist from above, heading right.
 
     Args:
-        colour: of the clothes.
+        colour: RGB of the clothes, 0 to 255.
         resolution: metres per pixel.
         cycle: whether to draw a cycle below.
 
     Returns:
-        RGBA.
+        RGBA, centred, with a transparent rim of `MARGIN` pixels.
     """
     shoulders = [(0.14, 0), (0.12, 0.2), (0.02, 0.27), (-0.1, 0.24), (-0.14, 0)]
     hair = [(0.11, 0), (0.07, 0.09), (-0.04, 0.1), (-0.1, 0)]

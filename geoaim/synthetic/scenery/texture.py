@@ -40,10 +40,10 @@ def make_natural_noise(
 def rasterize_polygons(
     shape: tuple[int, int], polygons: Sequence[Sequence[Float[Array, "_ 2"]]]
 ) -> UInt8[Array, "H W"]:
-    """Compute the share of each pixel that a union of polygons covers, 0 to 255.
+    """Compute how much of each pixel a union of polygons covers: 0 none, 255 all.
 
-    Polygons (outline and holes, in pixels from the corner) are filled at four times the resolution,
-    some rows at a time, since OpenCV's own anti-aliasing would widen them by 0.7 px.
+    `shape` is height and width. Polygons (outline and holes, in pixels from the corner) are filled
+    at four times the resolution, as OpenCV's own anti-aliasing would widen them by 0.7 px.
     """
     mask = np.zeros(shape, np.uint8)
     if mask.size == 0 or not polygons:
@@ -63,7 +63,7 @@ def rasterize_polygons(
 
 
 def to_share(mask: UInt8[Array, "*n"]) -> Float32[Array, "*n"]:
-    """Convert a mask of bytes to shares of 0 to 1."""
+    """Convert a mask of 0 to 255 to shares of 0 to 1."""
     return mask.astype(np.float32) / np.float32(255)
 
 
@@ -82,7 +82,7 @@ def blend(
     Args:
         image: changed in place.
         mask: opacity, 0 to 1.
-        colour: a colour, or an image of the same size.
+        colour: a colour of C numbers, or an image (H, W, C).
     """
     paint = np.asarray(colour, np.float32)
     for top in range(0, len(image), ROWS_BLENDED):
@@ -100,6 +100,7 @@ def darken(
     Args:
         image: changed in place.
         mask: where, 0 to 1.
-        share: share of the light that is taken, of all channels or each.
+        share: share of the light that is taken, 0 to 1: a number, one for each channel, or an
+            array that is broadcast to (H, W, 3).
     """
     image *= 1 - mask[..., None] * np.asarray(share, np.float32)

@@ -64,7 +64,7 @@ def step_vehicles(
         placed: the vehicles.
         pairs: of these vehicles.
         tables: over the paths.
-        lights: state of each traffic light.
+        lights: state of each of the G lights of `Signals`, as in `geoaim.lights`.
         pedestrians: on crossings.
         dt: seconds.
 

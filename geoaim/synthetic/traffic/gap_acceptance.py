@@ -49,7 +49,7 @@ def react_to_vehicles(
         crossings: of the place.
         placed: the vehicles.
         tables: lengths, limits and conflicts of the vehicles' paths.
-        lights: state of each traffic light.
+        lights: state of each of the G lights of `Signals`, as in `geoaim.lights`.
 
     Returns:
         The reaction of each pedestrian.

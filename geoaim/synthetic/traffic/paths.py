@@ -61,7 +61,7 @@ class _Part:
 
 
 def make_paths(roads: Roads) -> tuple[VehiclePath, ...]:
-    """All paths of a place: its routes, and into and out of the car park."""
+    """Make all paths of a place: its routes, and those into and out of the car park."""
     lanes = {lane.name: lane for lane in roads.lanes}
     paths = [_make_route_path(roads, route, lanes) for route in roads.routes]
     if roads.car_park is not None:

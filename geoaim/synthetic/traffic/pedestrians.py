@@ -125,7 +125,10 @@ def make_pavement_map(roads: Roads) -> PavementMap:
 def sample_pavement(
     pavement: PavementMap, positions: Float[Array, "n 2"]
 ) -> tuple[Float[Array, "n"], Float[Array, "n 2"]]:
-    """Metres to the nearest edge at each position, and the unit vector away from that edge."""
+    """Look up metres to the nearest edge at positions (plan metres), and the unit vector from it.
+
+    The distance is 0 off the pavement.
+    """
     cells = ((positions - pavement.corner) / CELL_M).astype(np.int64)
     height, width = pavement.table.shape[:2]
     column = np.minimum(np.maximum(cells[:, 0], 0), width - 1)
@@ -135,7 +138,7 @@ def sample_pavement(
 
 
 def look_ahead(pedestrians: Pedestrians, crossings: CrossingTable) -> Outlook:
-    """Look up where each path leads next, and over which crossing."""
+    """Look up where each pedestrian's path leads next, and over which crossing."""
     last, speed = pedestrians.last, pedestrians.desired_speed
     rows, here = np.arange(len(last)), np.minimum(_count_points(pedestrians.s), last)
     ahead = np.minimum(here + _count_points(np.maximum(TARGET_M, TARGET_S * speed)), last)
@@ -203,7 +206,7 @@ def step_pedestrians(
 
 
 def dot(a: Float[Array, "n 2"], b: Float[Array, "n 2"]) -> Float[Array, "n"]:
-    """The dot product of each pair of rows."""
+    """Compute the dot product of each pair of rows."""
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1])
 
 

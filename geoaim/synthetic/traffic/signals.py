@@ -37,7 +37,7 @@ class _Phase:
 
 
 def make_signals(roads: Roads, generator: np.random.Generator) -> Signals:
-    """Draw the signal plan: main road, side road, protected left turns, and pedestrians."""
+    """Draw random durations for a place's lights; without lights the names are empty."""
     if not roads.layout.signalised:
         return Signals((), 0.0, (), ())
     main, side = generator.uniform(24, 32), generator.uniform(16, 20)
@@ -55,7 +55,7 @@ def make_signals(roads: Roads, generator: np.random.Generator) -> Signals:
 
 
 def light_states_at(signals: Signals, times: Float[Array, "T"]) -> Int8[Array, "T G"]:
-    """The state of each light at each time: `GREEN`, `YELLOW` or `RED`."""
+    """Compute the state of each light at times (s): `GREEN`, `YELLOW` or `RED`."""
     if not signals.names:
         return np.zeros((len(times), 0), np.int8)
     start, end = np.array(signals.green).T

@@ -88,7 +88,7 @@ class TrafficRecording:
 
 
 def prepare_traffic(roads: Roads, generator: np.random.Generator) -> TrafficModel:
-    """Compute the paths, conflicts, signals and pavements of a place."""
+    """Compute all of a place's traffic model; `generator` draws the lights' durations."""
     paths = make_paths(roads)
     signals = make_signals(roads, generator)
     tables = make_path_tables(paths, find_conflicts(roads, paths), signals)
@@ -107,7 +107,7 @@ def simulate_traffic(
         generator: of everything random.
 
     Returns:
-        The recording, after a warm-up that is left out.
+        The recording, at steps of `DT`, after a warm-up that is left out.
     """
     times = np.arange(-round(WARM_UP_S / DT), ceil(duration / DT - 1e-9) + 1) * DT
     light_states = light_states_at(model.signals, times)

@@ -155,7 +155,7 @@ def make_pedestrian(trip: PedestrianTrip, number: int, s: float = 0.0) -> Pedest
 
 
 def make_empty() -> Agents:
-    """No vehicles and no pedestrians."""
+    """Make a state without vehicles and pedestrians."""
     index, real, pair = np.empty(0, int), np.empty(0), np.empty((0, 2))
     vehicles = Vehicles(index, index, real, real, real, real, real, real, real)
     path, crossing = np.empty((0, 1, 2)), np.empty((0, 1), int)
@@ -164,7 +164,7 @@ def make_empty() -> Agents:
 
 
 def concat(first: State, second: State) -> State:
-    """Concatenate the agents of two states."""
+    """Concatenate two states of vehicles, or two of pedestrians."""
     pairs = [(getattr(first, f.name), getattr(second, f.name)) for f in fields(first)]
     return type(first)(*(_concat_rows(*pair) for pair in pairs))
 

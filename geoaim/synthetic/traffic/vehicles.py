@@ -118,7 +118,7 @@ def place_vehicles(state: Vehicles, tables: PathTables) -> PlacedVehicles:
 
 
 def pair_vehicles(vehicles: Vehicles, tables: PathTables) -> VehiclePairs:
-    """Find the vehicles whose paths conflict."""
+    """Find the pairs of vehicles whose paths conflict."""
     count, _, length = tables.conflicts.projection.shape
     own, others = vehicles.path[:, None], vehicles.path[None, :]
     rows = (own * count + others) * length
@@ -141,7 +141,7 @@ def pair_vehicles(vehicles: Vehicles, tables: PathTables) -> VehiclePairs:
 
 
 def index_points(s: Float[Array, "n"], tables: PathTables) -> Int[Array, "n"]:
-    """The index of the path's point at s, at most the last one."""
+    """Compute the index of the path's point before s (metres), at most that of the last one."""
     return np.minimum((s / POINT_SPACING_M).astype(np.int64), tables.speed_limit.shape[1] - 1)
 
 
