@@ -42,7 +42,10 @@ Method = Callable[[Pair], tuple[Float[Array, "3 3"], float]]
 
 
 def list_methods() -> dict[str, Method]:
-    """List the methods by name: each gives true_from_stated and its 95 % uncertainty in metres."""
+    """List the methods by name: each gives true_from_stated (metres) and its 95 % uncertainty, m.
+
+    The uncertainty is NaN where a method states none.
+    """
     orb = cv2.ORB.create(nfeatures=FEATURES)
     sift = cv2.SIFT.create(nfeatures=FEATURES, enable_precise_upscale=True)
     return {
@@ -69,12 +72,13 @@ def _align_by_features(pair: Pair, detector: Any, norm: int) -> Float[Array, "3 
     source = points[0][[match.queryIdx for match in pairs]]
     target = points[1][[match.trainIdx for match in pairs]]
     if len(source) < MIN_INLIERS:
-        raise AlignmentError(f"{len(source)} matches")
+        raise AlignmentError(f"only {len(source)} matches; {MIN_INLIERS} are needed")
     matrix, inliers = cv2.findHomography(
         source, target, cv2.USAC_MAGSAC, MAX_REPROJECTION_ERROR_PX, maxIters=10_000
     )
     if matrix is None or inliers.sum() < MIN_INLIERS:
-        raise AlignmentError(f"{0 if inliers is None else inliers.sum()} matches are inliers")
+        found = 0 if inliers is None else inliers.sum()
+        raise AlignmentError(f"only {found} matches are inliers; {MIN_INLIERS} are needed")
     aim_from_ground, ground_from_picture = np.diag([step, step, 1.0]), from_opencv(matrix)
     world_from_picture = pair.aim.world_from_image @ aim_from_ground @ ground_from_picture
     return world_from_picture @ pair.picture.grid.grid_from_world
@@ -147,7 +151,7 @@ def _measure_case(pair: Pair, method: Method) -> tuple[float, float, float]:
     return measure_error(pair, matrix) / pixel, bound / pixel, duration
 
 
-def draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
+def _draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw time against error, with the number of errors that are not refused."""
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     for row in rows:
@@ -182,7 +186,7 @@ def main(json: JsonFile = None, chart: ChartFile = None) -> None:
         print(format_table(measured) + "\n", flush=True)
     write_rows(rows, json, command="python -m geoaim.bench.alignment")
     if chart is not None:
-        draw_chart(compared, chart)
+        _draw_chart(compared, chart)
 
 
 if __name__ == "__main__":

@@ -44,7 +44,10 @@ def misplace_picture(pair: Pair, generator: np.random.Generator) -> Pair:
 
 
 def make_pairs(seeds: int) -> Iterator[Pair]:
-    """Make a place of each kind and seed, and a picture of it on another day by another sensor."""
+    """Make places of each kind with the seeds 1 to `seeds`, and a picture of each, not misplaced.
+
+    A picture is of another day and by another sensor than the AIM.
+    """
     for seed in range(1, seeds + 1):
         for kind in STANDARD_KINDS:
             place = make_place(seed, kind=kind)
@@ -66,7 +69,7 @@ def make_pairs(seeds: int) -> Iterator[Pair]:
 
 
 def measure_error(pair: Pair, true_from_stated: Float[Array, "3 3"]) -> float:
-    """Mean error of an alignment over the place, metres."""
+    """Measure the mean error of an alignment of a pair's picture over the place, metres."""
     height, width = pair.aim.grid.shape
     u, v = np.meshgrid(np.linspace(0, width, ERROR_GRID), np.linspace(0, height, ERROR_GRID))
     points = transform_points(pair.aim.world_from_image, np.stack([u, v], -1).reshape(-1, 2))

@@ -33,7 +33,10 @@ SONGDO_MARGIN_M = 40.0  # of the orthophoto around the tracks
 
 
 def measure_rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:
-    """Align panchromatic and multispectral pictures; the reference is ECC on their brightness."""
+    """Align panchromatic and multispectral pictures in the folder of real data; a row for each.
+
+    The reference is ECC on their brightness.
+    """
     rows = []
     generator = np.random.default_rng(7)
     for number in (1, 2, 3):
@@ -86,7 +89,7 @@ def _estimate_shift_by_ecc(pair: Pair) -> Float[Array, "2"]:
 
 
 def measure_songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
-    """Measure five seconds of vehicles on a real orthophoto, across their road."""
+    """Measure alignment to five seconds of real vehicles: a row of errors across their road."""
     tracks = read_geotrax(folder / "tracks/songdo_u/U_video_cut.csv", crs="EPSG:5186")
     points = tracks.states[tracks.present][:, :2]
     corners = np.array([points.min(axis=0) - SONGDO_MARGIN_M, points.max(axis=0) + SONGDO_MARGIN_M])
@@ -96,7 +99,7 @@ def measure_songdo(folder: Path, trials: int = 20) -> list[dict[str, Any]]:
 
 
 def measure_synthetic(pairs: Sequence[Pair]) -> list[dict[str, Any]]:
-    """Measure a minute of synthetic traffic on pictures of other days, for each kind of place."""
+    """Measure alignment to a minute of synthetic traffic: a row for each kind of place."""
     rows = []
     for kind in STANDARD_KINDS:
         own = [pair for pair in pairs if pair.name.startswith(f"{kind} ")]

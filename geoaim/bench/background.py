@@ -56,7 +56,7 @@ MIN_STANDING_SHARE = 0.3  # of the time, from which traffic counts as standing
 
 
 @dataclass(frozen=True, eq=False)
-class RegisteredFrames:
+class _RegisteredFrames:
     """Frames of a video with their transforms, in an order that spreads over it; re-iterable."""
 
     video: Iterable[Frame]  # the frames
@@ -68,7 +68,7 @@ class RegisteredFrames:
         return ((frame, self.reference_from_frame[frame.index]) for frame in self.video)
 
 
-def _compute_median(frames: RegisteredFrames) -> Image:
+def _compute_median(frames: _RegisteredFrames) -> Image:
     """numpy.median of all warped frames, held in memory, 64 rows at a time."""
     stack = list(_warp_frames(frames))
     result = np.empty((*frames.size, 3), np.uint8)
@@ -78,7 +78,7 @@ def _compute_median(frames: RegisteredFrames) -> Image:
     return result
 
 
-METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
+METHODS: dict[str, Callable[[_RegisteredFrames], Any]] = {
     "plain mean": lambda frames: average_frames(frames, size=frames.size),
     "mean masked by boxes": lambda frames: average_frames(
         frames, size=frames.size, detections=frames.detections
@@ -90,7 +90,7 @@ METHODS: dict[str, Callable[[RegisteredFrames], Any]] = {
 }
 
 
-def _warp_frames(frames: RegisteredFrames) -> Iterator[Image]:
+def _warp_frames(frames: _RegisteredFrames) -> Iterator[Image]:
     """Frames as RGB, warped to the reference at one exposure, for the other methods."""
     exposure = start_exposure(frames.size)
     for frame, matrix in frames:
@@ -120,14 +120,14 @@ def _write_input(still: str, folder: Path) -> None:
     )
 
 
-def _read_input(folder: Path) -> tuple[RegisteredFrames, Any]:
+def _read_input(folder: Path) -> tuple[_RegisteredFrames, Any]:
     """The frames that `_write_input` wrote, and the arrays of the truth."""
     truth = np.load(folder / "truth.npz")
     boxes = truth["boxes"]
     video = open_video(folder / "frames.mp4", threads=cv2.getNumThreads())
     by_frame = read_detections([boxes[boxes[:, 0] == i, 1:] for i in range(len(boxes))])
     size = video.height, video.width
-    return RegisteredFrames(video, size, truth["reference_from_frame"], by_frame), truth
+    return _RegisteredFrames(video, size, truth["reference_from_frame"], by_frame), truth
 
 
 def _run_method(name: str, folder: Path) -> dict[str, Any]:
@@ -199,17 +199,17 @@ def _measure_real(data: Path) -> Iterator[dict[str, Any]]:
         registration = register(video)
         detections = read_detections(data / place)
         size, matrices = (video.height, video.width), registration.reference_from_frame
-        frames = RegisteredFrames(video, size, matrices, detections)
+        frames = _RegisteredFrames(video, size, matrices, detections)
         yield _compare_methods(place, frames, registration.valid)
     for path in sorted((data / "static").glob("*.mp4")):
         images = [frame.image for frame in open_video(path).sample(64)]
         still = np.broadcast_to(np.eye(3), (len(images), 3, 3))
-        frames = RegisteredFrames(open_video(images), images[0].shape[:2], still)
+        frames = _RegisteredFrames(open_video(images), images[0].shape[:2], still)
         yield _compare_methods(path.name, frames, np.ones(len(images), bool))
 
 
 def _compare_methods(
-    name: str, frames: RegisteredFrames, valid: Bool[Array, "T"]
+    name: str, frames: _RegisteredFrames, valid: Bool[Array, "T"]
 ) -> dict[str, Any]:
     keep = [pair for pair in frames if valid[pair[0].index]]
     start = time.perf_counter()

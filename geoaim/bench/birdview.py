@@ -41,7 +41,7 @@ MIN_GAP_M = 6.5  # between agents in pictures that are compared with the referen
 Scenes = Sequence[tuple[Tensor, OrientedBoxes]]  # cameras (1, 3), boxes (1, N)
 
 
-def draw_texture() -> Float[Tensor, "3 h w"]:
+def _draw_texture() -> Float[Tensor, "3 h w"]:
     """Draw a synthetic junction."""
     place = draw_place(make_place(1), resolution=0.1)
     size = (TEXTURE_SIDE_PX, TEXTURE_SIDE_PX)
@@ -50,18 +50,18 @@ def draw_texture() -> Float[Tensor, "3 h w"]:
 
 
 def make_map(texture: Float[Tensor, "3 h w"]) -> Ground:
-    """Make a ground of 200 m around the origin."""
+    """Make a ground of a texture, 200 m wide and high around the origin."""
     scale = texture.shape[1] / (2 * VIEW_SIDE_M)
     middle = texture.shape[1] / 2
     return make_ground(texture, torch.tensor([[scale, 0, middle], [0, -scale, middle]]))
 
 
-def make_view(pixels: int) -> View:
+def _make_view(pixels: int) -> View:
     """Make a view of 100 m a side, of `pixels` x `pixels`."""
     return View(pixels, pixels, VIEW_SIDE_M / pixels)
 
 
-def make_cameras(count: int, seed: int) -> tuple[Float[Tensor, "B 3"], OrientedBoxes]:
+def _make_cameras(count: int, seed: int) -> tuple[Float[Tensor, "B 3"], OrientedBoxes]:
     """Make random cameras (x, y in metres, heading), each with `AGENTS` boxes with triangles."""
     generator = torch.Generator().manual_seed(seed)
     random = torch.rand(count, AGENTS + 1, 6, generator=generator, dtype=torch.float64).float()
@@ -73,11 +73,11 @@ def make_cameras(count: int, seed: int) -> tuple[Float[Tensor, "B 3"], OrientedB
     return cameras, OrientedBoxes(poses, sizes, colours, heading_colours=1 - colours)
 
 
-def make_separate_scenes(count: int) -> Scenes:
+def _make_separate_scenes(count: int) -> Scenes:
     """Make scenes of a random camera (1, 3) and boxes (1, N) that do not overlap each other."""
     scenes = []
     for seed in range(count):
-        cameras, boxes = make_cameras(1, seed)
+        cameras, boxes = _make_cameras(1, seed)
         gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
         keep = [a for a in range(AGENTS) if not (gaps[a, :a] < MIN_GAP_M).any()]
         poses, colours = boxes.poses[:, keep], boxes.colours[:, keep]
@@ -86,21 +86,21 @@ def make_separate_scenes(count: int) -> Scenes:
     return scenes
 
 
-def make_renderer(ground: Ground) -> Draw:
+def _make_renderer(ground: Ground) -> Draw:
     """Make this library's renderer of a map."""
     return lambda view, cameras, boxes: render(view, cameras, ground, [boxes])
 
 
 def _time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
     """Time forward and backward passes beside `grid_sample` alone on the same texture and grid."""
-    view, (cameras, boxes) = make_view(pixels), make_cameras(views, 1)
+    view, (cameras, boxes) = _make_view(pixels), _make_cameras(views, 1)
     texture = crop_texture(ground)
     grid = make_sampling_grid(view, cameras, ground).requires_grad_()
     weight = torch.rand(1, 3, views * pixels, pixels)
     own_weight = weight.view(3, views, pixels, pixels).transpose(0, 1)
     leaves = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
     draw, draw_by_distances = (
-        make_renderer(prefilter_ground(ground, view.resolution)),
+        _make_renderer(prefilter_ground(ground, view.resolution)),
         make_distance_renderer(ground),
     )
     draw_with_opencv = make_opencv_renderer(ground)
@@ -147,11 +147,11 @@ def _compare_renderers(
     ground: Ground, pixels: int, views: int, repeats: int
 ) -> list[dict[str, Any]]:
     """Measure speed and errors of each renderer, which draw boxes without triangles."""
-    view, (cameras, boxes) = make_view(pixels), make_cameras(views, 1)
+    view, (cameras, boxes) = _make_view(pixels), _make_cameras(views, 1)
     texture, grid = crop_texture(ground), make_sampling_grid(view, cameras, ground)
     methods = {
-        "geoaim": make_renderer(prefilter_ground(ground, view.resolution)),
-        "geoaim without prefilter_ground": make_renderer(ground),
+        "geoaim": _make_renderer(prefilter_ground(ground, view.resolution)),
+        "geoaim without prefilter_ground": _make_renderer(ground),
         "OpenCV: warp, hard polygons": make_opencv_renderer(ground),
         "plain torch: soft boxes everywhere": make_distance_renderer(ground),
     }
@@ -162,7 +162,7 @@ def _compare_renderers(
     ]
     with torch.no_grad():
         *durations, alone = time_medians(parts, repeats, process_time)
-    scenes = make_separate_scenes(4)
+    scenes = _make_separate_scenes(4)
     scenes = [(cameras, replace(boxes, heading_colours=None)) for cameras, boxes in scenes]
     return [
         {"method": name, "ratio to grid_sample": duration / alone}
@@ -189,7 +189,7 @@ def _measure_errors(draw: Draw, view: View, ground: Ground, scenes: Scenes) -> d
     }
 
 
-def draw_chart(rows: Sequence[Any], path: Path) -> None:
+def _draw_chart(rows: Sequence[Any], path: Path) -> None:
     """Draw error over time, for all pixels and for those at edges of boxes."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained", sharex=True)
     for axis, column in zip(axes, ("mean error", "mean error at edges of boxes"), strict=True):
@@ -212,12 +212,12 @@ def main(
     """Measure speed and errors; print tables, write JSON and a chart."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    ground = make_map(draw_texture())
+    ground = make_map(_draw_texture())
     sizes = [(pixels, views) for pixels in (256, 64) for views in (1, 16, 64)]
     rows = print_rows(_time_renderer(ground, *size, repeats) for size in sizes)
     methods = print_rows(_compare_renderers(ground, 256, 16, repeats))
     if chart:
-        draw_chart(methods, chart)
+        _draw_chart(methods, chart)
     command = f"python -m geoaim.bench.birdview --repeats {repeats}"
     write_rows(rows, json, command=command, torch=torch.__version__, methods=methods)
 

@@ -20,7 +20,7 @@ Draw = Callable[[View, Tensor, OrientedBoxes], Tensor]
 
 
 def crop_texture(ground: Ground) -> Float[Tensor, "1 3 h w"]:
-    """Return the texture of a map without the border that `make_ground` adds."""
+    """Return the texture of a map, as one batch, without the border that `make_ground` adds."""
     return ground.image[None, :, 1:-1, 1:-1].contiguous()
 
 

@@ -26,7 +26,7 @@ def find_data() -> Path | None:
 
 
 def require_data(name: str = ".") -> Path:
-    """Return a folder of the real data.
+    """Return the folder `name` in that of the real data.
 
     Raises:
         TracksError: GEOAIM_DATA is not set, or its folder does not hold this one.

@@ -28,13 +28,13 @@ JUNCTION_CRS = "EPSG:32632"
 NEAR_M = 0.7  # from the area: half a lane beside a queue
 
 
-def list_positions(tracks: Tracks) -> Float[Array, "m 2"]:
+def _list_positions(tracks: Tracks) -> Float[Array, "m 2"]:
     """Positions of vehicles at all steps, metres."""
     vehicles = select_group(tracks.types, "vehicle")
     return tracks.states[vehicles][tracks.present[vehicles]][:, :2]
 
 
-def read_junction(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
+def _read_junction(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
     """Read the drivable area of a junction of Karlsruhe, and the positions of its vehicles."""
     folder = require_data("tracks/karlsruhe")
     with open(folder / "tracks" / junction / "meta_data.csv", encoding="utf-8") as file:
@@ -43,7 +43,7 @@ def read_junction(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
     east, north = transform_crs(LONLAT, JUNCTION_CRS, corner)[0].tolist()
     hdmap = read_hdmap(folder / "maps" / f"{junction}.osm", World(JUNCTION_CRS, (east, north)))
     files = sorted((folder / "tracks" / junction).glob("vehicle_tracks*.csv"))
-    positions = [list_positions(read_interaction(file)) for file in files]
+    positions = [_list_positions(read_interaction(file)) for file in files]
     return find_drivable_area(hdmap), np.concatenate(positions)
 
 
@@ -64,8 +64,8 @@ def main(json: JsonFile = None) -> None:
     """Count vehicles on the drivable areas of the sample's map and of real ones."""
     tracks = read_tracks("samples/tracks.csv")
     sample = find_drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
-    cases = {"sample": (sample, list_positions(tracks))}
-    cases |= {junction: read_junction(junction) for junction in JUNCTIONS}
+    cases = {"sample": (sample, _list_positions(tracks))}
+    cases |= {junction: _read_junction(junction) for junction in JUNCTIONS}
     rows = print_rows(_measure_share(name, *case) for name, case in cases.items())
     write_rows(rows, json, command="python -m geoaim.bench.drivable")
 

@@ -53,7 +53,7 @@ def register_all(path: Path) -> int:
 
 
 def average(path: Path, bands: int) -> int:
-    """Register all frames and average one of some bands of rows of each; return their number."""
+    """Register all frames and average them in `bands`, as `average_frames` does; return a count."""
     video = open_video(path, threads=THREADS)
     reference = choose_reference(video)
     frames = (
@@ -65,7 +65,7 @@ def average(path: Path, bands: int) -> int:
     return average_frames(frames, size=size, bands=bands).frames_used
 
 
-def run_opencv_script(path: Path) -> int:
+def _run_opencv_script(path: Path) -> int:
     """Average all frames as scripts do: VideoCapture, ORB, MAGSAC++, warp, accumulate."""
     capture = cv2.VideoCapture(str(path))
     orb, matcher = cv2.ORB.create(2000), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
@@ -92,7 +92,7 @@ METHODS: dict[str, Callable[[Path], int]] = {
     "register_all": register_all,
     "average_bands": partial(average, bands=12),  # every twelfth frame for a pixel
     "average_all": partial(average, bands=1),
-    "run_opencv_script": run_opencv_script,
+    "run_opencv_script": _run_opencv_script,
 }
 
 
@@ -108,7 +108,7 @@ def measure_throughput(path: Path) -> Iterator[dict[str, Any]]:
         yield {"method": name, "frames_per_s": rate, "share_of_decode_only": rate / limit}
 
 
-def measure_lengths(clip: Path) -> Iterator[dict[str, Any]]:
+def _measure_lengths(clip: Path) -> Iterator[dict[str, Any]]:
     """Measure seconds and peak MiB of `build_aim` and of decoding, each in its own process."""
     for minute in MINUTES:
         path = repeat_packets(clip, clip.with_name(f"{minute}min.mp4"), 60.0 * minute)
@@ -150,7 +150,7 @@ def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
 
 
 def build(path: Path, *, frames: FrameCount = "auto") -> None:
-    """Build an AIM, with control points in the corners and the middle of the frame."""
+    """Build an AIM of a video with five made-up control points, and drop it."""
     video = open_video(path, threads=THREADS)
     pixels = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9], [0.5, 0.5]])
     pixels *= [video.width, video.height]
@@ -175,7 +175,7 @@ def main(json: JsonFile = None) -> None:
         clip = write_video(video, Path(folder, "clip.mp4"), megabits=MEGABITS)
         short = repeat_packets(clip, clip.with_name("short.mp4"), DURATION)
         rates = print_rows(measure_throughput(short))
-        lengths = print_rows(measure_lengths(clip))
+        lengths = print_rows(_measure_lengths(clip))
     settings = {"threads": THREADS, "size": SIZE, "megabits": MEGABITS, "duration": DURATION}
     command = "python -m geoaim.bench.pipeline"
     write_rows(rates, json, command=command, **settings, lengths=lengths)

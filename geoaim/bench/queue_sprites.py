@@ -13,7 +13,10 @@ WIDTH = 960  # of the pictures, at most
 
 
 def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _ 4"]]]:
-    """The ground of a real sequence, its traffic masked by boxes, and its cars, heading right."""
+    """Cut a folder of `hover` (see `paste_queue`) into its ground and its cars, RGBA heading right.
+
+    The ground is a mean without the boxes of vehicles.
+    """
     folder = require_data(f"hover/{place}")
     video, boxes = open_video(folder), read_detections(folder)
     registration = register(video)

@@ -65,7 +65,7 @@ def main(
         "pedestrians": _measure_group(tracks, pedestrians, ("pedestrian",)),
         "cyclists": _measure_group(tracks, pedestrians, ("cyclist",)),
     }
-    rows = [row for name, (own, others) in groups.items() for row in compare(name, own, others)]
+    rows = [row for name, (own, others) in groups.items() for row in _compare(name, own, others)]
     print(format_table(rows))
     command = f"python -m geoaim.bench.realism --seeds {seeds} --minutes {minutes:g}"
     write_rows(rows, json, command=command)
@@ -83,7 +83,7 @@ def _measure_group(
     )
 
 
-def compare(
+def _compare(
     group: str, synthetic: Sequence[Statistics], real: Mapping[str, Statistics]
 ) -> Iterator[dict[str, Any]]:
     """Compare synthetic with real statistics, and real sources with each other.

@@ -19,7 +19,7 @@ Statistics = Mapping[str, Float[Array, "_"]]
 
 
 def measure_image(image: UInt8[Array, "H W 3"]) -> Statistics:
-    """Measure gradients, spectrum, grey levels and colour of an image at `RESOLUTION`."""
+    """Sample gradients, spectrum, grey levels and colour of an RGB image at `RESOLUTION`."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float64)
     right, down = grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1]
     lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB).astype(np.float64)

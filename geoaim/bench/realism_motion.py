@@ -64,7 +64,7 @@ def _read_sdd_resolutions(path: Path) -> dict[tuple[str, str], float]:
 
 
 def measure_motion(recordings: Tracks | list[Tracks], types: tuple[str, ...]) -> Statistics:
-    """Measure how agents of some types move, over all recordings."""
+    """Collect speeds, accelerations, curvatures and distances of agents of types, by name."""
     several = recordings if isinstance(recordings, list) else [recordings]
     return concat_statistics([_measure_recording(tracks, types) for tracks in several])
 

@@ -53,12 +53,13 @@ def measure(method: Method, video: HoverVideo, frames: Any) -> dict[str, Any]:
     """Run a method: its rate from the median time of a frame, its errors on valid frames.
 
     Args:
-        method: the method.
+        method: from `list_methods`.
         video: the video with its truth.
         frames: the video's frames, as rendered or after coding.
 
     Returns:
-        Figures of a row of the table, by name.
+        By name: frames_per_s, error_mean_px, error_p95_px and error_max_px of corners,
+        right_share_of_valid (0 to 1), and accepted_but_wrong, a number of frames.
     """
     boxes = [list_boxes(video.clip, index) for index in range(len(video))]
     matrices, seconds = method(frames, boxes)
@@ -77,14 +78,14 @@ def measure(method: Method, video: HoverVideo, frames: Any) -> dict[str, Any]:
     }
 
 
-def code_frames(video: HoverVideo) -> Frames:
+def _code_frames(video: HoverVideo) -> Frames:
     """Return the frames after H.264 coding by x264's preset "medium" at CRF 20."""
     with TemporaryDirectory() as folder:
         path = write_video(video, Path(folder) / "clip.mp4")
         return [frame.image for frame in open_video(path)]
 
 
-def measure_codec_shift(raw: Frames, coded: Frames) -> float:
+def _measure_codec_shift(raw: Frames, coded: Frames) -> float:
     """Measure how far coding itself shifts a frame, in pixels, on every fourth frame.
 
     Predicted blocks keep part of a motion that the encoder found too small to code. A method that
@@ -101,21 +102,21 @@ def measure_codec_shift(raw: Frames, coded: Frames) -> float:
     return float(np.mean(shifts))
 
 
-def measure_accuracy(sizes: list[str], frames: int) -> Iterator[dict[str, Any]]:
+def _measure_accuracy(sizes: list[str], frames: int) -> Iterator[dict[str, Any]]:
     """Run every method on plain videos of both stills, raw and after H.264."""
     methods = list_methods()
     for size, still in product(sizes, STILLS):
         video = make_hover_video(still, size=size, count=frames)
         raw = list(video)
-        coded = code_frames(video)
-        shift = measure_codec_shift(raw, coded)
+        coded = _code_frames(video)
+        shift = _measure_codec_shift(raw, coded)
         for source, pictures, moved in (("raw", raw, 0.0), ("H.264", coded, shift)):
             case = {"size": size, "still": still, "source": source, "codec_shift_px": moved}
             for name, method in methods.items():
                 yield case | {"method": name} | measure(method, video, pictures)
 
 
-def measure_robustness(sizes: list[str], frames: int) -> Iterator[dict[str, Any]]:
+def _measure_robustness(sizes: list[str], frames: int) -> Iterator[dict[str, Any]]:
     """Run this library and stabilo on the difficult videos, without boxes."""
     methods = {name: m for name, m in list_methods().items() if name in ("geoaim", "stabilo")}
     for size, still, kind in product(sizes, STILLS, HARD):
@@ -126,7 +127,7 @@ def measure_robustness(sizes: list[str], frames: int) -> Iterator[dict[str, Any]
             yield case | measure(method, video, pictures)
 
 
-def draw_chart(rows: Sequence[Any], path: Path) -> None:
+def _draw_chart(rows: Sequence[Any], path: Path) -> None:
     """Draw speed against error, one point for each method, size and still."""
     figure = Figure(figsize=(7.5, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -153,12 +154,12 @@ def main(
 ) -> None:
     """Measure all methods; print tables; write JSON and a chart if asked."""
     cv2.setNumThreads(threads)
-    plain = print_rows(measure_accuracy(sizes.split(","), frames))
-    hard = print_rows(measure_robustness(sizes.split(","), frames))
+    plain = print_rows(_measure_accuracy(sizes.split(","), frames))
+    hard = print_rows(_measure_robustness(sizes.split(","), frames))
     command = "python -m geoaim.bench.registration"
     write_rows(plain, json, command=command, frames=frames, robustness=hard)
     if chart:
-        draw_chart(plain, chart)
+        _draw_chart(plain, chart)
 
 
 if __name__ == "__main__":

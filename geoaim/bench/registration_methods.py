@@ -32,7 +32,7 @@ RegisterGrey = Callable[[Grey], Matrix | None]
 Rival = Callable[[Grey], RegisterGrey]
 
 
-def register_with_geoaim(frames: Any, boxes: list[Array]) -> Registered:
+def _register_with_geoaim(frames: Any, boxes: list[Array]) -> Registered:
     """Register with this library: no boxes, motion model chosen from the data."""
     reference = choose_reference(open_video(frames), time=0.0)
     matrices: list[Array] = []
@@ -45,7 +45,7 @@ def register_with_geoaim(frames: Any, boxes: list[Array]) -> Registered:
     return np.array(matrices), seconds
 
 
-def make_stabilo_method(*, with_boxes: bool) -> Method:
+def _make_stabilo_method(*, with_boxes: bool) -> Method:
     """Make a method of stabilo: ORB, brute-force matching, MAGSAC++, with or without boxes."""
     from stabilo import Stabilizer  # a peer, not a dependency
 
@@ -70,7 +70,7 @@ def make_stabilo_method(*, with_boxes: bool) -> Method:
     return run
 
 
-def make_rival_method(rival: Rival, shrink: int) -> Method:
+def _make_rival_method(rival: Rival, shrink: int) -> Method:
     """Make a method of a rival, which gets grey frames reduced by an integer factor."""
     scale = np.diag([1 / shrink, 1 / shrink, 1.0])
 
@@ -92,12 +92,15 @@ def make_rival_method(rival: Rival, shrink: int) -> Method:
 
 
 def to_grey(frame: UInt8[Array, "H W 3"], shrink: int) -> UInt8[Array, "h w"]:
-    """Convert a frame to grey and reduce it by an integer factor."""
+    """Convert an RGB frame to grey and divide its size by an integer; the remainder is cut off."""
     return shrink_image(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), shrink)
 
 
-def match_features(make_detector: Callable[[], Any], norm: int) -> Rival:
-    """Register by features of one of OpenCV's detectors: brute-force matching, MAGSAC++."""
+def _match_by_detector(make_detector: Callable[[], Any], norm: int) -> Rival:
+    """Make a rival that registers by features: brute-force matching, MAGSAC++.
+
+    `make_detector` makes one of OpenCV's detectors, whose descriptors have the cv2 norm `norm`.
+    """
 
     def rival(reference: Grey) -> RegisterGrey:
         detector, matcher = make_detector(), cv2.BFMatcher(norm, crossCheck=True)
@@ -120,7 +123,7 @@ def match_features(make_detector: Callable[[], Any], norm: int) -> Rival:
     return rival
 
 
-def maximise_ecc(reference: Grey) -> RegisterGrey:
+def _maximise_ecc(reference: Grey) -> RegisterGrey:
     """Register by ECC (Evangelidis and Psarakis 2008), from the result of the frame before."""
     warp: Any = np.eye(3, dtype=np.float32)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-5)
@@ -136,7 +139,7 @@ def maximise_ecc(reference: Grey) -> RegisterGrey:
     return register
 
 
-def correlate_phases(reference: Grey) -> RegisterGrey:
+def _correlate_phases(reference: Grey) -> RegisterGrey:
     """Register by phase correlation, a translation (Guizar-Sicairos et al. 2008)."""
 
     def register(grey: Grey) -> Matrix | None:
@@ -148,7 +151,7 @@ def correlate_phases(reference: Grey) -> RegisterGrey:
     return register
 
 
-def track_corners(reference: Grey) -> RegisterGrey:
+def _track_corners(reference: Grey) -> RegisterGrey:
     """Register by KLT from the reference's corners, checked forward and backward."""
     corners = cv2.goodFeaturesToTrack(reference, 400, 0.005, reference.shape[1] / 32)
     guess = corners
@@ -172,20 +175,23 @@ def track_corners(reference: Grey) -> RegisterGrey:
 
 
 def list_methods() -> dict[str, Method]:
-    """Return all methods that can run here, by name."""
-    orb = match_features(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING)
-    sift = match_features(lambda: cv2.SIFT.create(2000), cv2.NORM_L2)
+    """List all methods that can run here by name; each takes RGB frames and their (n, 4) boxes.
+
+    It gives reference_from_frame (T, 3, 3), NaN where refused, and the seconds of each frame.
+    """
+    orb = _match_by_detector(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING)
+    sift = _match_by_detector(lambda: cv2.SIFT.create(2000), cv2.NORM_L2)
     methods: dict[str, Method] = {
-        "geoaim": register_with_geoaim,
-        "ORB 2000 + MAGSAC": make_rival_method(orb, 1),
-        "SIFT 2000 half + MAGSAC": make_rival_method(sift, 2),
-        "KLT half + MAGSAC": make_rival_method(track_corners, 2),
-        "ECC quarter": make_rival_method(maximise_ecc, 4),
-        "phase correlation half": make_rival_method(correlate_phases, 2),
+        "geoaim": _register_with_geoaim,
+        "ORB 2000 + MAGSAC": _make_rival_method(orb, 1),
+        "SIFT 2000 half + MAGSAC": _make_rival_method(sift, 2),
+        "KLT half + MAGSAC": _make_rival_method(_track_corners, 2),
+        "ECC quarter": _make_rival_method(_maximise_ecc, 4),
+        "phase correlation half": _make_rival_method(_correlate_phases, 2),
     }
     try:
-        methods["stabilo with boxes"] = make_stabilo_method(with_boxes=True)
-        methods["stabilo"] = make_stabilo_method(with_boxes=False)
+        methods["stabilo with boxes"] = _make_stabilo_method(with_boxes=True)
+        methods["stabilo"] = _make_stabilo_method(with_boxes=False)
     except ImportError:
         print("stabilo is not installed: pip install --no-deps stabilo")
     return methods

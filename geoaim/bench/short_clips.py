@@ -63,7 +63,7 @@ def measure_spacings(clip: Path, spacing: int, runs: int) -> list[dict[str, Any]
     ]
 
 
-def measure_set_up(runs: int) -> list[dict[str, Any]]:
+def _measure_set_up(runs: int) -> list[dict[str, Any]]:
     """Measure registration of 60 raw frames with its set-up against ORB, on one thread; medians."""
     frames = list(make_hover_video(STILL, size="1080p", count=SET_UP_FRAMES))
     _, orb_seconds = list_methods()[ORB](frames[:ORB_FRAMES], [])
@@ -94,7 +94,7 @@ def measure_set_up(runs: int) -> list[dict[str, Any]]:
 def main(json: JsonFile = None) -> None:
     """Measure short clips and the set-up; print tables; write JSON if asked."""
     cv2.setNumThreads(1)
-    rows = print_rows(measure_set_up(RUNS))
+    rows = print_rows(_measure_set_up(RUNS))
     cv2.setNumThreads(THREADS)
     with TemporaryDirectory() as folder:
         video = make_hover_video(STILL, size="1080p", count=FRAMES, kind="queue")

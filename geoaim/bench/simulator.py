@@ -25,7 +25,7 @@ SCENES, AGENTS, SIDE_M = 64, 20, 80.0
 BORDER_POINTS = 12  # of each border of a lane, in triangles
 
 
-def make_traffic() -> Scenario:
+def _make_traffic() -> Scenario:
     """Make two steps of random agents, as far apart as in traffic."""
     random = torch.rand(SCENES, AGENTS, 4, generator=torch.Generator().manual_seed(0))
     states = random * torch.tensor([SIDE_M, SIDE_M, 6.28, 10.0]) - torch.tensor([60.0, 0, 0, 0])
@@ -35,9 +35,9 @@ def make_traffic() -> Scenario:
     return Scenario(torch.stack([states, states], 1), present, sizes, pedestrian, 0.1)
 
 
-def time_stages(repeats: int) -> list[dict[str, Any]]:
+def _time_stages(repeats: int) -> list[dict[str, Any]]:
     """Time each stage, milliseconds."""
-    scenario = make_traffic()
+    scenario = _make_traffic()
     states, present, sizes = scenario.states[:, 0], scenario.present[:, 0], scenario.sizes
     poses, actions = states[..., :3], torch.full((SCENES, AGENTS, 2), 0.1)
     hdmap = read_hdmap("samples/map.osm")
@@ -104,7 +104,7 @@ def main(
 ) -> None:
     """Time the stages; print a table and write JSON."""
     torch.set_num_threads(1)
-    rows = print_rows(time_stages(repeats))
+    rows = print_rows(_time_stages(repeats))
     command = f"python -m geoaim.bench.simulator --repeats {repeats}"
     write_rows(rows, json, command=command, torch=torch.__version__)
 

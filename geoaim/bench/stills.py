@@ -33,7 +33,10 @@ def cut_sprites(still: str) -> list[UInt8[Array, "_ _ 4"]]:
 
 
 def cut_car(body: UInt8[Array, "h w 3"], size: float) -> UInt8[Array, "_ _ 4"]:
-    """Turn a picture of a car to the right and round its corners; its size is a share."""
+    """Turn an RGB picture of a car to the right and round its corners, which become transparent.
+
+    `size`, 0 to 1, is the share of the picture that the car fills.
+    """
     body = np.rot90(body) if len(body) > body.shape[1] else body
     x, y = (np.abs(np.linspace(-1, 1, side)) for side in body.shape[1::-1])
     alpha = ((size - (x[None] ** 6 + y[:, None] ** 6) ** (1 / 6)) * 12).clip(0, 1) * 255

@@ -69,8 +69,8 @@ def main(
         raise SystemExit("no real data: set GEOAIM_DATA to a folder that holds hover/ and tracks/")
     rows: list[dict[str, Any]] = []
     for task, figures in (
-        ("registration, px", measure_registration(frames)),
-        *measure_prediction(folder, minutes),
+        ("registration, px", _measure_registration(frames)),
+        *_measure_prediction(folder, minutes),
     ):
         rows += [{"task": task, "source": source} | row for source, row in figures.items()]
         print(format_table([row for row in rows if row["task"] == task]), flush=True)
@@ -90,7 +90,12 @@ def main(
 
 
 def compare_rankings(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, Any]:
-    """Count the pairs of methods that two sources rank alike; see the module's docstring."""
+    """Count the pairs of methods that two sources rank alike, given each method's error by name.
+
+    Returns:
+        "pairs" of methods that differ by over 10 % in both sources, how many are "agreeing", and
+        the names of those that are "swapped".
+    """
     swapped, pairs = [], 0
     for a, b in combinations(one, 2):
         ratios = [
@@ -104,7 +109,7 @@ def compare_rankings(one: Mapping[str, float], other: Mapping[str, float]) -> di
     return {"agreeing": pairs - len(swapped), "pairs": pairs, "swapped": swapped}
 
 
-def measure_registration(frames: int) -> Figures:
+def _measure_registration(frames: int) -> Figures:
     """Measure the mean corner error of each method on drawn ground and on stills."""
     every = list_methods()
     methods = {name: every[full_name] for name, full_name in METHODS.items()}
@@ -132,7 +137,7 @@ def _film_still(still: str, frames: int) -> HoverVideo:
     return HoverVideo(clip, "plain", np.ones(frames, bool))
 
 
-def measure_prediction(folder: Path, minutes: float) -> Iterator[tuple[str, Figures]]:
+def _measure_prediction(folder: Path, minutes: float) -> Iterator[tuple[str, Figures]]:
     """Measure the mean displacement error of each rule: of vehicles, then of pedestrians."""
     samples = [make_sample(1, kind=kind, minutes=minutes, video=None) for kind in STANDARD_KINDS]
     synthetic = {f"synthetic {s.place.roads.layout.kind}": [tracks_of(s)] for s in samples}
@@ -154,7 +159,7 @@ def _add_noise(tracks: Tracks) -> Tracks:
 
 
 def measure_rules(recordings: list[Tracks], types: tuple[str, ...]) -> dict[str, float]:
-    """Measure the mean displacement error of each rule, of agents that move."""
+    """Measure the mean displacement error (m) of each rule, by name, of moving agents of types."""
     windows = np.concatenate([_cut_windows(tracks, types) for tracks in recordings])
     history, truth = windows[:, :HISTORY_STEPS], windows[:, -1]
     duration = DT * HORIZON_STEPS

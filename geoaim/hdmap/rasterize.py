@@ -63,8 +63,8 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
     pixels = width * height / max(resolution, 1e-9) ** 2
     if resolution > 0 and pixels > MAX_DRAWN_PIXELS / SUPERSAMPLING**2:
         raise ValueError(
-            f"at {resolution} m a pixel the image would have {pixels:.3g} pixels; the map is "
-            f"{width:.0f} by {height:.0f} m"
+            f"at {resolution} m a pixel the map of {width:.0f} by {height:.0f} m would have "
+            f"{pixels:.3g} pixels; give a coarser resolution, or cut the map"
         )
     grid = make_north_up_grid(corners, resolution, hdmap.world)
     fine_from_world = np.diag([SUPERSAMPLING, SUPERSAMPLING, 1.0]) @ grid.grid_from_world

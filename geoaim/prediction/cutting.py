@@ -38,7 +38,7 @@ def cut_segments(
         ValueError: the scene's steps are not at even intervals.
     """
     if len(scene.times) < 2:
-        raise TracksError(f"a scene of {len(scene.times)} steps; segments need {steps}")
+        raise TracksError(f"the scene has {len(scene.times)} steps; a segment needs {steps}")
     dt = scene.dt
     if (scene.times.diff() - dt).abs().max() > 0.01 * dt:
         raise ValueError("the scene's steps are not at even intervals; resample the tracks")

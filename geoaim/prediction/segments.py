@@ -54,8 +54,10 @@ def concat(parts: Sequence[Segments]) -> Segments:
     Raises:
         ValueError: there are none, or the time between their steps differs.
     """
-    if not parts or len({part.dt for part in parts}) > 1:
-        raise ValueError(f"{len(parts)} sets of segments; one or more with the same dt are needed")
+    dts = sorted({part.dt for part in parts})
+    if len(dts) != 1:
+        stated = ", ".join(f"{dt:g}" for dt in dts) or "none"
+        raise ValueError(f"dt of the segments, in s: {stated}; one or more of one dt are needed")
     agents = max(part.states.shape[2] for part in parts)
     lights = max(part.light_states.shape[2] for part in parts)
     padded = [_pad(part, agents, lights) for part in parts]

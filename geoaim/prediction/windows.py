@@ -84,9 +84,10 @@ def read_windows(
     names = sorted(scenes) or available
     missing = sorted(set(names) - set(available))
     if missing or not names:
+        wanted = f"the scenes {', '.join(missing)}" if missing else "a <scene>.csv"
         raise TracksError(
-            f"{folder}: {len(available)} scenes are in the folder and in {files.table}; "
-            + (f"{', '.join(missing)} are not" if missing else "windows are <scene>.csv")
+            f"{folder} and {files.table} have {len(available)} scenes in common; {wanted} must be "
+            "in both"
         )
     if files.images is None:
         ground, offsets = make_grey_ground(), torch.zeros(len(names), 2)

@@ -62,7 +62,8 @@ def render(
             if colours is not None and colours.shape[-1] != len(ground.image):
                 channels = colours.shape[-1]
                 raise ValueError(
-                    f"colours of {channels} channels on a ground of {len(ground.image)}"
+                    f"colours have {channels} channels and the ground has {len(ground.image)}; "
+                    "give as many"
                 )
     pixels = sample_ground(view, cameras, ground.image, ground.image_from_world)
     if boxes:
@@ -180,7 +181,7 @@ def _check_shapes(layer: OrientedBoxes, cameras: int) -> None:
     """Refuse boxes whose number of views or shapes do not match."""
     views, count = layer.poses.shape[:2]
     if views != cameras:
-        raise ValueError(f"boxes of {views} views for {cameras} cameras")
+        raise ValueError(f"boxes are given for {views} views and {cameras} cameras; one each")
     per_box, per_view = (count,), (views, count)
     triangles = layer.heading_colours
     for name, shape, allowed in (

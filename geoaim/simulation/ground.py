@@ -84,8 +84,8 @@ def make_ground(
         raise ValueError("the texture has pixels that are not finite")
     if coverage.shape != image.shape[1:] or len(outside) != len(image):
         raise ValueError(
-            f"a texture of {tuple(image.shape)} with a mask of {tuple(coverage.shape)} and an "
-            f"outside of {len(outside)} channels"
+            f"the texture has the shape {tuple(image.shape)}, its mask {tuple(coverage.shape)} and "
+            f"the colour outside {len(outside)} channels; height, width and channels must be equal"
         )
     covered = torch.where(coverage, image, outside[:, None, None])
     share = coverage.to(image)[None]

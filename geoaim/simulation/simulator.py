@@ -49,7 +49,8 @@ def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenari
     """
     if len(starts) == 0 or int(starts.min()) < 0 or int(starts.max()) + steps > len(scene.times):
         raise ValueError(
-            f"{steps} steps from {starts.tolist()} are not all among the scene's {len(scene.times)}"
+            f"pieces of {steps} steps from steps {starts.tolist()} on reach beyond the scene's "
+            f"steps 0 to {len(scene.times) - 1}"
         )
     if steps < 2 or (scene.times.diff() - scene.dt).abs().max() > 0.01 * scene.dt:
         raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
@@ -183,7 +184,10 @@ def rollout(
     """
     total = scenario.states.shape[1]
     if not 1 <= history < total:
-        raise ValueError(f"{history} of {total} steps are history; from 1 to {total - 1} can be")
+        raise ValueError(
+            f"history is {history}, but the scenario has {total} steps; give 1 to {total - 1}, so "
+            "that a step remains to simulate"
+        )
     path = list(scenario.states[:, :history].unbind(1))
     for index in range(history - 1, total - 1):
         actions = policy(scenario, torch.stack(path, dim=1))

@@ -100,7 +100,9 @@ def film(
         ValueError: the traffic does not have `hover.count` steps.
     """
     if len(traffic.poses) != hover.count:
-        raise ValueError(f"traffic has {len(traffic.poses)} steps for {hover.count} frames")
+        raise ValueError(
+            f"traffic has {len(traffic.poses)} steps and hover {hover.count} frames; one step each"
+        )
     nominal_from_frame, gains = _simulate_poses(hover, height, width, generator)
     corners = transform_points(nominal_from_frame, image_corners(height, width))
     extent = np.abs(corners - [width / 2, height / 2]).max(axis=(0, 1)) + 4

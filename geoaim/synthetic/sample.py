@@ -86,7 +86,10 @@ def make_sample(
     if filmed > LONGEST:
         raise ValueError(f"{filmed:g} s of video; a recording has at most {LONGEST:g} s")
     if 60 * minutes < filmed:
-        raise ValueError(f"{minutes:g} minutes of traffic; at least {filmed / 60:.2f} needed")
+        raise ValueError(
+            f"{minutes:g} minutes of traffic are shorter than the video; at least "
+            f"{filmed / 60:.2f} are needed"
+        )
     place = make_place(seed, kind=kind)
     model = prepare_traffic(place.roads, np.random.default_rng([seed, FLOW]))
     recordings = tuple(

@@ -73,7 +73,7 @@ def test_segments_of_other_sizes_are_padded():
     assert both.states.shape == (6, 10, 5, 4)
     assert both.light_states.shape == (6, 10, 1)
     assert not both.present[:2, :, 2:].any()
-    with pytest.raises(ValueError, match="with the same dt"):
+    with pytest.raises(ValueError, match="of one dt are needed"):
         concat([one, replace(two, dt=0.4)])
     assert len(repeat(one, 3)) == 6
 

@@ -278,13 +278,13 @@ def test_prefiltered_ground_is_close_to_the_mean_over_a_rotated_pixel(ratio):
     [
         ({"poses": torch.full((2, 4, 3), torch.nan).double()}, "not finite"),
         ({"sizes": torch.zeros(4, 2).double()}, "a size that is not"),
-        ({"poses": torch.zeros(3, 4, 3).double()}, "boxes of 3 views for 2 cameras"),
+        ({"poses": torch.zeros(3, 4, 3).double()}, "3 views and 2 cameras"),
         (
             {"sizes": torch.ones(3, 2).double()},
             r"sizes has shape \(3,\); expected \(views, boxes\) = \(2, 4\)",
         ),
-        ({"colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
-        ({"heading_colours": torch.ones(4, 1).double()}, "colours of 1 channels on a ground of 3"),
+        ({"colours": torch.ones(4, 1).double()}, "1 channels and the ground has 3"),
+        ({"heading_colours": torch.ones(4, 1).double()}, "1 channels and the ground has 3"),
         ({"sizes": torch.full((4, 2), torch.inf).double()}, "a size that is not"),
         ({"sizes": torch.ones(4, 2)}, "tensors have dtypes torch.float32, torch.float64"),
         ({"present": torch.ones(4).bool()}, r"present has shape \(4,\)"),

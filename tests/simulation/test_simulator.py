@@ -169,7 +169,7 @@ def test_gradients_through_ten_steps_of_rendering_and_driving():
 
 def test_what_cannot_be_simulated_is_refused():
     scenario = _recording()
-    with pytest.raises(ValueError, match="from 1 to 20 can be"):
+    with pytest.raises(ValueError, match="give 1 to 20"):
         rollout(scenario, constant_velocity, ALL_AGENTS, history=21)
 
     def lost(scenario, path):

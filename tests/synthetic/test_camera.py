@@ -113,7 +113,7 @@ def test_same_seed_gives_the_same_frames():
 
 
 def test_traffic_of_another_length_is_refused():
-    with pytest.raises(ValueError, match="5 steps for 6 frames"):
+    with pytest.raises(ValueError, match="5 steps and hover 6 frames"):
         film(
             _still(), _traffic(5), QUIET, height=200, width=360, generator=np.random.default_rng(0)
         )

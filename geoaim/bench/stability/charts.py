@@ -68,12 +68,12 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
     for suffix in ("svg", "png"):
-        draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=75)
-        draw_verdicts(table).savefig(folder / f"{name}-verdicts.{suffix}", dpi=100)
+        _draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=75)
+        _draw_verdicts(table).savefig(folder / f"{name}-verdicts.{suffix}", dpi=100)
     return text
 
 
-def draw_errors(frames: pd.DataFrame) -> Figure:
+def _draw_errors(frames: pd.DataFrame) -> Figure:
     """Draw error against hardship, a panel for each kind.
 
     Lines are medians over the frames that a method did not refuse, bands reach to their 90th
@@ -111,7 +111,7 @@ def draw_errors(frames: pd.DataFrame) -> Figure:
     return figure
 
 
-def draw_verdicts(table: pd.DataFrame) -> Figure:
+def _draw_verdicts(table: pd.DataFrame) -> Figure:
     """Draw the share of each verdict on this library's frames, a bar for each kind."""
     figure = Figure(figsize=(9, 0.22 * len(table) + 1.2), layout="constrained")
     axes = figure.subplots()

@@ -87,29 +87,19 @@ class Clip:
     def find_truth(self, reference: int, index: int) -> Float[Array, "25 2"]:
         """Where in the reference the ground lies that a frame shows at `make_grid`'s points."""
         ground = self.scene.ground_from_frame(self.shown[index], make_grid(self.size))
-        return invert(self.scene, self.shown[reference], ground, self.size)
+        return _invert(self.scene, self.shown[reference], ground, self.size)
 
 
 def make_grid(size: tuple[int, int]) -> Float[Array, "25 2"]:
-    """Make 5 x 5 points over a frame, with its corners; x varies fastest."""
+    """Make 5 x 5 points over a frame of (height, width), with its corners; u varies fastest."""
     x, y = np.meshgrid(np.linspace(0, size[1], 5), np.linspace(0, size[0], 5))
     return np.stack([x, y], axis=-1).reshape(-1, 2)
 
 
-def invert(
+def _invert(
     scene: Scene, index: int, ground: Float[Array, "n 2"], size: tuple[int, int]
 ) -> Float[Array, "n 2"]:
-    """Find the pixels of a frame that show points of the ground, by Newton's method.
-
-    Args:
-        scene: the scene.
-        index: number of the frame.
-        ground: points of the ground.
-        size: height and width of the frames, px.
-
-    Returns:
-        The pixels; they may lie outside of the frame.
-    """
+    """Find the pixels of a frame that show points of the ground, by Newton's method."""
     grid = make_grid(size)
     known = scene.ground_from_frame(index, grid)
     matrix, _ = cv2.findHomography(known, grid)  # exact but for lens and rolling shutter
@@ -150,7 +140,7 @@ def list_cases(split: str, kinds: Sequence[str], *, repeats: int = 1) -> Iterato
 
 
 def make_clip(case: SweepCase, count: int = FRAMES) -> Clip:
-    """Render the frames of a case."""
+    """Render `count` frames of a case."""
     hardship = KINDS[case.kind].make(case.level)
     generator = np.random.default_rng(case.seed)
     dropped = any(name == "drop" for name, _ in hardship.effects)

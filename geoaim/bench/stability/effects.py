@@ -36,7 +36,7 @@ def apply_effects(
     shown = list(range(len(frames)))
     for name, level in effects:
         if name == "compression":
-            frames = compress(frames, level)
+            frames = _compress(frames, level)
         elif name in ("double", "drop"):
             generator = np.random.default_rng(seed)
             chosen = generator.random(len(shown)) < level
@@ -53,7 +53,7 @@ def apply_effects(
     return frames, shown
 
 
-def compress(frames: list[Image], megabits: float) -> list[Image]:
+def _compress(frames: list[Image], megabits: float) -> list[Image]:
     """Encode by H.264 at a bit rate, which is for 1080p and falls with the area, and decode."""
     height, width = frames[0].shape[:2]
     bits = int(megabits * 1e6 * height * width / (1080 * 1920))

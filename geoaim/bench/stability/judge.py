@@ -41,7 +41,7 @@ def judge_frames(
         uncertainty: (T,) stated standard deviation of the corners, px; None where not stated.
 
     Returns:
-        A row for each frame: errors in px, the statement and the verdict.
+        A row for each frame: index; error, rms, floor and stated in px; verdict.
     """
     grid, rows = make_grid(clip.size), []
     for index, matrix in enumerate(matrices):
@@ -82,7 +82,10 @@ def decide_verdict(error: float, rms: float, stated: float) -> str:
 
 
 def find_breakpoint(frames: pd.DataFrame) -> int:
-    """Rank of the last level before the share of right frames first falls too low; -1 for none."""
+    """Find the rank of the last level before the share of right frames first falls too low.
+
+    -1: it is too low at the first level already.
+    """
     share = (frames.error <= MAX_RIGHT_ERROR_PX).groupby(frames["rank"]).mean()
     return int((share >= MIN_RIGHT_SHARE).cummin().sum()) - 1
 
@@ -155,7 +158,7 @@ def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
 
 
 def measure_refusals(frames: pd.DataFrame) -> float:
-    """Share of refused frames at levels up to the best rival's breakpoint; NaN without rivals."""
+    """Measure the share of refused frames up to the best rival's breakpoint; NaN without rivals."""
     refused = []
     for _, of_kind in frames.groupby("kind"):
         theirs = of_kind[of_kind.method != "geoaim"]
