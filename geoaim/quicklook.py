@@ -80,7 +80,6 @@ def _draw_drift(axes: Axes, registration: Mapping[str, Any]) -> None:
 
 
 def _draw_coverage(axes: Axes, aim: AIM) -> None:
-    """Draw the coverage, and contested pixels on it."""
     height, width = aim.image.shape[:2]
     extent, step = (0, width, height, 0), slice(None, None, RASTER_STRIDE)
     drawn = axes.imshow(aim.coverage[step, step], extent=extent, vmin=0, cmap="magma")

@@ -42,7 +42,6 @@ Scenes = Sequence[tuple[Tensor, OrientedBoxes]]  # cameras (1, 3), boxes (1, N)
 
 
 def _draw_texture() -> Float[Tensor, "3 h w"]:
-    """Draw a synthetic junction."""
     place = draw_place(make_place(1), resolution=0.1)
     size = (TEXTURE_SIDE_PX, TEXTURE_SIDE_PX)
     image = cv2.resize(place, size, interpolation=cv2.INTER_AREA)

@@ -86,16 +86,7 @@ def _measure_group(
 def _compare(
     group: str, synthetic: Sequence[Statistics], real: Mapping[str, Statistics]
 ) -> Iterator[dict[str, Any]]:
-    """Compare synthetic with real statistics, and real sources with each other.
-
-    Args:
-        group: name of the group, for the table.
-        synthetic: statistics of each synthetic place.
-        real: statistics of each real source.
-
-    Yields:
-        A row of the table for each statistic that enough values support.
-    """
+    """Compare synthetic with real statistics, and real sources with each other; rows of a table."""
     together = concat_statistics(synthetic)
     for name, values in together.items():
         sources = [s[name] for s in real.values() if len(s[name]) >= MIN_VALUES]

@@ -36,7 +36,6 @@ def _make_traffic() -> Scenario:
 
 
 def _time_stages(repeats: int) -> list[dict[str, Any]]:
-    """Time each stage, milliseconds."""
     scenario = _make_traffic()
     states, present, sizes = scenario.states[:, 0], scenario.present[:, 0], scenario.sizes
     poses, actions = states[..., :3], torch.full((SCENES, AGENTS, 2), 0.1)

@@ -104,15 +104,10 @@ def read_recordings(place: Path) -> tuple[PlaceRecording, ...]:
 
 
 def read_map(place: Path, name: str) -> AIM:
-    """Read a map of a place; maps that take long to make are kept in its folder.
+    """Read a map from a place's folder; maps that take long to make are kept there.
 
-    Args:
-        place: folder of the place.
-        name: "aim", "hdm" (lanes), "full" (and walkways), "degraded", "another day" or "none"
-            (grey): a key of `MAPS`.
-
-    Returns:
-        The map.
+    `name` is "aim", "hdm" (lanes), "full" (and walkways), "degraded", "another day" or "none"
+    (grey): a key of `MAPS`.
 
     Raises:
         ValueError: there is no such map.
@@ -125,13 +120,8 @@ def read_map(place: Path, name: str) -> AIM:
 def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:
     """Degrade an image by blur and noise as the paper does, which does not tell the scale.
 
-    Args:
-        image: to degrade, 0 to 1.
-        size: standard deviation of the Gaussian blur, and side of the squares that share one draw
-            of Gaussian noise, pixels.
-
-    Returns:
-        The degraded image.
+    The image is in 0 to 1. `size` in pixels is the standard deviation of the Gaussian blur, and the
+    side of the squares that share one draw of Gaussian noise.
     """
     blurred = cv2.GaussianBlur(image, (0, 0), size)
     height, width = image.shape[:2]

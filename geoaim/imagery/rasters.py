@@ -100,14 +100,7 @@ def intersects_bounds(raster: Raster, points: Float[Array, "m 2"]) -> bool:
 
 @contextmanager
 def open_raster(path: str, options: Mapping[str, int]) -> Iterator[Any]:
-    """Open a raster; errors of rasterio become ImageryError.
-
-    Args:
-        path: the file.
-        options: of GDAL's driver.
-
-    Yields:
-        The open dataset.
+    """Open a raster as rasterio's dataset, with options of GDAL's driver.
 
     Raises:
         ImageryError: GDAL cannot open or read it.

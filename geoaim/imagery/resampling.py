@@ -35,14 +35,8 @@ def estimate_stretch(
 ) -> Stretch | None:
     """Estimate the 1st and 99th percentile of rasters of more than 8 bits, jointly over all bands.
 
-    About a million pixels within the bounds of the points are read.
-
-    Args:
-        rasters: of which those of 8 bits do not count.
-        points: (m, 2) around the wanted region, by each CRS of the rasters.
-
-    Returns:
-        The stretch; None when all rasters have 8 bits, or no valid pixel can be read there.
+    About a million pixels are read within the bounds of `points`, which has (m, 2) points for each
+    CRS of the rasters. None when all rasters have 8 bits, or no valid pixel can be read there.
     """
     deep = [raster for raster in rasters if raster.dtype != "uint8"]
     samples = [np.empty(0, np.float32)]

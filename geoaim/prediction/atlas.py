@@ -15,11 +15,7 @@ PIXELS_PER_VIEW_PIXEL = 2  # of the atlas, before it is prefiltered for the view
 
 
 def make_atlas(grounds: Sequence[Ground], view: View) -> tuple[Ground, Float[Tensor, "P 2"]]:
-    """Place grounds side by side, north up, further apart than a view reaches.
-
-    Args:
-        grounds: maps of P places.
-        view: the views that will be rendered; its resolution decides that of the atlas.
+    """Place the maps of P places side by side, north up, further apart than a view reaches.
 
     Returns:
         One ground, prefiltered for the view, and the metres (x, y) by which each place has moved.

@@ -41,13 +41,9 @@ class Batch:
 
 @contextmanager
 def join_processes(device: torch.device) -> Iterator[Process]:
-    """Join the processes of `torchrun`, if any.
+    """Join the processes of `torchrun`, if any, and yield this one.
 
-    Args:
-        device: to train on, when this process is alone or on a CPU.
-
-    Yields:
-        This process.
+    `device` is where to train when it is alone or on a CPU; else each process has its own GPU.
     """
     world_size, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
     if world_size == 1:

@@ -145,7 +145,6 @@ def _make_parts(model: ITRA, config: TrainConfig) -> _Parts:
 
 
 def _compute_kl_weight(config: TrainConfig, step: int) -> float:
-    """Compute the weight of the KL term at a step."""
     warmup_steps = config.kl_warmup * config.steps
     return config.kl_weight * min(1.0, (step + 1) / max(warmup_steps, 1.0))
 

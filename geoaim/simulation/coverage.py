@@ -16,11 +16,8 @@ def compute_pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"
     the square. Its gradient by an end of an edge is the integral, over the part of the edge in the
     square, of how far each point moves along with that end.
 
-    Args:
-        corners: (n, K, 2) of convex polygons, in the order that turns +x towards +y.
-
-    Returns:
-        (n,) areas; negative of polygons in the opposite order.
+    Polygons are convex, their K corners in the order that turns +x towards +y; areas of polygons in
+    the opposite order are negative.
 
     >>> square = torch.tensor([[[0.5, 0.5], [9.0, 0.5], [9.0, 9.0], [0.5, 9.0]]])
     >>> compute_pixel_coverage(square).tolist()
@@ -65,7 +62,6 @@ def _integrate_clamped(x: Tensor) -> Tensor:
 
 
 def _compute_area_gradient(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n K 2"]:
-    """Compute the gradient of the area by each corner."""
     edge = corners.roll(-1, 1) - corners
     safe = torch.where(edge.abs() < MIN_EDGE_PX, MIN_EDGE_PX, edge)
     enter, leave = -corners / safe, (1 - corners) / safe

@@ -235,7 +235,6 @@ def _compute_weights(side: float) -> list[float]:
 def _add_border(
     image: Float[Tensor, "C h w"], colour: Float[Tensor, "C"]
 ) -> Float[Tensor, "C H W"]:
-    """Add a border of one pixel to an image."""
     colour = colour[:, None, None]
     return F.pad(image - colour, (1, 1, 1, 1)) + colour
 

@@ -109,5 +109,4 @@ def get_agent_colours(scene: Scene) -> Float[Tensor, "N 3"]:
 def _get_poses(
     scene: Scene, steps: Int[Tensor, "B"]
 ) -> tuple[Float[Tensor, "B N 3"], Bool[Tensor, "B N"]]:
-    """Get the agents' poses and presence at steps."""
     return scene.poses[:, steps].transpose(0, 1), scene.present[:, steps].t()

@@ -233,7 +233,6 @@ def check_near_origin(name: str, points: Float[Array, "n 2"]) -> None:
 
 
 def _transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]:
-    """Transform the stop lines of lights into another world."""
     if (lights.world.crs is None) != (world.crs is None):
         raise TracksError(
             f"the map lies in {world.crs or 'a local plane'} and the lights in "

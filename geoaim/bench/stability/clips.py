@@ -47,42 +47,25 @@ Scene = WarpedScene | SplineScene
 
 @dataclass(frozen=True)
 class SweepCase:
-    """One clip of the sweep.
+    """One clip of the sweep."""
 
-    Attributes:
-        kind: of hardship.
-        rank: number of the level.
-        level: in the kind's unit.
-        generator: "warped" or "splines".
-        base: what the ground is.
-        size: height and width of the frames, px.
-        seed: random seed.
-    """
-
-    kind: str
-    rank: int
-    level: float
-    generator: str
-    base: str
-    size: tuple[int, int]
-    seed: int
+    kind: str  # of hardship
+    rank: int  # number of the level
+    level: float  # in the kind's unit
+    generator: str  # "warped" or "splines"
+    base: str  # what the ground is
+    size: tuple[int, int]  # height and width of the frames, px
+    seed: int  # random seed
 
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames, and where their pixels lie on the ground.
+    """Frames, and where their pixels lie on the ground."""
 
-    Attributes:
-        frames: grey or RGB.
-        shown: number of the scene's frame that each of them shows.
-        scene: gives the truth.
-        size: height and width of the frames, px.
-    """
-
-    frames: list[Image]
-    shown: list[int]
-    scene: Scene
-    size: tuple[int, int]
+    frames: list[Image]  # grey or RGB
+    shown: list[int]  # number of the scene's frame that each of them shows
+    scene: Scene  # gives the truth
+    size: tuple[int, int]  # height and width of the frames, px
 
     def find_truth(self, reference: int, index: int) -> Float[Array, "25 2"]:
         """Where in the reference the ground lies that a frame shows at `make_grid`'s points."""

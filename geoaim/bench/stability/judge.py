@@ -91,14 +91,7 @@ def find_breakpoint(frames: pd.DataFrame) -> int:
 
 
 def summarise(frames: pd.DataFrame) -> pd.DataFrame:
-    """Summarise each kind: counts of verdicts, share inside the stated 95 %, breakpoints.
-
-    Args:
-        frames: rows of judged frames of all methods.
-
-    Returns:
-        A row for each kind.
-    """
+    """Summarise judged frames by kind: verdicts, share inside the stated 95 %, breakpoint."""
     rows = []
     for kind, of_kind in frames.groupby("kind", sort=False):
         own = of_kind[of_kind.method == "geoaim"]
@@ -117,13 +110,9 @@ def summarise(frames: pd.DataFrame) -> pd.DataFrame:
 
 
 def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
-    """Count right, wrong and refused frames of each method; rivals refuse where they find nothing.
+    """Count right, wrong and refused judged frames of each method, in percent.
 
-    Args:
-        frames: rows of judged frames of all methods.
-
-    Returns:
-        A row for each method; shares in percent.
+    Rivals refuse where they find nothing.
     """
     rows = []
     for method, own in frames.groupby("method", sort=False):

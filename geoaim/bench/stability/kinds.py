@@ -12,70 +12,43 @@ Pattern = Literal["", "parking", "panels", "tiles"]
 
 @dataclass(frozen=True)
 class Hardship:
-    """What makes a clip hard; the defaults are an easy clip.
+    """What makes a clip hard; the defaults are an easy clip."""
 
-    Attributes:
-        traffic: share of the ground under vehicles that move together, each in its own place.
-        flow: share of the ground that is road, on which vehicles enter and leave.
-        pattern: periodic texture.
-        pattern_step: periods that the camera moves along it in a frame.
-        pattern_share: of the frame's height that it covers.
-        water: share of the frame's height that is water with moving waves.
-        roofs: share of the ground under roofs, which show parallax.
-        trees: share of the ground under swaying trees.
-        contrast: of the ground, relative.
-        drift: of the camera over the clip, px.
-        shake: of the camera from frame to frame, px.
-        rotation: of the frames after the first third, degrees.
-        scale: magnification of these frames.
-        shift: of these frames, as a share of the width.
-        tilt: of these frames: displacement of the corners, px.
-        is_abrupt: whether these frames come at once, not over the first third of the clip.
-        lens: radial distortion k1, radius relative to half the diagonal.
-        rolling: amplitude of the rows' displacement by vibration under a rolling shutter, px.
-        torn: displacement of the lower part of every second frame, px.
-        interlaced: displacement between even and odd rows, px.
-        split: share of the width that shows another camera's view.
-        effects: names and levels of effects on the finished images (see `effects.py`).
-    """
-
+    # share of the ground under vehicles that move together, each in its own place
     traffic: float = 0.03
-    flow: float = 0.0
-    pattern: Pattern = ""
-    pattern_step: float = 0.0
-    pattern_share: float = 1.0
-    water: float = 0.0
-    roofs: float = 0.0
-    trees: float = 0.0
-    contrast: float = 1.0
-    drift: float = 12.0
-    shake: float = 0.3
-    rotation: float = 0.0
-    scale: float = 1.0
-    shift: float = 0.0
-    tilt: float = 0.0
+    flow: float = 0.0  # share of the ground that is road, on which vehicles enter and leave
+    pattern: Pattern = ""  # periodic texture
+    pattern_step: float = 0.0  # periods that the camera moves along it in a frame
+    pattern_share: float = 1.0  # of the frame's height that it covers
+    water: float = 0.0  # share of the frame's height that is water with moving waves
+    roofs: float = 0.0  # share of the ground under roofs, which show parallax
+    trees: float = 0.0  # share of the ground under swaying trees
+    contrast: float = 1.0  # of the ground, relative
+    drift: float = 12.0  # of the camera over the clip, px
+    shake: float = 0.3  # of the camera from frame to frame, px
+    rotation: float = 0.0  # of the frames after the first third, degrees
+    scale: float = 1.0  # magnification of these frames
+    shift: float = 0.0  # of these frames, as a share of the width
+    tilt: float = 0.0  # of these frames: displacement of the corners, px
+    # whether these frames come at once, not over the first third of the clip
     is_abrupt: bool = False
-    lens: float = 0.0
+    lens: float = 0.0  # radial distortion k1, radius relative to half the diagonal
+    # amplitude of the rows' displacement by vibration under a rolling shutter, px
     rolling: float = 0.0
-    torn: float = 0.0
-    interlaced: float = 0.0
-    split: float = 0.0
+    torn: float = 0.0  # displacement of the lower part of every second frame, px
+    interlaced: float = 0.0  # displacement between even and odd rows, px
+    split: float = 0.0  # share of the width that shows another camera's view
+    # names and levels of effects on the finished images (see `effects.py`)
     effects: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of hardship.
+    """A kind of hardship."""
 
-    Attributes:
-        unit: of its levels.
-        levels: from harmless to hopeless.
-        make: makes the hardship of a level.
-    """
-
-    unit: str
-    levels: tuple[float, ...]
-    make: Callable[[float], Hardship]
+    unit: str  # of its levels
+    levels: tuple[float, ...]  # from harmless to hopeless
+    make: Callable[[float], Hardship]  # makes the hardship of a level
 
 
 def _affect(name: str, unit: str, *levels: float) -> Kind:

@@ -14,19 +14,12 @@ PERIODS = {"parking": 26.0, "panels": 40.0, "tiles": 14.0}  # px
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """The camera's motion; frame 0 is the plain view.
+    """The camera's motion; frame 0 is the plain view."""
 
-    Attributes:
-        shift: (T, 2) px of the frame by which the camera moves over the ground.
-        angle: (T,) radians.
-        scale: (T,) magnification.
-        tilt: (T, 2) displacement of the corners by tilts about the two axes, px.
-    """
-
-    shift: Float[Array, "T 2"]
-    angle: Float[Array, " T"]
-    scale: Float[Array, " T"]
-    tilt: Float[Array, "T 2"]
+    shift: Float[Array, "T 2"]  # px of the frame by which the camera moves over the ground
+    angle: Float[Array, " T"]  # radians
+    scale: Float[Array, " T"]  # magnification
+    tilt: Float[Array, "T 2"]  # displacement of the corners by tilts about the two axes, px
 
 
 def draw_motion(

@@ -60,13 +60,8 @@ class Traffic:
 def find_traffic(stack: Stack, seen: Masks) -> Traffic:
     """Separate traffic from ground in small registered frames, about 1000 px wide.
 
-    Args:
-        stack: (K, h, w, 3) frames warped to one image, at one exposure, any colour space, any
-            order; modified in place where `seen` is False.
-        seen: (K, h, w) where the frame covers the image.
-
-    Returns:
-        The traffic, and the ground behind it.
+    `stack` has K frames (h, w, 3) warped to one image, at one exposure, in any colour space and
+    order; it is modified in place where `seen`, whether a frame covers a pixel, is False.
     """
     background = _compute_median(stack, seen)
     noise = _estimate_noise(stack, seen, background)

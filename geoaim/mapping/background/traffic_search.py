@@ -48,14 +48,8 @@ class TrafficSearch(Accumulation):
 def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Background:
     """Average the pixels of registered frames that `traffic_removal` classifies as ground.
 
-    Some 30 to 60 frames spread over the video suffice. Each takes 5 to 8 MB of memory.
-
-    Args:
-        frames: each with its image_from_frame (3, 3); read twice, so no one-shot iterator.
-        size: (height, width) of the image, pixels.
-
-    Returns:
-        The background.
+    Some 30 to 60 frames spread over the video suffice, each with its image_from_frame (3, 3). Each
+    takes 5 to 8 MB of memory. They are read twice. `size` is (height, width) of the image, pixels.
 
     Raises:
         BackgroundError: fewer than 4 frames.
@@ -98,12 +92,7 @@ def add_to_search(
 def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Background:
     """Average frames without the traffic of a search; the search's small frames are dropped.
 
-    Args:
-        frames: those of the search, in the same order, each with its image_from_frame (3, 3).
-        search: as filled by `add_to_search`.
-
-    Returns:
-        The background.
+    The frames are those that `add_to_search` got, in the same order.
 
     Raises:
         BackgroundError: fewer than 4 frames.

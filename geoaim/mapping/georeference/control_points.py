@@ -1,15 +1,6 @@
-"""Ground control points: pixels with known coordinates.
-
-| source | its pixels | its coordinates |
-|---|---|---|
-| CSV with a header: `u,v` or `pixel_x,pixel_y` or `col,row`; `x,y` or `easting,northing` or `lon,lat`; optional `name`, `frame`, `crs`, or a line `# crs: EPSG:n` | corner origin | `lon,lat` need no CRS |
-| OpenDroneMap `gcp_list.txt`: CRS, then `x y z u v image [name]` | origin at the first pixel's centre, as OpenSfM reads them: half a pixel is added | first line |
-| QGIS `.points` | corner origin, y upwards: its sign is changed | `#CRS:` line, or the argument |
-| rasterio or GDAL GroundControlPoint | corner origin (GDAL's pixel and line) | the argument |
-| pairs `((u, v), (lon, lat))`, mappings with the CSV's names | corner origin | lon, lat unless the argument says otherwise |
-
-`crs="local"` means a local metric plane without CRS.
-"""  # noqa: E501
+"""Ground control points: pixels with known coordinates; docs/formats/control_points.md lists all
+formats, their pixel origins and how they state a CRS.
+"""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence

@@ -68,12 +68,7 @@ def approximate_georeference(
 def make_local_georeference(*, resolution: float, size: tuple[int, int]) -> Georeference:
     """Make a georeference in a local plane: origin at the image's centre, x right, y up.
 
-    Args:
-        resolution: metres per pixel.
-        size: (height, width) of the image, pixels.
-
-    Returns:
-        The georeference, marked approximate.
+    `resolution` is in metres per pixel, `size` is (height, width) in pixels.
 
     Raises:
         ValueError: the resolution is not positive.

@@ -115,7 +115,6 @@ def _make_bounds(roads: Roads, lane: Lane) -> tuple[Polyline, Polyline]:
 
 
 def _choose_bound_types(roads: Roads, lane: Lane) -> tuple[LineType, LineType]:
-    """The types of the left and the right bound of a lane."""
     if " in " in lane.name or " out " in lane.name:
         name, direction, index = lane.name.split()
         approach = find_approach(roads.layout, name)

@@ -250,7 +250,6 @@ def _outline_arrow(turn: str) -> Polyline:
 
 
 def _make_bay_lines(car_park: CarPark) -> list[Polyline]:
-    """The lines between the bays."""
     lines = []
     for bay in range(BAYS + 1):
         deep = FIRST_BAY_M + bay * BAY_SIZE_M[0]

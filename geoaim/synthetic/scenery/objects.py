@@ -170,7 +170,6 @@ def _cast_shadows(
 
 
 def _paste(canvas: Canvas, stamp: _Stamp) -> None:
-    """Paste a stamp onto the canvas."""
     placed = _render_stamp(canvas, stamp)
     if placed is not None:
         window, sprite = placed
@@ -215,7 +214,6 @@ def _rotate_sprite(
 
 
 def _draw_hedges(canvas: Canvas, scenery: Scenery, day: Day) -> None:
-    """Draw hedges with ragged rims."""
     if not scenery.hedges:
         return
     window, mask = rasterize_shape(canvas, list(scenery.hedges))

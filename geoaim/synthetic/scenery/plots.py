@@ -99,7 +99,6 @@ def _make_verges(roads: Roads) -> Geometry:
 def _make_street_trees(
     roads: Roads, verges: Geometry, generator: np.random.Generator
 ) -> tuple[Tree, ...]:
-    """Make rows of trees in the verges."""
     line = outline_road(roads.paving).buffer(VERGE_WIDTH_M / 2 + 0.3).exterior
     near = verges.buffer(-0.4)
     trees, at = [], generator.uniform(0, TREE_SPACING_M)

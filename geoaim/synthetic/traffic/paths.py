@@ -75,7 +75,6 @@ def make_paths(roads: Roads) -> tuple[VehiclePath, ...]:
 
 
 def _make_route_path(roads: Roads, route: Route, lanes: dict[str, Lane]) -> VehiclePath:
-    """The path along the lanes of a route."""
     origin = find_approach(roads.layout, route.origin)
     priority = TURN_PRIORITY[route.turn]
     if roads.layout.kind in ("t", "campus") and np.isfinite(origin.stop):

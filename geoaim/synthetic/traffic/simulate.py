@@ -157,7 +157,6 @@ def _step(
     lights: Int8[Array, "G"],
     generator: np.random.Generator,
 ) -> Agents:
-    """Move all agents by one time step."""
     pedestrians, tables, crossings = agents.pedestrians, model.tables, model.crossings
     placed = place_vehicles(agents.vehicles, tables)
     outlook = look_ahead(pedestrians, crossings)
@@ -189,7 +188,6 @@ def _make_recording(
 
 
 def _number_rows(trips: list[Int[Array, "_"]]) -> Int[Array, "V 2"]:
-    """The step and the trip of each row."""
     steps = np.repeat(np.arange(len(trips)), [len(trip) for trip in trips])
     return np.stack([steps, np.concatenate(trips)], axis=1)
 
