@@ -13,15 +13,9 @@ from typing import Any
 
 from geoaim.aim import AIM
 from geoaim.bench.data import read_image, require_data
+from geoaim.experiments import results
 from geoaim.experiments.models import train_all_seeds, train_once
 from geoaim.experiments.protocol import PEDESTRIANS, evaluate_scene
-from geoaim.experiments.results import (
-    Metrics,
-    Workspace,
-    compute_differences,
-    compute_seed_means,
-    write_results,
-)
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.mapping.georeference.control_points import read_control_points
@@ -88,10 +82,10 @@ VAL_FRACTION = 0.5
 FINE_TUNING = configure_fine_tuning("pedestrian", steps=150, batch_size=48)
 
 
-def run(workspace: Workspace) -> list[Path]:
+def run(workspace: results.Workspace) -> list[Path]:
     """Evaluate SinD's pedestrians on HD maps and images, zero-shot and fine-tuned."""
     junctions = {name: georeference_junction(name) for name in JUNCTIONS}
-    metrics: dict[str, Metrics] = {}
+    metrics: dict[str, results.Metrics] = {}
     by_seed: dict[str, list[dict[str, float]]] = {}
     for map_name in MAPS:
         scenes = [
@@ -106,7 +100,7 @@ def run(workspace: Workspace) -> list[Path]:
             parts = [_evaluate(predictor, scenes) for predictor in seeds]
             metrics[name] = average_seeds(parts)
             if len(parts) > 1:
-                by_seed[name] = compute_seed_means(parts)
+                by_seed[name] = results.compute_seed_means(parts)
     settings = {
         "trained on": "first halves of both recordings",
         "evaluated on": "second halves, all pedestrians of each 12 s jointly; no vehicle tracks",
@@ -116,9 +110,9 @@ def run(workspace: Workspace) -> list[Path]:
         "by seed": by_seed,
     }
     for stage in ("zero-shot", "fine-tuned"):
-        difference = compute_differences(metrics[f"aim, {stage}"], metrics[f"hdm, {stage}"])
+        difference = results.compute_differences(metrics[f"aim, {stage}"], metrics[f"hdm, {stage}"])
         settings[f"aim minus hdm, {stage}"] = difference
-    return write_results("sind", metrics, settings, workspace.results)
+    return results.write_results("sind", metrics, settings, workspace.results)
 
 
 def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
@@ -142,7 +136,9 @@ def _make_scene(name: str, aim: AIM) -> Scene:
     return make_scene(aim, resample_tracks(tracks, 1 / PEDESTRIANS.dt))
 
 
-def _train(map_name: str, scenes: list[Scene], workspace: Workspace) -> dict[str, list[Predictor]]:
+def _train(
+    map_name: str, scenes: list[Scene], workspace: results.Workspace
+) -> dict[str, list[Predictor]]:
     """Predictors on a map, of each seed: trained on synthetic places, and fine-tuned."""
     load_dataset = partial(make_dataset, scenes, PEDESTRIANS, val_fraction=VAL_FRACTION)
     zero_shot: list[Predictor] = []

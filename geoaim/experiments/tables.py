@@ -5,17 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from geoaim.errors import TracksError
+from geoaim.experiments import results
 from geoaim.experiments.figures import write_futures_on_maps
 from geoaim.experiments.models import MODELS, train_all_seeds
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.protocol import evaluate_place
-from geoaim.experiments.results import (
-    Metrics,
-    Workspace,
-    compute_differences,
-    compute_seed_means,
-    write_results,
-)
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import VAL_FRACTION
@@ -56,7 +50,7 @@ class Table:
     time: float  # s of the recording after which the drawn futures begin
 
 
-def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
+def run_table(name: str, table: Table, workspace: results.Workspace) -> list[Path]:
     """Make places, train models, evaluate all cases, and write the table with a figure.
 
     Args:
@@ -73,7 +67,7 @@ def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
     models = {one: train_all_seeds(one, workspace) for one in names}
     predictors: dict[str, list[Predictor]] = {name: [one] for name, one in BASELINES.items()}
     predictors |= {name: [model.sample for model in trained] for name, trained in models.items()}
-    metrics: dict[str, Metrics] = {}
+    metrics: dict[str, results.Metrics] = {}
     by_seed: dict[str, list[dict[str, float]]] = {}
     for number, (title, case) in enumerate(table.cases.items()):
         progress("evaluate", number, len(table.cases))
@@ -81,17 +75,17 @@ def run_table(name: str, table: Table, workspace: Workspace) -> list[Path]:
         parts = [evaluate_case(one, case, table.config, places) for one in predictors[case.model]]
         metrics[title] = average_seeds(parts)
         if len(parts) > 1:
-            by_seed[title] = compute_seed_means(parts)
+            by_seed[title] = results.compute_seed_means(parts)
     settings = {
         "training places": TRAIN[kind],
         "test places": TEST[kind],
         "differences": {
-            f"{one} minus {other}": compute_differences(metrics[one], metrics[other])
+            f"{one} minus {other}": results.compute_differences(metrics[one], metrics[other])
             for one, other in table.pairs
         },
         "by seed": by_seed,
     }
-    written = write_results(name, metrics, settings, workspace.results)
+    written = results.write_results(name, metrics, settings, workspace.results)
     picture = written[0].with_suffix(".png")
     shown = [table.cases[title] for title in table.shown]
     place = find_places(shown[0], kind, workspace.places)[0]

@@ -19,6 +19,7 @@ from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
 from geoaim.geometry import transform_points, translation
 from geoaim.grid import Grid, make_north_up_grid
+from geoaim.imagery import resampling
 from geoaim.imagery.rasters import (
     Region,
     describe_extent,
@@ -26,13 +27,6 @@ from geoaim.imagery.rasters import (
     intersects_bounds,
     make_region,
     measure_resolution,
-)
-from geoaim.imagery.resampling import (
-    MIN_ALPHA,
-    Stretch,
-    estimate_stretch,
-    resample_raster,
-    unpremultiply,
 )
 from geoaim.imagery.sources import Layer, Source, Tiles, describe_source
 from geoaim.limits import check_memory
@@ -51,7 +45,7 @@ class _Source:
 
     layer: Layer
     resolution: float
-    stretch: Stretch | None
+    stretch: resampling.Stretch | None
     unreadable: dict[str, ImageryError] = field(default_factory=dict)
 
 
@@ -114,7 +108,7 @@ def read_imagery(
         _Source(
             layer,
             min(measure_resolution(raster, region) for raster in layer.rasters),
-            estimate_stretch(layer.rasters, points),
+            resampling.estimate_stretch(layer.rasters, points),
         )
         for layer in layers
     ]
@@ -186,11 +180,11 @@ def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> A
     for block, crs_from_block in _split_into_blocks(grid, region.world, crses):
         total = np.zeros((4, *covered[block].shape), np.float32)
         for number, source in enumerate(sources):
-            before = np.count_nonzero(total[3] >= MIN_ALPHA)
+            before = np.count_nonzero(total[3] >= resampling.MIN_ALPHA)
             _add_below(total, source, crs_from_block)
-            counts[number] += np.count_nonzero(total[3] >= MIN_ALPHA) - before
-        covered[block] = total[3] >= MIN_ALPHA
-        image[block] = unpremultiply(total)
+            counts[number] += np.count_nonzero(total[3] >= resampling.MIN_ALPHA) - before
+        covered[block] = total[3] >= resampling.MIN_ALPHA
+        image[block] = resampling.unpremultiply(total)
     _check_coverage(sources, covered)
     report = _make_report(sources, resolution, counts / covered.size)
     contested, matrix = np.zeros(grid.shape, bool), grid.world_from_grid
@@ -256,7 +250,9 @@ def _add_below(
         raster_from_block = raster.grid.grid_from_world @ crs_from_block[raster.crs]
         stretch = None if raster.dtype == "uint8" else source.stretch
         try:
-            resampled = resample_raster(raster, raster_from_block, total.shape[1:], stretch)
+            resampled = resampling.resample_raster(
+                raster, raster_from_block, total.shape[1:], stretch
+            )
         except ImageryError as error:
             if source.layer.single:
                 raise

@@ -34,16 +34,8 @@ from geoaim.mapping.georeference.reference_frame import (
     choose_reference_time,
     georeference_reference_frame,
 )
+from geoaim.mapping.registration import register
 from geoaim.mapping.registration.keyframes import FrameRegistration
-from geoaim.mapping.registration.register import (
-    Reference,
-    Registration,
-    Row,
-    choose_reference,
-    collect_registration,
-    count_reasons,
-    register_frames,
-)
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
@@ -103,7 +95,7 @@ def build_aim(
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
     batches = sampling.read()
     probes = list(next(batches)) if frames == "auto" else []
-    reference = choose_reference(
+    reference = register.choose_reference(
         opened, detections=vehicles, time=choose_reference_time(given), probes=probes
     )
     georeference, points, reference = _georeference(given, opened, reference, vehicles, crs)
@@ -132,10 +124,10 @@ def build_aim(
 def _georeference(
     gcps: ControlPoints | Georeference | None,
     video: Video,
-    reference: Reference,
+    reference: register.Reference,
     detections: Detections | None,
     crs: str | None,
-) -> tuple[Georeference, ControlPoints | None, Reference]:
+) -> tuple[Georeference, ControlPoints | None, register.Reference]:
     """Georeference the reference frame; with the control points in its pixels, and the frame."""
     if isinstance(gcps, Georeference):
         if (gcps.height, gcps.width) != (video.height, video.width):
@@ -150,24 +142,24 @@ def _georeference(
 def _register_and_average(
     sampling: Sampling,
     batches: Iterator[Iterable[Frame]],
-    reference: Reference,
+    reference: register.Reference,
     detections: Detections | None,
     progress: Progress,
     *,
     photos: bool,
-) -> tuple[Registration, Background]:
+) -> tuple[register.Registration, Background]:
     """Register and average the frames; without detections, twice over them to remove traffic.
 
     Where too few photos of a flight overlap with the reference for that, all ground is contested.
     """
     size, total = (reference.height, reference.width), sampling.frame_count
     registered = chain.from_iterable(
-        register_frames(batch, reference, detections=detections) for batch in batches
+        register.register_frames(batch, reference, detections=detections) for batch in batches
     )
     if detections or sampling.plain_mean:
         mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
         rows = _add_until_converged(registered, mean, add_to_mean, total, progress)
-        return collect_registration(rows, reference), finish_mean(mean)
+        return register.collect_registration(rows, reference), finish_mean(mean)
     search, kept = TrafficSearch(size, sampling.tolerance), []
 
     def add_and_keep(search: TrafficSearch, frame: Frame, matrix: Float[Array, "3 3"]) -> None:
@@ -176,7 +168,7 @@ def _register_and_average(
             kept.append((replace(frame), matrix))
 
     rows = _add_until_converged(registered, search, add_and_keep, total, progress)
-    registration = collect_registration(rows, reference)
+    registration = register.collect_registration(rows, reference)
     again = _report_frames(kept or read_registered(sampling, registration), total, progress)
     if photos and registration.valid.sum() < MIN_FRAMES:
         background = average_frames(again, size=size)
@@ -199,7 +191,7 @@ def _add_until_converged(
     add: Callable[[Accumulated, Frame, Float[Array, "3 3"]], None],
     total: int | None,
     progress: Progress,
-) -> list[Row]:
+) -> list[register.Row]:
     """Add registered frames to the background until that has converged; one row for each frame."""
     rows = []
     for frame, result in registered:
@@ -212,10 +204,10 @@ def _add_until_converged(
     return rows
 
 
-def _refuse_few_frames(registration: Registration) -> None:
+def _refuse_few_frames(registration: register.Registration) -> None:
     valid = registration.valid
     if valid.sum() < MIN_FRAMES:
-        counts = count_reasons(registration.reason)
+        counts = register.count_reasons(registration.reason)
         reasons = ", ".join(f"{kind}: {count}" for kind, count in counts.items())
         raise RegistrationError(
             f"{valid.sum()} of {len(valid)} frames could be registered to the reference at "
@@ -225,13 +217,13 @@ def _refuse_few_frames(registration: Registration) -> None:
         )
 
 
-def _warn_of_limits(registration: Registration, background: Background) -> None:
+def _warn_of_limits(registration: register.Registration, background: Background) -> None:
     """Warn when much of the video could not be used, or the map is smaller than the flight."""
     reference, valid = registration.reference, registration.valid
     if valid.mean() < MIN_USED_SHARE:
         _warn(
             f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "
-            f"{reference.time:.1f} s ({', '.join(count_reasons(registration.reason))})"
+            f"{reference.time:.1f} s ({', '.join(register.count_reasons(registration.reason))})"
         )
     typical = float(np.median(registration.uncertainty[valid]))
     if typical > MAX_TYPICAL_UNCERTAINTY_PX:
@@ -264,7 +256,7 @@ def _warn(message: str) -> None:
 
 
 def _describe_method(
-    detections: Detections | None, sampling: Sampling, registration: Registration
+    detections: Detections | None, sampling: Sampling, registration: register.Registration
 ) -> str:
     if detections:
         return "mean masked by detections"

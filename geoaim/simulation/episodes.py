@@ -10,6 +10,7 @@ from torch import Tensor
 from geoaim.agent_types import select_group
 from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
+from geoaim.simulation import simulator
 from geoaim.simulation.infractions import (
     compute_collision_iou,
     compute_offroad_distance,
@@ -24,16 +25,8 @@ from geoaim.simulation.policies import (
 )
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
 from geoaim.simulation.scene import Scene, find_agent, find_step
-from geoaim.simulation.simulator import (
-    Policy,
-    Scenario,
-    apply_rollout,
-    extract_routes,
-    make_scenario,
-    rollout,
-)
 
-SIMPLE_POLICIES: Mapping[str, Policy] = {
+SIMPLE_POLICIES: Mapping[str, simulator.Policy] = {
     "constant-velocity": constant_velocity,
     "constant-turn-rate": constant_turn_rate,
     "replay": replay,
@@ -84,12 +77,12 @@ def simulate_scene(
     """
     check_rules(scene, rules)
     first, steps = _find_steps(scene, start, duration)
-    scenario = make_scenario(scene, torch.tensor([first]), steps)
-    rest = make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
+    scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
+    rest = simulator.make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
     controlled = _select_controlled(scene, first, steps, ego)
     act = _make_policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
-    states = rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
-    simulated = apply_rollout(scene, states[0], first)
+    states = simulator.rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
+    simulated = simulator.apply_rollout(scene, states[0], first)
     rates = _count_infractions(simulated, controlled, rules)
     return Episode(simulated, controlled, rates)
 
@@ -133,12 +126,12 @@ def _select_controlled(scene: Scene, first: int, steps: int, ego: str | None) ->
 
 
 def _make_policy(
-    name: str, rest: Scenario, lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "1 T L"]
-) -> Policy:
+    name: str, rest: simulator.Scenario, lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "1 T L"]
+) -> simulator.Policy:
     """Make the policy of a name; routes and desired speeds come from the rest of the recording."""
     if name == "idm":
         desired_speeds = rest.states[..., 3].amax(dim=1)
-        return make_idm_policy(extract_routes(rest), desired_speeds, lines, states)
+        return make_idm_policy(simulator.extract_routes(rest), desired_speeds, lines, states)
     if name not in SIMPLE_POLICIES:
         raise ValueError(f"there is no policy {name!r}; there are {', '.join(POLICY_NAMES)}")
     return SIMPLE_POLICIES[name]

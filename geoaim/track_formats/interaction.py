@@ -9,14 +9,8 @@ import pandas as pd
 
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_files import read_table
+from geoaim.track_formats import shared
 from geoaim.track_formats.motion import compute_signed_speed, fill_headings
-from geoaim.track_formats.shared import (
-    TrackFormat,
-    check_columns,
-    fill_sizes,
-    has_columns,
-    map_types,
-)
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import MIN_HEADING_SPEED, Tracks
 from geoaim.world import World
@@ -75,7 +69,7 @@ def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tr
         rows = _convert_states(file, table, heading="yaw_rad")
         vehicles = (table["agent_type"].str.lower() != "pedestrian").to_numpy()
         if vehicles.any():
-            check_columns(file, table, numbers=("yaw_rad",))
+            shared.check_columns(file, table, numbers=("yaw_rad",))
         velocity = table[["vx", "vy"]].to_numpy(np.float64)
         signed = compute_signed_speed(velocity, rows["heading"].to_numpy())
         rows["speed"] = np.where(vehicles, signed, rows["speed"])
@@ -87,7 +81,7 @@ def _read_states(path: str | os.PathLike[str], *, heading: str) -> pd.DataFrame:
     """Read and check a file's table; headings may be absent, absent lengths and widths are NaN."""
     table = read_table(path, text=("track_id", "agent_type", "case_id"))
     optional = tuple(name for name in (heading, "length", "width") if name in table)
-    check_columns(path, table, numbers=NUMBERS + optional, others=("track_id", "agent_type"))
+    shared.check_columns(path, table, numbers=NUMBERS + optional, others=("track_id", "agent_type"))
     for name in {"length", "width"} - set(optional):
         table[name] = np.nan
     return table
@@ -100,7 +94,7 @@ def _convert_states(
     rows = pd.DataFrame(
         {
             "id": table["track_id"],
-            "type": map_types(path, table["agent_type"]),
+            "type": shared.map_types(path, table["agent_type"]),
             "time": table["timestamp_ms"] / 1000.0,
             "x": table["x"],
             "y": table["y"],
@@ -110,25 +104,25 @@ def _convert_states(
             "width": table["width"],
         }
     )
-    rows[["length", "width"]] = fill_sizes(rows)
+    rows[["length", "width"]] = shared.fill_sizes(rows)
     moving = rows["speed"] > MIN_HEADING_SPEED
     direction = np.where(moving, np.arctan2(table["vy"], table["vx"]), np.nan)
     rows["heading"] = rows["heading"].where(rows["heading"].notna(), direction)
     return fill_headings(rows)
 
 
-INTERACTION = TrackFormat(
+INTERACTION = shared.TrackFormat(
     "INTERACTION",
-    has_columns("track_id", "timestamp_ms", "x", "vx"),
+    shared.has_columns("track_id", "timestamp_ms", "x", "vx"),
     read_interaction,
     options=("world",),
 )
-_has_vehicle_columns = has_columns("track_id", "timestamp_ms", "x", "yaw_rad")
-_has_pedestrian_columns = has_columns("track_id", "timestamp_ms", "x", "ax", "ay")
+_has_vehicle_columns = shared.has_columns("track_id", "timestamp_ms", "x", "yaw_rad")
+_has_pedestrian_columns = shared.has_columns("track_id", "timestamp_ms", "x", "ax", "ay")
 
 
 def _matches_sind(path: Path, line: str) -> bool:
     return path.is_dir() or _has_vehicle_columns(path, line) or _has_pedestrian_columns(path, line)
 
 
-SIND = TrackFormat("SinD", _matches_sind, read_sind, options=("world",))
+SIND = shared.TrackFormat("SinD", _matches_sind, read_sind, options=("world",))

@@ -14,14 +14,8 @@ import pandas as pd
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.track_files import read_table
+from geoaim.track_formats import shared
 from geoaim.track_formats.motion import compute_signed_speed, fill_headings
-from geoaim.track_formats.shared import (
-    TrackFormat,
-    check_columns,
-    fill_sizes,
-    has_columns,
-    map_types,
-)
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import Tracks
 from geoaim.world import World, find_utm_crs
@@ -45,7 +39,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
         GeoreferenceError: the recording's location lies in no UTM zone.
     """
     table = read_table(path, text=("trackId",))
-    check_columns(path, table, numbers=("frame", *IND_NUMBERS), others=("trackId",))
+    shared.check_columns(path, table, numbers=("frame", *IND_NUMBERS), others=("trackId",))
     recording = _read_recording(path, IND_RECORDING)
     heading = wrap_angle(np.radians(table["heading"].to_numpy(np.float64)))
     velocity = table[["xVelocity", "yVelocity"]].to_numpy(np.float64)
@@ -54,7 +48,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
     rows = pd.DataFrame(
         {
             "id": table["trackId"],
-            "type": map_types(path, _look_up_agents(path, table["trackId"], "class")),
+            "type": shared.map_types(path, _look_up_agents(path, table["trackId"], "class")),
             "time": table["frame"] / recording["frameRate"],
             "x": table["xCenter"],
             "y": table["yCenter"],
@@ -64,7 +58,7 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
             "width": table["width"],
         }
     )
-    rows[["length", "width"]] = fill_sizes(rows)
+    rows[["length", "width"]] = shared.fill_sizes(rows)
     crs = find_utm_crs(recording["lonLocation"], recording["latLocation"])
     world = World(crs, (recording["xUtmOrigin"], recording["yUtmOrigin"]))
     return make_tracks(rows, world)
@@ -82,13 +76,13 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
         TracksError: a table beside it or columns are missing, or a value is not a number.
     """
     table = read_table(path, text=("id",))
-    check_columns(path, table, numbers=HIGHD_COLUMNS, others=("id",))
+    shared.check_columns(path, table, numbers=HIGHD_COLUMNS, others=("id",))
     recording = _read_recording(path, ("frameRate",))
     east, north = table["xVelocity"], -table["yVelocity"]
     rows = pd.DataFrame(
         {
             "id": table["id"],
-            "type": map_types(path, _look_up_agents(path, table["id"], "class")),
+            "type": shared.map_types(path, _look_up_agents(path, table["id"], "class")),
             "time": table["frame"] / recording["frameRate"],
             "x": table["x"] + 0.5 * table["width"],
             "y": -(table["y"] + 0.5 * table["height"]),
@@ -130,7 +124,7 @@ def _read_sibling(
 def _read_recording(path: str | os.PathLike[str], names: tuple[str, ...]) -> dict[str, float]:
     """Read numbers of the recording."""
     table = _read_sibling(path, "recordingMeta")
-    check_columns(f"{path}'s recordingMeta", table, numbers=names)
+    shared.check_columns(f"{path}'s recordingMeta", table, numbers=names)
     recording = {name: float(table[name].iloc[0]) for name in names}
     if not recording["frameRate"] > 0:
         raise TracksError(f"{path}: a frameRate of {recording['frameRate']} is not positive")
@@ -143,14 +137,16 @@ def _look_up_agents(
     """Look up a column of the table of agents for each row of the tracks."""
     id_column = str(ids.name)
     meta = _read_sibling(path, "tracksMeta", (id_column, column))
-    check_columns(f"{path}'s tracksMeta", meta, numbers=(), others=(id_column, column))
+    shared.check_columns(f"{path}'s tracksMeta", meta, numbers=(), others=(id_column, column))
     values = ids.map(meta.drop_duplicates(id_column).set_index(id_column)[column])
     if values.isna().any():
         raise TracksError(f"{path}: {ids[values.isna()].iloc[0]!r} is not in its tracksMeta")
     return values
 
 
-IND = TrackFormat("inD", has_columns("trackId", "frame", "xCenter", "yCenter"), read_ind)
-HIGHD = TrackFormat(
-    "highD", has_columns("id", "frame", "x", "y", "width", "height", "xVelocity"), read_highd
+IND = shared.TrackFormat(
+    "inD", shared.has_columns("trackId", "frame", "xCenter", "yCenter"), read_ind
+)
+HIGHD = shared.TrackFormat(
+    "highD", shared.has_columns("id", "frame", "x", "y", "width", "height", "xVelocity"), read_highd
 )

@@ -23,14 +23,9 @@ from geoaim.aim import AIM
 from geoaim.errors import AlignmentError
 from geoaim.geometry import make_similarity, to_opencv, transform_points
 from geoaim.grid import Grid
+from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
 from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
-from geoaim.imagery.alignment.template_matching import (
-    compute_orientation,
-    reduce_to_grey,
-    resample_grey,
-    smooth_for_step,
-)
 from geoaim.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel of the grid
@@ -186,16 +181,16 @@ def _splat(
 def _classify_ground(imagery: AIM, grid: Grid) -> tuple[Float32[Array, "H W 3"], Int[Array, "H W"]]:
     """Edges (orientation and strength), and the class of each pixel, -1 where nothing is shown."""
     coverage = imagery.coverage * ~_find_blank(imagery.image)
-    image = reduce_to_grey(replace(imagery, coverage=coverage), grid.resolution)
-    grey, valid = resample_grey(image, np.eye(3), grid)
+    image = template_matching.reduce_to_grey(replace(imagery, coverage=coverage), grid.resolution)
+    grey, valid = template_matching.resample_grey(image, np.eye(3), grid)
     if valid.mean() < MIN_GRID_VALID_SHARE:
         raise AlignmentError(
             f"the imagery shows hardly anything where the tracks are: {valid.mean():.1%} of the "
             "ground around them. Is it the same place, and the right CRS?"
         )
-    edges = compute_orientation(grey, valid, grid.resolution)
+    edges = template_matching.compute_orientation(grey, valid, grid.resolution)
     strength = np.hypot(edges[..., 0], edges[..., 1])
-    smooth = smooth_for_step(imagery.image, grid.resolution / imagery.resolution)
+    smooth = template_matching.smooth_for_step(imagery.image, grid.resolution / imagery.resolution)
     matrix = to_opencv(imagery.grid.grid_from_world @ grid.world_from_grid)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     colours = cv2.warpPerspective(smooth, matrix, grid.shape[::-1], flags=flags)

@@ -9,18 +9,8 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.errors import BackgroundError
+from geoaim.mapping.background import running_mean
 from geoaim.mapping.background.exposure import apply_gain, black_level, estimate_gain
-from geoaim.mapping.background.running_mean import (
-    Accumulation,
-    Background,
-    Registered,
-    RunningMean,
-    add_to_mean,
-    average_blocks,
-    finish_mean,
-    is_time_to_check,
-    measure_change,
-)
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_traffic
 from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
 from geoaim.mapping.video.frames import Frame
@@ -29,7 +19,7 @@ MAX_SMALL_SIDE_PX = 1024  # of the frames in which traffic is searched
 
 
 @dataclass(eq=False)
-class TrafficSearch(Accumulation):
+class TrafficSearch(running_mean.Accumulation):
     """Small copies of the frames that `add_to_search` has added so far, and the traffic in them."""
 
     # the small frames, warped to the image
@@ -45,7 +35,9 @@ class TrafficSearch(Accumulation):
         return -(-max(self.size) // MAX_SMALL_SIDE_PX)
 
 
-def remove_traffic(frames: Iterable[Registered], *, size: tuple[int, int]) -> Background:
+def remove_traffic(
+    frames: Iterable[running_mean.Registered], *, size: tuple[int, int]
+) -> running_mean.Background:
     """Average the pixels of registered frames that `traffic_removal` classifies as ground.
 
     Some 30 to 60 frames spread over the video suffice, each with its image_from_frame (3, 3). Each
@@ -83,13 +75,15 @@ def add_to_search(
     search.stack.append(warp(pixels, matrix, small))
     search.seen.append(draw_footprint(pixels.shape, matrix, small).view(bool))
     search.traffic = None
-    if search.tolerance > 0 and is_time_to_check(len(search.stack)):
+    if search.tolerance > 0 and running_mean.is_time_to_check(len(search.stack)):
         search.traffic = _find_traffic(search)
         ground = search.traffic.background.astype(np.float32)
-        measure_change(search, average_blocks(ground, search.reduction))
+        running_mean.measure_change(search, running_mean.average_blocks(ground, search.reduction))
 
 
-def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Background:
+def average_ground(
+    frames: Iterable[running_mean.Registered], search: TrafficSearch
+) -> running_mean.Background:
     """Average frames without the traffic of a search; the search's small frames are dropped.
 
     The frames are those that `add_to_search` got, in the same order.
@@ -106,11 +100,11 @@ def average_ground(frames: Iterable[Registered], search: TrafficSearch) -> Backg
     traffic = search.traffic or _find_traffic(search)
     search.stack.clear()
     search.seen.clear()
-    mean = RunningMean(search.size)
+    mean = running_mean.RunningMean(search.size)
     # the masks first: when they run out, no further frame is read
     for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
-        add_to_mean(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))
-    ground = finish_mean(mean)
+        running_mean.add_to_mean(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))
+    ground = running_mean.finish_mean(mean)
     contested = enlarge_mask(traffic.contested, search.size).view(bool) & (ground.coverage > 0)
     return replace(ground, contested=ground.contested | contested, change=search.change)
 

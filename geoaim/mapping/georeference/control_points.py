@@ -15,13 +15,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
 from geoaim.errors import GeoreferenceError
-from geoaim.mapping.georeference.point_files import (
-    DEGREE_COLUMNS,
-    PointRow,
-    find_columns,
-    make_row,
-    read_point_file,
-)
+from geoaim.mapping.georeference import point_files
 from geoaim.world import LONLAT, parse_crs
 
 
@@ -71,14 +65,14 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
     if isinstance(source, ControlPoints):
         return source if crs is None else replace(source, crs=_merge_crs([source.crs, crs]))
     if isinstance(source, str | Path):
-        return _collect_points(read_point_file(Path(source)), crs, str(source))
+        return _collect_points(point_files.read_point_file(Path(source)), crs, str(source))
     if isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], CRS | None):
         source, dataset_crs = source
         crs = crs or (dataset_crs.to_string() if dataset_crs else None)
     return _collect_points(_read_objects(source, crs), crs, "control points")
 
 
-def _read_objects(items: Iterable[Any], crs: str | None) -> list[PointRow]:
+def _read_objects(items: Iterable[Any], crs: str | None) -> list[point_files.PointRow]:
     rows = []
     for index, item in enumerate(items):
         source = f"control point {index}"
@@ -86,23 +80,25 @@ def _read_objects(items: Iterable[Any], crs: str | None) -> list[PointRow]:
             name = getattr(item, "id", None) or ""
             name = "" if re.fullmatch(r"[0-9a-f-]{36}", name) else name  # rasterio's random one
             values = {"u": item.col, "v": item.row, "x": item.x, "y": item.y, "name": name}
-            rows.append(make_row(values, source))
+            rows.append(point_files.make_row(values, source))
         elif isinstance(item, Mapping):
             keys, listed = [str(key).lower() for key in item], list(item.values())
-            values = {key: listed[at] for key, at in find_columns(keys, source).items()}
-            lonlat = LONLAT if DEGREE_COLUMNS & set(keys) else None
-            rows.append(make_row({"crs": lonlat, **values}, source))
+            values = {key: listed[at] for key, at in point_files.find_columns(keys, source).items()}
+            lonlat = LONLAT if point_files.DEGREE_COLUMNS & set(keys) else None
+            rows.append(point_files.make_row({"crs": lonlat, **values}, source))
         else:
             try:
                 (u, v), (x, y) = item
             except (TypeError, ValueError):
                 raise TypeError(f"{source}: {item!r} is not a ((u, v), (lon, lat)) pair") from None
             values = {"u": u, "v": v, "x": x, "y": y, "crs": crs or LONLAT}
-            rows.append(make_row(values, source))
+            rows.append(point_files.make_row(values, source))
     return rows
 
 
-def _collect_points(rows: list[PointRow], crs: str | None, source: str) -> ControlPoints:
+def _collect_points(
+    rows: list[point_files.PointRow], crs: str | None, source: str
+) -> ControlPoints:
     if not rows:
         raise GeoreferenceError(f"{source}: holds no control points.")
     stated = [row.crs or crs for row in rows]

@@ -4,20 +4,10 @@ import numpy as np
 
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.georeference import normalised_plane, point_checks
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.normalised_plane import (
-    Points,
-    fit_similarity,
-    half_diagonal,
-    normalise_pixels,
-)
 from geoaim.mapping.georeference.outliers import reject_outlier
-from geoaim.mapping.georeference.point_checks import (
-    PICKING_SIGMA_PX,
-    check_coordinates,
-    check_layout,
-)
 from geoaim.mapping.georeference.posterior import fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     Candidate,
@@ -76,15 +66,15 @@ def estimate_georeference(
     """
     size = (height, width)
     world, targets = _project_points(points, world)
-    check_layout(points, targets, size, outside=outside)
-    plane = normalise_pixels(points.pixels, size)
-    world_from_plane = fit_similarity(plane, targets)[0]
+    point_checks.check_layout(points, targets, size, outside=outside)
+    plane = normalised_plane.normalise_pixels(points.pixels, size)
+    world_from_plane = normalised_plane.fit_similarity(plane, targets)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
-    sigma = PICKING_SIGMA_PX / half_diagonal(*size)
+    sigma = point_checks.PICKING_SIGMA_PX / normalised_plane.half_diagonal(*size)
     used = reject_outlier(points.names, pairs, sigma)
     inliers = select_points(points, np.flatnonzero(used).tolist())
     if not used.all():
-        check_layout(inliers, targets[used], size, outside=outside)
+        point_checks.check_layout(inliers, targets[used], size, outside=outside)
     posterior, candidates = _fit_models(inliers.names, select_pairs(pairs, used), sigma, size)
     best = choose_model(candidates)
     scale = world_from_plane[:2, :2]
@@ -113,9 +103,11 @@ def estimate_georeference(
     )
 
 
-def _project_points(points: ControlPoints, world: World | None) -> tuple[World, Points]:
+def _project_points(
+    points: ControlPoints, world: World | None
+) -> tuple[World, normalised_plane.Points]:
     """Choose the world where none is given, and transform the coordinates to its metres."""
-    check_coordinates(points)
+    point_checks.check_coordinates(points)
     if points.crs is None:
         if world is not None and world.crs is not None:
             raise GeoreferenceError(
@@ -146,7 +138,7 @@ def _fit_models(
 
 def _check_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int]) -> None:
     """Check that the chosen model and the posterior are regular over the whole image."""
-    corners = normalise_pixels(image_corners(*size), size)
+    corners = normalised_plane.normalise_pixels(image_corners(*size), size)
     for terms in (best.terms, posterior.mean):
         if (1.0 + corners @ terms[6:8]).min() < MIN_DENOMINATOR or abs(terms[8]) > MAX_RADIAL:
             raise GeoreferenceError(

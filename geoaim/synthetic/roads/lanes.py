@@ -7,21 +7,13 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from geoaim.synthetic.roads import curves
 from geoaim.synthetic.roads.approaches import (
     Approach,
     classify_turn,
     locate_inbound_lane,
     locate_outbound_lane,
     plan_from_road,
-)
-from geoaim.synthetic.roads.curves import (
-    Polyline,
-    compute_headings,
-    connect_poses,
-    make_unit_vector,
-    offset_polyline,
-    resample_polyline,
-    sample_arc,
 )
 from geoaim.synthetic.roads.layouts import RING_LANE_WIDTH_M, Layout
 
@@ -35,7 +27,7 @@ class Lane:
     """A lane in the direction of its traffic."""
 
     name: str  # "east in 0", "east 0 to north 0", "north out 0", "ring past east", ...
-    centreline: Polyline  # equally spaced points, plan metres
+    centreline: curves.Polyline  # equally spaced points, plan metres
     width: tuple[float, float]  # metres
     speed_limit: float = 13.9  # m/s
     turn: str = ""  # L, S or R through the junction; "" elsewhere
@@ -64,11 +56,13 @@ def make_lanes(layout: Layout) -> tuple[tuple[Lane, ...], tuple[Route, ...]]:
     return tuple(lanes), tuple(routes)
 
 
-def compute_lane_bounds(lane: Lane) -> tuple[Polyline, Polyline]:
+def compute_lane_bounds(lane: Lane) -> tuple[curves.Polyline, curves.Polyline]:
     """Compute the left and the right bound of a lane, in plan metres."""
     share = np.linspace(0, 1, len(lane.centreline))
     half = 0.5 * (lane.width[0] + (lane.width[1] - lane.width[0]) * share)
-    return offset_polyline(lane.centreline, half), offset_polyline(lane.centreline, -half)
+    return curves.offset_polyline(lane.centreline, half), curves.offset_polyline(
+        lane.centreline, -half
+    )
 
 
 def _make_approach_lanes(approach: Approach) -> list[Lane]:
@@ -80,7 +74,7 @@ def _make_approach_lanes(approach: Approach) -> list[Lane]:
     def make(name: str, s: Float[Array, "L"], t: float) -> Lane:
         line = plan_from_road(approach, np.stack([s, np.full_like(s, t)], axis=1))
         width = (approach.lane_width, approach.lane_width)
-        return Lane(name, resample_polyline(line), width, approach.speed_limit)
+        return Lane(name, curves.resample_polyline(line), width, approach.speed_limit)
 
     lanes = [make(f"{approach.name} in {k}", s[::-1], t) for k, t in enumerate(inbound)]
     return lanes + [make(f"{approach.name} out {k}", s, t) for k, t in enumerate(outbound)]
@@ -100,8 +94,8 @@ def _make_connecting_lanes(
         start, end = f"{origin.name} in {index}", f"{destination.name} out {exit_index}"
         name = f"{origin.name} {index} to {destination.name} {exit_index}"
         before, after = by_name[start].centreline, by_name[end].centreline
-        headings = compute_headings(before)[-1], compute_headings(after)[0]
-        line = connect_poses(before[-1], headings[0], after[0], headings[1])
+        headings = curves.compute_headings(before)[-1], curves.compute_headings(after)[0]
+        line = curves.connect_poses(before[-1], headings[0], after[0], headings[1])
         width = (origin.lane_width, destination.lane_width)
         speed_limit = min(origin.speed_limit, destination.speed_limit)
         connecting.append(Lane(name, line, width, speed_limit, turn))
@@ -126,13 +120,13 @@ def _make_ring_lanes(layout: Layout, by_name: dict[str, Lane]) -> list[Lane]:
     for road, following in zip(approaches, [*approaches[1:], approaches[0]], strict=True):
         on, off = road.angle + RING_JOIN_ANGLE, road.angle - RING_JOIN_ANGLE
         inbound, outbound = (by_name[f"{road.name} {way} 0"].centreline for way in ("in", "out"))
-        join, leave = radius * make_unit_vector(on), radius * make_unit_vector(off)
-        ends = compute_headings(inbound)[-1], compute_headings(outbound)[0]
+        join, leave = radius * curves.make_unit_vector(on), radius * curves.make_unit_vector(off)
+        ends = curves.compute_headings(inbound)[-1], curves.compute_headings(outbound)[0]
         bend, turn = 1 / radius, np.pi / 2
-        onto = connect_poses(inbound[-1], ends[0], join, on + turn, end_curvature=bend)
-        away = connect_poses(leave, off + turn, outbound[0], ends[1], start_curvature=bend)
+        onto = curves.connect_poses(inbound[-1], ends[0], join, on + turn, end_curvature=bend)
+        away = curves.connect_poses(leave, off + turn, outbound[0], ends[1], start_curvature=bend)
         gap = (following.angle - RING_JOIN_ANGLE - on) % (2 * np.pi)
-        past, after = (sample_arc(radius, angles) for angles in ((off, on), (on, on + gap)))
+        past, after = (curves.sample_arc(radius, angles) for angles in ((off, on), (on, on + gap)))
         wide, narrow = RING_LANE_WIDTH_M, road.lane_width
         lanes += [
             Lane(f"{road.name} onto ring", onto, (narrow, wide), RING_SPEED_LIMIT),

@@ -12,14 +12,7 @@ from shapely import Geometry
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
-from geoaim.synthetic.scenery.texture import (
-    Colour,
-    blend,
-    darken,
-    make_natural_noise,
-    rasterize_polygons,
-    to_share,
-)
+from geoaim.synthetic.scenery import texture
 
 TILE = 2048  # px, side at most of the noise that is repeated over the canvas
 SLOPES = (0.35, 0.9, 1.4, 1.9)  # of the four fields: grain, blotches, patches, hills
@@ -57,7 +50,7 @@ def make_canvas(resolution: float, generator: np.random.Generator) -> Canvas:
     scale = 1 / resolution
     image_from_plan = np.array([[scale, 0, columns / 2], [0, -scale, rows / 2], [0, 0, 1.0]])
     tile = min(TILE, 1 << (max(rows, columns) - 1).bit_length())
-    fields = tuple(make_natural_noise((tile, tile), slope, generator) for slope in SLOPES)
+    fields = tuple(texture.make_natural_noise((tile, tile), slope, generator) for slope in SLOPES)
     image = np.zeros((rows, columns, 3), np.float32)
     return Canvas(image, image_from_plan, resolution, generator, fields)
 
@@ -106,13 +99,15 @@ def rasterize_shape(
     rows, columns = within
     start = np.array([columns.start, rows.start])
     moved = [[ring - start for ring in rings] for rings in polygons]
-    return within, rasterize_polygons((rows.stop - rows.start, columns.stop - columns.start), moved)
+    return within, texture.rasterize_polygons(
+        (rows.stop - rows.start, columns.stop - columns.start), moved
+    )
 
 
 def fill(
     canvas: Canvas,
     shape: Shape,
-    colour: Colour,
+    colour: texture.Colour,
     *,
     strength: float = 1.0,
     grain: Sequence[tuple[int, float]] = (),
@@ -133,16 +128,16 @@ def fill(
         return
     alpha = mask.astype(np.float32) * np.float32(strength / 255)
     if only is not None:
-        alpha *= to_share(rasterize_shape(canvas, only, within=window)[1])
+        alpha *= texture.to_share(rasterize_shape(canvas, only, within=window)[1])
     paint = np.asarray(colour, np.float32)
     if grain:
         light = sum(np.float32(size) * sample_noise(canvas, field, window) for field, size in grain)
         paint = paint + np.asarray(light, np.float32)[..., None]
-    blend(canvas.image[window], alpha, paint)
+    texture.blend(canvas.image[window], alpha, paint)
 
 
 def shade(
-    canvas: Canvas, shape: Shape, share: float | Colour, *, only: Geometry | None = None
+    canvas: Canvas, shape: Shape, share: float | texture.Colour, *, only: Geometry | None = None
 ) -> None:
     """Darken the inside of a shape.
 
@@ -154,10 +149,10 @@ def shade(
     """
     window, mask = rasterize_shape(canvas, shape)
     if mask.any():
-        alpha = to_share(mask)
+        alpha = texture.to_share(mask)
         if only is not None:
-            alpha *= to_share(rasterize_shape(canvas, only, within=window)[1])
-        darken(canvas.image[window], alpha, np.asarray(share, np.float32))
+            alpha *= texture.to_share(rasterize_shape(canvas, only, within=window)[1])
+        texture.darken(canvas.image[window], alpha, np.asarray(share, np.float32))
 
 
 def make_circle(centre: Float[Array, "2"], radius: float) -> Float[Array, "24 2"]:

@@ -9,6 +9,7 @@ from shapely import Geometry, LineString
 
 from geoaim.geometry import transform_points
 from geoaim.synthetic.exact import blur
+from geoaim.synthetic.roads import markings
 from geoaim.synthetic.roads.approaches import (
     Approach,
     locate_inbound_lane,
@@ -17,12 +18,6 @@ from geoaim.synthetic.roads.approaches import (
 )
 from geoaim.synthetic.roads.curves import offset_polyline
 from geoaim.synthetic.roads.lanes import LANE_END_M
-from geoaim.synthetic.roads.markings import (
-    locate_manholes,
-    make_cycle_strips,
-    make_markings,
-    make_tactile_strips,
-)
 from geoaim.synthetic.roads.paving import outline_road
 from geoaim.synthetic.roads.plan import Roads
 from geoaim.synthetic.scenery.canvas import (
@@ -114,7 +109,7 @@ def _draw_pavement(canvas: Canvas, roads: Roads, scenery: Scenery, day: Day) -> 
     palette = PALETTES[day.season]
     green = tuple(0.5 * a + 0.5 * b for a, b in zip((88, 108, 56), palette.grass, strict=True))
     fill(canvas, scenery.verges, (green[0], green[1], green[2]), grain=[(PATCH, 9), (GRAIN, 11)])
-    fill(canvas, make_tactile_strips(roads), (204, 176, 84), strength=0.8, only=paved)
+    fill(canvas, markings.make_tactile_strips(roads), (204, 176, 84), strength=0.8, only=paved)
 
 
 def _draw_joints(canvas: Canvas, area: Geometry, step: float, share: float) -> None:
@@ -152,7 +147,7 @@ def _draw_tar(canvas: Canvas, roads: Roads) -> None:
     whole = outline_road(roads.paving)
     gutter = whole.difference(whole.buffer(-0.5))
     shade(canvas, gutter, 0.13, only=road)
-    for place in locate_manholes(roads):
+    for place in markings.locate_manholes(roads):
         fill(canvas, make_circle(place, 0.42), (92, 90, 86))
         fill(canvas, make_circle(place, 0.33), (70, 67, 64))
 
@@ -276,8 +271,8 @@ def _draw_kerbs(canvas: Canvas, roads: Roads) -> None:
 def _draw_paint(canvas: Canvas, roads: Roads) -> None:
     """Draw markings and cycle lanes, with worn paint."""
     tar = shapely.union_all([roads.paving.carriageway, roads.paving.parking_lot]).buffer(-0.05)
-    _draw_paint_with_wear(canvas, make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
-    _draw_paint_with_wear(canvas, make_markings(roads), WHITE, 0.9, tar)
+    _draw_paint_with_wear(canvas, markings.make_cycle_strips(roads), (158, 66, 58), 0.8, tar)
+    _draw_paint_with_wear(canvas, markings.make_markings(roads), WHITE, 0.9, tar)
 
 
 def _draw_paint_with_wear(

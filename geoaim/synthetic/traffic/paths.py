@@ -10,16 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from geoaim.synthetic.roads import curves
 from geoaim.synthetic.roads.approaches import locate_inbound_lane, plan_from_road
 from geoaim.synthetic.roads.car_park import CAR_PARK_SPEED, Manoeuvre, make_manoeuvres
-from geoaim.synthetic.roads.curves import (
-    POINT_SPACING_M,
-    Polyline,
-    compute_arc_lengths,
-    compute_curvature,
-    compute_headings,
-    resample_polyline,
-)
 from geoaim.synthetic.roads.lanes import Lane, Route
 from geoaim.synthetic.roads.plan import Roads, find_approach, find_signal
 
@@ -38,7 +31,7 @@ class VehiclePath:
     """The path of a vehicle's rear axle (L points)."""
 
     name: str  # "east in 0 to south", "into bay 3", ...
-    line: Polyline  # equally spaced points, plan metres
+    line: curves.Polyline  # equally spaced points, plan metres
     heading: Float[Array, "L"]  # direction of motion, radians, unwrapped
     forward: Bool[Array, "L"]  # whether a vehicle drives forward there
     curvature: Float[Array, "L"]  # 1/m
@@ -55,7 +48,7 @@ class VehiclePath:
 class _Part:
     """A part of a path with one speed limit and priority."""
 
-    line: Polyline
+    line: curves.Polyline
     speed_limit: float
     priority: int
 
@@ -133,17 +126,17 @@ def _make_path(name: str, parts: list[_Part]) -> VehiclePath:
     """Resample and concatenate parts that are driven forward."""
     whole = np.concatenate([parts[0].line, *[part.line[1:] for part in parts[1:]]])
     counts = [len(part.line) - (k > 0) for k, part in enumerate(parts)]
-    line = resample_polyline(whole)
-    s = compute_arc_lengths(line), compute_arc_lengths(whole)
+    line = curves.resample_polyline(whole)
+    s = curves.compute_arc_lengths(line), curves.compute_arc_lengths(whole)
     nearest = np.rint(np.interp(*s, np.arange(len(whole)))).astype(int)
     speed_limit = np.repeat([part.speed_limit for part in parts], counts)[nearest]
     priority = np.repeat([part.priority for part in parts], counts)[nearest]
-    curvature = compute_curvature(line)
+    curvature = curves.compute_curvature(line)
     in_curve = np.sqrt(MAX_LATERAL_ACCELERATION / np.maximum(np.abs(curvature), 1e-4))
     return VehiclePath(
         name=name,
         line=line,
-        heading=compute_headings(line),
+        heading=curves.compute_headings(line),
         forward=np.ones(len(line), bool),
         curvature=curvature,
         speed_limit=np.minimum(speed_limit, in_curve),
@@ -160,10 +153,10 @@ def _add_entry(roads: Roads, path: VehiclePath, route: Route, share: float) -> V
     if np.isfinite(approach.stop):
         t = locate_inbound_lane(approach, int(index))
         point = plan_from_road(approach, np.array([[approach.stop, t]]))[0]
-        stop = POINT_SPACING_M * _find_nearest(path.line, point)
+        stop = curves.POINT_SPACING_M * _find_nearest(path.line, point)
     signal = find_signal(roads, lane, route.turn)
     return replace(path, stop=stop, signal=signal, entry=lane, share=share)
 
 
-def _find_nearest(line: Polyline, point: Float[Array, "2"]) -> int:
+def _find_nearest(line: curves.Polyline, point: Float[Array, "2"]) -> int:
     return int(np.argmin(((line - point) ** 2).sum(axis=1)))

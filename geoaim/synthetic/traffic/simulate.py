@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.roads.pedestrian_network import find_route
 from geoaim.synthetic.roads.plan import Roads
+from geoaim.synthetic.traffic import spawning
 from geoaim.synthetic.traffic.conflicts import find_conflicts
 from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
@@ -22,17 +23,6 @@ from geoaim.synthetic.traffic.pedestrians import (
     step_pedestrians,
 )
 from geoaim.synthetic.traffic.signals import Signals, light_states_at, make_signals
-from geoaim.synthetic.traffic.spawning import (
-    Agents,
-    PedestrianTrip,
-    Trips,
-    VehicleTrip,
-    concat,
-    make_empty,
-    make_pedestrian,
-    make_vehicle,
-    spawn_agents,
-)
 from geoaim.synthetic.traffic.vehicles import (
     PathTables,
     VehiclePairs,
@@ -78,8 +68,8 @@ class TrafficRecording:
 
     times: Float[Array, "T"]  # seconds
     signals: Signals  # the traffic lights during it
-    vehicle_trips: tuple[VehicleTrip, ...]  # of all vehicles
-    pedestrian_trips: tuple[PedestrianTrip, ...]  # of all pedestrians and cyclists
+    vehicle_trips: tuple[spawning.VehicleTrip, ...]  # of all vehicles
+    pedestrian_trips: tuple[spawning.PedestrianTrip, ...]  # of all pedestrians and cyclists
     vehicle_rows: Int[Array, "V 2"]  # step and index of the trip
     vehicle_paths: Int[Array, "V"]  # index of the path
     vehicle_motion: Float[Array, "V 2"]  # s along the path in metres, and speed in m/s
@@ -113,13 +103,13 @@ def simulate_traffic(
     light_states = light_states_at(model.signals, times)
     interval = -WARM_UP_S, duration
     queues = _draw_vehicle_trips(model.paths, interval, generator)
-    trips = Trips(queues, [], [], [])
+    trips = spawning.Trips(queues, [], [], [])
     agents = _place_first_agents(model, trips, generator)
     trips.pedestrian_queue.extend(_draw_pedestrian_trips(model.roads, interval, generator))
     pairs, states = pair_vehicles(agents.vehicles, model.tables), []
     for time, lights in zip(times.tolist(), light_states, strict=True):
         paths = agents.vehicles.path
-        agents = spawn_agents(agents, trips, model.tables, time, generator)
+        agents = spawning.spawn_agents(agents, trips, model.tables, time, generator)
         if agents.vehicles.path is not paths:
             pairs = pair_vehicles(agents.vehicles, model.tables)
         if time > -DT / 2:
@@ -129,10 +119,10 @@ def simulate_traffic(
 
 
 def _place_first_agents(
-    model: TrafficModel, trips: Trips, generator: np.random.Generator
-) -> Agents:
+    model: TrafficModel, trips: spawning.Trips, generator: np.random.Generator
+) -> spawning.Agents:
     """Park vehicles in some bays, and place pedestrians somewhere on their paths."""
-    agents, tables = make_empty(), model.tables
+    agents, tables = spawning.make_empty(), model.tables
     vehicles, pedestrians = agents.vehicles, agents.pedestrians
     for bay in np.unique(tables.bay[tables.bay >= 0]):
         path = int(np.argmax((tables.bay == bay) & tables.into_bay))
@@ -140,23 +130,23 @@ def _place_first_agents(
         parked_until = generator.exponential(PARKED_S)
         if generator.uniform() < PARKED_SHARE:
             s, number = float(tables.length[path]), len(trips.vehicles)
-            vehicle = make_vehicle(trip, number, s=s, parked_until=parked_until)
-            vehicles = concat(vehicles, vehicle)
+            vehicle = spawning.make_vehicle(trip, number, s=s, parked_until=parked_until)
+            vehicles = spawning.concat(vehicles, vehicle)
             trips.vehicles.append(trip)
     trips.pedestrians.extend(_draw_pedestrian_trips(model.roads, (0.0, WALK_S), generator))
     for number, walk in enumerate(trips.pedestrians):
         s = generator.uniform() * POINT_SPACING_M * len(walk.path)
-        pedestrians = concat(pedestrians, make_pedestrian(walk, number, s))
-    return Agents(vehicles, pedestrians)
+        pedestrians = spawning.concat(pedestrians, spawning.make_pedestrian(walk, number, s))
+    return spawning.Agents(vehicles, pedestrians)
 
 
 def _step(
     model: TrafficModel,
-    agents: Agents,
+    agents: spawning.Agents,
     pairs: VehiclePairs,
     lights: Int8[Array, "G"],
     generator: np.random.Generator,
-) -> Agents:
+) -> spawning.Agents:
     pedestrians, tables, crossings = agents.pedestrians, model.tables, model.crossings
     placed = place_vehicles(agents.vehicles, tables)
     outlook = look_ahead(pedestrians, crossings)
@@ -164,11 +154,11 @@ def _step(
     vehicles = step_vehicles(placed, pairs, tables, lights, outlook.visible, DT)
     noise = generator.standard_normal(pedestrians.position.shape)
     pedestrians = step_pedestrians(pedestrians, outlook, reaction, model.pavement, noise, DT)
-    return Agents(vehicles, pedestrians)
+    return spawning.Agents(vehicles, pedestrians)
 
 
 def _make_recording(
-    times: Float[Array, "T"], signals: Signals, states: list[Agents], trips: Trips
+    times: Float[Array, "T"], signals: Signals, states: list[spawning.Agents], trips: spawning.Trips
 ) -> TrafficRecording:
     """Concatenate the states of all steps."""
     vehicles = [state.vehicles for state in states]
@@ -210,7 +200,7 @@ def _make_crossing_table(roads: Roads, signals: Signals) -> CrossingTable:
 
 def _draw_vehicle_trips(
     paths: tuple[VehiclePath, ...], interval: tuple[float, float], generator: np.random.Generator
-) -> list[list[VehicleTrip]]:
+) -> list[list[spawning.VehicleTrip]]:
     """Draw the trips from each entry in the order of time, as Poisson processes."""
     queues, (start, end) = [], interval
     for entry in sorted({path.entry for path in paths if path.entry}):
@@ -228,7 +218,7 @@ def _draw_vehicle_trips(
 
 def _draw_vehicle_trip(
     time: float, index: int, path: VehiclePath, generator: np.random.Generator
-) -> VehicleTrip:
+) -> spawning.VehicleTrip:
     """Draw a vehicle that departs at a time (s) on a path; long ones only on straight paths."""
     is_curved = np.abs(path.curvature).max() > MAX_STRAIGHT_CURVATURE
     max_length = MAX_TURNING_LENGTH_M if is_curved else np.inf
@@ -239,7 +229,7 @@ def _draw_vehicle_trip(
     length, width = generator.uniform(*lengths), generator.uniform(*widths)
     speed_factor = float(np.clip(generator.normal(0.98, 0.11), 0.7, 1.3))
     phases = generator.uniform(0, 2 * np.pi, 2)
-    return VehicleTrip(
+    return spawning.VehicleTrip(
         time=time,
         path=index,
         kind=kind,
@@ -252,7 +242,7 @@ def _draw_vehicle_trip(
 
 def _draw_pedestrian_trips(
     roads: Roads, interval: tuple[float, float], generator: np.random.Generator
-) -> list[PedestrianTrip]:
+) -> list[spawning.PedestrianTrip]:
     """Draw the trips of pedestrians and cyclists in the order of time, as a Poisson process."""
     trips, (start, end) = [], interval
     time = start + generator.exponential(1 / PEDESTRIAN_RATE)
@@ -266,7 +256,7 @@ def _draw_pedestrian_trips(
 
 def _draw_pedestrian_trip(
     roads: Roads, time: float, generator: np.random.Generator
-) -> PedestrianTrip | None:
+) -> spawning.PedestrianTrip | None:
     """A trip between two spawn nodes; None if there is no route."""
     network = roads.footpaths
     start, end = generator.choice(network.spawn_nodes, 2, replace=False)
@@ -286,4 +276,4 @@ def _draw_pedestrian_trip(
     speed = float(np.clip(generator.normal(mean, spread), slowest, fastest))  # m/s
     offset = float(np.clip(generator.normal(-0.25, 0.45), -1.0, 0.9))
     kind = "cyclist" if cycles else "pedestrian"
-    return PedestrianTrip(time, kind, path, crossing, offset, speed)
+    return spawning.PedestrianTrip(time, kind, path, crossing, offset, speed)
