@@ -8,7 +8,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import AimError
 from geoaim.geometry import image_corners, transform_points, translation
-from geoaim.world import World
+from geoaim.world import World, crs_from_world
 
 MAX_SIDE_PX = 30_000  # OpenCV addresses 32767, and a larger map is a wrong resolution
 EDGE_TOLERANCE_PX = 1e-6  # an outline that ends on a grid line adds no row or column
@@ -89,3 +89,26 @@ def pad_grid(grid: Grid, pixels: int) -> Grid:
     """Extend a grid by a number of pixels on every side."""
     shape = grid.height + 2 * pixels, grid.width + 2 * pixels
     return Grid(shape, grid.world_from_grid @ translation(-pixels, -pixels), grid.world)
+
+
+def fit_affine(grid: Grid, world: World, crs: str) -> tuple[Float[Array, "3 3"], float]:
+    """Fit an affine map from the pixels of a grid to a CRS.
+
+    Args:
+        grid: whose coordinates are metres of the world.
+        world: with a CRS of its own.
+        crs: of the map's coordinates.
+
+    Returns:
+        (3, 3) least-squares fit at 5 x 5 places of the grid, and its largest error there in pixels.
+    """
+    shares = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), axis=-1)
+    pixels = shares.reshape(-1, 2) * grid.shape[::-1]
+    points = crs_from_world(world, transform_points(grid.world_from_grid, pixels), crs)
+    mean = points.mean(axis=0)  # subtracted: degrees and millions of metres are ill-conditioned
+    rows = np.column_stack([pixels, np.ones(len(pixels))])
+    fit = np.linalg.lstsq(rows, points - mean, rcond=None)[0]
+    errors = np.linalg.solve(fit[:2].T, (points - mean - rows @ fit).T)
+    matrix = np.vstack([fit.T, [0.0, 0.0, 1.0]])
+    matrix[:2, 2] += mean
+    return matrix, float(np.abs(errors).max())

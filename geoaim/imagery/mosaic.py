@@ -17,8 +17,8 @@ from numpy import ndarray as Array
 
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
-from geoaim.geometry import transform_points, translation
-from geoaim.grid import Grid, make_north_up_grid
+from geoaim.geometry import translation
+from geoaim.grid import Grid, fit_affine, make_north_up_grid
 from geoaim.imagery import resampling
 from geoaim.imagery.rasters import (
     Region,
@@ -30,7 +30,7 @@ from geoaim.imagery.rasters import (
 )
 from geoaim.imagery.sources import Layer, Source, Tiles, describe_source
 from geoaim.limits import check_memory
-from geoaim.world import World, crs_from_world
+from geoaim.world import World
 
 BYTES_PER_PIXEL = 8  # of an image and its coverage
 BLOCK_PX = 1024  # side of the blocks to begin with
@@ -213,27 +213,13 @@ def _split_into_blocks(
             continue
         shape = min(side, grid.height - top), min(side, grid.width - left)
         part = Grid(shape, grid.world_from_grid @ translation(left, top), world)
-        fits = {crs: _fit_affine(part, world, crs) for crs in crses}
+        fits = {crs: fit_affine(part, world, crs) for crs in crses}
         if side > MIN_BLOCK_PX and max(error for _, error in fits.values()) > MAX_AFFINE_ERROR_PX:
             half = side // 2
             waiting += [(top + i, left + j, half) for i in (half, 0) for j in (half, 0)]
         else:
             block = slice(top, top + shape[0]), slice(left, left + shape[1])
             yield block, {crs: matrix for crs, (matrix, _) in fits.items()}
-
-
-def _fit_affine(block: Grid, world: World, crs: str) -> tuple[Float[Array, "3 3"], float]:
-    """The least-squares affine map from a block's pixels to a CRS, and its largest error in px."""
-    shares = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), axis=-1)
-    pixels = shares.reshape(-1, 2) * block.shape[::-1]
-    points = crs_from_world(world, transform_points(block.world_from_grid, pixels), crs)
-    mean = points.mean(axis=0)  # subtracted: degrees and millions of metres are ill-conditioned
-    rows = np.column_stack([pixels, np.ones(len(pixels))])
-    fit = np.linalg.lstsq(rows, points - mean, rcond=None)[0]
-    errors = np.linalg.solve(fit[:2].T, (points - mean - rows @ fit).T)
-    matrix = np.vstack([fit.T, [0.0, 0.0, 1.0]])
-    matrix[:2, 2] += mean
-    return matrix, float(np.abs(errors).max())
 
 
 def _add_below(

@@ -289,4 +289,4 @@ def _prepare_sprites(
 
 def _rescale(image: UInt8[Array, "_ _ c"], scale: float) -> UInt8[Array, "_ _ c"]:
     rows, columns = (max(1, round(side * scale)) for side in image.shape[:2])
-    return resize(image, (columns, rows))
+    return resize(image, (rows, columns))

@@ -34,12 +34,12 @@ def blur(image: UInt8[Array, "H W *c"], sigma: float) -> UInt8[Array, "H W *c"]:
 
 
 def resize(image: UInt8[Array, "H W *c"], size: tuple[int, int]) -> UInt8[Array, "_ _ *c"]:
-    """Resize to (width, height), blurred first if smaller: OpenCV's area mean is inexact."""
-    shrink = image.shape[1] / size[0]
+    """Resize to (height, width), blurred first if smaller: OpenCV's area mean is inexact."""
+    shrink = image.shape[1] / size[1]
     if shrink > 1:
         smooth = blur(image, 0.5 * np.sqrt(shrink**2 - 1))
-        return np.asarray(cv2.resize(smooth, size, interpolation=cv2.INTER_LINEAR_EXACT))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LANCZOS4))
+        return np.asarray(cv2.resize(smooth, size[::-1], interpolation=cv2.INTER_LINEAR_EXACT))
+    return np.asarray(cv2.resize(image, size[::-1], interpolation=cv2.INTER_LANCZOS4))
 
 
 def premultiply(sprite: UInt8[Array, "h w 4"]) -> UInt8[Array, "_ _ 4"]:

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
+from geoaim.grid import Grid, fit_affine
 from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
@@ -93,17 +94,22 @@ def georeference_photo(
     Returns:
         The north-up imagery, with the wrong position in its transform.
     """
-    crs_from_photo = _fit_crs_from_photo(place, photo.shape[:2], crs)
+    rows, columns = photo.shape[:2]
+    grid = Grid((rows, columns), world_from_image(place, WIDTH_M / columns))
+    crs_from_photo, _ = fit_affine(grid, place.world, crs)
     unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # of the CRS, for a pixel of the photo
     pixel = float(np.float32(unit))  # the same number on every machine
-    crs_from_image, (height, width) = _make_grid(crs_from_photo, photo.shape[:2], pixel)
+    # north up, with its corner on whole units of the CRS
+    corners = transform_points(crs_from_photo, image_corners(rows, columns))
+    left, low = np.floor(corners.min(axis=0))
+    right, top = np.ceil(corners.max(axis=0))
+    height, width = round((top - low) / pixel), round((right - left) / pixel)
+    crs_from_image = np.array([[pixel, 0, left], [0, -pixel, top], [0, 0, 1.0]])
     photo_from_image = np.linalg.inv(crs_from_photo) @ crs_from_image
     image, covered = _resample(photo, photo_from_image, height, width)
     middle = place.world_from_plan[None, :2, 2]
     here, there = (crs_from_world(place.world, spot, crs)[0] for spot in (middle, middle + offset))
-    right, up = there - here
-    moved = translation(right, up) @ crs_from_image
-    return Imagery(image, covered, crs, moved)
+    return Imagery(image, covered, crs, translation(*(there - here)) @ crs_from_image)
 
 
 def draw_offset(place: Place) -> tuple[float, float]:
@@ -142,38 +148,12 @@ def _make_generator(place: Place, *number: int) -> np.random.Generator:
     return np.random.default_rng([place.seed, IMAGERY, kind, *number])
 
 
-def _fit_crs_from_photo(place: Place, shape: tuple[int, ...], crs: str) -> Float[Array, "3 3"]:
-    """Fit the affine transform from a photo's pixels to a CRS, exact to a millimetre here."""
-    rows, columns = shape
-    u, v = np.meshgrid(np.linspace(0, columns, 5), np.linspace(0, rows, 5))
-    pixels = np.stack([u.ravel(), v.ravel()], axis=1)
-    world = transform_points(world_from_image(place, WIDTH_M / columns), pixels)
-    places = crs_from_world(place.world, world, crs)
-    middle = places.mean(axis=0)
-    system = np.column_stack([pixels, np.ones(len(pixels))])
-    affine = np.eye(3)
-    affine[:2] = np.linalg.lstsq(system, places - middle, rcond=None)[0].T
-    affine[:2, 2] += middle
-    return affine
-
-
-def _make_grid(
-    crs_from_photo: Float[Array, "3 3"], shape: tuple[int, ...], pixel: float
-) -> tuple[Float[Array, "3 3"], tuple[int, int]]:
-    """Make a north-up grid around a photo, its corner on whole units of the CRS."""
-    corners = transform_points(crs_from_photo, image_corners(*shape))
-    left, low = np.floor(corners.min(axis=0))
-    right, top = np.ceil(corners.max(axis=0))
-    size = round((top - low) / pixel), round((right - left) / pixel)
-    return np.array([[pixel, 0, left], [0, -pixel, top], [0, 0, 1.0]]), size
-
-
 def _apply_sensor(
     still: UInt8[Array, "H W 3"], resolution: float, generator: np.random.Generator
 ) -> UInt8[Array, "_ _ 3"]:
     """Reduce an image from `draw_place` to what a sensor records: resolution, tone, noise."""
-    width, height = (round(side / resolution) for side in (WIDTH_M, HEIGHT_M))
-    small = blur(resize(still, (width, height)), BLUR)
+    height, width = (round(side / resolution) for side in (HEIGHT_M, WIDTH_M))
+    small = blur(resize(still, (height, width)), BLUR)
     levels = np.rint(255 * (np.arange(256) / 255) ** GAMMA).astype(np.float32)
     light = levels[small] * np.asarray(BALANCE, np.float32)
     grey = (light[..., 0] + light[..., 1] + light[..., 2]) / np.float32(3)

@@ -12,7 +12,6 @@ import shapely
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
-from shapely import Polygon
 
 from geoaim.geometry import transform_points
 from geoaim.raster_files import create_raster_file
@@ -93,32 +92,19 @@ def _make_feature(
     place: Place, area: shapely.Geometry, properties: dict[str, Any]
 ) -> dict[str, Any]:
     """Make a GeoJSON feature of the part of an area that lies within the place."""
+
+    def to_lonlat(points: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
+        world = transform_points(place.world_from_plan, points)
+        return np.round(lonlat_from_world(place.world, world), 9)
+
     parts = shapely.get_parts(area.intersection(place.roads.extent))
-    polygons = [
-        Polygon(*_convert_rings(place, part))
-        for part in parts
-        if part.geom_type == "Polygon" and part.area
-    ]
-    whole = shapely.make_valid(shapely.MultiPolygon(polygons), method="structure")
+    polygons = [part for part in parts if part.geom_type == "Polygon" and part.area]
+    whole = shapely.transform(shapely.MultiPolygon(polygons), to_lonlat)
+    whole = shapely.make_valid(whole, method="structure")
     parts = shapely.get_parts(shapely.set_precision(whole, 1e-9))  # rounded, and still valid
     shape = shapely.MultiPolygon([part for part in parts if part.geom_type == "Polygon"])
     geometry = shapely.geometry.mapping(shape)
     return {"type": "Feature", "properties": properties, "geometry": geometry}
-
-
-def _convert_rings(
-    place: Place, part: Polygon
-) -> tuple[list[list[float]], list[list[list[float]]]]:
-    """Convert a polygon's outline and holes to longitude and latitude."""
-    first, *holes = (
-        _to_lonlat(place, np.array(ring.coords)) for ring in (part.exterior, *part.interiors)
-    )
-    return first, holes
-
-
-def _to_lonlat(place: Place, points: Float[Array, "m 2"]) -> list[list[float]]:
-    world = transform_points(place.world_from_plan, points)
-    return np.round(lonlat_from_world(place.world, world), 9).tolist()
 
 
 def _write_geotiff(imagery: Imagery, path: Path) -> None:

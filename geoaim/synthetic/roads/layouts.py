@@ -49,7 +49,7 @@ def make_layout(kind: PlaceKind, generator: np.random.Generator) -> Layout:
         "t": _make_t_junction,
         "roundabout": _make_roundabout,
         "street": _make_street,
-        "park": _make_park,
+        "park": lambda generator: replace(_make_street(generator), kind="park"),
         "campus": _make_campus,
     }
     if kind not in makers:
@@ -131,11 +131,6 @@ def _make_street(generator: np.random.Generator) -> Layout:
     )
     informal = (("east", 45.0),)
     return Layout("street", approaches, 6.0, signalised=True, informal_crossings=informal)
-
-
-def _make_park(generator: np.random.Generator) -> Layout:
-    """A street through a park."""
-    return replace(_make_street(generator), kind="park")
 
 
 def _make_campus(generator: np.random.Generator) -> Layout:

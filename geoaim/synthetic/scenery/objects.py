@@ -64,7 +64,8 @@ def draw_objects(
         day: sun and season.
         generator: source of randomness, the day's own.
     """
-    standing = _remove_felled(scenery.trees, day, generator)
+    felled = generator.permutation(len(scenery.trees))[: day.changes] if day.changes else ()
+    standing = [tree for k, tree in enumerate(scenery.trees) if k not in felled]
     trees = [_place_tree(canvas, tree, day) for tree in standing]
     cars = _park_cars(canvas, scenery, generator)
     boxes = list(scenery.container_areas[: max(day.changes // 2, 0)])
@@ -104,12 +105,6 @@ def grade_colours(canvas: Canvas, day: Day) -> None:
         rows = slice(top, top + ROWS_BLENDED)
         place = np.minimum(np.maximum(image[rows] * TONE_STEPS, 0), 256 * TONE_STEPS - 1)
         image[rows] = tones[place.astype(np.int32)]
-
-
-def _remove_felled(trees: tuple[Tree, ...], day: Day, generator: np.random.Generator) -> list[Tree]:
-    """Leave out trees that were felled since day 0."""
-    felled = generator.permutation(len(trees))[: day.changes] if day.changes else ()
-    return [tree for k, tree in enumerate(trees) if k not in felled]
 
 
 def _place_tree(canvas: Canvas, tree: Tree, day: Day) -> _Stamp:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import shapely
@@ -28,6 +29,8 @@ USES = ("block", "houses", "park", "plaza", "field", "houses", "block")  # twice
 PARCEL_WIDTH_M = (30.0, 46.0)  # smallest and largest
 CLEARANCE_M = 1.5  # around buildings
 TREE_SPACING_M = 9.0  # mean distance of street trees
+Additions = dict[str, Any]  # to the objects and areas of `Scenery`
+Made = tuple[Geometry, Additions]  # on a parcel; with the ground that is left free
 
 
 def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
@@ -50,8 +53,20 @@ def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
             free = area.buffer(-0.5).difference(roads.footpaths.surface.buffer(1.0))
             part = max(shapely.get_parts(free), key=lambda part: part.area, default=Polygon())
             if part.area > 80:
-                scenery = _PARCEL_MAKERS[use](scenery, part, angle, generator)
+                rest, additions = _PARCEL_MAKERS[use](part, angle, generator)
+                additions["container_areas"] = _make_container_areas(rest, angle, generator)
+                scenery = _add(scenery, additions)
     return replace(scenery, parcels=tuple(parcels))
+
+
+def _add(scenery: Scenery, additions: Additions) -> Scenery:
+    """Append to lists of objects, and unite areas."""
+    before = {name: getattr(scenery, name) for name in additions}
+    changes: dict[str, Any] = {
+        name: (*old, *additions[name]) if isinstance(old, tuple) else old.union(additions[name])
+        for name, old in before.items()
+    }
+    return replace(scenery, **changes)
 
 
 def _divide(plot: Polygon, angle: float, generator: np.random.Generator) -> list[Polygon]:
@@ -146,9 +161,7 @@ def _list_bay_spots(roads: Roads) -> tuple[Spot, ...]:
     return tuple(spots)
 
 
-def _make_block(
-    scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
-) -> Scenery:
+def _make_block(plot: Polygon, angle: float, generator: np.random.Generator) -> Made:
     """Add one or two large flat roofs, slabs around them, and a few trees."""
     yard, rest, buildings = plot.buffer(1.4), plot, []
     for _ in range(2):
@@ -158,14 +171,8 @@ def _make_block(
             buildings.append(Building(body[0], size, angle, generator.uniform(6, 13), True, 0))
             rest = rest.difference(Polygon(body[1]).buffer(3.0))
     trees = _scatter_trees(rest, 9, (1.2, 2.4), 4.0, generator)
-    return replace(
-        scenery,
-        slabs=scenery.slabs.union(yard),
-        buildings=(*scenery.buildings, *buildings),
-        trees=(*scenery.trees, *trees),
-        spots=(*scenery.spots, *_make_parking_row(rest, angle, generator)),
-        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
-    )
+    spots = _make_parking_row(rest, angle, generator)
+    return rest, {"slabs": yard, "buildings": buildings, "trees": trees, "spots": spots}
 
 
 def _make_parking_row(area: Geometry, angle: float, generator: np.random.Generator) -> list[Spot]:
@@ -178,9 +185,7 @@ def _make_parking_row(area: Geometry, angle: float, generator: np.random.Generat
     return [Spot((float(x), float(y)), angle + np.pi / 2, 0.7) for x, y in places]
 
 
-def _make_houses(
-    scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
-) -> Scenery:
+def _make_houses(plot: Polygon, angle: float, generator: np.random.Generator) -> Made:
     """Add pitched roofs in gardens, with driveways and hedges."""
     buildings, spots, driveways = [], [], []
     left = plot.buffer(-2.0)
@@ -203,20 +208,12 @@ def _make_houses(
         )
     trees = _scatter_trees(left, 7, (1.6, 3.2), 4.0, generator)
     trees += _scatter_trees(left, 16, (0.5, 1.1), 2.0, generator)
-    return replace(
-        scenery,
-        slabs=shapely.union_all([scenery.slabs, *driveways]),
-        buildings=(*scenery.buildings, *buildings),
-        trees=(*scenery.trees, *trees),
-        hedges=(*scenery.hedges, *_make_hedges(plot, generator)),
-        spots=(*scenery.spots, *spots),
-        container_areas=(*scenery.container_areas, *_make_container_areas(left, angle, generator)),
-    )
+    slabs, hedges = shapely.union_all(driveways), _make_hedges(plot, generator)
+    objects = {"buildings": buildings, "trees": trees, "hedges": hedges, "spots": spots}
+    return left, {"slabs": slabs, **objects}
 
 
-def _make_park(
-    scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
-) -> Scenery:
+def _make_park(plot: Polygon, angle: float, generator: np.random.Generator) -> Made:
     """Add lawn, winding gravel paths, a pond and many trees."""
     x, y = plot.representative_point().coords[0]
     middle = np.array([x, y])
@@ -237,18 +234,10 @@ def _make_park(
     rest = lawn_edge.difference(shapely.union_all([gravel.buffer(1.0), round_pond]))
     trees = _scatter_trees(rest, 18, (2.0, 3.8), 5.0, generator)
     trees += _scatter_trees(rest, 14, (0.5, 1.1), 2.0, generator)
-    return replace(
-        scenery,
-        gravel=scenery.gravel.union(gravel),
-        ponds=scenery.ponds.union(pond),
-        trees=(*scenery.trees, *trees),
-        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
-    )
+    return rest, {"gravel": gravel, "ponds": pond, "trees": trees}
 
 
-def _make_plaza(
-    scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
-) -> Scenery:
+def _make_plaza(plot: Polygon, angle: float, generator: np.random.Generator) -> Made:
     """Add slabs with shrubs, a low flat roof and trees."""
     square = plot.buffer(-0.4)
     size = generator.uniform(12, 18), generator.uniform(9, 13)
@@ -259,30 +248,17 @@ def _make_plaza(
         rest = rest.difference(Polygon(body[1]).buffer(4.0))
     trees = _scatter_trees(rest, 16, (1.3, 2.2), 5.5, generator)
     trees += _scatter_trees(rest, 10, (0.6, 1.2), 3.0, generator)
-    return replace(
-        scenery,
-        slabs=scenery.slabs.union(square.buffer(1.4)),
-        buildings=(*scenery.buildings, *buildings),
-        trees=(*scenery.trees, *trees),
-        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
-    )
+    return rest, {"slabs": square.buffer(1.4), "buildings": buildings, "trees": trees}
 
 
-def _make_field(
-    scenery: Scenery, plot: Polygon, angle: float, generator: np.random.Generator
-) -> Scenery:
+def _make_field(plot: Polygon, angle: float, generator: np.random.Generator) -> Made:
     """Add rough grass with bare soil, shrubs and a few trees."""
     spots = _sample_points(plot, 5, 6.0, generator)
     soil = [_make_blob(spot, generator.uniform(2, 7), generator) for spot in spots]
     rest = plot.buffer(-1.5)
     trees = _scatter_trees(rest, 7, (1.6, 3.2), 5.0, generator)
     trees += _scatter_trees(rest, 30, (0.4, 1.3), 1.4, generator)
-    return replace(
-        scenery,
-        soil=scenery.soil.union(shapely.union_all(soil).intersection(plot)),
-        trees=(*scenery.trees, *trees),
-        container_areas=(*scenery.container_areas, *_make_container_areas(rest, angle, generator)),
-    )
+    return rest, {"soil": shapely.union_all(soil).intersection(plot), "trees": trees}
 
 
 def _make_blob(spot: Point, radius: float, generator: np.random.Generator) -> Polygon:
@@ -377,7 +353,7 @@ def _make_container_areas(
     return rectangles
 
 
-_PARCEL_MAKERS: dict[str, Callable[[Scenery, Polygon, float, np.random.Generator], Scenery]] = {
+_PARCEL_MAKERS: dict[str, Callable[[Polygon, float, np.random.Generator], Made]] = {
     "block": _make_block,
     "houses": _make_houses,
     "park": _make_park,
