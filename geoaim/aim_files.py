@@ -32,7 +32,7 @@ BYTES_PER_PIXEL = 12  # while an AIM is read
 BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
 
 
-def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | None = None) -> None:
+def write_aim(aim: AIM, path: str | os.PathLike[str]) -> None:
     """Write an AIM as one GeoTIFF (cloud-optimised, lossless) that GIS programs open directly.
 
     Bands: red, green, blue, alpha (255 where the coverage is not 0), contested (255 or 0), and
@@ -40,17 +40,16 @@ def write_aim(aim: AIM, path: str | os.PathLike[str], *, resolution: float | Non
     tags GEOAIM and GEOAIM_REPORT. An existing file is replaced only when the new one is complete.
 
     Args:
-        aim: the AIM to write. It is rectified first when a resolution is given, or when its
-            transform is not affine, since a GeoTIFF has no perspective.
+        aim: the AIM to write. It is rectified first when its transform is not affine, since a
+            GeoTIFF has no perspective.
         path: the .tif file.
-        resolution: metres per pixel of the file; None for that of the image.
 
     Raises:
         AimError: the grid would be too large, or the file cannot be written.
         ValueError: the resolution is not positive.
     """
-    if resolution is not None or not aim.is_affine:
-        aim = rectify(aim, resolution)
+    if not aim.is_affine:
+        aim = rectify(aim)
     height, width = aim.coverage.shape
     crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
     profile = {

@@ -9,13 +9,12 @@ a damaged one.
 import hashlib
 import os
 import re
-import warnings
 import zlib
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
-from geoaim.errors import GeoaimError, GeoaimWarning
+from geoaim.errors import GeoaimError, warn
 
 MARK = b"geoaim-sha256:"
 ZEROS = b"0" * 64
@@ -105,11 +104,9 @@ def check_version(
             f"{path} is damaged: it has no checksum, which {name} format {stated} has; make it "
             "again, or take it from a backup"
         )
-    warnings.warn(
+    warn(
         f"{path} is of an earlier version ({name} format {stated}) and has no checksum, so that "
-        "damage to it would go unseen; read it and write it again",
-        GeoaimWarning,
-        stacklevel=4,
+        "damage to it would go unseen; read it and write it again"
     )
 
 

@@ -1,5 +1,8 @@
 """Errors about data; a bad call raises ValueError or TypeError."""
 
+import sys
+import warnings
+
 
 class GeoaimError(Exception):
     """Data that cannot be used: the message says what was found, what was needed, what to do."""
@@ -47,3 +50,11 @@ class ModelError(GeoaimError):
 
 class GeoaimWarning(UserWarning):
     """The result is less than was asked for: a damaged file, a skipped point."""
+
+
+def warn(message: str) -> None:
+    """Warn with `GeoaimWarning`, at the line outside the package from which it was called."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back and frame.f_back.f_globals.get("__name__", "").startswith("geoaim"):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, GeoaimWarning, stacklevel=level + 1)

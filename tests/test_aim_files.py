@@ -127,7 +127,7 @@ def test_oblique_aim_is_rectified_when_written(tmp_path):
 
 
 def test_resolution_of_the_file_can_be_chosen(tmp_path):
-    write_aim(painted_aim(200, 300, TURNED), tmp_path / "aim.tif", resolution=0.2)
+    write_aim(rectify(painted_aim(200, 300, TURNED), 0.2), tmp_path / "aim.tif")
     with rasterio.open(tmp_path / "aim.tif") as dataset:
         assert dataset.res == (0.2, 0.2)
 

@@ -50,7 +50,7 @@ def build(
     from geoaim.aim_summary import summarize_aim
     from geoaim.files import atomic_files, write_figure
     from geoaim.mapping.georeference.from_telemetry import make_local_georeference
-    from geoaim.mapping.georeference.reference_telemetry import override_telemetry
+    from geoaim.mapping.georeference.reference_frame import override_telemetry
     from geoaim.mapping.pipeline import build_aim
     from geoaim.mapping.video.video import open_video
     from geoaim.quicklook import draw_quicklook

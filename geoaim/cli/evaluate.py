@@ -1,7 +1,6 @@
 """The command that evaluates a prediction model."""
 
 import json
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ import typer
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
-from geoaim.errors import GeoaimWarning
+from geoaim.errors import warn
 from geoaim.progress import Progress
 
 
@@ -137,11 +136,7 @@ def _evaluate_on_windows(
         raise ValueError("--windows needs --weights of a model that was trained on windows")
     model = load_model(settings.weights)
     if images is None and model.config.use_observations:
-        warnings.warn(
-            "the model was trained with maps; without --images it gets a uniform grey one",
-            GeoaimWarning,
-            stacklevel=1,
-        )
+        warn("the model was trained with maps; without --images it gets a uniform grey one")
     data = read_windows(WindowFiles(windows, images, scenes), model.config.view)
     samples, seed = settings.samples, settings.seed
     predictors = {"model": make_window_predictor(model, samples), **BASELINES}

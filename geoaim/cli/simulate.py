@@ -1,24 +1,23 @@
 """Commands that render agents on a map and simulate them."""
 
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from jaxtyping import UInt8
-from numpy import ndarray as Array
 
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, read_scene
 from geoaim.cli.outputs import TRACKS, check_output
-from geoaim.progress import Progress
+from geoaim.progress import Progress, report_each
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from geoaim.simulation.scene import Scene
 
 PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
-VIDEO_SIZE_PX, VIDEO_EXTENT_M, VIDEO_TRAIL_S = 512, 80.0, 2.0  # of a simulation's video
+VIDEO = {"size": 512, "extent": 80.0, "trail": 2.0}  # of a simulation: pixels, metres, seconds
 
 
 def render(
@@ -47,8 +46,6 @@ def render(
 
     Example: geoaim render map.tif --tracks samples/tracks.csv --ego 12 -o view.mp4
     """
-    from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import render_agent_video, write_pictures
     from geoaim.simulation.scene import find_agent, find_agent_step
 
     with show_progress() as progress, report_errors():
@@ -60,10 +57,8 @@ def render(
         steps = scene.present[agent].nonzero()[:, 0]
         if output.suffix.lower() == ".png":
             steps = find_agent_step(scene, agent, time)[None]
-        view = View(size, size, extent / size)
-        frames = render_agent_video(scene, agent, view, steps, trail=trail)
-        reported = _report_frames(frames, len(steps), progress)
-        write_pictures(reported, output, frame_rate=1 / scene.dt)
+        view = {"size": size, "extent": extent, "trail": trail}
+        _film_agent(scene, agent, steps, output, progress, **view)
     console.print(f"{output}: {len(steps)} images of {size} x {size} px around agent {ego}")
 
 
@@ -108,7 +103,7 @@ def simulate(
     from geoaim.hdmap.drivable import read_drivable_area
     from geoaim.simulation.episodes import simulate_scene
     from geoaim.simulation.road_rules import make_road_rules
-    from geoaim.simulation.scene import make_tracks
+    from geoaim.simulation.scene import find_agent, make_tracks
     from geoaim.track_files import write_tracks
 
     with show_progress() as progress, report_errors():
@@ -129,30 +124,23 @@ def simulate(
         with atomic_files(output, *([] if video is None else [video])) as parts:
             write_tracks(make_tracks(episode.scene, world), parts[0])
             if video is not None and ego is not None:
-                _write_video(episode.scene, ego, parts[1], progress)
+                agent = find_agent(episode.scene, ego)
+                steps = episode.scene.present[agent].nonzero()[:, 0]
+                _film_agent(episode.scene, agent, steps, parts[1], progress, **VIDEO)
     rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
     count = int(episode.controlled.sum())
     console.print(f"{output}: {count} agents by {policy}. {rates or 'no violation can be counted'}")
 
 
-def _write_video(scene: "Scene", ego: str, path: Path, progress: Progress) -> None:
-    """Write the view around an agent at all of its steps."""
+def _film_agent(
+    scene: "Scene", agent: int, steps: "Tensor", path: Path, progress: Progress, **view: float
+) -> None:
+    """Write the view around an agent: its size (px), its extent (m) and its trail (s)."""
     from geoaim.simulation.ground import View
     from geoaim.simulation.pictures import render_agent_video, write_pictures
-    from geoaim.simulation.scene import find_agent
 
-    agent = find_agent(scene, ego)
-    steps = scene.present[agent].nonzero()[:, 0]
-    view = View(VIDEO_SIZE_PX, VIDEO_SIZE_PX, VIDEO_EXTENT_M / VIDEO_SIZE_PX)
-    frames = render_agent_video(scene, agent, view, steps, trail=VIDEO_TRAIL_S)
-    reported = _report_frames(frames, len(steps), progress)
+    size = int(view["size"])
+    square = View(size, size, view["extent"] / size)
+    frames = render_agent_video(scene, agent, square, steps, trail=view["trail"])
+    reported = report_each(frames, progress, "render", len(steps))
     write_pictures(reported, path, frame_rate=1 / scene.dt)
-
-
-def _report_frames(
-    frames: Iterable[UInt8[Array, "H W 3"]], count: int, progress: Progress
-) -> Iterator[UInt8[Array, "H W 3"]]:
-    """Yield frames and report how many of them are done."""
-    for number, frame in enumerate(frames, 1):
-        progress("render", number, count)
-        yield frame

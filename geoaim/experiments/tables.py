@@ -71,7 +71,7 @@ def run_table(name: str, table: Table, workspace: results.Workspace) -> list[Pat
     by_seed: dict[str, list[dict[str, float]]] = {}
     for number, (title, case) in enumerate(table.cases.items()):
         progress("evaluate", number, len(table.cases))
-        places = find_places(case, kind, workspace.places)
+        places = _find_places(case, kind, workspace.places)
         parts = [evaluate_case(one, case, table.config, places) for one in predictors[case.model]]
         metrics[title] = average_seeds(parts)
         if len(parts) > 1:
@@ -88,24 +88,15 @@ def run_table(name: str, table: Table, workspace: results.Workspace) -> list[Pat
     written = results.write_results(name, metrics, settings, workspace.results)
     picture = written[0].with_suffix(".png")
     shown = [table.cases[title] for title in table.shown]
-    place = find_places(shown[0], kind, workspace.places)[0]
+    place = _find_places(shown[0], kind, workspace.places)[0]
     write_futures_on_maps(
         {case.model: models[case.model][0] for case in shown}, place, table.time, picture
     )
     return [*written, picture]
 
 
-def find_places(case: Case, kind: str, folder: Path) -> list[Path]:
-    """Find the folders of a case's places.
-
-    Args:
-        case: its subset of places.
-        kind: "vehicle" or "pedestrian".
-        folder: of all places.
-
-    Returns:
-        The folders, made where they are missing.
-    """
+def _find_places(case: Case, kind: str, folder: Path) -> list[Path]:
+    """Find the folders of a case's places; those that are missing are made."""
     places = (TRAIN if case.subset == "validation" else TEST)[kind]
     kinds = SUBSETS[case.subset]
     return make_places(folder, [place for place in places if place[1] in kinds])

@@ -1,7 +1,5 @@
 """Signed distance to the edge of a drivable area, on a grid."""
 
-import warnings
-
 import cv2
 import numpy as np
 from affine import Affine
@@ -10,7 +8,7 @@ from numpy import ndarray as Array
 from rasterio.features import rasterize
 from shapely import MultiPolygon
 
-from geoaim.errors import GeoaimWarning, MapError
+from geoaim.errors import MapError, warn
 from geoaim.grid import Grid, make_north_up_grid
 
 SUPERSAMPLING = 4  # cells of the mask in one of the distance, each way
@@ -54,11 +52,9 @@ def _limit_resolution(size: Float[Array, "2"], resolution: float) -> float:
     finest = float(np.sqrt(size.prod() / MAX_CELLS))
     if not 0 < resolution < finest:
         return resolution
-    warnings.warn(
+    warn(
         f"{size[0]:.0f} x {size[1]:.0f} m are too large for distances every {resolution:g} m; "
-        f"they are computed every {finest:.2g} m. Cut the area to what the tracks need",
-        GeoaimWarning,
-        stacklevel=3,
+        f"they are computed every {finest:.2g} m. Cut the area to what the tracks need"
     )
     return finest
 

@@ -6,7 +6,6 @@ aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
 """
 
 import os
-import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,7 +15,7 @@ from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.errors import GeoaimWarning, GeoreferenceError, ImageryError
+from geoaim.errors import GeoreferenceError, ImageryError, warn
 from geoaim.geometry import translation
 from geoaim.grid import Grid, fit_affine, make_north_up_grid
 from geoaim.imagery import resampling
@@ -148,7 +147,7 @@ def _select_layers(layers: Sequence[Layer], region: Region) -> list[Layer]:
             "of files that do not name these themselves"
         )
     if elsewhere:
-        warnings.warn(message, GeoaimWarning, stacklevel=3)
+        warn(message)
     return selected
 
 
@@ -162,11 +161,9 @@ def _project_region(region: Region, crs: str) -> Float[Array, "m 2"]:
 def _warn_of_upsampling(sources: Sequence[_Source], resolution: float) -> None:
     for source in sources:
         if source.resolution > MAX_UPSAMPLING * resolution:
-            warnings.warn(
+            warn(
                 f"{source.layer.name} has pixels of {source.resolution:.3g} m, and "
-                f"{resolution:.3g} m were wanted: the image is no sharper than they are",
-                GeoaimWarning,
-                stacklevel=3,
+                f"{resolution:.3g} m were wanted: the image is no sharper than they are"
             )
 
 
@@ -253,7 +250,7 @@ def _add_below(
 
 def _check_coverage(sources: Sequence[_Source], covered: Bool[Array, "H W"]) -> None:
     for error in (error for source in sources for error in source.unreadable.values()):
-        warnings.warn(f"file skipped, its area stays empty: {error}", GeoaimWarning, stacklevel=4)
+        warn(f"file skipped, its area stays empty: {error}")
     if not covered.any():
         names = ", ".join(source.layer.name for source in sources)
         raise ImageryError(

@@ -4,7 +4,6 @@ import glob
 import os
 import re
 import sqlite3
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimWarning, ImageryError
+from geoaim.errors import ImageryError, warn
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
 from geoaim.imagery.tile_service import Service, fetch_tiles
 from geoaim.limits import refuse_damaged
@@ -43,8 +42,6 @@ class Tiles:
     tile_size: int = 256  # of a service, pixels
     # folder in which a service's tiles are kept for 30 days
     cache: str | os.PathLike[str] = "~/.cache/geoaim/tiles"
-    timeout: int = 20  # of a service, seconds
-    retries: int = 2  # how often a failed read of a service is repeated
 
 
 Source = str | os.PathLike[str] | Tiles
@@ -173,7 +170,7 @@ def _describe_all(
         first = next(iter(errors.values()))
         raise ImageryError(f"none of the {len(errors)} file(s) of {name} can be read: {first}")
     for reason in errors.values():
-        warnings.warn(f"file skipped, its area stays empty: {reason}", GeoaimWarning, stacklevel=2)
+        warn(f"file skipped, its area stays empty: {reason}")
     return tuple(rasters), tuple(errors)
 
 
@@ -214,8 +211,6 @@ def _describe_service(
         name=name,
         tile_size=tiles.tile_size,
         cache=Path(tiles.cache),
-        timeout=tiles.timeout,
-        retries=tiles.retries,
     )
     low, high = (limit * 2.0**zoom for limit in _compute_world_fractions(region))
     low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)

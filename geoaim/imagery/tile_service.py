@@ -19,6 +19,8 @@ from geoaim.files import atomic_write
 from geoaim.raster_files import open_raster_file
 
 CONNECTIONS = 4
+TIMEOUT_S = 20
+RETRIES = 2  # of a failed request
 MAX_AGE_S = 30 * 24 * 3600.0  # of a tile in the cache
 MAX_TILE_BYTES = 20_000_000
 MISSING_CODES = (204, 404)  # with which services answer for tiles that they do not have
@@ -33,8 +35,6 @@ class Service:
     name: str  # used in messages; without access keys
     tile_size: int  # pixels
     cache: Path  # folder
-    timeout: int  # seconds
-    retries: int  # how often a failed request is repeated
 
 
 class _SameHost(urllib.request.HTTPRedirectHandler):
@@ -110,9 +110,9 @@ def _request(service: Service, url: str) -> bytes:
     """Content of a tile; empty where the service has none."""
     request = urllib.request.Request(url, headers={"User-Agent": "geoaim"})
     opener = urllib.request.build_opener(_SameHost)
-    for attempt in range(service.retries + 1):
+    for attempt in range(RETRIES + 1):
         try:
-            with opener.open(request, timeout=service.timeout) as response:
+            with opener.open(request, timeout=TIMEOUT_S) as response:
                 return bytes(response.read(MAX_TILE_BYTES))
         except (OSError, HTTPException, ImageryError) as error:  # URLError is an OSError
             code = 0
@@ -121,7 +121,7 @@ def _request(service: Service, url: str) -> bytes:
                 error.close()
             if code in MISSING_CODES:
                 return b""
-            if attempt == service.retries or isinstance(error, ImageryError):
+            if attempt == RETRIES or isinstance(error, ImageryError):
                 reason = re.sub(r"\?\S*", "?...", str(error))
                 raise ImageryError(f"{service.name} cannot be read: {reason}") from error
         time.sleep(0.2 * 2**attempt)

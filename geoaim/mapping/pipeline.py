@@ -1,6 +1,5 @@
 """Build an AIM from video: registration, background, georeference, in this order."""
 
-import warnings
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.errors import GeoaimWarning, RegistrationError
+from geoaim.errors import RegistrationError, warn
 from geoaim.geometry import transform_points
 from geoaim.mapping.background.running_mean import (
     Background,
@@ -41,7 +40,7 @@ from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sampl
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, no_progress, report_each
 
 MIN_USED_SHARE = 0.5  # of the frames, below which the build warns
 MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # of the registration, above which the build warns
@@ -158,7 +157,7 @@ def _register_and_average(
     )
     if detections or sampling.plain_mean:
         mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
-        rows = _add_until_converged(registered, mean, add_to_mean, total, progress)
+        rows = _accumulate_frames(registered, mean, add_to_mean, total, progress)
         return register.collect_registration(rows, reference), finish_mean(mean)
     search, kept = TrafficSearch(size, sampling.tolerance), []
 
@@ -167,9 +166,10 @@ def _register_and_average(
         if sampling.fits_memory:
             kept.append((replace(frame), matrix))
 
-    rows = _add_until_converged(registered, search, add_and_keep, total, progress)
+    rows = _accumulate_frames(registered, search, add_and_keep, total, progress)
     registration = register.collect_registration(rows, reference)
-    again = _report_frames(kept or read_registered(sampling, registration), total, progress)
+    again = kept or read_registered(sampling, registration)
+    again = report_each(again, progress, "average", total)
     if photos and registration.valid.sum() < MIN_FRAMES:
         background = average_frames(again, size=size)
         return registration, replace(background, contested=background.coverage > 0)
@@ -177,15 +177,7 @@ def _register_and_average(
     return registration, average_ground(again, search)
 
 
-def _report_frames(
-    frames: Iterable[tuple[Frame, Array]], total: int | None, progress: Progress
-) -> Iterator[tuple[Frame, Array]]:
-    for count, pair in enumerate(frames, 1):
-        progress("average", count, total)
-        yield pair
-
-
-def _add_until_converged(
+def _accumulate_frames(
     registered: Iterator[tuple[Frame, FrameRegistration]],
     background: Accumulated,
     add: Callable[[Accumulated, Frame, Float[Array, "3 3"]], None],
@@ -221,23 +213,23 @@ def _warn_of_limits(registration: register.Registration, background: Background)
     """Warn when much of the video could not be used, or the map is smaller than the flight."""
     reference, valid = registration.reference, registration.valid
     if valid.mean() < MIN_USED_SHARE:
-        _warn(
+        warn(
             f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "
             f"{reference.time:.1f} s ({', '.join(register.count_reasons(registration.reason))})"
         )
     typical = float(np.median(registration.uncertainty[valid]))
     if typical > MAX_TYPICAL_UNCERTAINTY_PX:
-        _warn(
+        warn(
             f"frames are registered to about {typical:.1f} px only, since parts of the image move "
             "apart (relief, waves, rolling shutter): markings may be doubled in the background"
         )
     if background.frames_used < MIN_USED_SHARE * valid.sum():
-        _warn(
+        warn(
             f"detections are known of {background.frames_used} of {valid.sum()} frames only; the "
             "others are not used: give a file for every frame, empty where there is no vehicle"
         )
     if background.contested.mean() > MAX_CONTESTED_SHARE:
-        _warn(
+        warn(
             f"the ground is uncertain in {background.contested.mean():.0%} of the pixels: give "
             "detections of the vehicles, or a longer video"
         )
@@ -245,14 +237,10 @@ def _warn_of_limits(registration: register.Registration, background: Background)
     centres = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
     inside = ((centres > 0) & (centres < [reference.width, reference.height])).all(axis=1)
     if not inside.all():
-        _warn(
+        warn(
             f"the view leaves the reference at {reference.time:.1f} s in {(~inside).sum()} of "
             f"{valid.sum()} frames, and the map ends there: build a separate map of each place"
         )
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, GeoaimWarning, stacklevel=4)
 
 
 def _describe_method(

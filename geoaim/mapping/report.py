@@ -39,7 +39,6 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
     """Report the transform model, the residuals of each control point, and the uncertainty."""
     corners = image_corners(georeference.height, georeference.width)
     sigma, bound = predict_uncertainty(georeference, corners)
-    uncertainty = map_uncertainty(georeference)
     rows = []
     if points is not None:
         fitted = world_from_pixels(georeference, points.pixels)
@@ -66,15 +65,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         "leave_one_out_by_model_m": dict(georeference.candidates),
         "corner_sigma_m": sigma,
         "corner_uncertainty_m": bound,
-        "uncertainty": {
-            "map_m": uncertainty.grid.round(4),
-            "middle_m": uncertainty.middle,
-            "median_m": uncertainty.median,
-            "worst_corner": uncertainty.worst_corner,
-            "worst_corner_m": uncertainty.worst,
-            "median_with_point_there_m": uncertainty.median_with_point,
-            "worst_corner_with_point_there_m": uncertainty.worst_with_point,
-        },
+        "uncertainty": map_uncertainty(georeference),
         "points": rows,
     }
 

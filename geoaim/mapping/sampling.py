@@ -1,26 +1,23 @@
 """Choose the frames of a video from which a map is built, and their order."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
 from typing import Literal
 
+import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.mapping.batches import (
-    FIRST_BATCH_FRAMES,
-    MAX_AUTO_FRAMES,
-    read_batches,
-    read_in_one_pass,
-)
 from geoaim.mapping.registration.register import Registration
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
 
 FrameCount = int | Literal["auto", "all"]
 
+FIRST_BATCH_FRAMES = 16  # doubled until the background has converged
+MAX_AUTO_FRAMES = 64
 CONVERGED_GREY_LEVELS = 3.0  # by which the second half of the frames may change the background
 MAX_KEPT_BYTES = 1_600_000_000  # of frames that are not decoded twice: 64 RGB frames of 4K
 MIN_FRAMES_PER_BAND = 50  # of "all"; each frame fills one band of rows: twice as fast
@@ -63,7 +60,7 @@ def sample_video(video: Video, frames: FrameCount) -> Sampling:
             read = partial(_read_one_batch, video, MAX_AUTO_FRAMES)
             return Sampling(read, total, CONVERGED_GREY_LEVELS, fits_memory=fits)
         one_pass = fits and video.keyframe_interval > 2 * video.duration / MAX_AUTO_FRAMES
-        read = partial(read_in_one_pass if one_pass else read_batches, video)
+        read = partial(_read_in_one_pass if one_pass else _read_batches, video)
         count = min(MAX_AUTO_FRAMES, total)
         return Sampling(read, count, CONVERGED_GREY_LEVELS, fits_memory=fits)
     if not isinstance(frames, int) or frames < 1:
@@ -91,3 +88,45 @@ def _fit_into_memory(video: Video, count: int) -> bool:
 
 def _read_one_batch(video: Video, count: int) -> Iterator[Iterator[Frame]]:
     yield video.sample(count)
+
+
+def _read_in_one_pass(video: Video) -> Iterator[Iterator[Frame]]:
+    """Yield the batches of `_read_batches`, all of whose frames are decoded first, in one pass."""
+    batches = list(_list_batch_times(video.duration))
+    times = np.sort(np.concatenate([times for times, _ in batches]))
+    frames = list(video.read_at(times, batches[-1][1] / 2))
+    decoded = np.array([frame.time for frame in frames])
+    read: set[float] = set()
+    for times, _ in batches:
+        nearest = np.abs(decoded - times[:, None]).argmin(1)
+        # copies, so that what is converted of them does not stay in memory
+        yield _skip_read((replace(frames[index]) for index in nearest), read)
+
+
+def _read_batches(video: Video) -> Iterator[Iterator[Frame]]:
+    """Yield batches of 16, 16 and 32 frames, each spread over a video of known length.
+
+    No frame comes twice. Batches must be read to their ends, in order.
+    """
+    read: set[float] = set()
+    for times, spacing in _list_batch_times(video.duration):
+        # a keyframe within half a step replaces a frame
+        yield _skip_read(video.read_at(times, spacing / 2), read)
+
+
+def _skip_read(frames: Iterable[Frame], read: set[float]) -> Iterator[Frame]:
+    """Yield the frames whose times are not yet in `read`, and add these."""
+    for frame in frames:
+        if frame.time not in read:
+            read.add(frame.time)
+            yield frame
+
+
+def _list_batch_times(duration: float) -> Iterator[tuple[Float[Array, " n"], float]]:
+    """Yield the times of each batch (s), and the spacing of all times so far (s)."""
+    end = duration * (1 - 1e-6)
+    count = FIRST_BATCH_FRAMES
+    yield np.linspace(0, end, count, endpoint=False), end / count
+    while 2 * count <= MAX_AUTO_FRAMES:
+        yield (np.arange(count) + 0.5) * end / count, end / count / 2
+        count *= 2

@@ -55,7 +55,9 @@ def _predict_with_policy(
     generator: torch.Generator,
 ) -> Float[Tensor, "B K T N 4"]:
     """Roll agents out by a policy of the simulator; all samples are the same."""
-    states = _roll_out(policy, segments, history)
+    pedestrian = segments.layers == PEDESTRIAN
+    parts = segments.states, segments.present, segments.sizes, pedestrian, segments.dt
+    states = rollout(Scenario(*parts), policy, segments.controlled, history=history)
     return states[:, None].expand(-1, samples, -1, -1, -1)
 
 
@@ -76,8 +78,11 @@ def _predict_with_noise(
     speed = speed * (1 + SPEED_NOISE * noise[..., 1])
     last = torch.stack([x, y, heading, speed], dim=-1)
     states = torch.cat([states[:, : history - 1], last[:, None], states[:, history:]], dim=1)
-    futures = _roll_out(constant_velocity, replace(repeated, states=states), history)
-    return futures.view(len(segments), samples, *futures.shape[1:])
+    noisy = replace(repeated, states=states)
+    futures = _predict_with_policy(
+        constant_velocity, noisy, ground, history=history, samples=1, generator=generator
+    )
+    return futures.view(len(segments), samples, *futures.shape[2:])
 
 
 BASELINES: Mapping[str, Predictor] = {
@@ -85,14 +90,3 @@ BASELINES: Mapping[str, Predictor] = {
     "constant velocity with noise": _predict_with_noise,
     "constant turn rate": partial(_predict_with_policy, constant_turn_rate),
 }
-
-
-def _roll_out(policy: Policy, segments: Segments, history: int) -> Float[Tensor, "B T N 4"]:
-    scenario = Scenario(
-        segments.states,
-        segments.present,
-        segments.sizes,
-        segments.layers == PEDESTRIAN,
-        segments.dt,
-    )
-    return rollout(scenario, policy, segments.controlled, history=history)

@@ -29,14 +29,8 @@ class Process:
     device: torch.device  # the device that it trains on
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """What a training step needs, in the order of `ITRA.forward`."""
-
-    segments: Segments  # the batch, or a process's share of it, augmented
-    ground: Ground  # the map, augmented
-    history: int  # observed steps
-    generator: torch.Generator  # source of the model's noise
+# the first arguments of `ITRA.forward`: segments and ground, augmented; history; generator
+Batch = tuple[Segments, Ground, int, torch.Generator]
 
 
 @contextmanager
@@ -71,7 +65,7 @@ def draw_batch(
         process: gets its share of the batch; augmentation is the same for all.
 
     Returns:
-        The batch.
+        The batch, or the process's share of it.
     """
     draws = torch.Generator().manual_seed(_derive_seed(config.seed, 2 * step))
     least, most = config.history
@@ -89,7 +83,7 @@ def draw_batch(
     batch = scale(move_to(pick(segments, index), process.device), factors)
     generator = torch.Generator(process.device)
     generator.manual_seed(_derive_seed(config.seed, 2 * step + 1) + process.rank)
-    return Batch(batch, scale_ground(ground, factors), history, generator)
+    return batch, scale_ground(ground, factors), history, generator
 
 
 def compute_top_k(config: TrainConfig, step: int, num_anchors: int) -> int:

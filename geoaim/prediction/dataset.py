@@ -1,10 +1,9 @@
 """Datasets: training and validation segments of recordings, all on one ground."""
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.errors import TracksError, warn
 from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
@@ -87,4 +86,4 @@ def _report_problems(parts: dict[str, list[Segments]], problems: dict[str, list[
                 f"{problems[name][0]}. Give longer tracks, or another share for validation"
             )
         for problem in problems[name]:
-            warnings.warn(problem, GeoaimWarning, stacklevel=3)
+            warn(problem)

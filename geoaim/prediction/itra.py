@@ -52,6 +52,7 @@ ATTRIBUTES = 3  # speed, length and width
 DT_TOLERANCE_S = 1e-3
 
 DrawLatent = Callable[[Float[Tensor, "E C"], int], Float[Tensor, "E Z"]]  # of context and step
+Recurrent = tuple[Float[Tensor, "E F"], Float[Tensor, "E H"]]  # encoded views and hidden states
 ChooseAnchor = Callable[[Float[Tensor, "E 4"], Float[Tensor, "E F"]], Float[Tensor, "E P 2"]]
 
 
@@ -88,14 +89,6 @@ class _Batch:
     def present(self) -> Bool[Tensor, "E T"]:
         """Presence of the controlled agents."""
         return self.segments.present[self.controlled.segment, :, self.controlled.agent]
-
-
-@dataclass(frozen=True, eq=False)
-class _Recurrent:
-    """What a controlled agent carries from step to step: encoded view and hidden state."""
-
-    features: Float[Tensor, "E F"]
-    hidden: Float[Tensor, "E H"]
 
 
 class ITRA(nn.Module):
@@ -212,7 +205,7 @@ class ITRA(nn.Module):
         """
         ground = prefilter_ground(ground, self.config.resolution)
         one = self._index(segments, ground, history)
-        observed = self._encode_history(one, self._normalise_actions(one))
+        features, hidden = self._encode_history(one, self._normalise_actions(one))
         number = segments.controlled.long()  # (B, N) row of each controlled agent
         number[one.controlled.segment, one.controlled.agent] = torch.arange(
             len(one.truth), device=number.device
@@ -221,7 +214,7 @@ class ITRA(nn.Module):
         batch = _Batch(repeated, ground, index_controlled(repeated), history)
         segment = batch.controlled.segment
         row = number[segment // samples, batch.controlled.agent]  # (E K,)
-        recurrent = _Recurrent(observed.features[row], observed.hidden[row])
+        recurrent = features[row], hidden[row]
 
         def draw_latent(context: Tensor, step: int) -> Tensor:
             shape = (len(context), self.config.latent_size)
@@ -234,35 +227,33 @@ class ITRA(nn.Module):
         states = self._roll_out(batch, recurrent, draw_latent, choose_anchor)  # (B K, T, N, 4)
         return states.view(len(segments), samples, *states.shape[1:])
 
-    def _encode_history(self, batch: _Batch, actions: Float[Tensor, "E t 2"]) -> _Recurrent:
+    def _encode_history(self, batch: _Batch, actions: Float[Tensor, "E t 2"]) -> Recurrent:
         """Replay all observed steps but the last one, and update hidden states on the way."""
         controlled, sizes = batch.controlled, batch.sizes
-        recurrent = _Recurrent(
-            sizes.new_zeros(len(sizes), self.config.feature_size),
-            sizes.new_zeros(len(sizes), self.config.hidden_size),
-        )
+        features = sizes.new_zeros(len(sizes), self.config.feature_size)
+        hidden = sizes.new_zeros(len(sizes), self.config.hidden_size)
         for step in range(batch.history - 1):
             states = batch.segments.states[:, step]  # (B, N, 4)
-            features = self._encode_view(batch, states, step, recurrent.features)  # (E, F)
+            features = self._encode_view(batch, states, step, features)  # (E, F)
             attributes = _normalise_attributes(states[controlled.segment, controlled.agent], sizes)
             inputs = torch.cat([features, actions[:, step], attributes], dim=1)  # (E, F + 2 + 3)
-            hidden = self.update_hidden(inputs, recurrent.hidden)  # (E, H)
+            updated = self.update_hidden(inputs, hidden)  # (E, H)
             # the hidden state of an agent that enters later stays zero until then
             present = batch.present[:, step : step + 2].all(dim=1, keepdim=True)
-            recurrent = _Recurrent(features, torch.where(present, hidden, recurrent.hidden))
-        return recurrent
+            hidden = torch.where(present, updated, hidden)
+        return features, hidden
 
     def _roll_out(
         self,
         batch: _Batch,
-        recurrent: _Recurrent,
+        recurrent: Recurrent,
         draw_latent: DrawLatent,
         choose_anchor: ChooseAnchor,
     ) -> Float[Tensor, "B T N 4"]:
         """Roll controlled agents out from the last observed step; all others replay."""
         segments, controlled, sizes = batch.segments, batch.controlled, batch.sizes
         first, total = batch.history - 1, segments.states.shape[1]
-        features, hidden, anchor = recurrent.features, recurrent.hidden, None
+        (features, hidden), anchor = recurrent, None
         states = segments.states[:, first]  # (B, N, 4)
         path = list(segments.states[:, : batch.history].unbind(dim=1))
         for step in range(first, total - 1):

@@ -68,15 +68,15 @@ def compute_metrics(
     controlled = segments.controlled
     count = controlled.sum(dim=1)
     metrics = {}
-    for name, errors in (
-        ("ADE", compute_ade(futures, segments, history)),
-        ("FDE", _compute_fde(futures, segments)),
-    ):
+    errors_at_end = (futures[:, :, -1, :, :2] - segments.states[:, None, -1, :, :2]).norm(dim=-1)
+    for name, errors in (("ADE", compute_ade(futures, segments, history)), ("FDE", errors_at_end)):
         best = torch.where(controlled, errors.amin(dim=1), 0.0).sum(dim=1)
         metrics[f"min{name}"] = _make_metric(best, count)
         joint = torch.where(controlled[:, None], errors, 0.0).sum(dim=2).amin(dim=1)
         metrics[f"joint min{name}"] = _make_metric(joint, count)
-    mfd = torch.where(controlled, _compute_mfd(futures), 0.0).sum(dim=1)
+    ends = futures[:, :, -1, :, :2].transpose(1, 2)  # (B, N, K, 2)
+    distances = (ends[:, :, :, None] - ends[:, :, None]).norm(dim=-1).amax(dim=(2, 3))
+    mfd = torch.where(controlled, distances, 0.0).sum(dim=1)
     metrics["MFD"] = _make_metric(mfd, count)
     return metrics | _compute_infraction_rates(futures, segments, history, rules)
 
@@ -96,11 +96,6 @@ def compute_ade(
     """
     offsets = futures[:, :, history:, :, :2] - segments.states[:, None, history:, :, :2]
     return offsets.norm(dim=-1).mean(dim=2)
-
-
-def _compute_fde(futures: Float[Tensor, "B K T N 4"], segments: Segments) -> Float[Tensor, "B K N"]:
-    """Compute the final displacement error of every sample: distance at the last step, metres."""
-    return (futures[:, :, -1, :, :2] - segments.states[:, None, -1, :, :2]).norm(dim=-1)
 
 
 def bootstrap_interval(
@@ -164,12 +159,6 @@ def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
         low, high = bootstrap_interval(metric)
         summary[name] = {"mean": metric.mean, "low": low, "high": high}
     return summary
-
-
-def _compute_mfd(futures: Float[Tensor, "B K T N 4"]) -> Float[Tensor, "B N"]:
-    """The maximum final distance between two samples of an agent, metres."""
-    ends = futures[:, :, -1, :, :2].transpose(1, 2)  # (B, N, K, 2)
-    return (ends[:, :, :, None] - ends[:, :, None]).norm(dim=-1).amax(dim=(2, 3))
 
 
 def _compute_infraction_rates(

@@ -79,10 +79,11 @@ def train(
         ModelError: its checkpoint cannot be read, or the loss is not finite.
     """
     path = Path(folder) / "checkpoint.pt"
+    data = [dataset.train.states, dataset.train.light_states, dataset.ground.image]
     identity = {
         "config": asdict(model.config),
         "training": asdict(config),
-        "start": {"dataset": _hash_dataset(dataset), "weights": hash_weights(model)},
+        "start": {"dataset": _hash_tensors(data), "weights": hash_weights(model)},
     }
     with (
         join_processes(dataset.ground.image.device) as process,
@@ -101,12 +102,7 @@ def train(
             batch = draw_batch(config, dataset.train, ground, step, process)
             top_k = compute_top_k(config, step, model.config.num_anchors)
             losses.append(
-                _update(
-                    parts,
-                    network(batch.segments, batch.ground, batch.history, batch.generator, top_k),
-                    _compute_kl_weight(config, step),
-                    step,
-                )
+                _update(parts, network(*batch, top_k), _compute_kl_weight(config, step), step)
             )
             done = step + 1
             progress("train", done, config.steps)
@@ -123,12 +119,6 @@ def train(
                 write_model(parts.model, written[0])
                 _write_log(log, written[1])  # again: it is missing after an unlucky interruption
     return parts.model.eval()
-
-
-def _hash_dataset(dataset: Dataset) -> str:
-    """Hash a dataset's training segments and map, to tell it from another."""
-    train = dataset.train
-    return _hash_tensors([train.states, train.light_states, dataset.ground.image])
 
 
 def hash_weights(model: ITRA) -> str:

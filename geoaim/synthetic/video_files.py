@@ -1,17 +1,16 @@
 """A synthetic drone video as files: frames, control points, boxes, telemetry, truth."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import shapely
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import Point
 
 from geoaim.encode import write_video
 from geoaim.geometry import transform_points
-from geoaim.progress import Progress
+from geoaim.progress import Progress, report_each
 from geoaim.synthetic.camera import HoverClip, list_boxed_agents, render_background, render_frames
 from geoaim.synthetic.map_files import write_jpeg
 from geoaim.synthetic.place import Place, world_from_image
@@ -34,7 +33,7 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, progress: P
         progress: called with the stage, the frames done and in all.
     """
     place = sample.place
-    frames = _report_frames(clip, progress)
+    frames = report_each(render_frames(clip), progress, "film", len(clip.times))
     write_video(frames, folder / "hover.mp4", frame_rate=clip.hover.frame_rate, crf=26)
     world_from_still = world_from_image(place, sample.resolution)
     world_from_frame = world_from_still @ np.linalg.inv(clip.frame_from_background)
@@ -50,12 +49,6 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, progress: P
         crs=np.array(place.world.crs),
         origin=np.array(place.world.origin),
     )
-
-
-def _report_frames(clip: HoverClip, progress: Progress) -> Iterator[UInt8[Array, "H W 3"]]:
-    for number, frame in enumerate(render_frames(clip)):
-        progress("film", number, len(clip.times))
-        yield frame
 
 
 def _write_control_points(

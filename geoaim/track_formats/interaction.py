@@ -1,13 +1,12 @@
 """The INTERACTION format, which other datasets use as well, and that of SinD, which is similar."""
 
 import os
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.errors import TracksError, warn
 from geoaim.track_files import read_table
 from geoaim.track_formats import shared
 from geoaim.track_formats.motion import compute_signed_speed, fill_headings
@@ -36,11 +35,9 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
     rows = _convert_states(path, table, heading="psi_rad")
     unique = rows.drop_duplicates(["id", "time"])
     if len(unique) < len(rows):
-        warnings.warn(
+        warn(
             f"{path}: {len(rows) - len(unique)} rows repeat an agent's time; the first of each is "
-            "kept",
-            GeoaimWarning,
-            stacklevel=2,
+            "kept"
         )
     return make_tracks(unique, world or World(None))
 

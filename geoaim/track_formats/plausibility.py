@@ -1,7 +1,6 @@
 """Check that sizes, speeds, accelerations and headings are plausible for the agents' types."""
 
 import os
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.errors import TracksError, warn
 from geoaim.geometry import wrap_angle
 from geoaim.track_formats.motion import estimate_velocity, widen_half_window
 from geoaim.tracks import Tracks
@@ -69,11 +68,7 @@ def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
             )
         found.append(text)
     if found:
-        warnings.warn(
-            f"{Path(path)}: {'; '.join(found)}. They are kept as they are",
-            GeoaimWarning,
-            stacklevel=3,
-        )
+        warn(f"{Path(path)}: {'; '.join(found)}. They are kept as they are")
 
 
 def _check_sizes(tracks: Tracks) -> list[_Check]:

@@ -1,7 +1,6 @@
 """What all formats share: `TrackFormat`, checks of columns, agent types and sizes."""
 
 import os
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.errors import TracksError, warn
 from geoaim.tracks import Tracks
 
 # names of agent types in datasets -> ours; all others are only written in lower case
@@ -69,13 +68,11 @@ def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Seri
     types = names.str.lower().replace(AGENT_TYPES)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
     if unknown:
-        warnings.warn(
+        warn(
             f"{Path(path)}: unknown agent types {', '.join(map(repr, unknown))}; they are kept as "
             "types of their own, which count neither as vehicles nor as pedestrians or cyclists, "
             f"and have {OTHER_SIZE[0]} x {OTHER_SIZE[1]} m where no size is given. If one is "
-            "another name of a known type, rename it: dataclasses.replace(tracks, types=...)",
-            GeoaimWarning,
-            stacklevel=3,
+            "another name of a known type, rename it: dataclasses.replace(tracks, types=...)"
         )
     return types
 

@@ -34,7 +34,7 @@ def test_cases_are_evaluated_at_their_places(monkeypatch, tmp_path):
     walking, driving = (
         {
             name: sorted(
-                place.name for place in tables.find_places(case, table.config.kind, tmp_path)
+                place.name for place in tables._find_places(case, table.config.kind, tmp_path)
             )
             for name, case in table.cases.items()
         }

@@ -25,7 +25,7 @@ from geoaim.files import write_figure
 from geoaim.imagery.alignment import pipeline as alignment
 from geoaim.mapping import pipeline as mapping
 from geoaim.mapping import texture
-from geoaim.mapping.georeference import reference_telemetry
+from geoaim.mapping.georeference import reference_frame
 from geoaim.mapping.registration import register
 from geoaim.mapping.video import video
 from geoaim.prediction import dataset, pictures, predict, report, training
@@ -62,7 +62,7 @@ def build(inputs: Path, target: Path) -> None:
     with (
         patch.object(mapping, "build_aim", lambda *_, **__: read_aim(inputs / "aim.tif")),
         patch.object(video, "open_video"),
-        patch.object(reference_telemetry, "override_telemetry"),
+        patch.object(reference_frame, "override_telemetry"),
     ):
         cli.build("video.mp4", target.with_suffix(".tif"))
 

@@ -9,6 +9,7 @@ import pytest
 
 from geoaim.errors import GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
+from geoaim.imagery import tile_service
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Tiles
 from geoaim.world import choose_world, transform_crs, world_from_crs
@@ -198,9 +199,11 @@ def test_tiles_that_a_service_lacks_are_holes(tmp_path, service, status):
     ],
     ids=["fails", "forbids", "page", "size", "slow"],
 )
-def test_failing_service_is_an_error(tmp_path, service, answer, reason):
+def test_failing_service_is_an_error(tmp_path, service, answer, reason, monkeypatch):
+    monkeypatch.setattr(tile_service, "RETRIES", 0)
+    monkeypatch.setattr(tile_service, "TIMEOUT_S", 1)
     _, address = service(lambda *_: answer)
-    tiles = Tiles(address + "?key=secret", cache=tmp_path, retries=0, timeout=1)
+    tiles = Tiles(address + "?key=secret", cache=tmp_path)
     with pytest.raises(ImageryError, match=reason) as caught:
         read_imagery(tiles, **AREA)
     assert "secret" not in str(caught.value)
@@ -223,7 +226,7 @@ def test_tile_size_of_a_service_is_an_option(tmp_path, service):
 
 def test_failed_requests_are_repeated(tmp_path, service):
     server, address = service(lambda p, n: (500, b"", 0.0) if n == 1 else good(p, n))
-    aim = read_imagery(Tiles(address, cache=tmp_path, retries=2), **AREA)
+    aim = read_imagery(Tiles(address, cache=tmp_path), **AREA)
     assert aim.coverage.all()
     assert max(server.seen.values()) == 2
 

@@ -1,7 +1,6 @@
 """The stages in order for third-party imagery: read it, correct its position, check it."""
 
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.errors import AlignmentError, GeoaimWarning, TracksError
+from geoaim.errors import AlignmentError, TracksError, warn
 from geoaim.geometry import transform_points
 from geoaim.imagery.alignment.by_control_points import georeference_picture
 from geoaim.imagery.alignment.by_image import align_image
@@ -155,11 +154,9 @@ def _move(imagery: AIM, evidence: _Evidence) -> AIM:
     direction = alignment.undetermined_direction
     if direction is not None:
         sigma = float(np.sqrt(np.linalg.eigvalsh(alignment.covariance)[1]))
-        warnings.warn(
+        warn(
             f"along {np.degrees(direction) % 180:.0f} degrees from east the place is known to "
-            f"{sigma:.1f} m only (one sigma): nothing changes along straight roads",
-            GeoaimWarning,
-            stacklevel=3,
+            f"{sigma:.1f} m only (one sigma): nothing changes along straight roads"
         )
     return _add_report(
         apply_alignment(imagery, alignment), evidence.name, _report_alignment(alignment)
@@ -171,7 +168,7 @@ def _check(imagery: AIM, evidence: _Evidence) -> AIM:
         alignment = evidence.align(imagery)
     except AlignmentError as error:
         message = f"the {evidence.name} could not check the place: {error}"
-        warnings.warn(message, GeoaimWarning, stacklevel=3)
+        warn(message)
         return _add_report(imagery, evidence.name, {"checked": False, "reason": str(error)})
     return _check_position(imagery, evidence.name, alignment, _find_bounds(evidence.source))
 
@@ -218,13 +215,11 @@ def _check_position(
     uncertainty = float(np.sqrt(CHI2_2D * np.trace(covariance, axis1=1, axis2=2).max() / 2))
     if not agrees:
         east, north = alignment.shift
-        warnings.warn(
+        warn(
             f"by the {name} the imagery's corners would lie up to {offset:.2f} m from where they "
             f"are placed, and its middle {east:.2f} m east and {north:.2f} m north, more than the "
             f"uncertainty of both, {uncertainty:.2f} m (95 %): is the {name} or what placed it "
-            "wrong?",
-            GeoaimWarning,
-            stacklevel=3,
+            "wrong?"
         )
     check = {"checked": True, "agrees": agrees}
     distances = {"corner_offset_m": offset, "corner_uncertainty_m": uncertainty}

@@ -1,13 +1,11 @@
 """Wrong control points: found by how much the misfit falls when a point is left out."""
 
-import warnings
-
 import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray as Array
 from scipy.special import fdtrc
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.errors import GeoreferenceError, warn
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,
@@ -53,12 +51,10 @@ def reject_outlier(names: tuple[str, ...], pairs: PointPairs, sigma: float) -> B
         )
     terms = fit_posterior(select_pairs(pairs, used), sigma, SIGMA_DOF).mean
     offset = (apply_terms(terms, pairs.image) - pairs.ground)[suspects[0]] / sigma
-    warnings.warn(
+    warn(
         f"{names[suspects[0]]} is left out: it lies {np.linalg.norm(offset):.3g} times the picking"
         f" error from where the other {used.sum()} points put it. Check its pixel and its"
-        " coordinates.",
-        GeoaimWarning,
-        stacklevel=3,
+        " coordinates."
     )
     return used
 

@@ -1,6 +1,5 @@
 """Transform control points that were picked on any frames to pixels of the reference."""
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -8,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.errors import GeoreferenceError, warn
 from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
@@ -98,7 +97,7 @@ def _transform_points(
                 f"control points {problem}. {left} are left, at least {MIN_POINTS} are needed:"
                 " pick them on frames that overlap with others"
             )
-        warnings.warn(f"control points {problem}", GeoaimWarning, stacklevel=5)
+        warn(f"control points {problem}")
     merged = merge_observations(select_points(replace(points, pixels=pixels), placed))
     return replace(merged, frames=(None,) * len(merged.pixels))
 

@@ -148,7 +148,9 @@ def _check_mirroring(points: ControlPoints, targets: Points, size: tuple[int, in
         errors["x and y are swapped"] = mirrored
     elif _is_in_area(points.crs, points.coordinates[:, ::-1]):
         swapped = "longitude and latitude" if parse_crs(points.crs).is_geographic else "x and y"
-        errors[f"{swapped} are swapped"] = _fit_swapped(points.crs, points, plane, targets)
+        errors[f"{swapped} are swapped"] = _measure_swapped_error(
+            points.crs, points, plane, targets
+        )
     likely = [cause for cause, error in errors.items() if error <= 4.0 * min(errors.values())]
     causes = f"Either {', or '.join(likely)}: correct it" if len(likely) > 1 else likely[0]
     separator = "." if len(likely) > 1 else ":"
@@ -157,7 +159,9 @@ def _check_mirroring(points: ControlPoints, targets: Points, size: tuple[int, in
     )
 
 
-def _fit_swapped(crs: str, points: ControlPoints, plane: Points, targets: Points) -> float:
+def _measure_swapped_error(
+    crs: str, points: ControlPoints, plane: Points, targets: Points
+) -> float:
     """Squared error of a fit with swapped coordinates, at the given targets' scale."""
     lonlat = transform_crs(crs, LONLAT, points.coordinates[:, ::-1])
     metres = 111_320.0 * np.array([np.cos(np.radians(lonlat[:, 1].mean())), 1.0])

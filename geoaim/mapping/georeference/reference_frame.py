@@ -1,15 +1,28 @@
-"""Georeference the reference frame of a video, by control points on any frame or by telemetry."""
+"""Georeference the reference frame of a video: by control points on any frame, or by telemetry."""
 
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.errors import GeoreferenceError, warn
+from geoaim.geometry import wrap_angle
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.place_points import place_points
 from geoaim.mapping.georeference.point_checks import check_inside
-from geoaim.mapping.georeference.reference_telemetry import georeference_by_telemetry
 from geoaim.mapping.registration.register import Reference
 from geoaim.mapping.video.detections import Detections
+from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.mapping.video.video import Video
 from geoaim.world import LONLAT, choose_world, transform_crs
+
+MAX_TILT = np.radians(10.0)  # of a camera from straight down, without control points
+FILM_DIAGONAL_MM = 43.27  # to which a 35 mm equivalent focal length refers
+MAX_GAP_S = 1.0  # to the entry that states a position, beyond which a warning says so
 
 
 def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
@@ -43,7 +56,7 @@ def georeference_reference_frame(
         GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
     """
     if points is None:
-        return georeference_by_telemetry(video, reference), None, reference
+        return _georeference_by_telemetry(video, reference), None, reference
     check_inside(points, (video.height, video.width))
     points, reference = place_points(points, video, reference, detections)
     world = None
@@ -54,3 +67,103 @@ def georeference_reference_frame(
         points, height=height, width=width, world=world, outside=True
     )
     return georeference, points, reference
+
+
+def override_telemetry(
+    video: Video, *, height: float | None = None, yaw: float | None = None
+) -> Video:
+    """Take the camera's height or heading from the caller instead of from the telemetry.
+
+    Where either is given, a camera whose pitch is not stated is taken to look straight down.
+
+    Args:
+        video: the video, with telemetry that states at least a position.
+        height: metres above the ground; None keeps what the telemetry states.
+        yaw: compass heading of the image's top, degrees clockwise from north; None keeps it.
+
+    Returns:
+        The video with this telemetry.
+
+    Raises:
+        ValueError: the height is not positive, or a value is not finite.
+    """
+    given = {}
+    if height is not None:
+        given["height"] = height
+    if yaw is not None:
+        given["yaw"] = float(wrap_angle(np.radians([90.0 - yaw]))[0])
+    if not (np.isfinite(list(given.values())).all() and given.get("height", 1.0) > 0.0):
+        raise ValueError(f"height {height}, yaw {yaw}: numbers are needed, and a positive height")
+
+    def read() -> Telemetry | None:
+        telemetry = video.read_telemetry()
+        if telemetry is None:
+            return None
+        count = len(telemetry.time)
+        values = {name: np.full(count, value) for name, value in given.items()}
+        if given and np.isnan(telemetry.pitch).all():
+            values["pitch"] = np.full(count, -np.pi / 2)
+        return replace(telemetry, **values)
+
+    return replace(video, read_telemetry=read)
+
+
+def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
+    """Georeference the reference frame approximately by the telemetry of the video.
+
+    Raises:
+        GeoreferenceError: there is no telemetry, it lacks a value, or the camera is tilted by more
+            than 10 degrees from straight down.
+    """
+    telemetry = video.telemetry
+    if telemetry is None:
+        raise GeoreferenceError(
+            f"{video.source}: no control points were given and no telemetry can be read beside it "
+            "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
+            "points, or a resolution for a map in a local plane"
+        )
+    image = "" if video.names is None else f", {video.names[reference.index]}"
+    source, time = f"{video.source}{image}", reference.time
+    names = ("height", "yaw", "pitch", "focal_length")
+    stated = {name: _find_nearest(telemetry.time, getattr(telemetry, name), time) for name in names}
+    if abs(stated["pitch"] + np.pi / 2) > MAX_TILT:
+        raise GeoreferenceError(
+            f"{source}: by its telemetry the camera looks {-np.degrees(stated['pitch']):.0f} "
+            "degrees down; only one that looks straight down (90) can be georeferenced without "
+            "control points: give four or more"
+        )
+    missing = [name for name in names if np.isnan(stated[name])]
+    if missing:
+        raise GeoreferenceError(
+            f"{source}: its telemetry (.SRT, or EXIF and XMP) states no "
+            f"{', no '.join(missing).replace('_', ' ')}. Give --height (metres above the ground) "
+            "and --yaw (degrees from north; in Python `override_telemetry`) of a camera that looks "
+            "straight down, or four or more control points"
+        )
+    known = np.flatnonzero(np.isfinite(telemetry.latitude + telemetry.longitude))
+    nearest = known[np.argmin(np.abs(telemetry.time[known] - time))]
+    if abs(telemetry.time[nearest] - time) >= MAX_GAP_S:
+        warn(
+            f"{source}: the telemetry states no position at {time:.2f} s, where the reference is; "
+            f"that of {telemetry.time[nearest]:.2f} s is used, so that the map is off by the "
+            "distance flown in between"
+        )
+    half_width = (
+        FILM_DIAGONAL_MM / 2 * reference.width / np.hypot(reference.height, reference.width)
+    )
+    return approximate_georeference(
+        latitude=float(telemetry.latitude[nearest]),
+        longitude=float(telemetry.longitude[nearest]),
+        height_above_ground=stated["height"],
+        yaw=stated["yaw"],
+        field_of_view=float(2 * np.arctan(half_width / stated["focal_length"])),
+        size=(reference.height, reference.width),
+    )
+
+
+def _find_nearest(times: Float[Array, " T"], values: Float[Array, " T"], time: float) -> float:
+    """The value that is stated nearest to a time; NaN where none is."""
+    stated = np.flatnonzero(np.isfinite(values))
+    if not len(stated):
+        return float("nan")
+    return float(values[stated[np.argmin(np.abs(times[stated] - time))]])

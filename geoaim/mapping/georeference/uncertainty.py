@@ -1,6 +1,6 @@
 """Uncertainty of a georeference: at any pixel, and as a map with its worst corner."""
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,19 +13,6 @@ from geoaim.mapping.georeference.transform_models import apply_terms, term_jacob
 
 GRID_SHAPE = (9, 15)  # places of an uncertainty map; odd, so that one is the middle
 CORNERS = ("top left", "top right", "bottom right", "bottom left")
-
-
-@dataclass(frozen=True, eq=False)
-class UncertaintyMap:
-    """Radii that hold the true place in 95 % of cases, metres."""
-
-    grid: Float[Array, "9 15"]  # over the image, from corner to corner
-    middle: float  # of the image
-    median: float  # of the grid
-    worst_corner: str  # "top left", "top right", "bottom right" or "bottom left"
-    worst: float  # at that corner
-    median_with_point: float  # median of the grid with a further control point in that corner
-    worst_with_point: float  # at that corner with this point
 
 
 def predict_uncertainty(
@@ -44,8 +31,13 @@ def predict_uncertainty(
     return sigma, sigma * ellipse_factor(georeference.posterior.dof)
 
 
-def map_uncertainty(georeference: Georeference) -> UncertaintyMap:
-    """Map the uncertainty over the image, now and with a further point in its worst corner."""
+def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
+    """Map the uncertainty over the image, now and with a further point in its worst corner.
+
+    Returns:
+        Entries of the report of an AIM: radii that hold the true place in 95 % of cases, metres, on
+        a grid over the image, in its middle and worst corner, and with a control point there.
+    """
     rows, columns = GRID_SHAPE
     v, u = np.linspace(0, georeference.height, rows), np.linspace(0, georeference.width, columns)
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
@@ -61,15 +53,15 @@ def map_uncertainty(georeference: Georeference) -> UncertaintyMap:
     with_point = factor * np.sqrt(
         np.linalg.eigvalsh(design @ remaining @ design.transpose(0, 2, 1))[:, -1].clip(0.0)
     )
-    return UncertaintyMap(
-        grid=grid.reshape(GRID_SHAPE),
-        middle=float(grid[rows * columns // 2]),
-        median=float(np.median(grid)),
-        worst_corner=CORNERS[worst],
-        worst=float(grid[corners[worst]]),
-        median_with_point=float(np.median(with_point)),
-        worst_with_point=float(with_point[corners[worst]]),
-    )
+    return {
+        "map_m": grid.reshape(GRID_SHAPE).round(4),
+        "middle_m": float(grid[rows * columns // 2]),
+        "median_m": float(np.median(grid)),
+        "worst_corner": CORNERS[worst],
+        "worst_corner_m": float(grid[corners[worst]]),
+        "median_with_point_there_m": float(np.median(with_point)),
+        "worst_corner_with_point_there_m": float(with_point[corners[worst]]),
+    }
 
 
 def _design_errors(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 10"]:

@@ -1,7 +1,6 @@
 """Decode video files with FFmpeg: all frames in order, or frames at given times by seeking."""
 
 import math
-import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ from typing import Any
 
 import av
 
-from geoaim.errors import GeoaimWarning, VideoError
+from geoaim.errors import VideoError, warn
 from geoaim.limits import check_regular
 from geoaim.mapping.video.frames import Frame
 
@@ -158,7 +157,7 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
             f"{file.path}: {len(unread)} of {len(times)} requested frames cannot be read, the "
             f"first at {unread[0]:.3f} s: the file ends earlier, or is damaged"
         )
-        warnings.warn(GeoaimWarning(message), stacklevel=2)
+        warn(message)
 
 
 def _open_container(path: Path) -> Any:
@@ -257,7 +256,7 @@ def _warn_of_gaps(file: VideoFile, gaps: list[str], index: int, time: float) -> 
             f"{file.count} frames ({duration:.3f} s) were expected"
         )
     if problems:
-        warnings.warn(GeoaimWarning(f"{file.path}: {'; '.join(problems)}"), stacklevel=3)
+        warn(f"{file.path}: {'; '.join(problems)}")
 
 
 def _compute_end_tolerance(file: VideoFile) -> float:

@@ -3,7 +3,6 @@
 import glob
 import math
 import re
-import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError, VideoError
+from geoaim.errors import GeoreferenceError, VideoError, warn
 from geoaim.limits import check_memory, refuse_damaged
 from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
@@ -76,7 +75,7 @@ class Video:
             return self.read_telemetry()
         except (GeoreferenceError, OSError) as error:
             message = f"{self.source}: its telemetry is ignored: {error}"
-            warnings.warn(GeoaimWarning(message), stacklevel=2)
+            warn(message)
             return None
 
     def frames_at(self, times: Iterable[float]) -> Iterator[Frame]:

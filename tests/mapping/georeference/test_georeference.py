@@ -18,9 +18,10 @@ def test_the_map_names_the_worst_corner_and_a_point_there_helps():
     points = make_points(TILTED, noise=1.0)
     few = select_points(points, [0, 1, 2, 4, 5, 6, 8, 9])
     result = estimate_georeference(few, **SIZE)
-    found = map_uncertainty(result)
-    assert found.worst == pytest.approx(predict_uncertainty(result, image_corners(**SIZE))[1].max())
-    assert found.worst_corner.endswith("right")
-    assert found.middle < found.median < found.worst
-    assert found.worst_with_point < 0.7 * found.worst
-    assert found.median_with_point < found.median
+    found, corners = map_uncertainty(result), image_corners(**SIZE)
+    worst = found["worst_corner_m"]
+    assert worst == pytest.approx(predict_uncertainty(result, corners)[1].max())
+    assert found["worst_corner"].endswith("right")
+    assert found["middle_m"] < found["median_m"] < worst
+    assert found["worst_corner_with_point_there_m"] < 0.7 * worst
+    assert found["median_with_point_there_m"] < found["median_m"]

@@ -1,9 +1,18 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
-from geoaim.mapping.georeference.reference_frame import choose_reference_time
+from geoaim.mapping.georeference.reference_frame import (
+    _georeference_by_telemetry,
+    choose_reference_time,
+    override_telemetry,
+)
+from geoaim.mapping.video.telemetry import PLAUSIBLE, Telemetry
+from geoaim.mapping.video.video import open_video
 from tests.mapping.georeference.points import make_points
 
 
@@ -16,3 +25,52 @@ def test_points_on_the_first_frame_make_it_the_reference(frame, time):
 def test_a_given_georeference_refers_to_the_first_frame():
     assert choose_reference_time(make_local_georeference(resolution=0.1, size=(4, 4))) == 0.0
     assert choose_reference_time(None) is None
+
+
+def open_with_telemetry(**stated):
+    """Three photos a second apart; position in the first only, other fields as given."""
+    values = {name: np.full(3, np.nan) for name in PLAUSIBLE}
+    values["latitude"][0], values["longitude"][0], values["focal_length"][:] = 48.1, 11.5, 24.0
+    values |= {name: np.full(3, value) for name, value in stated.items()}
+    telemetry = Telemetry(np.arange(3.0), **values)
+    video = open_video(np.zeros((3, 60, 80, 3), np.uint8))
+    return replace(
+        video, source="photos", names=("a.jpg", "b.jpg", "c.jpg"), read_telemetry=lambda: telemetry
+    )
+
+
+def reference_at(index):
+    return SimpleNamespace(index=index, time=float(index), height=60, width=80)
+
+
+@pytest.mark.parametrize(
+    ("stated", "missing"),
+    [
+        ({}, "no height, no yaw, no pitch"),
+        ({"height": 80.0, "pitch": -1.5}, "no yaw"),
+        ({"yaw": 0.0, "pitch": -1.5}, "no height"),
+        ({"height": 80.0, "yaw": 0.0}, "no pitch"),
+    ],
+)
+def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
+    stated, missing, unchecked
+):
+    video = open_with_telemetry(**stated)
+    with pytest.raises(GeoreferenceError, match=rf"photos, a\.jpg.*states {missing}\. .*--height"):
+        _georeference_by_telemetry(video, reference_at(0))
+    given = override_telemetry(video, height=80.0, yaw=90.0)  # the image's top points east
+    place = _georeference_by_telemetry(given, reference_at(0)).world_from_image
+    up = -place[:2, 1]
+    np.testing.assert_allclose(up / np.linalg.norm(up), [1.0, 0.0], atol=0.06)  # grid north
+
+
+def test_a_position_of_another_time_is_used_with_a_warning(unchecked):
+    video = open_with_telemetry(height=80.0, yaw=0.0, pitch=-1.5)
+    with pytest.warns(GeoaimWarning, match=r"no position at 2\.00 s.*that of 0\.00 s"):
+        assert _georeference_by_telemetry(video, reference_at(2)).approximate
+
+
+@pytest.mark.parametrize("given", [{"height": 0.0}, {"yaw": np.nan}])
+def test_an_impossible_height_or_heading_is_refused(given):
+    with pytest.raises(ValueError, match="positive height"):
+        override_telemetry(open_with_telemetry(), **given)
