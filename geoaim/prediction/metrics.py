@@ -14,11 +14,8 @@ from torch import Tensor
 
 from geoaim.lights import UNKNOWN
 from geoaim.prediction.segments import VEHICLE, Segments
-from geoaim.simulation.infractions import (
-    compute_collision_iou,
-    compute_offroad_distance,
-    detect_red_light_running,
-)
+from geoaim.simulation.infractions import compute_offroad_distance, detect_red_light_running
+from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
 BOOTSTRAP_DRAWS = 1000
@@ -170,8 +167,8 @@ def _compute_infraction_rates(
     present = segments.present[:, None, history:].expand(*after.shape[:4])
     controlled = present & segments.controlled[:, None, None]
     sizes = segments.sizes[:, None, None].expand(*present.shape, 2)
-    overlap = compute_collision_iou(after.flatten(0, 2), sizes.flatten(0, 2), present.flatten(0, 2))
-    rates = {"collision rate": _make_rate((overlap > 0).view(present.shape), controlled)}
+    iou = box_iou(after.flatten(0, 2), sizes.flatten(0, 2), present.flatten(0, 2))
+    rates = {"collision rate": _make_rate((iou > 0).any(-1).view(present.shape), controlled)}
     vehicles = controlled & (segments.layers == VEHICLE)[:, None, None]
     if rules.drivable is not None and vehicles.any():
         offroad = compute_offroad_distance(rules.drivable, after, sizes, vehicles) > 0

@@ -12,11 +12,11 @@ from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
 from geoaim.simulation import simulator
 from geoaim.simulation.infractions import (
-    compute_collision_iou,
     compute_offroad_distance,
     detect_red_light_running,
     detect_wrong_way,
 )
+from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.policies import (
     constant_turn_rate,
     constant_velocity,
@@ -149,7 +149,8 @@ def _count_infractions(
     counted = present & controlled  # (S, A)
     vehicles = counted & torch.from_numpy(select_group(scene.types, "vehicle")).to(counted.device)
     # by name, (S, A) infractions and (S, A) chances to commit them
-    found = {"collision": (compute_collision_iou(poses, sizes, present) > 0, counted)}
+    collides = (box_iou(poses, sizes, present) > 0).any(dim=-1)
+    found = {"collision": (collides, counted)}
     states = scene.light_states[HISTORY_STEPS:]
     lit = (states != UNKNOWN).any(dim=1, keepdim=True)
     if lit.any():

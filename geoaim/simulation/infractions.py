@@ -13,7 +13,7 @@ from torch import Tensor
 
 from geoaim.lights import RED
 from geoaim.simulation.ground import apply_matrix
-from geoaim.simulation.overlap import box_iou, compute_box_corners, cross
+from geoaim.simulation.overlap import compute_box_corners, cross
 
 WRONG_WAY_ANGLE_RAD = 2.0  # at which a heading differs too much from a lane's direction
 
@@ -75,22 +75,6 @@ def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float
     scale = torch.linalg.det(matrix[:, :2].double()).abs().sqrt().to(points)
     extra = torch.where(beyond[..., None], offset, 1.0).norm(dim=-1) / scale
     return distance.to(points).view(points.shape[:-1]) + torch.where(beyond, extra, 0.0)
-
-
-def compute_collision_iou(
-    poses: Float[Tensor, "B A 3"], sizes: Float[Tensor, "B A 2"], present: Bool[Tensor, "B A"]
-) -> Float[Tensor, "B A"]:
-    """Compute the largest intersection over union of each agent's box with another agent's.
-
-    Args:
-        poses: (B, A, 3) x, y, heading of one agent or more.
-        sizes: (B, A, 2) length and width, metres.
-        present: (B, A); poses of absent agents may be NaN.
-
-    Returns:
-        (B, A) from 0 to 1; an agent collides where it is positive.
-    """
-    return box_iou(poses, sizes, present).amax(dim=-1)
 
 
 def detect_red_light_running(

@@ -8,12 +8,12 @@ from geoaim.lights import GREEN, RED, UNKNOWN
 from geoaim.simulation.infractions import (
     Drivable,
     Lanes,
-    compute_collision_iou,
     compute_offroad_distance,
     detect_red_light_running,
     detect_wrong_way,
     sample_distance,
 )
+from geoaim.simulation.overlap import box_iou
 
 AREA = MultiPolygon([Polygon(box(-40, -5, 40, 5).exterior, [box(-2, -2, 2, 2).exterior.coords])])
 CAR = torch.tensor([4.0, 2.0])
@@ -57,7 +57,8 @@ def test_gradient_leads_back_to_the_road():
 
 def test_collision_is_the_largest_overlap():
     poses = torch.tensor([[[0.0, 0, 0], [3.0, 0, 0], [3.5, 0, 0], [0.0, 30, 0]]])
-    result = compute_collision_iou(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())[0]
+    iou = box_iou(poses, CAR.expand(1, 4, 2), torch.ones(1, 4).bool())
+    result = iou.amax(dim=-1)[0]
     expected = torch.tensor([1 / 7, 3.5 / 4.5, 3.5 / 4.5, 0])
     torch.testing.assert_close(result, expected, atol=1e-4, rtol=0)
 
@@ -106,9 +107,8 @@ def test_autocast_does_not_change_infractions():
     drivable = _drivable()
 
     def both():
-        return compute_offroad_distance(drivable, poses, sizes, there), compute_collision_iou(
-            poses, sizes, there
-        )
+        offroad = compute_offroad_distance(drivable, poses, sizes, there)
+        return offroad, box_iou(poses, sizes, there)
 
     plain = both()
     with torch.autocast("cpu", torch.bfloat16):

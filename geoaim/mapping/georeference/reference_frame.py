@@ -1,5 +1,6 @@
 """Georeference the reference frame of a video: by control points on any frame, or by telemetry."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -7,14 +8,18 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoreferenceError, warn
-from geoaim.geometry import wrap_angle
-from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.geometry import transform_points, wrap_angle
+from geoaim.mapping.georeference.control_points import (
+    ControlPoints,
+    merge_observations,
+    select_points,
+)
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.place_points import place_points
-from geoaim.mapping.georeference.point_checks import check_inside
-from geoaim.mapping.registration.register import Reference
+from geoaim.mapping.georeference.photo_links import chain_links, choose_central_photo, link_photos
+from geoaim.mapping.georeference.point_checks import MIN_POINTS, check_inside
+from geoaim.mapping.registration.register import Reference, choose_reference, register_frames
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.mapping.video.video import Video
@@ -23,6 +28,7 @@ from geoaim.world import LONLAT, choose_world, transform_crs
 MAX_TILT = np.radians(10.0)  # of a camera from straight down, without control points
 FILM_DIAGONAL_MM = 43.27  # to which a 35 mm equivalent focal length refers
 MAX_GAP_S = 1.0  # to the entry that states a position, beyond which a warning says so
+FrameName = str | int | None  # of the frame that a control point was picked on
 
 
 def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
@@ -50,7 +56,7 @@ def georeference_reference_frame(
 
     Returns:
         The georeference; one control point for each place, with pixels of the reference frame; and
-        the reference, which is another one where `place_points` needs it.
+        the reference, which is another one where photos overlap in a chain only.
 
     Raises:
         GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
@@ -58,7 +64,7 @@ def georeference_reference_frame(
     if points is None:
         return _georeference_by_telemetry(video, reference), None, reference
     check_inside(points, (video.height, video.width))
-    points, reference = place_points(points, video, reference, detections)
+    points, reference = _place_points(points, video, reference, detections)
     world = None
     if crs is not None and points.crs is not None:
         world = choose_world(transform_crs(points.crs, LONLAT, points.coordinates), crs=crs)
@@ -67,6 +73,89 @@ def georeference_reference_frame(
         points, height=height, width=width, world=world, outside=True
     )
     return georeference, points, reference
+
+
+def _place_points(
+    points: ControlPoints, video: Video, reference: Reference, detections: Detections | None
+) -> tuple[ControlPoints, Reference]:
+    """Transform control points to the reference; points that cannot be placed are left out.
+
+    Where photos of a flight cannot all be registered to one, overlapping photos are linked, and the
+    central one of those with control points becomes the reference.
+    """
+    frames = {picked: _find_frame_index(picked, video) for picked in points.frames}
+    transforms, reasons = {}, {}
+    for picked, index in frames.items():
+        frame = next(iter(video.frames_at([index / video.rate])))
+        [(_, placement)] = register_frames([frame], reference, detections=detections)
+        if placement.valid:
+            transforms[picked] = placement.reference_from_frame
+        elif video.names is not None and len(frames) > 1:
+            return _place_by_links(points, frames, video, detections)
+        else:
+            reasons[picked] = placement.reason
+    return _move_points(points, transforms, reasons, reference), reference
+
+
+def _place_by_links(
+    points: ControlPoints,
+    frames: Mapping[FrameName, int],
+    video: Video,
+    detections: Detections | None,
+) -> tuple[ControlPoints, Reference]:
+    links = link_photos(video, detections)
+    central = choose_central_photo(links, list(frames.values()))
+    reference = choose_reference(video, detections=detections, time=central / video.rate)
+    chained = {picked: chain_links(links, index, central) for picked, index in frames.items()}
+    transforms = {picked: matrix for picked, matrix in chained.items() if matrix is not None}
+    reasons = dict.fromkeys(set(chained) - set(transforms), "it overlaps with no other")
+    return _move_points(points, transforms, reasons, reference), reference
+
+
+def _move_points(
+    points: ControlPoints,
+    transforms: Mapping[FrameName, Float[Array, "3 3"]],
+    reasons: Mapping[FrameName, str],
+    reference: Reference,
+) -> ControlPoints:
+    """Points in pixels of the reference; those on frames without a transform are left out."""
+    pixels = points.pixels.copy()
+    for i, picked in enumerate(points.frames):
+        if picked in transforms:
+            pixels[i] = transform_points(transforms[picked], pixels[i : i + 1])[0]
+    placed = [i for i, picked in enumerate(points.frames) if picked in transforms]
+    left = len(np.unique(points.coordinates[placed], axis=0))
+    if reasons:
+        dropped = ", ".join(
+            f"{name} on frame {picked or 0} ({reasons[picked]})"
+            for name, picked in zip(points.names, points.frames, strict=True)
+            if picked in reasons
+        )
+        problem = f"cannot be registered to frame {reference.index} and are left out: {dropped}"
+        if left < MIN_POINTS:
+            raise GeoreferenceError(
+                f"control points {problem}. {left} are left, at least {MIN_POINTS} are needed:"
+                " pick them on frames that overlap with others"
+            )
+        warn(f"control points {problem}")
+    merged = merge_observations(select_points(replace(points, pixels=pixels), placed))
+    return replace(merged, frames=(None,) * len(merged.pixels))
+
+
+def _find_frame_index(picked: FrameName, video: Video) -> int:
+    if picked is None or isinstance(picked, int):
+        if picked and video.frame_count is not None and picked >= video.frame_count:
+            raise GeoreferenceError(
+                f"control points name frame {picked}, but {video.source} has {video.frame_count} "
+                "frames, counted from 0"
+            )
+        return picked or 0
+    if video.names is None or picked not in video.names:
+        raise GeoreferenceError(
+            f"control points name the frame {picked!r}, which is not among those of "
+            f"{video.source}; use the file's name, or a frame's number for a video"
+        )
+    return video.names.index(picked)
 
 
 def override_telemetry(
