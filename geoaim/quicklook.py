@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
@@ -67,12 +68,12 @@ def _draw_points(axes: Axes, aim: AIM) -> None:
 
 def _draw_drift(axes: Axes, registration: Mapping[str, Any]) -> None:
     """Draw where the frames' centres lie in the reference."""
-    axes.set_title("drift of the frame centre, px", fontsize=9)
+    axes.set_title("drift of the frame centre, px", fontsize=9, loc="left")
     path = np.array(sorted(registration.get("path", [])), float).reshape(-1, 3)
     if len(path):
         axes.plot(path[:, 1], path[:, 2], "-", color="0.7", linewidth=0.8)
         drawn = axes.scatter(path[:, 1], path[:, 2], c=path[:, 0], s=12, cmap="viridis")
-        axes.figure.colorbar(drawn, ax=axes, label="time, s")
+        _add_scale(axes, drawn, "time, s")
         axes.set_aspect("equal", "datalim")
         axes.tick_params(labelsize=7)
         axes.ticklabel_format(useOffset=False)
@@ -83,20 +84,26 @@ def _draw_coverage(axes: Axes, aim: AIM) -> None:
     height, width = aim.image.shape[:2]
     extent, step = (0, width, height, 0), slice(None, None, RASTER_STRIDE)
     drawn = axes.imshow(aim.coverage[step, step], extent=extent, vmin=0, cmap="magma")
-    axes.figure.colorbar(drawn, ax=axes, label="frames")
+    _add_scale(axes, drawn, "frames")
     contested = np.where(aim.contested[step, step], 1.0, np.nan)
     axes.imshow(contested, extent=extent, cmap="cool", vmin=0, vmax=1)
-    axes.set_title("frames per pixel (magenta: contested)", fontsize=9)
+    axes.set_title("frames per pixel (magenta: contested)", fontsize=9, loc="left")
     axes.set(xticks=[], yticks=[])
 
 
 def _draw_uncertainty(axes: Axes, georeference: Mapping[str, Any]) -> None:
     """Draw the 95 % radius over the image of the video, before any resampling."""
-    axes.set_title("95 % uncertainty of the place over the frame", fontsize=9)
+    axes.set_title("95 % uncertainty of the place over the frame", fontsize=9, loc="left")
     axes.set(xticks=[], yticks=[])
     if uncertainty := georeference.get("uncertainty"):
         drawn = axes.imshow(uncertainty["map_m"], vmin=0, cmap="viridis", interpolation="bilinear")
-        axes.figure.colorbar(drawn, ax=axes, label="m")
+        _add_scale(axes, drawn, "m")
+
+
+def _add_scale(axes: Axes, drawn: ScalarMappable, label: str) -> None:
+    """Add a colour scale right beside a panel, which stands on the left of its place."""
+    axes.set_anchor("W")
+    axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), label=label)
 
 
 def _draw_summary(axes: Axes, aim: AIM) -> None:
