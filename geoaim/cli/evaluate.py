@@ -1,9 +1,8 @@
 """The command that evaluates a prediction model."""
 
 import json
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,25 +12,12 @@ from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
 from geoaim.errors import warn
 from geoaim.progress import Progress
 
-
-@dataclass(frozen=True)
-class _Settings:
-    """Settings of both evaluations."""
-
-    weights: Path | None
-    samples: int
-    seed: int
-    progress: Progress
+if TYPE_CHECKING:
+    from geoaim.prediction.itra import ITRA
 
 
-@dataclass(frozen=True, eq=False)
-class _Results:
-    """Results of an evaluation."""
-
-    metrics: dict[str, dict[str, Any]]  # by predictor and metric
-    unit: str  # "segments" or "windows"
-    count: int
-    horizon: str  # predicted time, with its unit
+# metrics by predictor and name; "segments" or "windows", and how many; predicted time with unit
+Result = tuple[dict[str, dict[str, Any]], str, int, str]
 
 
 def evaluate(
@@ -79,33 +65,34 @@ def evaluate(
     with show_progress() as progress, report_errors():
         if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
             raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
-        settings = _Settings(weights, samples, seed, progress)
         if aim is not None and tracks is not None:
             source = SceneSource(
                 aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
             )
-            results = _evaluate_on_map(source, kind, val_fraction, settings)
-        elif windows is not None and scenes is not None:
-            results = _evaluate_on_windows(windows, images, scenes, settings)
-        else:
+            model = load_model(weights, kind)
+            result = _evaluate_on_map(source, model, val_fraction, samples, seed, progress)
+        elif windows is None or scenes is None:
             raise ValueError("--windows needs --scenes, for the metres per pixel of each scene")
-    _print_results(results, samples, as_json)
+        elif weights is None:
+            raise ValueError("--windows needs --weights of a model that was trained on windows")
+        else:
+            files, model = (windows, images, scenes), load_model(weights)
+            result = _evaluate_on_windows(files, model, samples, seed, progress)
+    _print_result(result, samples, as_json)
 
 
 def _evaluate_on_map(
-    source: SceneSource, kind: options.AgentKind, fraction: float, settings: _Settings
-) -> _Results:
-    """Evaluate the model and baselines jointly for all agents of a kind on a scene."""
+    source: SceneSource, model: "ITRA", fraction: float, samples: int, seed: int, progress: Progress
+) -> Result:
+    """Evaluate a model and baselines jointly for all agents of its kind on a scene."""
+    from geoaim.prediction import evaluation
     from geoaim.prediction.baselines import BASELINES
     from geoaim.prediction.config import MAX_HISTORY_STEPS
     from geoaim.prediction.cutting import cut_segments
     from geoaim.prediction.dataset import split_scene
-    from geoaim.prediction.evaluation import EvalConfig
-    from geoaim.prediction.evaluation import evaluate as evaluate_predictor
     from geoaim.simulation.ground import prefilter_ground
     from geoaim.simulation.road_rules import check_rules, make_road_rules
 
-    model = load_model(settings.weights, kind)
     config, horizon = model.config, get_horizon(model)
     whole, hdmap, _ = read_scene(source, rate=1 / config.dt)
     rules = make_road_rules(hdmap)
@@ -114,52 +101,52 @@ def _evaluate_on_map(
     steps = MAX_HISTORY_STEPS + horizon
     segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)
     ground = prefilter_ground(scene.ground, config.resolution)
-    evaluation = EvalConfig(MAX_HISTORY_STEPS, settings.samples, seed=settings.seed)
+    given = segments, ground, evaluation.EvalConfig(MAX_HISTORY_STEPS, samples, seed=seed)
     metrics = {
-        name: evaluate_predictor(
-            predictor, segments, ground, evaluation, rules=rules, progress=settings.progress
-        )
+        name: evaluation.evaluate(predictor, *given, rules=rules, progress=progress)
         for name, predictor in {"model": model.sample, **BASELINES}.items()
     }
-    return _Results(metrics, "segments", len(segments), f"{horizon * config.dt:g} s")
+    return metrics, "segments", len(segments), f"{horizon * config.dt:g} s"
 
 
 def _evaluate_on_windows(
-    windows: Path, images: Path | None, scenes: Path, settings: _Settings
-) -> _Results:
-    """Evaluate the model and baselines on TrajNet windows."""
+    files: tuple[Path, Path | None, Path],
+    model: "ITRA",
+    samples: int,
+    seed: int,
+    progress: Progress,
+) -> Result:
+    """Evaluate a model and baselines on TrajNet windows: their folders and table."""
+    from geoaim.prediction import windows
     from geoaim.prediction.baselines import BASELINES
     from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
-    from geoaim.prediction.windows import HISTORY_STEPS, WINDOW_STEPS, WindowFiles, read_windows
 
-    if settings.weights is None:
-        raise ValueError("--windows needs --weights of a model that was trained on windows")
-    model = load_model(settings.weights)
-    if images is None and model.config.use_observations:
+    if files[1] is None and model.config.use_observations:
         warn("the model was trained with maps; without --images it gets a uniform grey one")
-    data = read_windows(WindowFiles(windows, images, scenes), model.config.view)
-    samples, seed = settings.samples, settings.seed
+    data = windows.read_windows(windows.WindowFiles(*files), model.config.view)
     predictors = {"model": make_window_predictor(model, samples), **BASELINES}
     metrics = {
-        name: evaluate_windows(predictor, data, samples, seed=seed, progress=settings.progress)
+        name: evaluate_windows(predictor, data, samples, seed=seed, progress=progress)
         for name, predictor in predictors.items()
     }
-    return _Results(metrics, "windows", len(data.segments), f"{WINDOW_STEPS - HISTORY_STEPS} steps")
+    horizon = windows.WINDOW_STEPS - windows.HISTORY_STEPS
+    return metrics, "windows", len(data.segments), f"{horizon} steps"
 
 
-def _print_results(results: _Results, samples: int, as_json: bool) -> None:
+def _print_result(result: Result, samples: int, as_json: bool) -> None:
     """Print metrics as a Markdown table or as JSON."""
     from geoaim.prediction.metrics import summarise
     from geoaim.prediction.report import format_markdown
 
-    summaries = {name: summarise(metrics) for name, metrics in results.metrics.items()}
+    metrics, unit, count, horizon = result
+    summaries = {name: summarise(values) for name, values in metrics.items()}
     if as_json:
         means = {name: value["mean"] for name, value in summaries["model"].items()}
-        content = {**means, results.unit: results.count, "samples": samples}
+        content = {**means, unit: count, "samples": samples}
         print(json.dumps({**content, "methods": summaries}, indent=1))
         return
     print(format_markdown(summaries))
     console.print(
-        f"{results.count} {results.unit}, {samples} samples of {results.horizon}; metres, or "
-        "pixels where a name says px; rates per agent, sample and step; 95 % intervals"
+        f"{count} {unit}, {samples} samples of {horizon}; metres, or pixels where a name says px; "
+        "rates per agent, sample and step; 95 % intervals"
     )
