@@ -78,8 +78,8 @@ def test_seeds_of_a_model_are_averaged(monkeypatch, tmp_path):
         ],
         "train_all_seeds": lambda name, workspace: models,
         "evaluate_place": cache(evaluate_place),
-        "write_results": write_results,
     }
+    monkeypatch.setattr(tables.results, "write_results", write_results)
     for name, fake in fakes.items():
         monkeypatch.setattr(tables, name, fake)
     tables.run_table("vehicles", table, Workspace(tmp_path, tmp_path))

@@ -101,7 +101,7 @@ def simulate(inputs: Path, target: Path) -> None:
 
 def film_simulation(inputs: Path, target: Path) -> None:
     files = inputs / "aim.tif", inputs / "tracks.csv", target
-    with patch.object(sys.modules["geoaim.cli.simulate"], "VIDEO_SIZE_PX", 32):
+    with patch.dict(sys.modules["geoaim.cli.simulate"].VIDEO, size=32):
         cli.simulate(*files, ego="1", duration=0.8, video=target.parent / "films" / "out.mp4")
 
 
