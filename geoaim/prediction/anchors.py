@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from geoaim.prediction.config import Config
 from geoaim.prediction.networks import build_mlp
 from geoaim.simulation.kinematics import agent_from_world, world_from_agent
 
@@ -21,32 +22,21 @@ class AnchorHead(nn.Module):
     speed is taken from them too, so that it carries the same noise in training.
 
     Args:
-        history: observed steps, two or more.
-        horizon: predicted steps.
-        num_anchors: proposals.
-        points: of a proposal, evenly spaced in time, the last one at its end.
-        feature_size: width of an encoded view.
-        width: of the networks' hidden layers.
+        config: of the model; it observes two steps or more.
 
     Raises:
         ValueError: fewer than two steps are observed.
     """
 
-    def __init__(
-        self,
-        history: int,
-        horizon: int,
-        num_anchors: int,
-        points: int,
-        feature_size: int,
-        width: int,
-    ) -> None:
+    def __init__(self, config: Config) -> None:
         super().__init__()
+        history, points, width = config.history, config.anchor_points, config.hidden_size
         if history < 2:
             raise ValueError(f"anchors need two or more observed steps; history is {history}")
-        self.steps = [round(horizon * (k + 1) / points) for k in range(points)]
-        self.propose = build_mlp(feature_size + 2 * history, 2 * width, num_anchors * 2 * points)
-        self.score = build_mlp(feature_size + 2 * history, width, num_anchors)
+        self.steps = [round(config.horizon * (k + 1) / points) for k in range(points)]
+        inputs, count = config.feature_size + 2 * history, config.num_anchors
+        self.propose = build_mlp(inputs, 2 * width, count * 2 * points)
+        self.score = build_mlp(inputs, width, count)
 
     def forward(
         self,
@@ -69,9 +59,8 @@ class AnchorHead(nn.Module):
         offsets = ANCHOR_SCALE_M * self.propose(inputs).view(len(pose), -1, len(self.steps), 2)
         velocity = local[:, -1:] - local[:, -2:-1]  # (E, 1, 2) metres a step
         straight = velocity * offsets.new_tensor(self.steps)[:, None]  # (E, P, 2)
-        return world_from_agent(pose[:, None, None], offsets + straight[:, None]), self.score(
-            inputs
-        )
+        anchors = world_from_agent(pose[:, None, None], offsets + straight[:, None])
+        return anchors, self.score(inputs)
 
 
 def compute_anchor_loss(

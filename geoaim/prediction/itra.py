@@ -112,14 +112,7 @@ class ITRA(nn.Module):
         self.decode_action = build_mlp(context + config.latent_size + anchor, config.hidden_size, 2)
         self.posterior = build_mlp(context + 2, config.hidden_size, 2 * config.latent_size)
         if config.num_anchors:
-            self.anchors = AnchorHead(
-                config.history,
-                config.horizon,
-                config.num_anchors,
-                config.anchor_points,
-                config.feature_size,
-                config.hidden_size,
-            )
+            self.anchors = AnchorHead(config)
 
     def forward(
         self,

@@ -102,8 +102,8 @@ def _make_feature(
     whole = shapely.transform(shapely.MultiPolygon(polygons), to_lonlat)
     whole = shapely.make_valid(whole, method="structure")
     parts = shapely.get_parts(shapely.set_precision(whole, 1e-9))  # rounded, and still valid
-    shape = shapely.MultiPolygon([part for part in parts if part.geom_type == "Polygon"])
-    geometry = shapely.geometry.mapping(shape)
+    polygons = [part for part in parts if part.geom_type == "Polygon"]
+    geometry = shapely.geometry.mapping(shapely.MultiPolygon(polygons))
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
@@ -117,5 +117,4 @@ def _write_geotiff(imagery: Imagery, path: Path) -> None:
     with create_raster_file(path, profile) as dataset:
         dataset.write(np.moveaxis(imagery.image, -1, 0), [1, 2, 3])
         dataset.write(np.where(imagery.covered, 255, 0).astype(np.uint8), 4)
-        names = (ColorInterp.red, ColorInterp.green, ColorInterp.blue, ColorInterp.alpha)
-        dataset.colorinterp = names
+        dataset.colorinterp = [ColorInterp[name] for name in ("red", "green", "blue", "alpha")]

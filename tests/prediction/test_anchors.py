@@ -1,11 +1,13 @@
 import torch
 
 from geoaim.prediction.anchors import AnchorHead, compute_anchor_loss, select_anchor
+from geoaim.prediction.config import Config
 
 
 def test_proposals_turn_with_the_agent():
     torch.manual_seed(0)
-    head = AnchorHead(history=3, horizon=6, num_anchors=4, points=2, feature_size=5, width=8)
+    sizes = {"num_anchors": 4, "anchor_points": 2, "feature_size": 5, "hidden_size": 8}
+    head = AnchorHead(Config("pedestrian", "slide", 0.4, history=3, horizon=6, **sizes))
     assert head.steps == [3, 6]
     pose = torch.tensor([[1.0, 2.0, 0.3, 1.5]])
     past, seen = torch.tensor([[[0.0, 1.0], [0.4, 1.5], [1.0, 2.0]]]), torch.rand(1, 5)
