@@ -28,7 +28,10 @@ REFERENCES = 4  # frames of a sequence that serve as the reference in turn
 
 
 def measure(folder: Path, boxes: Detections | None) -> dict[str, Any]:
-    """Register a sequence to several references, and measure the two consistencies."""
+    """Register a sequence to several references, and measure forward-backward and loop errors, px.
+
+    A row of the table; loops lead over another reference.
+    """
     first = register(str(folder), detections=boxes)
     times = first.time[np.linspace(0, len(first.time) - 1, REFERENCES).astype(int)]
     model = first.reference.model

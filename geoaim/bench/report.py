@@ -23,7 +23,7 @@ ChartFile = Annotated[Path | None, typer.Option("--chart", help="chart to write"
 
 
 def describe_machine() -> dict[str, Any]:
-    """Describe the processor, its cores and the versions of the main libraries."""
+    """Describe the processor, its cores and the versions of the main libraries, by name."""
     name = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():

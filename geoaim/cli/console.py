@@ -22,7 +22,7 @@ DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their tracebac
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show a progress bar for each stage that the yielded callback names."""
+    """Show a progress bar for each stage; the block calls what is yielded to advance them."""
     columns = (*rich.progress.Progress.get_default_columns(), rich.progress.TimeElapsedColumn())
     tasks: dict[str, rich.progress.TaskID] = {}
     with rich.progress.Progress(*columns, console=console) as bars:

@@ -39,5 +39,5 @@ TABLE = Table(
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """The paper's table of pedestrians, at synthetic test places and on ends of recordings."""
+    """Write the paper's table of pedestrians, at synthetic places; return the files."""
     return run_table("pedestrians", TABLE, workspace)

@@ -90,7 +90,7 @@ def make_places(folder: Path, places: Places, *, progress: Progress = no_progres
 
 @lru_cache(maxsize=len(TRAIN["pedestrian"]) + len(TEST["pedestrian"]))
 def read_recordings(place: Path) -> tuple[PlaceRecording, ...]:
-    """Read all recordings of a place; they stay in memory for the next case."""
+    """Read all recordings in a place's folder; they stay in memory for the next case."""
     recordings = []
     for path in sorted(place.glob("tracks*.csv")):
         tracks = read_tracks(path)

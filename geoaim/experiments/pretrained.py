@@ -13,7 +13,7 @@ from geoaim.prediction.baselines import BASELINES
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """The two pretrained models, trained and tested at synthetic places."""
+    """Train and test the two pretrained models at synthetic places; return the files."""
     written, metrics = [], {}
     for config in (VEHICLES, PEDESTRIANS):
         kind, name = config.kind, f"{config.kind}_aim"

@@ -63,5 +63,5 @@ def compute_seed_means(trainings: Sequence[Metrics]) -> list[dict[str, float]]:
 
 
 def compute_differences(one: Metrics, other: Metrics) -> dict[str, tuple[float, float]]:
-    """Compute the 95 % interval, low and high, of one method minus another on the same segments."""
+    """Compute the 95 % interval, by metric, of one method minus another on the same segments."""
     return {name: bootstrap_interval(one[name], other[name]) for name in one if name in other}

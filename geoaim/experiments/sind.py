@@ -83,7 +83,7 @@ FINE_TUNING = configure_fine_tuning("pedestrian", steps=150, batch_size=48)
 
 
 def run(workspace: results.Workspace) -> list[Path]:
-    """Evaluate SinD's pedestrians on HD maps and images, zero-shot and fine-tuned."""
+    """Evaluate SinD's pedestrians on HD maps and images, zero-shot and fine-tuned; return files."""
     junctions = {name: georeference_junction(name) for name in JUNCTIONS}
     metrics: dict[str, results.Metrics] = {}
     by_seed: dict[str, list[dict[str, float]]] = {}

@@ -26,7 +26,7 @@ FINE_TUNING = configure_fine_tuning("vehicle", steps=100, batch_size=32)
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """Real vehicles of Songdo Traffic on an orthophoto, zero-shot and fine-tuned."""
+    """Evaluate real vehicles of Songdo Traffic, zero-shot and fine-tuned; return the files."""
     dataset = _make_songdo_dataset(read_scene())
     model = train_model("vehicle_aim", workspace)
     tuned = train_once(model, FINE_TUNING, lambda: dataset, "vehicle_songdo", workspace)

@@ -69,7 +69,7 @@ PAIRS = (("map", "no map"), ("map, blurred and noisy", "map"), ("no map", "no ma
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """Real pedestrians of the Stanford Drone Dataset, minADE and minFDE of 20 samples."""
+    """Evaluate real pedestrians of the Stanford Drone Dataset, 20 samples; return the files."""
     names = [path.stem for path in sorted((require_data(DATA) / "windows").glob("*.csv"))]
     train_scenes = [name for name in names if name not in VAL_SCENES]
     metrics: dict[str, Metrics] = {}

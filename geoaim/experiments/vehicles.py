@@ -43,5 +43,5 @@ TABLE = Table(
 
 
 def run(workspace: Workspace) -> list[Path]:
-    """The paper's tables of vehicles, at synthetic test places and on ends of recordings."""
+    """Write the paper's tables of vehicles, at synthetic places; return the files."""
     return run_table("vehicles", TABLE, workspace)

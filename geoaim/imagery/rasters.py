@@ -84,7 +84,7 @@ def describe_raster(
 
 
 def outline_raster(raster: Raster) -> Float[Array, "m 2"]:
-    """Sample points along the four edges of a raster, in its CRS."""
+    """Sample 36 points along the four edges of a raster, in its CRS."""
     corners = image_corners(*raster.grid.shape)
     shares = np.linspace(0.0, 1.0, 9)[:, None]
     edges = [a + (b - a) * shares for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)]

@@ -15,7 +15,7 @@ MAX_PATH_POINTS = 1000  # of the camera's drift
 
 
 def report_registration(registration: Registration) -> dict[str, Any]:
-    """Report the motion model, counts of frames and of reasons, and the camera's drift."""
+    """Report the motion model, counts of frames and of reasons, and the camera's drift, by name."""
     reference, valid = registration.reference, registration.valid
     middle = np.array([[reference.width / 2, reference.height / 2]])
     path = transform_points(registration.reference_from_frame[valid], middle)[:, 0]
@@ -36,7 +36,7 @@ def report_registration(registration: Registration) -> dict[str, Any]:
 
 
 def report_georeference(georeference: Georeference, points: ControlPoints | None) -> dict[str, Any]:
-    """Report the transform model, the residuals of each control point, and the uncertainty."""
+    """Report the transform model, each control point's residuals, and the uncertainty, by name."""
     corners = image_corners(georeference.height, georeference.width)
     sigma, bound = predict_uncertainty(georeference, corners)
     rows = []
@@ -71,7 +71,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
 
 
 def report_background(background: Background, method: str) -> dict[str, Any]:
-    """Report the method, the frames in the mean, contested pixels, and how far it converged."""
+    """Report the method, frames in the mean, contested pixels, and convergence, by name."""
     seen = background.coverage > 0
     return {
         "method": method,

@@ -74,7 +74,7 @@ def shift(segments: Segments, offset: Float[Tensor, "2"]) -> Segments:
 
 
 def scale(segments: Segments, factors: Float[Tensor, "2"]) -> Segments:
-    """Scale x and y of the plane; a negative factor of y mirrors it. Sizes of agents stay."""
+    """Scale x and y of the plane, and speeds; a negative factor of y mirrors it. Sizes stay."""
     size, sign = factors.abs().mean(), factors.sign().prod()
     change = torch.stack([factors[0], factors[1], sign, size]).to(segments.states)
     return replace(

@@ -122,7 +122,7 @@ def train(
 
 
 def hash_weights(model: ITRA) -> str:
-    """Hash a model's weights, to tell them from others."""
+    """Hash a model's weights to 12 hex digits, to tell them from others."""
     return _hash_tensors(list(model.state_dict().values()))
 
 

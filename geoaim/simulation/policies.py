@@ -24,12 +24,12 @@ MIN_DESIRED_SPEED_MPS = 0.1  # a slower vehicle is parked
 
 
 def constant_velocity(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """Neither accelerate nor turn: a `Policy`."""
+    """Give actions (B, A, 2) that neither accelerate nor turn: a `Policy`."""
     return torch.zeros_like(path[:, -1, :, :2])
 
 
 def constant_turn_rate(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """Keep speed and the last step's turn: a `Policy`; straight on at an agent's first step."""
+    """Give actions (B, A, 2) that keep speed and the last step's turn, if any: a `Policy`."""
     if path.shape[1] < 2:
         return constant_velocity(scenario, path)
     now = path.shape[1] - 1
@@ -40,7 +40,7 @@ def constant_turn_rate(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Te
 
 
 def replay(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-    """Reach the recorded speed and heading of the next step: a `Policy`."""
+    """Give actions (B, A, 2) that reach the recorded speed and heading: a `Policy`."""
     return invert_step(scenario, path[:, -1], scenario.states[:, path.shape[1]])
 
 

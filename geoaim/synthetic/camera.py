@@ -162,12 +162,12 @@ def reference_from_frames(clip: HoverClip, reference: int = 0) -> Float[Array, "
 
 
 def list_boxes(clip: HoverClip, index: int) -> Float[Array, "n 4"]:
-    """List the boxes (left, top, right, bottom; pixels) of the agents in a frame."""
+    """List the boxes (left, top, right, bottom; pixels) of the agents visible in a frame."""
     return list_boxed_agents(clip, index)[1]
 
 
 def list_boxed_agents(clip: HoverClip, index: int) -> tuple[Int[Array, "n"], Float[Array, "n 4"]]:
-    """List the indices (rows of `clip.traffic`) and boxes of the agents visible in a frame.
+    """List the indices in `clip.traffic` and the boxes of the agents visible in a frame.
 
     Boxes are (left, top, right, bottom) in pixels, clipped to the frame, of at least 2 px.
     """

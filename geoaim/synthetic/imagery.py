@@ -34,7 +34,7 @@ MIX = 0.15  # how far its channels are mixed with grey, 0 to 1
 class Imagery:
     """A georeferenced image."""
 
-    image: UInt8[Array, "H W 3"]  # the image
+    image: UInt8[Array, "H W 3"]  # RGB, north up
     covered: Bool[Array, "H W"]  # pixels that show the place
     crs: str  # a projected CRS
     crs_from_image: Float[Array, "3 3"]  # pixels (corner origin) to stated coordinates

@@ -71,7 +71,8 @@ def decide_verdict(error: float, rms: float, stated: float) -> str:
         stated: standard deviation of the corners, px; NaN where the method states none.
 
     Returns:
-        One of VERDICTS. "understated" is right, and yet over five times the statement.
+        "right", "refused", "wrong and said" (the statement covers the error), "wrong and sure", or
+        "understated": right, and yet over five times the statement.
     """
     if not np.isfinite(error):
         return "refused"
@@ -133,8 +134,11 @@ def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
-    """Count this library's frames that are wrong without saying so, or over five times the
-    statement, and those of them that are off by over 10 px."""
+    """Count this library's frames that are "wrong and sure" or "understated" as "silent".
+
+    Also counts all "frames", the "valid" ones and, of the silent ones, the "share" of all and those
+    "far" off, by over 10 px.
+    """
     own = frames[frames.method == "geoaim"]
     silent = own[own.verdict.isin(["wrong and sure", "understated"])]
     return {

@@ -93,7 +93,7 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
 
 
 def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:
-    """Sample poses (x, y, heading) of moving vehicles, one in each cell of `CELL_SIZE`."""
+    """Sample poses (x, y, heading) of moving vehicles, one in each cell of 1 m, 1 m and pi / 8."""
     vehicles = np.array([agent_type in VEHICLE_TYPES for agent_type in tracks.types])
     moving = tracks.present & vehicles[:, None]
     moving[moving] = np.abs(tracks.states[moving][:, 3]) > MIN_SPEED_M_S

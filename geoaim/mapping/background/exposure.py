@@ -89,5 +89,5 @@ def apply_gain(
 
 
 def black_level(frame: Frame) -> float:
-    """The grey level of black: 16 in video of limited range, else 0."""
+    """Tell the grey level of black in `frame.grey`: 16 in video of limited range, else 0."""
     return 0.0 if frame.encoding is None or frame.encoding.full_range else 16.0

@@ -155,7 +155,7 @@ def make_pedestrian(trip: PedestrianTrip, number: int, s: float = 0.0) -> Pedest
 
 
 def make_empty() -> Agents:
-    """Make a state without vehicles and pedestrians."""
+    """Make `Agents` without vehicles and pedestrians."""
     index, real, pair = np.empty(0, int), np.empty(0), np.empty((0, 2))
     vehicles = Vehicles(index, index, real, real, real, real, real, real, real)
     path, crossing = np.empty((0, 1, 2)), np.empty((0, 1), int)
