@@ -37,7 +37,7 @@ def evaluate(
     ] = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
-    samples: options.Samples = 6,
+    samples: options.Samples = options.DEFAULT_SAMPLES,
     val_fraction: Annotated[
         float,
         typer.Option(

@@ -28,7 +28,7 @@ def predict(
             min=0.1,
         ),
     ] = None,
-    samples: options.Samples = 6,
+    samples: options.Samples = options.DEFAULT_SAMPLES,
     seed: options.Seed = 0,
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,

@@ -47,7 +47,7 @@ class Sample:
     traffic_model: TrafficModel  # what its traffic is simulated from
     recordings: tuple[TrafficRecording, ...]  # one after the other, each of at most five minutes
     clip: HoverClip | None  # video of the first recording, from its start; None without a video
-    resolution: float  # at which the place is drawn
+    resolution: float  # at which the place is drawn, metres per pixel
 
 
 def make_sample(

@@ -21,21 +21,19 @@ MIN_MATCHES = 12  # inliers without which there is no transform
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Key points of an image, and their binary descriptors.
+    """Key points of an image, and their binary descriptors."""
 
-    Attributes:
-        points: (M, 2) in pixels of the full image.
-        descriptors: (M, 32) bytes.
-    """
-
-    points: Float[Array, "M 2"]
-    descriptors: UInt8[Array, "M 32"]
+    points: Float[Array, "M 2"]  # in pixels of the full image
+    descriptors: UInt8[Array, "M 32"]  # bytes
 
 
 def detect_features(
     grey: UInt8[Array, "H W"], *, exclude: Bool[Array, "H W"] | None = None
 ) -> Features:
-    """Detect ORB features (Rublee 2011) in a reduced image, the strongest of each grid cell."""
+    """Detect ORB features (Rublee 2011) in a grey image reduced to about 960 px of width.
+
+    The strongest of each grid cell are kept, none where `exclude` is True.
+    """
     factor = max(round(grey.shape[1] / DETECTION_WIDTH_PX), 1)
     small = shrink_image(grey, factor)
     mask = None

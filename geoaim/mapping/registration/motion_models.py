@@ -34,38 +34,23 @@ _GENERATORS: dict[Model, Float[Array, "k 8"]] = {
 
 
 class PointMatches(NamedTuple):
-    """Points of an image and where they lie in the reference.
+    """Points of an image and where they lie in the reference."""
 
-    Attributes:
-        source: (M, 2) in pixels of the image.
-        target: (M, 2) the same points in pixels of the reference.
-        information: (M, 2, 2) inverse covariance of each target, 1/px^2.
-    """
-
-    source: Float[Array, "M 2"]
-    target: Float[Array, "M 2"]
-    information: Float[Array, "M 2 2"]
+    source: Float[Array, "M 2"]  # in pixels of the image
+    target: Float[Array, "M 2"]  # the same points in pixels of the reference
+    information: Float[Array, "M 2 2"]  # inverse covariance of each target, 1/px^2
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A fitted motion.
+    """A fitted motion."""
 
-    Attributes:
-        model: of the motion.
-        matrix: (3, 3) the transform of pixels.
-        covariance: (k, k) of the parameters, in normalised coordinates.
-        residuals: (M, 2) measured minus fitted displacements, pixels.
-        weights: (M,) robust weight of each point, 0 to 1.
-        noise: standard deviation of the residuals of the inliers, pixels.
-    """
-
-    model: Model
-    matrix: Float[Array, "3 3"]
-    covariance: Float[Array, "k k"]
-    residuals: Float[Array, "M 2"]
-    weights: Float[Array, " M"]
-    noise: float
+    model: Model  # of the motion
+    matrix: Float[Array, "3 3"]  # the transform of pixels
+    covariance: Float[Array, "k k"]  # of the parameters, in normalised coordinates
+    residuals: Float[Array, "M 2"]  # measured minus fitted displacements, pixels
+    weights: Float[Array, " M"]  # robust weight of each point, 0 to 1
+    noise: float  # standard deviation of the residuals of the inliers, pixels
 
 
 def _compute_normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
@@ -170,7 +155,7 @@ def jackknife_covariance(
     *,
     size: tuple[int, int],
 ) -> Float[Array, "k k"]:
-    """Covariance of a motion's parameters from how much they change without a part of the image.
+    """Estimate a motion's covariance by how much it changes without a part of the image.
 
     Residuals that neighbours share (parallax, lens, rolling shutter, slow traffic) enlarge it,
     whereas the covariance of the fit takes the points for independent. Delete-a-group jackknife:
@@ -178,12 +163,13 @@ def jackknife_covariance(
 
     Args:
         points: in pixels.
-        information: inverse covariance of each displacement.
+        information: inverse covariance of each displacement, 1/px^2.
         motion: fitted to them.
         size: (height, width) of the image, which is divided into 4 x 3 blocks.
 
     Returns:
-        The covariance, in normalised coordinates; infinite when one block alone holds the motion.
+        The covariance of the k parameters, in normalised coordinates; infinite when one block alone
+        holds the motion.
     """
     height, width = size
     column = (points[:, 0] * BLOCK_COLUMNS / width).astype(int).clip(0, BLOCK_COLUMNS - 1)
@@ -213,14 +199,10 @@ def _compute_tukey_weights(
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """The motion model chosen for a set of images.
+    """The motion model chosen for a set of images."""
 
-    Attributes:
-        model: the simplest one whose predicted error is near the smallest.
-        predicted_error: root mean square error over the image of each model, pixels.
-    """
-
-    model: Model
+    model: Model  # the simplest one whose predicted error is near the smallest
+    # root mean square error over the image of each model, pixels
     predicted_error: dict[Model, float]
 
 

@@ -53,50 +53,29 @@ Row = tuple[int, float, FrameRegistration]  # index, time (s) and registration o
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The frame to which all others are registered.
+    """The frame to which all others are registered."""
 
-    Attributes:
-        keyframe: its patches and features.
-        index: its number in the video.
-        time: seconds.
-        model: motion model of the registration.
-        choice: how the model was chosen; None when it was given.
-        height: of the frames, pixels.
-        width: of the frames, pixels.
-    """
-
-    keyframe: Keyframe
-    index: int
-    time: float
-    model: Model
-    choice: ModelChoice | None
-    height: int
-    width: int
+    keyframe: Keyframe  # its patches and features
+    index: int  # its number in the video
+    time: float  # seconds
+    model: Model  # motion model of the registration
+    choice: ModelChoice | None  # how the model was chosen; None when it was given
+    height: int  # of the frames, pixels
+    width: int  # of the frames, pixels
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """The transform of each frame to the reference.
+    """The transform of each frame to the reference."""
 
-    Attributes:
-        reference_from_frame: (T, 3, 3) in pixels; NaN where `valid` is False.
-        index: (T,) number of each frame in the video.
-        time: (T,) seconds.
-        reason: why a frame is invalid, else empty.
-        quality: (T,) median correlation of the patches with the frame, 0 to 1.
-        inlier_share: (T,) share of inliers among the patches in view.
-        uncertainty: (T,) standard deviation of the transformed image corners, pixels.
-        reference: the frame to which the others are registered.
-    """
-
-    reference_from_frame: Float[Array, "T 3 3"]
-    index: Int[Array, " T"]
-    time: Float[Array, " T"]
-    reason: tuple[str, ...]
-    quality: Float[Array, " T"]
-    inlier_share: Float[Array, " T"]
-    uncertainty: Float[Array, " T"]
-    reference: Reference
+    reference_from_frame: Float[Array, "T 3 3"]  # in pixels; NaN where `valid` is False
+    index: Int[Array, " T"]  # number of each frame in the video
+    time: Float[Array, " T"]  # seconds
+    reason: tuple[str, ...]  # why a frame is invalid, else empty
+    quality: Float[Array, " T"]  # median correlation of the patches with the frame, 0 to 1
+    inlier_share: Float[Array, " T"]  # share of inliers among the patches in view
+    uncertainty: Float[Array, " T"]  # standard deviation of the transformed image corners, pixels
+    reference: Reference  # the frame to which the others are registered
 
     @property
     def valid(self) -> Bool[Array, " T"]:
@@ -126,14 +105,15 @@ def register(
     Args:
         video: what `open_video` opens.
         detections: vehicles to leave out, as `read_detections` reads them.
-        model: the motion model; None chooses it by the data.
-        reference_time: seconds; None chooses the reference by the data.
+        model: the motion model; None chooses the simplest that the frames need.
+        reference_time: seconds; 0 for the first frame; None chooses the reference by the data.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
-        The registration; invalid frames have a reason.
+        The registration of each frame, in order; invalid ones have a reason.
 
     Raises:
+        VideoError: the video cannot be opened.
         RegistrationError: no frame can serve as the reference, or none can be registered to it.
     """
     video = open_video(video)
@@ -147,11 +127,7 @@ def register(
 
 
 def write_registration(registration: Registration, path: str | os.PathLike[str]) -> None:
-    """Write `registration.to_frame()` as .csv or .parquet.
-
-    Raises:
-        ValueError: the name has another suffix.
-    """
+    """Write `registration.to_frame()` as .csv or .parquet; ValueError for another suffix."""
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv or .parquet")
@@ -174,7 +150,7 @@ def count_reasons(reasons: Iterable[str]) -> dict[str, int]:
 
 
 def collect_registration(rows: Iterable[Row], reference: Reference) -> Registration:
-    """Collect the registrations of single frames in one table.
+    """Collect the registrations of one or more single frames.
 
     Raises:
         RegistrationError: no frame is valid.
@@ -262,7 +238,7 @@ def register_frames(
         detections: vehicles to leave out.
 
     Yields:
-        Each frame with its registration.
+        Each frame with its registration, which may be invalid.
     """
     keyframes = [reference.keyframe]
     prior = compared = np.eye(3)
