@@ -17,6 +17,7 @@ from geoaim.errors import GeoaimError, GeoaimWarning
 from geoaim.progress import Progress
 
 console = Console(stderr=True, markup=False)  # file names may have brackets
+TERMINATED = 143  # exit code
 DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback
 
 
@@ -53,6 +54,10 @@ def report_errors() -> Iterator[None]:
         except KeyboardInterrupt:
             _print_stopped()
             sys.exit(130)
+        except SystemExit as stopped:
+            if stopped.code == TERMINATED:
+                _print_stopped()
+            raise
         except typer.BadParameter:
             raise  # shown with the command's usage
         except Exception as error:
@@ -70,8 +75,7 @@ def stop_when_terminated() -> None:
     """Remove unfinished files on SIGTERM as on Ctrl-C, and exit with code 143."""
 
     def stop(*_: object) -> None:
-        _print_stopped()
-        sys.exit(143)
+        sys.exit(TERMINATED)  # what it interrupts may be needed to print
 
     signal.signal(signal.SIGTERM, stop)
 

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from geoaim.experiments.models import MODELS
 from geoaim.experiments.places import make_place_scene, read_map, read_recordings
 from geoaim.experiments.protocol import SAMPLES
-from geoaim.files import write_figure
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.pictures import draw_futures, fit_camera
@@ -19,14 +18,16 @@ from geoaim.simulation.scene import find_step
 HEIGHT_INCHES = 5.2
 
 
-def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, path: Path) -> None:
+def draw_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float) -> Figure:
     """Draw the same ground in a panel for each model.
 
     Args:
         models: by their names in `MODELS`.
         place: folder of a synthetic place.
         time: s of its first recording after which futures begin.
-        path: of the figure.
+
+    Returns:
+        The figure.
     """
     recording, camera = read_recordings(place)[0], None
     panels = []
@@ -53,4 +54,4 @@ def write_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float, 
         axes.imshow(picture)
         axes.axis("off")
         axes.set_title(title)
-    write_figure(figure, path)
+    return figure

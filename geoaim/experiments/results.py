@@ -3,13 +3,16 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geoaim.bench.report import describe_machine, write_json
-from geoaim.files import atomic_write
+from geoaim.files import atomic_files, write_figure
 from geoaim.prediction.metrics import Metric, bootstrap_interval, summarise
 from geoaim.prediction.report import format_markdown
 from geoaim.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Metrics = Mapping[str, Metric]
 
@@ -34,26 +37,35 @@ class Workspace:
 
 
 def write_results(
-    name: str, metrics: Mapping[str, Metrics], settings: Mapping[str, Any], folder: Path
+    name: str,
+    metrics: Mapping[str, Metrics],
+    settings: Mapping[str, Any],
+    folder: Path,
+    *,
+    figure: "Figure | None" = None,
 ) -> list[Path]:
-    """Write means with their intervals, as JSON and as Markdown.
+    """Write means with their intervals, as JSON and as Markdown; all files change together.
 
     Args:
         name: of the experiment.
         metrics: by method.
         settings: what else the JSON holds.
         folder: of the files.
+        figure: is written as a .png beside them.
 
     Returns:
-        The paths of both files, JSON first.
+        The paths of the files, JSON first.
     """
     tables = {method: summarise(values) for method, values in metrics.items()}
     command = f"geoaim experiment {name}"
     content = {"command": command, "machine": describe_machine(), **settings, "methods": tables}
-    paths = [folder / f"{name}.json", folder / f"{name}.md"]
-    write_json(content, paths[0])
-    with atomic_write(paths[1]) as temporary:
-        temporary.write_text(f"`{command}`\n\n{format_markdown(tables)}\n", encoding="utf-8")
+    suffixes = (".json", ".md", *([] if figure is None else [".png"]))
+    paths = [folder / f"{name}{suffix}" for suffix in suffixes]
+    with atomic_files(*paths) as parts:
+        write_json(content, parts[0])
+        parts[1].write_text(f"`{command}`\n\n{format_markdown(tables)}\n", encoding="utf-8")
+        if figure is not None:
+            write_figure(figure, parts[2])
     return paths
 
 

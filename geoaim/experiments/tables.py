@@ -6,7 +6,7 @@ from pathlib import Path
 
 from geoaim.errors import TracksError
 from geoaim.experiments import results
-from geoaim.experiments.figures import write_futures_on_maps
+from geoaim.experiments.figures import draw_futures_on_maps
 from geoaim.experiments.models import MODELS, train_all_seeds
 from geoaim.experiments.places import TEST, TRAIN, make_places
 from geoaim.experiments.protocol import evaluate_place
@@ -85,14 +85,12 @@ def run_table(name: str, table: Table, workspace: results.Workspace) -> list[Pat
         },
         "by seed": by_seed,
     }
-    written = results.write_results(name, metrics, settings, workspace.results)
-    picture = written[0].with_suffix(".png")
     shown = [table.cases[title] for title in table.shown]
     place = _find_places(shown[0], kind, workspace.places)[0]
-    write_futures_on_maps(
-        {case.model: models[case.model][0] for case in shown}, place, table.time, picture
+    figure = draw_futures_on_maps(
+        {case.model: models[case.model][0] for case in shown}, place, table.time
     )
-    return [*written, picture]
+    return results.write_results(name, metrics, settings, workspace.results, figure=figure)
 
 
 def _find_places(case: Case, kind: str, folder: Path) -> list[Path]:

@@ -1,7 +1,12 @@
+import os
+import signal
+import sys
+
 import pytest
 from typer.testing import CliRunner
 
 from geoaim.cli import app
+from geoaim.cli.console import console, report_errors, stop_when_terminated
 
 run = CliRunner().invoke
 
@@ -38,3 +43,22 @@ def test_name_that_is_not_utf8_is_printed():
     result = run(app, ["info", "a\udcff.tif"])
     assert result.exit_code == 1
     assert "FileNotFoundError: a\\udcff.tif" in result.output
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
+def test_nothing_is_printed_while_the_signal_is_handled(monkeypatch):
+    """It may interrupt an import that printing needs."""
+    before = signal.getsignal(signal.SIGTERM)
+    handled = []
+
+    def record(text):
+        handled.append((text.split(";")[0], sys.exc_info()[0]))
+
+    monkeypatch.setattr(console, "print", record)
+    stop_when_terminated()
+    try:
+        with pytest.raises(SystemExit, match="143"), report_errors():
+            os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert handled == [("stopped", SystemExit)]

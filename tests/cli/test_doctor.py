@@ -25,10 +25,11 @@ def test_doctor_names_versions_and_folders(monkeypatch, tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM")
 def test_terminated_command_removes_its_unfinished_files(tmp_path):
     script = (
-        "import os, signal; from geoaim.cli.console import stop_when_terminated\n"
+        "import os, signal\n"
+        "from geoaim.cli.console import report_errors, stop_when_terminated\n"
         "from geoaim.files import atomic_write\n"
         "stop_when_terminated()\n"
-        f"with atomic_write({str(tmp_path / 'map.tif')!r}) as part:\n"
+        f"with report_errors(), atomic_write({str(tmp_path / 'map.tif')!r}) as part:\n"
         "    part.write_text(''); os.kill(os.getpid(), signal.SIGTERM)\n"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

@@ -62,7 +62,7 @@ def test_seeds_of_a_model_are_averaged(monkeypatch, tmp_path):
         calls.append((predictor.error, place.name, map_name, fraction, lights))
         return [{"minADE": Metric(np.full(4, predictor.error), np.ones(4))}]
 
-    def write_results(name, metrics, settings, folder):
+    def write_results(name, metrics, settings, folder, *, figure):
         written.update(metrics=metrics, settings=settings)
         return [folder / f"{name}.json"]
 
@@ -72,7 +72,7 @@ def test_seeds_of_a_model_are_averaged(monkeypatch, tmp_path):
     table = replace(vehicles.TABLE, cases=some | unlit, pairs=(("AIM", "AIM"),), shown=("AIM",))
     models = [SimpleNamespace(sample=Fake(1.0)), SimpleNamespace(sample=Fake(3.0))]
     fakes = {
-        "write_futures_on_maps": lambda models, *_: drawn.update(models),
+        "draw_futures_on_maps": lambda models, *_: drawn.update(models),
         "make_places": lambda folder, places, **_: [
             tmp_path / kind for kind in {k for _, k in places}
         ],

@@ -6,15 +6,20 @@ folders; a limit of the size of files makes their writing fail as on a full disk
 
 import errno
 import os
+import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
 from multiprocessing import get_context
+from multiprocessing.context import ForkServerProcess
 from multiprocessing.queues import SimpleQueue
 from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Literal
+
+from geoaim.cli.console import stop_when_terminated
 
 if sys.platform != "win32":
     import resource
@@ -29,7 +34,7 @@ WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 # imported once by the server of which the children are forks
 PRELOADED = ["tests.faults.small_sample", "tests.faults.writers"]
 
-How = Literal["kill", "error", "stop", "full"]
+How = Literal["kill", "error", "stop", "stop again", "full"]
 
 
 @dataclass(frozen=True)
@@ -56,20 +61,48 @@ def run_interrupted(
         write: takes the target; a function of a module.
         target: what is written; changes in its folder count.
         step: n, from 1, or the size of files for "full"; None: not interrupted.
-        how: the process ends at once, the operation fails, Ctrl-C is pressed, or no file may
-            become larger.
+        how: the process ends at once, the operation fails, Ctrl-C is pressed, it is pressed again
+            before each later change, or no file may become larger.
     """
-    context = get_context("forkserver")
-    context.set_forkserver_preload(PRELOADED)
-    changes, printed = context.Value("i", 0), context.SimpleQueue()
-    child = context.Process(target=_run, args=(write, target, step, how, changes, printed))
-    child.start()
+    child, changes, printed = _start(write, target, step, how)
     child.join(60)
     if child.exitcode is None:
         child.kill()
         raise TimeoutError(f"change {step} did not end")
     text = "" if printed.empty() else printed.get()
     return Outcome(child.exitcode, changes.value, text)
+
+
+def run_signalled(
+    write: Callable[[Path], None], target: Path, delay: float, sent: signal.Signals
+) -> int:
+    """Run a writer in a child process, send it a signal, and return its exit code.
+
+    Args:
+        write: takes the target; a function of a module.
+        target: what is written.
+        delay: from the start of the child to the signal, s.
+        sent: the signal.
+    """
+    child, *shared = _start(write, target, None, "kill")
+    child.join(delay)
+    if child.exitcode is None:
+        with suppress(ProcessLookupError):  # it has just ended
+            os.kill(child.pid, sent)
+    child.join()
+    del shared  # which the child needs as long as it runs
+    return child.exitcode
+
+
+def _start(
+    write: Callable[[Path], None], target: Path, step: int | None, how: How
+) -> tuple[ForkServerProcess, Synchronized, SimpleQueue]:
+    context = get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    changes, printed = context.Value("i", 0), context.SimpleQueue()
+    child = context.Process(target=_run, args=(write, target, step, how, changes, printed))
+    child.start()
+    return child, changes, printed
 
 
 def _run(
@@ -90,7 +123,10 @@ def _run(
             raise OSError(errno.ENOSPC, "No space left on device")
         if changes.value == step and how == "stop":
             raise KeyboardInterrupt
+        if step is not None and changes.value >= step and how == "stop again":
+            raise KeyboardInterrupt
 
+    stop_when_terminated()
     sys.addaudithook(interrupt)
     sys.stderr = StringIO()
     if how == "full" and step is not None:

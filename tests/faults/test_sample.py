@@ -5,30 +5,16 @@ from pathlib import Path
 
 import pytest
 
-from geoaim.files import atomic_write
 from geoaim.synthetic import write_sample
 from tests.faults import small_sample
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
+from tests.faults.kills import read_files, write_next
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork")
 
 
 def interrupt_sample(target: Path, step: int | None = None, how: How = "kill") -> Outcome:
     return run_interrupted(small_sample.write_small_sample, target, step, how=how)
-
-
-def read_files(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
-
-
-def write_next(folder: Path) -> None:
-    """Write a file; whatever geoaim writes next to leftovers removes them."""
-    with atomic_write(folder / "next.txt") as temporary:
-        temporary.write_text("")
 
 
 @pytest.fixture(scope="module")

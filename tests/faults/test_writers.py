@@ -2,50 +2,24 @@
 
 import shutil
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from random import Random
 
 import pytest
 
-from geoaim.files import TEMPORARY
 from geoaim.prediction.checkpoints import read_state
 from tests.faults import writers
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
-from tests.faults.test_sample import read_files, write_next
+from tests.faults.kills import count_kills, make_case, read_after_next_run, read_files
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork")
+KILLS = 4  # of each command; docs/bench/kills.json counts 50
 EXIT_CODES: dict[How, set[int]] = {
     "kill": {KILLED},
     "error": {0, 1},  # 0: the unfinished files are not removed
     "stop": {130},
+    "stop again": {130},
     "full": {1},
 }
-
-
-@dataclass(frozen=True)
-class Case:
-    """A command, and what it writes from old inputs and from new ones."""
-
-    name: str
-    write: Callable[[Path], None]  # from new inputs
-    old: Path
-    new: dict[str, bytes]
-    changes: int
-
-
-def make_case(name: str, folder: Path) -> Case:
-    for version in (0, 1):
-        writers.write_inputs(folder / f"inputs{version}", version)
-        write = partial(writers.write, name, folder / f"inputs{version}")
-        target = folder / str(version) / "out"
-        target.parent.mkdir()
-        outcome = run_interrupted(write, target, None, how="kill")
-        assert outcome.exit_code == 0, outcome.printed
-    old, new = folder / "0", read_files(folder / "1")
-    assert all(new[path] != content for path, content in read_files(old).items())
-    return Case(name, write, old, new, outcome.changes)
 
 
 @pytest.fixture(scope="module", params=[name for name in writers.WRITERS if name != "train"])
@@ -58,15 +32,6 @@ def training(tmp_path_factory):
     return make_case("train", tmp_path_factory.mktemp("training"))
 
 
-def read_after_next_run(folder: Path) -> dict[str, bytes]:
-    """Read the files of a folder into which another run has written since, which leaves no rest."""
-    for place in (folder, *(path for path in folder.glob("[!.]*") if path.is_dir())):
-        write_next(place)
-        (place / "next.txt").unlink()
-        assert not list(place.glob(f"{TEMPORARY}*"))
-    return read_files(folder)
-
-
 def check_outcome(outcome: Outcome, how: How) -> None:
     """Check the exit code, and that an error is one line."""
     assert outcome.exit_code in EXIT_CODES[how], outcome.printed
@@ -74,7 +39,7 @@ def check_outcome(outcome: Outcome, how: How) -> None:
     assert outcome.printed.count("Error: ") == (outcome.exit_code == 1), outcome.printed
 
 
-@pytest.mark.parametrize("hows", [("kill",), ("error", "stop")], ids=" ".join)
+@pytest.mark.parametrize("hows", [("kill",), ("error", "stop", "stop again")], ids=" ".join)
 def test_interrupted_command_leaves_old_or_new_files(case, tmp_path, hows):
     old, suffix = read_files(case.old), writers.WRITERS[case.name][1]
     for step in range(1, case.changes + 1):
@@ -84,6 +49,11 @@ def test_interrupted_command_leaves_old_or_new_files(case, tmp_path, hows):
         left = read_after_next_run(folder)
         assert left.items() <= old.items() or left.items() <= case.new.items(), step
         assert any(name.endswith(suffix) for name in left), step  # a picture may be missing
+
+
+def test_command_killed_at_random_moments_leaves_old_or_new_files(case, tmp_path):
+    counts = count_kills(case, KILLS, tmp_path, Random(case.name))
+    assert (counts["broken"], counts["leftovers"]) == (0, 0), counts
 
 
 def test_full_disk_leaves_the_old_files_and_ends_in_a_line(case, tmp_path):

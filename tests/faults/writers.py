@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 
 from geoaim import cli, encode, quicklook, raster_files
 from geoaim.aim_files import read_aim, write_aim
+from geoaim.experiments import tables
 from geoaim.files import write_figure
 from geoaim.imagery.alignment import pipeline as alignment
 from geoaim.mapping import pipeline as mapping
@@ -30,6 +31,7 @@ from geoaim.mapping.registration import register
 from geoaim.mapping.video import video
 from geoaim.prediction import dataset, pictures, predict, report, training
 from geoaim.prediction.checkpoints import write_model
+from geoaim.prediction.metrics import Metric
 from geoaim.simulation import episodes
 from geoaim.track_files import write_tracks
 from tests.faults import seeds
@@ -130,10 +132,22 @@ def train(inputs: Path, target: Path) -> None:
         cli.train(*files, weights=inputs / "model.pt")
 
 
+def repeat_experiment(inputs: Path, target: Path) -> None:
+    metrics = {"minADE": Metric(np.array([1.0 + _read_version(inputs)]), np.ones(1))}
+    models = [SimpleNamespace(sample=None)]
+    with (
+        patch.object(tables, "make_places", lambda *_, **__: [inputs]),
+        patch.object(tables, "train_all_seeds", lambda *_: models),
+        patch.object(tables, "evaluate_case", lambda *_: metrics),
+        patch.object(tables, "draw_futures_on_maps", lambda *_: _draw_small_figure(inputs)),
+    ):
+        cli.experiment("pedestrians", inputs, target.parent)
+
+
 def write(name: str, inputs: Path, target: Path) -> None:
     """Run a command of `WRITERS`; its pictures of maps are replaced by small ones."""
     command, suffix = WRITERS[name]
-    figure = Figure(figsize=(0.2 + _read_version(inputs) / 10, 0.2))
+    figure = _draw_small_figure(inputs)
     with (
         patch.object(quicklook, "draw_quicklook", lambda *_, **__: figure),
         patch.object(quicklook, "draw_alignment", lambda *_, **__: figure),
@@ -141,6 +155,10 @@ def write(name: str, inputs: Path, target: Path) -> None:
         patch.object(report, "plot_training", lambda _, path: write_figure(figure, path)),
     ):
         command(inputs, target.with_suffix(suffix))
+
+
+def _draw_small_figure(inputs: Path) -> Figure:
+    return Figure(figsize=(0.2 + _read_version(inputs) / 10, 0.2))
 
 
 def _read_version(inputs: Path) -> int:
@@ -162,5 +180,6 @@ WRITERS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
     "simulate, video": (film_simulation, ".csv"),
     "predict": (predict_agents, ".csv"),
     "predict, picture": (predict_agents, ".png"),
+    "experiment": (repeat_experiment, ".json"),
     "train": (train, ".pt"),
 }

@@ -1,13 +1,14 @@
 """Telemetry in the .SRT subtitles of DJI drones; docs/formats/telemetry.md lists the dialects."""
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.geometry import wrap_angle
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
 
@@ -26,6 +27,7 @@ PATTERNS = {
     "place": r"\b(?:GPS|RTK)\s*\(([^)]*)\)",
     "attitude": r"\bG\.PRY\s*\(([^)]*)\)",
 }
+MAX_LEFT_OUT = 0.05  # share of the entries that may jump
 METRES_PER_DEGREE = 111_320.0
 # The most that a value changes: per second, and at once because of rounding and rare updates.
 CHANGES = {
@@ -44,7 +46,8 @@ def read_srt(path: str | Path) -> Telemetry:
     Raises:
         FileNotFoundError: there is no such file.
         GeoreferenceError: the file has no time lines or no position, a value is not a number with
-            a decimal point, a value is not possible, or it changes faster than a drone can move.
+            a decimal point, a value is not possible, or more than a few change faster than a drone
+            can move; these few are left out with a warning.
     """
     text = Path(path).read_bytes().decode("utf-8", errors="replace")
     lines = list(TIME_LINE.finditer(text))
@@ -119,23 +122,50 @@ def _parse_number(name: str, text: str) -> float:
 
 
 def _check_changes(telemetry: Telemetry, path: str | Path) -> None:
-    """Refuse times that go back, and values that change faster than a drone moves."""
+    """Refuse times that go back; leave out the few values that no drone reaches so fast.
+
+    Raises:
+        GeoreferenceError: a time goes back, or too many values jump.
+    """
     if (np.diff(telemetry.time) < 0).any():
         entry = int(np.argmax(np.diff(telemetry.time) < 0)) + 2
         raise GeoreferenceError(f"{path}: entry {entry} is earlier than the one before it")
-    for name, (rate, jump, unit) in CHANGES.items():
+    for name, (_, _, unit) in CHANGES.items():
         values = telemetry.latitude if name == "position" else getattr(telemetry, name)
         stated = np.flatnonzero(np.isfinite(values))
-        change = _measure_change(telemetry, name, stated)
-        dt = np.diff(telemetry.time[stated])
-        wrong = change > rate * dt + jump
-        if wrong.any():
-            first = int(np.argmax(wrong))
+        change, wrong = _find_jumps(telemetry, name, stated)
+        if not wrong.any():
+            continue
+        first = int(np.argmax(wrong))
+        entry, dt = stated[first + 1] + 1, float(np.diff(telemetry.time[stated])[first])
+        message = f"{path}: entry {entry}: {name} changes by {change[first]:.0f} {unit} in {dt:.3g}"
+        runs = np.split(stated, np.flatnonzero(wrong) + 1)  # between jumps
+        few = MAX_LEFT_OUT * len(stated)
+        left_out = np.concatenate([stated[:0], *(run for run in runs if len(run) <= few)])
+        others = np.setdiff1d(stated, left_out)
+        if len(left_out) > few or _find_jumps(telemetry, name, others)[1].any():
             raise GeoreferenceError(
-                f"{path}: entry {stated[first + 1] + 1}: {name} changes by {change[first]:.0f} "
-                f"{unit} in {dt[first]:.3g} s ({wrong.sum()} such entries), which is too fast; "
-                "correct or remove the file"
+                f"{message} s ({wrong.sum()} such entries), which is too fast; correct or remove "
+                "the file"
             )
+        warnings.warn(
+            f"{message} s, which is too fast; the {name} of {len(left_out)} of {len(stated)} "
+            f"entries, from {left_out[0] + 1} on, is left out",
+            GeoaimWarning,
+            stacklevel=3,
+        )
+        values[left_out] = np.nan
+        if name == "position":
+            telemetry.longitude[left_out] = np.nan
+
+
+def _find_jumps(
+    telemetry: Telemetry, name: str, stated: Int[Array, " S"]
+) -> tuple[Float[Array, " _"], Bool[Array, " _"]]:
+    """Changes from each entry that states a value to the next, and which are too fast."""
+    rate, jump, _ = CHANGES[name]
+    change = _measure_change(telemetry, name, stated)
+    return change, change > rate * np.diff(telemetry.time[stated]) + jump
 
 
 def _measure_change(telemetry: Telemetry, name: str, stated: Array) -> Float[Array, " S"]:

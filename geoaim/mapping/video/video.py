@@ -169,7 +169,7 @@ def _open_file(path: Path, threads: int | None) -> Video:
 def _read_sidecar(path: Path) -> Telemetry | None:
     """Telemetry from the .SRT file beside a video, or None."""
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
-    return next((read_srt(sidecar) for sidecar in sidecars if sidecar.is_file()), None)
+    return next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
 
 
 def _list_images(source: str) -> list[Path] | None:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.video.srt import read_srt
 
 DIALECTS = Path(__file__).parent / "srt"
@@ -86,3 +86,28 @@ def test_what_is_not_plausible_is_refused(tmp_path: Path, old: str, new: str, me
 def read(folder: Path, text: str):
     (folder / "DJI_0001.SRT").write_bytes(text.encode())
     return read_srt(folder / "DJI_0001.SRT")
+
+
+def write_flight(latitudes: list[float]) -> str:
+    return "\n".join(
+        f"{k + 1}\n00:00:{k // 10:02d},{k % 10}00 --> 00:00:{k // 10:02d},{k % 10}90\n"
+        f"[latitude: {latitude:.6f}] [longitude: 25.279701] [rel_alt: 60.0 abs_alt: 170.0]\n"
+        for k, latitude in enumerate(latitudes)
+    )
+
+
+@pytest.mark.parametrize("jumps", [[17], [0], [59], [20, 21], [5, 40]])
+def test_few_positions_that_jump_are_left_out(tmp_path: Path, jumps: list[int]) -> None:
+    latitudes = [54.8 if k in jumps else 54.687 + 1e-6 * k for k in range(60)]
+    with pytest.warns(GeoaimWarning, match=rf"{len(jumps)} of 60 entries, from {jumps[0] + 1} on"):
+        found = read(tmp_path, write_flight(latitudes))
+    assert np.flatnonzero(np.isnan(found.latitude)).tolist() == jumps
+    assert np.flatnonzero(np.isnan(found.longitude)).tolist() == jumps
+    assert np.isfinite(found.height).all()
+
+
+@pytest.mark.parametrize("jumps", [range(10), range(0, 60, 10), range(30), range(20, 26)])
+def test_many_positions_that_jump_are_refused(tmp_path: Path, jumps: range) -> None:
+    latitudes = [54.8 if k in jumps else 54.687 for k in range(60)]
+    with pytest.raises(GeoreferenceError, match=r"position changes by 12579 m in 0\.1 s"):
+        read(tmp_path, write_flight(latitudes))

@@ -1,0 +1,153 @@
+"""Kill each writing command at random moments, and count what it leaves.
+
+A child process gets SIGKILL or SIGTERM after a random time, up to a little more than an
+uninterrupted run takes. It has to leave all of its old files, or all of the new ones, of which a
+picture may be missing; an interrupted training has to end as an uninterrupted one when it is called
+again.
+"""
+
+import argparse
+import json
+import shutil
+import signal
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from random import Random
+
+from geoaim.files import TEMPORARY, atomic_write
+from tests.faults import small_sample, writers
+from tests.faults.interruption import run_interrupted, run_signalled
+
+EXIT_CODES = {0, -signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM}
+LATEST = 1.2  # moment, of an uninterrupted run's time
+OUTCOMES = ("SIGKILL", "SIGTERM", "interrupted", "old", "new", "broken", "leftovers")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command, and what it writes from old inputs and from new ones."""
+
+    name: str
+    write: Callable[[Path], None]  # from new inputs
+    old: Path
+    new: dict[str, bytes]
+    changes: int
+    seconds: float  # that it takes
+
+
+def make_case(name: str, folder: Path) -> Case:
+    """Run a command of `writers.WRITERS` on old inputs and on new ones."""
+    for version in (0, 1):
+        writers.write_inputs(folder / f"inputs{version}", version)
+        write = partial(writers.write, name, folder / f"inputs{version}")
+        target = folder / str(version) / "out"
+        target.parent.mkdir()
+        began = time.perf_counter()
+        outcome = run_interrupted(write, target, None, how="kill")
+        seconds = time.perf_counter() - began
+        assert outcome.exit_code == 0, outcome.printed
+    old, new = folder / "0", read_files(folder / "1")
+    assert all(new[path] != content for path, content in read_files(old).items())
+    return Case(name, write, old, new, outcome.changes, seconds)
+
+
+def make_sample_case(folder: Path) -> Case:
+    """Write a sample where there is none."""
+    (folder / "old").mkdir()
+    began = time.perf_counter()
+    outcome = run_interrupted(small_sample.write_small_sample, folder / "out", None, how="kill")
+    seconds = time.perf_counter() - began
+    new = {f"out/{name}": content for name, content in read_files(folder / "out").items()}
+    write = small_sample.write_small_sample
+    return Case("sample", write, folder / "old", new, outcome.changes, seconds)
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def write_next(folder: Path) -> None:
+    """Write a file; whatever geoaim writes next to leftovers removes them."""
+    with atomic_write(folder / "next.txt") as temporary:
+        temporary.write_text("")
+
+
+def read_after_next_run(folder: Path) -> dict[str, bytes]:
+    """Read the files of a folder into which another run has written since, which leaves no rest."""
+    for place in (folder, *(path for path in folder.glob("[!.]*") if path.is_dir())):
+        write_next(place)
+        (place / "next.txt").unlink()
+        assert not list(place.glob(f"{TEMPORARY}*"))
+    return read_files(folder)
+
+
+def count_kills(case: Case, count: int, folder: Path, random: Random) -> Counter[str]:
+    """Kill a command at random moments, by both signals in turn, and count the outcomes."""
+    counts = Counter(dict.fromkeys(OUTCOMES, 0))
+    for number in range(count):
+        sent = (signal.SIGKILL, signal.SIGTERM)[number % 2]
+        target = folder / str(number) / "out"
+        if case.name == "train":
+            target.parent.mkdir()
+        else:
+            shutil.copytree(case.old, target.parent)
+        code = run_signalled(case.write, target, random.uniform(0, LATEST * case.seconds), sent)
+        if code not in EXIT_CODES:
+            raise RuntimeError(f"{case.name} ended with exit code {code}")
+        if case.name == "train":
+            run_interrupted(case.write, target, None, how="kill")
+        counts.update((sent.name, _judge(case, target.parent)))
+        counts["interrupted"] += code != 0
+        shutil.rmtree(target.parent)
+    return counts
+
+
+def _judge(case: Case, folder: Path) -> str:
+    """Whether the files of a folder are all old or all new; a picture may be missing."""
+    try:
+        left = read_after_next_run(folder)
+    except AssertionError:
+        return "leftovers"
+    suffix = "" if case.name in ("sample", "train") else writers.WRITERS[case.name][1]
+    for state, files in (("old", read_files(case.old)), ("new", case.new)):
+        has_main = suffix and any(name.endswith(suffix) for name in left)
+        if left == files or (has_main and left.items() <= files.items()):
+            return state
+    return "broken"
+
+
+def main() -> None:
+    """Count the outcomes of all writing commands."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=50, help="moments, of the signals in turn")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    parser.add_argument("-o", "--output", type=Path, help="JSON to write")
+    arguments = parser.parse_args()
+    rows = []
+    for name in (*writers.WRITERS, "sample"):
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            (folder / "kills").mkdir()
+            case = make_sample_case(folder) if name == "sample" else make_case(name, folder)
+            random = Random(f"{name} {arguments.seed}")
+            counts = count_kills(case, arguments.count, folder / "kills", random)
+        rows.append({"writer": name, **counts})
+        print(rows[-1], flush=True)
+    if arguments.output:
+        command = f"python -m tests.faults.kills --count {arguments.count}"
+        text = json.dumps({"command": command, "rows": rows}, indent=1)
+        arguments.output.write_text(f"{text}\n", encoding="utf-8")
+    raise SystemExit(any(row["broken"] + row["leftovers"] for row in rows))
+
+
+if __name__ == "__main__":
+    main()
