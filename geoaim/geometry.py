@@ -74,7 +74,7 @@ def make_similarity(centre: Float[Array, "2"], angle: float, scale: float) -> Fl
         scale: factor of all distances.
 
     Returns:
-        (3, 3) matrix.
+        (3, 3) matrix from the old to the new place of a point.
     """
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     linear = np.array([[cosine, -sine], [sine, cosine]])

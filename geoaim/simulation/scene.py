@@ -165,7 +165,7 @@ def find_agent_step(scene: Scene, agent: int, time: float | None) -> Int[Tensor,
         time: seconds; None for its first step.
 
     Returns:
-        The step.
+        The index of the step, a tensor without axes.
 
     Raises:
         TracksError: the agent is not present within `MAX_TIME_OFFSET_S` of that time.

@@ -171,6 +171,8 @@ def test_what_cannot_be_simulated_is_refused():
     scenario = _recording()
     with pytest.raises(ValueError, match="give 1 to 20"):
         rollout(scenario, constant_velocity, ALL_AGENTS, history=21)
+    with pytest.raises(ValueError, match="go together"):
+        make_idm_policy(torch.zeros(1, 2, 2, 2), torch.ones(1, 2), torch.zeros(1, 2, 2))
 
     def lost(scenario, path):
         return torch.full_like(path[:, -1, :, :2], torch.nan)

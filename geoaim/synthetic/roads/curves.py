@@ -79,7 +79,7 @@ def connect_poses(
         end_curvature: 1/m.
 
     Returns:
-        Points `POINT_SPACING_M` apart.
+        Points about `POINT_SPACING_M` apart, from `start` to `end`.
     """
     chord = float(np.hypot(*(end - start)))
     ahead = make_unit_vector(start_heading), make_unit_vector(end_heading)
