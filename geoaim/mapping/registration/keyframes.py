@@ -72,23 +72,14 @@ class FrameRegistration:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A frame to which others are registered.
+    """A frame to which others are registered."""
 
-    Attributes:
-        coarse: its patches on a coarse pyramid level.
-        fine: its patches at full size.
-        features: its ORB features.
-        overview: its small image, in which other placements of a frame are found.
-        reference_from_keyframe: (3, 3) in pixels; the identity for the reference itself.
-        uncertainty: standard deviation of the transformed image corners, pixels.
-    """
-
-    coarse: PatchTemplate
-    fine: PatchTemplate
-    features: Features
-    overview: Overview
-    reference_from_keyframe: Float[Array, "3 3"]
-    uncertainty: float
+    coarse: PatchTemplate  # its patches on a coarse pyramid level
+    fine: PatchTemplate  # its patches at full size
+    features: Features  # its ORB features
+    overview: Overview  # its small image, in which other placements of a frame are found
+    reference_from_keyframe: Float[Array, "3 3"]  # in pixels; the identity for the reference itself
+    uncertainty: float  # standard deviation of the transformed image corners, pixels
 
 
 def register_frame(
@@ -106,7 +97,7 @@ def register_frame(
         grey: the frame.
         keyframes: all keyframes.
         keyframe: the one to search first.
-        prior: reference_from_frame to start from.
+        prior: reference_from_frame to start from, pixels.
         model: motion model to fit.
         compare: whether to compare the placement with those that other parts of the image support,
             even if most patches agree with it.
@@ -193,7 +184,7 @@ def select_keyframe(
 def compute_overlap(
     keyframe: Keyframe, reference_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> float:
-    """Share of a keyframe's patches that lie inside a frame.
+    """Compute the share of a keyframe's patches that lie inside a frame.
 
     Args:
         keyframe: the keyframe.
@@ -209,7 +200,7 @@ def compute_overlap(
 
 
 def mask_detections(frame: Frame, detections: Detections | None) -> Bool[Array, "H W"] | None:
-    """Mask of the detected vehicles in a frame; None where there are no detections."""
+    """Mark the pixels of detected vehicles in a frame; None without detections of it."""
     boxes = detections(frame) if detections else None
     return None if boxes is None else mask_boxes(boxes, frame.grey.shape)
 

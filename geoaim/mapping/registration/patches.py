@@ -39,52 +39,31 @@ MIN_INLIER_LIMIT_PX, MAX_INLIER_LIMIT_PX = 0.3, 1.5  # residual of an inlier, th
 
 @dataclass(frozen=True, eq=False)
 class PatchTemplate:
-    """The reference as patches, prepared for the search in a frame.
+    """The reference as patches, prepared for the search in a frame."""
 
-    Attributes:
-        height: of this pyramid level, pixels.
-        width: of this pyramid level, pixels.
-        scale: pixels of this level per pixel of the full image.
-        points: (M, 2) patch centres in pixels of this level.
-        pixels: (3, M * P) homogeneous pixel positions (OpenCV's origin) of all patches.
-        contrast: (M, P) the patches minus their means.
-        energy: (M,) sums of squares of `contrast`.
-        extractor: (M, 3, P) maps a sampled patch to its displacement and gain.
-        inverse: (M, 2, 2) inverse gradient matrix of each patch, orthogonal to gain and bias.
-    """
-
-    height: int
-    width: int
-    scale: float
-    points: Float[Array, "M 2"]
-    pixels: Float[Array, "3 Q"]
-    contrast: Float[Array, "M P"]
-    energy: Float[Array, " M"]
-    extractor: Float[Array, "M 3 P"]
+    height: int  # of this pyramid level, pixels
+    width: int  # of this pyramid level, pixels
+    scale: float  # pixels of this level per pixel of the full image
+    points: Float[Array, "M 2"]  # patch centres in pixels of this level
+    pixels: Float[Array, "3 Q"]  # homogeneous pixel positions (OpenCV's origin) of all patches
+    contrast: Float[Array, "M P"]  # the patches minus their means
+    energy: Float[Array, " M"]  # sums of squares of `contrast`
+    extractor: Float[Array, "M 3 P"]  # maps a sampled patch to its displacement and gain
+    # inverse gradient matrix of each patch, orthogonal to gain and bias
     inverse: Float[Array, "M 2 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class PatchAlignment:
-    """A frame aligned to a template.
+    """A frame aligned to a template."""
 
-    Attributes:
-        matrix: (3, 3) reference_from_frame in pixels of the full image.
-        motion: the last fit; its residuals and covariance are in pixels of the level.
-        in_view: (M,) patches that lie inside the frame and are not saturated there.
-        fitted: (M,) patches that took part in the fit.
-        inliers: (M,) patches that correlate with the frame and follow the motion.
-        correlation: (M,) of each patch with the frame.
-        converged: whether the last step was smaller than the uncertainty.
-    """
-
-    matrix: Float[Array, "3 3"]
-    motion: Motion
-    in_view: Bool[Array, " M"]
-    fitted: Bool[Array, " M"]
-    inliers: Bool[Array, " M"]
-    correlation: Float[Array, " M"]
-    converged: bool
+    matrix: Float[Array, "3 3"]  # reference_from_frame in pixels of the full image
+    motion: Motion  # the last fit; its residuals and covariance are in pixels of the level
+    in_view: Bool[Array, " M"]  # patches that lie inside the frame and are not saturated there
+    fitted: Bool[Array, " M"]  # patches that took part in the fit
+    inliers: Bool[Array, " M"]  # patches that correlate with the frame and follow the motion
+    correlation: Float[Array, " M"]  # of each patch with the frame
+    converged: bool  # whether the last step was smaller than the uncertainty
 
 
 class _Measurement(NamedTuple):
@@ -98,7 +77,7 @@ class _Measurement(NamedTuple):
 
 
 def shrink_image(grey: UInt8[Array, "H W"], factor: int) -> UInt8[Array, "h w"]:
-    """Reduce an image to 1/factor of its size by the means of blocks."""
+    """Reduce an image to 1/factor of its size by the means of blocks; the remainder is cut off."""
     if factor == 1:
         return grey
     height, width = grey.shape[0] // factor, grey.shape[1] // factor
@@ -165,10 +144,10 @@ def align_patches(
 
     Args:
         template: of the same level as `grey`.
-        grey: the frame, reduced like the template.
+        grey: the frame, reduced like the template by `shrink_image`.
         prior: reference_from_frame to start from, in pixels of the full image.
         model: motion model to fit.
-        iterations: at most.
+        iterations: at most; fewer once the steps are small.
 
     Returns:
         The alignment, or None when too few patches lie in the frame, or it diverges.
