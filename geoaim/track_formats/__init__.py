@@ -10,14 +10,8 @@ To add a format:
        import pandas as pd
 
        from geoaim.track_files import read_table
+       from geoaim.track_formats import shared
        from geoaim.track_formats.motion import make_tracks_from_positions
-       from geoaim.track_formats.shared import (
-           TrackFormat,
-           check_columns,
-           fill_sizes,
-           has_columns,
-           map_types,
-       )
        from geoaim.tracks import Tracks
        from geoaim.world import World
 
@@ -25,18 +19,18 @@ To add a format:
        def read_example(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
            """Read an example .csv: `id;class;ms;u;v`, in pixels of `resolution` metres."""
            table = read_table(path, text=("id", "class"), delimiter=";")
-           check_columns(path, table, numbers=("ms", "u", "v"), others=("id", "class"))
-           columns = {"id": table["id"], "type": map_types(path, table["class"])}
+           shared.check_columns(path, table, numbers=("ms", "u", "v"), others=("id", "class"))
+           columns = {"id": table["id"], "type": shared.map_types(path, table["class"])}
            columns |= {"time": table["ms"] / 1000, "x": resolution * table["u"]}
            columns |= {"y": -resolution * table["v"]}
            rows = pd.DataFrame(columns).assign(length=np.nan, width=np.nan)
-           rows[["length", "width"]] = fill_sizes(rows)
+           rows[["length", "width"]] = shared.fill_sizes(rows)
            return make_tracks_from_positions(rows, World(None), half_window=0.5)
 
 
-       EXAMPLE = TrackFormat(
+       EXAMPLE = shared.TrackFormat(
            "example",
-           has_columns("id", "class", "ms", delimiter=";"),
+           shared.has_columns("id", "class", "ms", delimiter=";"),
            read_example,
            options=("resolution",),
            required=("resolution",),

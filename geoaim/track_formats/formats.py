@@ -12,7 +12,7 @@ from geoaim.track_formats.geotrax import GEOTRAX
 from geoaim.track_formats.interaction import INTERACTION, SIND
 from geoaim.track_formats.levelx import HIGHD, IND
 from geoaim.track_formats.plausibility import check_plausibility
-from geoaim.track_formats.shared import TrackFormat, has_columns
+from geoaim.track_formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.track_formats.stanford import SDD, TRAJNET
 from geoaim.tracks import Tracks
 from geoaim.world import World
@@ -64,6 +64,8 @@ def read_tracks(
             raise ValueError(
                 f"{path} is in the {track_format.name} format, which takes no {name}; omit it"
             )
+    if resolution is not None:
+        check_resolution(resolution)
     if "resolution" in track_format.required and resolution is None:
         raise ValueError(
             f"{path} is in the {track_format.name} format, which needs a resolution: give metres "
