@@ -116,7 +116,10 @@ def run(workspace: results.Workspace) -> list[Path]:
 
 
 def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
-    """Georeference a junction's image by its control points.
+    """Georeference the image of one of `JUNCTIONS` by its control points, in metres of its HD map.
+
+    Returns:
+        The image as an AIM, its fit, and the HD map.
 
     Raises:
         TracksError: the data are missing.

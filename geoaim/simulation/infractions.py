@@ -62,7 +62,7 @@ def compute_offroad_distance(
 
 
 def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
-    """Interpolate signed distances at points, metres; beyond the raster, add the way to it."""
+    """Interpolate signed distances, metres; outside the raster, its edge's plus the way to it."""
     height, width = drivable.distance.shape
     matrix = drivable.grid_from_world
     pixels = apply_matrix(matrix[:, :2].to(points), points) + matrix[:, 2].to(points)
