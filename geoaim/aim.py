@@ -10,8 +10,9 @@ from jaxtyping import Bool, Float, UInt8, UInt16
 from numpy import ndarray as Array
 
 from geoaim.errors import AimError
-from geoaim.geometry import image_corners
+from geoaim.geometry import image_corners, transform_points
 from geoaim.grid import Grid
+from geoaim.limits import MAX_POSITION_M
 from geoaim.world import World
 
 
@@ -30,7 +31,7 @@ class AIM:
 
     Raises:
         ValueError: a field has a wrong type or shape, or the matrix has no inverse.
-        AimError: part of the image lies at or behind the horizon.
+        AimError: part of the image lies at or behind the horizon, or off the Earth.
     """
 
     image: UInt8[Array, "H W 3"]
@@ -112,4 +113,10 @@ def _check_transform(world_from_image: Float[Array, "3 3"], height: int, width: 
             "the image reaches past the horizon: its corners have depths "
             f"{np.round(depth, 3).tolist()} of both signs; crop it to the ground, or give control "
             "points that are spread over the whole image"
+        )
+    farthest = np.abs(transform_points(world_from_image, image_corners(height, width))).max()
+    if not farthest <= MAX_POSITION_M:
+        raise AimError(
+            f"a corner of the image lies {farthest:g} m from the world's origin, off the Earth; "
+            "the matrix from pixels to metres is wrong"
         )

@@ -23,6 +23,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import MapError, TracksError
 from geoaim.geojson import read_features
+from geoaim.limits import MAX_TIME_S
 from geoaim.world import World
 
 GREEN, YELLOW, RED = 0, 1, 2
@@ -146,8 +147,8 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
 
 def _check_rows(path: Path, rows: pd.DataFrame) -> None:
     """Refuse unknown states, missing times, and two states of a signal at one time."""
-    finite = np.isfinite(rows["time"].to_numpy(np.float64))
-    invalid = ~rows["state"].isin(STATES).to_numpy() | ~finite
+    possible = np.abs(rows["time"].to_numpy(np.float64)) <= MAX_TIME_S
+    invalid = ~rows["state"].isin(STATES).to_numpy() | ~possible
     if invalid.any():
         row = rows.iloc[int(invalid.argmax())].to_dict()
         raise TracksError(

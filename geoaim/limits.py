@@ -10,6 +10,8 @@ MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
 DEFAULT_MAX_GB = 1.0
 MAX_RATIO = 300  # of bytes in memory to bytes of the file; flat colours compress so well
 MAX_REASON_CHARS = 300
+MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
+MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
 def read_memory_limit() -> float:

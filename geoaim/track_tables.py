@@ -7,14 +7,19 @@ from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
-from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
+from geoaim.limits import MAX_GB_VARIABLE, MAX_POSITION_M, MAX_TIME_S, read_memory_limit
 from geoaim.tracks import COLUMNS, MAX_STATES, TICKS_PER_S, Tracks
 from geoaim.world import World
 
-MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
+UNITS = {
+    "x": "metres from the origin",
+    "y": "metres from the origin",
+    "speed": "m/s",
+    "length": "metres",
+    "width": "metres",
+}
 BYTES_PER_STATE = 80  # of an agent at a time, while tracks are made
 MAX_STATES_PER_ROW = 500  # agents times times, for each of the few of them that have a row
-MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 
 
 def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
@@ -77,9 +82,8 @@ def _read_values(rows: pd.DataFrame) -> Float[Array, "M 7"]:
         _refuse_rows(rows, name, empty, "is missing; give each agent one")
     _refuse_rows(rows, "time", values["time"].abs() > MAX_TIME_S, "is not in seconds")
     _refuse_rows(rows, "heading", values["heading"].abs() > 2 * np.pi, "is not in radians")
-    for name in ("x", "y"):
-        far = values[name].abs() > MAX_POSITION_M
-        _refuse_rows(rows, name, far, "is not in metres from the origin")
+    for name, unit in UNITS.items():
+        _refuse_rows(rows, name, values[name].abs() > MAX_POSITION_M, f"is not in {unit}")
     for name in ("length", "width"):
         _refuse_rows(rows, name, values[name] <= 0, "is not positive")
     return values.to_numpy()

@@ -11,6 +11,7 @@ from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from geoaim.errors import GeoreferenceError
+from geoaim.limits import MAX_POSITION_M
 
 LONLAT = "EPSG:4326"
 ORIGIN_STEP_M = 100.0  # origins are multiples of this
@@ -38,7 +39,7 @@ class World:
     origin: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if np.shape(self.origin) != (2,) or not np.isfinite(self.origin).all():
+        if np.shape(self.origin) != (2,) or not (np.abs(self.origin) <= MAX_POSITION_M).all():
             raise GeoreferenceError(
                 f"The origin of a world is {self.origin}; two finite numbers, easting and northing,"
                 " are needed."

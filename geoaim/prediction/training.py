@@ -17,6 +17,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 from geoaim.errors import ModelError
 from geoaim.files import atomic_files, lock_folder
+from geoaim.limits import refuse_damaged
 from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
@@ -174,19 +175,26 @@ def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[f
     if not path.exists():
         return []
     state = read_state(path)
-    differences = [
-        f"{key} {state.get(name, {}).get(key)} instead of {value}"
-        for name, values in identity.items()
-        for key, value in values.items()
-        if state.get(name, {}).get(key) != value
-    ]
+    with refuse_damaged(path, ModelError, "a checkpoint of a training"):
+        differences = [
+            f"{key} {state.get(name, {}).get(key)} instead of {value}"
+            for name, values in identity.items()
+            for key, value in values.items()
+            if state.get(name, {}).get(key) != value
+        ]
     if differences:
         raise ValueError(
             f"{path} is of another training ({', '.join(differences)}); name another folder"
         )
-    for name, part in vars(parts).items():
-        part.load_state_dict(state[name])
-    return [tuple(row) for row in state["log"]]
+    with refuse_damaged(path, ModelError, "a checkpoint of a training"):
+        for name, part in vars(parts).items():
+            part.load_state_dict(state[name])
+        log = [tuple(map(float, row)) for row in state["log"]]
+        if not 0 <= log[-1][0] <= identity["training"]["steps"]:
+            raise ModelError(f"{path} is damaged: its last step is {log[-1][0]}; delete it")
+    if not all(value.isfinite().all() for value in parts.model.state_dict().values()):
+        raise ModelError(f"{path} is damaged: a weight is not a finite number; delete it")
+    return log
 
 
 def _write_checkpoint(

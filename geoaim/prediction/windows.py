@@ -19,7 +19,7 @@ from PIL import Image
 from torch import Tensor
 
 from geoaim.errors import TracksError
-from geoaim.limits import check_memory, refuse_damaged
+from geoaim.limits import MAX_POSITION_M, check_memory, refuse_damaged
 from geoaim.prediction.atlas import make_atlas, make_grey_ground
 from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.simulation.ground import Ground, View, make_ground
@@ -95,7 +95,7 @@ def read_windows(
         images = Path(files.images)
         grounds = [_read_ground(images, name, scales[name], transform) for name in names]
         ground, offsets = make_atlas(grounds, view)
-    paths = [_read_paths(folder / f"{name}.csv") * scales[name] for name in names]
+    paths = [_read_paths(folder / f"{name}.csv", scales[name]) for name in names]
     shifted = [torch.tensor(x).float() + d for x, d in zip(paths, offsets, strict=True)]
     scene_of = [name for name, path in zip(names, paths, strict=True) for _ in path]
     resolutions = torch.tensor([scales[name] for name in scene_of], dtype=torch.float32)
@@ -144,20 +144,20 @@ def _read_resolutions(path: Path) -> dict[str, float]:
     return scales
 
 
-def _read_paths(path: Path) -> Float[Array, "B T 2"]:
-    """The paths of all windows, pixels to the right and up."""
+def _read_paths(path: Path, resolution: float) -> Float[Array, "B T 2"]:
+    """The paths of all windows, metres to the right and up."""
     table = read_table(path, text=("track",))
     check_columns(path, table, numbers=("u_px", "v_px"), others=("frame", "track"))
-    pixels = table[["u_px", "v_px"]].to_numpy(float)
+    metres = table[["u_px", "v_px"]].to_numpy(float) * [resolution, -resolution]
     tracks = table["track"].to_numpy()
-    if len(table) % WINDOW_STEPS or not np.isfinite(pixels).all():
+    if len(table) % WINDOW_STEPS or not (np.abs(metres) <= MAX_POSITION_M).all():
         raise TracksError(
-            f"{path}: {len(table)} rows; windows of {WINDOW_STEPS} rows each, with finite pixels, "
-            "are needed"
+            f"{path}: {len(table)} rows; windows of {WINDOW_STEPS} rows each, with pixels of an "
+            "image, are needed"
         )
     if (tracks.reshape(-1, WINDOW_STEPS) != tracks[::WINDOW_STEPS, None]).any():
         raise TracksError(f"{path}: a window of {WINDOW_STEPS} rows has more than one track")
-    return pixels.reshape(-1, WINDOW_STEPS, 2) * [1, -1]
+    return metres.reshape(-1, WINDOW_STEPS, 2)
 
 
 def _read_ground(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from geoaim.aim_files import read_aim
+from geoaim.errors import GeoaimError
 from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.mosaic import read_imagery
@@ -18,12 +19,12 @@ from geoaim.mapping.video.exif import read_exif
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.video import open_video
-from geoaim.prediction.checkpoints import read_model, read_state
+from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.windows import WindowFiles, read_windows
 from geoaim.simulation.ground import View
-from geoaim.track_formats import read_sdd, read_tracks, read_trajnet
+from geoaim.track_formats import read_tracks
 from tests.faults import mutations as by
-from tests.faults.seeds import WORLD
+from tests.faults.seeds import WORLD, resume_training
 
 TEXT = (by.mutate_fields, by.mutate_lines)
 JSON = (*TEXT, by.mutate_json)
@@ -54,10 +55,13 @@ def _read_points(name: str) -> Callable[[Path], object]:
 
 
 def _read_video(name: str) -> Callable[[Path], object]:
-    def read(folder: Path) -> None:
+    def read(folder: Path) -> object:
         video = open_video(folder / name, threads=1)
+        times = []
         for frame in (*video, *video.frames_at([0.3, 0.9])):
             assert frame.grey.size
+            times.append(frame.time)
+        return times
 
     return read
 
@@ -77,10 +81,18 @@ def _read_image_ground(folder: Path) -> object:
     return read_windows(WindowFiles(folder / "scenes", folder, table), VIEW)
 
 
+def _resume(folder: Path) -> object:
+    try:
+        return resume_training(folder / "training")
+    except ValueError as error:
+        if "another training" in str(error):  # of the call, not of the file
+            raise GeoaimError(str(error)) from error
+        raise
+
+
 def _tracks(name: str, mutations: tuple[by.Mutation, ...] = TEXT, **options) -> Reader:
     reading = name.replace("Meta", "s").replace("recordings", "tracks").replace("trackss", "tracks")
-    read = read_trajnet if "trajnet" in name else read_sdd if options else read_tracks
-    return Reader(name, mutations, lambda folder: read(folder / reading, **options))
+    return Reader(name, mutations, lambda folder: read_tracks(folder / reading, **options))
 
 
 READERS = {
@@ -142,5 +154,5 @@ READERS = {
         "tiles.mbtiles", (by.mutate_mbtiles,), lambda f: read_imagery(f / "tiles.mbtiles")
     ),
     "model": Reader("model.pt", STATE, lambda f: read_model(f / "model.pt")),
-    "checkpoint": Reader("checkpoint.pt", STATE, lambda f: read_state(f / "checkpoint.pt")),
+    "checkpoint": Reader("training/checkpoint.pt", STATE, _resume),
 }

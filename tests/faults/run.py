@@ -3,8 +3,10 @@
     python -m tests.faults.run --count 10000 -o docs/bench/faults.json
 
 Outcomes: read; refused, by an error under GeoaimError; traceback, any other error; crash, the
-process died; slow, over 5 s; memory, over 1 GB above the start. `--reader NAME --seed N` repeats
-one mutation and shows its traceback.
+process died; slow, over 5 s of processor time or 30 s in all; memory, over 1 GB above the start;
+implausible, read with numbers outside the plausibility that geoaim states and without a warning.
+`--reader NAME` counts one reader and keeps the others in the output; with `--seed N` it repeats one
+mutation and shows its traceback.
 """
 
 import argparse
@@ -27,12 +29,13 @@ from pathlib import Path
 import cv2
 import torch
 
-from geoaim.errors import GeoaimError
+from geoaim.errors import GeoaimError, GeoaimWarning
 from tests.faults.mutations import mutate_file
+from tests.faults.plausible import describe_implausible
 from tests.faults.readers import READERS
 from tests.faults.seeds import write_seeds
 
-OUTCOMES = ("read", "refused", "traceback", "crash", "slow", "memory")
+OUTCOMES = ("read", "refused", "traceback", "crash", "slow", "memory", "implausible")
 MAX_SECONDS, MAX_BYTES = 5.0, 10**9
 HARD_SECONDS, HARD_BYTES = 30, 4 * 10**9  # at which a child is stopped
 CHILD_SHARE = 500  # mutations of one child
@@ -109,23 +112,26 @@ def read_mutation(name: str, seed: int, folder: Path, own: Path) -> Result:
         mutate_file(folder / reader.file, reader.mutations, (index, seed))
     )
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
-    before, began = _read_status("VmRSS"), time.perf_counter()
-    outcome, detail = "read", ""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    before, began = _read_status("VmRSS"), time.process_time()
+    outcome, detail, value = "read", "", None
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
         try:
-            reader.read(own)
+            value = reader.read(own)
         except GeoaimError as error:
             outcome, detail = "refused", str(error)
         except MemoryError as error:
             outcome, detail = "memory", repr(error)
         except BaseException as error:
             outcome, detail = "traceback", _name_place(error)
-    seconds, grown = time.perf_counter() - began, _read_status("VmHWM") - before
+    seconds, grown = time.process_time() - began, _read_status("VmHWM") - before
     if grown > MAX_BYTES:
         outcome, detail = "memory", f"{grown / 1e9:.1f} GB, then {outcome}: {detail}"
     elif seconds > MAX_SECONDS:
         outcome, detail = "slow", f"{seconds:.1f} s, then {outcome}: {detail}"
+    warned = any(issubclass(warning.category, GeoaimWarning) for warning in shown)
+    if outcome == "read" and (problem := describe_implausible(value, warned=warned)):
+        outcome, detail = "implausible", problem
     return Result(seed, outcome, detail[:300])
 
 
@@ -170,20 +176,35 @@ def main() -> None:
         if arguments.seed is not None:
             _repeat(arguments.reader[0], arguments.seed, folder)
             return
-        rows, all_faults = [], []
+        found = False
         for name in arguments.reader or READERS:
             began = time.perf_counter()
             counts, faults = count_outcomes(name, range(arguments.count), folder)
-            rows.append({"reader": name, **counts})
-            all_faults += [{"reader": name, **vars(fault)} for fault in faults]
+            found |= bool(faults)
             print(f"{name}: {dict(counts)}, {time.perf_counter() - began:.0f} s", flush=True)
             for fault in faults[:5]:
                 print(f"  {fault}", flush=True)
             if arguments.output:
-                command = f"python -m tests.faults.run --count {arguments.count}"
-                results = {"command": command, "rows": rows, "faults": all_faults}
-                arguments.output.write_text(json.dumps(results, indent=1) + "\n")
-    sys.exit(bool(all_faults))
+                _write_counts(arguments.output, arguments.count, name, counts, faults)
+    sys.exit(found)
+
+
+def _write_counts(
+    path: Path, count: int, name: str, counts: Counter[str], faults: list[Result]
+) -> None:
+    """Write a reader's counts; keep those of the other readers, if they are of as many."""
+    command = f"python -m tests.faults.run --count {count}"
+    old = json.loads(path.read_text()) if path.exists() else {}
+    if old.get("command") != command:
+        old = {"rows": [], "faults": []}
+    rows = {row["reader"]: row for row in old["rows"]} | {name: {"reader": name, **counts}}
+    others = [fault for fault in old["faults"] if fault["reader"] != name]
+    results = {
+        "command": command,
+        "rows": [rows[known] for known in READERS if known in rows],
+        "faults": others + [{"reader": name, **vars(fault)} for fault in faults],
+    }
+    path.write_text(json.dumps(results, indent=1) + "\n")
 
 
 def _repeat(name: str, seed: int, folder: Path) -> None:

@@ -14,12 +14,14 @@ from rasterio.transform import from_origin
 
 from geoaim.aim import AIM
 from geoaim.aim_files import write_aim
-from geoaim.prediction.checkpoints import write_model, write_state
-from geoaim.prediction.training import init_model
+from geoaim.prediction.checkpoints import write_model
+from geoaim.prediction.config import TrainConfig
+from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.training import init_model, train
 from geoaim.track_files import write_tracks
 from geoaim.tracks import Tracks
 from geoaim.world import World
-from tests.prediction.tiny import TINY
+from tests.prediction.tiny import TINY, drive, hill
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 ORIGIN = 583000.0, 6062000.0
@@ -128,6 +130,12 @@ def make_tracks() -> Tracks:
     )
 
 
+def resume_training(folder: Path) -> object:
+    """Train two steps, or resume from their checkpoint, which is at the end."""
+    config = TrainConfig(steps=2, batch_size=2, history=(2, 4), checkpoint_interval=2)
+    return train(init_model(TINY), config, Dataset(drive(steps=8), drive(steps=8), hill()), folder)
+
+
 def write_seeds(folder: Path) -> None:
     """Write a file in each format into a folder."""
     for name, text in TABLES.items():
@@ -138,10 +146,8 @@ def write_seeds(folder: Path) -> None:
     write_aim(make_aim(), folder / "aim.tif")
     for suffix in ("csv", "parquet"):
         write_tracks(make_tracks(), folder / f"plain.{suffix}")
-    model = init_model(TINY)
-    write_model(model, folder / "model.pt")
-    optimiser = {"state": {0: {"step": 1.0}}, "param_groups": [{"lr": 1e-3}]}
-    write_state({"model": model.state_dict(), "optimiser": optimiser}, folder / "checkpoint.pt")
+    write_model(init_model(TINY), folder / "model.pt")
+    resume_training(folder / "training")
     _write_images(folder)
     _write_videos(folder)
 
