@@ -182,11 +182,11 @@ def _write_images(folder: Path) -> None:
         connection.execute(
             "CREATE TABLE tiles (zoom_level int, tile_column int, tile_row int, tile_data blob)"
         )
-        bounds = "0.0,54.342149,0.021973,54.354956"  # of the four tiles
-        rows = {"format": "jpg", "minzoom": "15", "maxzoom": "15", "bounds": bounds, "name": "a"}
+        bounds = "0.0,54.342149,0.002747,54.343750"  # of the four tiles
+        rows = {"format": "jpg", "minzoom": "18", "maxzoom": "18", "bounds": bounds, "name": "a"}
         connection.executemany("INSERT INTO metadata VALUES (?, ?)", rows.items())
         data = cv2.imencode(".jpg", cv2.resize(pixels, (256, 256)))[1].tobytes()
-        tiles = [(15, x, y, data) for x in (16384, 16385) for y in (22300, 22301)]
+        tiles = [(18, x, y, data) for x in (131072, 131073) for y in (178400, 178401)]
         connection.executemany("INSERT INTO tiles VALUES (?, ?, ?, ?)", tiles)
         connection.commit()
 
