@@ -23,7 +23,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import MapError, TracksError
 from geoaim.geojson import read_features
-from geoaim.limits import MAX_TIME_S
+from geoaim.limits import MAX_TIME_S, name_file
 from geoaim.world import World
 
 GREEN, YELLOW, RED = 0, 1, 2
@@ -122,7 +122,8 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
             two states at one time, or no signal has a stop line.
     """
     path = Path(path)
-    rows = _read_rows(path)
+    with name_file(path):
+        rows = _read_rows(path)
     _check_rows(path, rows)
     signals = list(dict.fromkeys(rows["signal"]))
     used = [line for signal in signals for line in lines if line.signal == signal]

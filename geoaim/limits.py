@@ -61,6 +61,18 @@ def check_regular(path: str | os.PathLike[str], error_type: type[GeoaimError]) -
 
 
 @contextmanager
+def name_file(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make errors of data that are raised in the block one line that names the file."""
+    try:
+        yield
+    except GeoaimError as error:
+        line = " ".join(str(error).split())
+        if os.path.basename(path) not in line:
+            line = f"{path}: {line}"
+        raise type(error)(line) from error
+
+
+@contextmanager
 def refuse_damaged(
     path: str | os.PathLike[str], error_type: type[GeoaimError], needed: str
 ) -> Iterator[None]:
@@ -76,11 +88,13 @@ def refuse_damaged(
 
     Raises:
         GeoaimError: of the type `error_type`, where the block raised any error other than a
-            GeoaimError, a warning, or one of a missing or forbidden file; these stay as they are.
+            GeoaimError, a warning, or one of a missing or forbidden file; these stay as they are,
+            but for the file's name.
     """
     check_regular(path, error_type)
     try:
-        yield
+        with name_file(path):
+            yield
     except (GeoaimError, Warning, FileNotFoundError, PermissionError, IsADirectoryError):
         raise
     except Exception as error:  # parsers raise errors of their own, and of every kind

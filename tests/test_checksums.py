@@ -1,8 +1,5 @@
 """Files of geoaim's own formats: damage is refused, files of earlier versions are read."""
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -10,15 +7,13 @@ import torch
 import geoaim
 from geoaim import aim_files, track_files
 from geoaim.aim_files import read_aim, write_aim
-from geoaim.checksums import MARK, PLACEHOLDER
 from geoaim.errors import GeoaimError, GeoaimWarning, ModelError, TracksError
 from geoaim.prediction import checkpoints
 from geoaim.prediction.checkpoints import read_model, read_state, write_model
 from geoaim.prediction.training import init_model
 from geoaim.track_files import read_plain_tracks, write_tracks
+from tests.faults.damage import CHECKED, FORMATS, flip_bits
 
-FORMATS = Path(__file__).parent / "formats"  # tiny files as each version wrote them
-FLIPS = 10_000
 READERS = {
     "aim-1.tif": read_aim,
     "aim-2.tif": read_aim,
@@ -30,7 +25,6 @@ READERS = {
     "tracks-2.parquet": read_plain_tracks,
 }
 WITHOUT_CHECKSUM = ["aim-1.tif", "model-2.pt", "tracks-1.parquet"]
-CHECKED = ["aim-2.tif", "model-3.pt", "checkpoint-3.pt", "tracks-2.parquet"]
 
 
 def read(name: str):
@@ -69,25 +63,7 @@ def test_tracks_of_every_version_are_read(name):
 
 @pytest.mark.parametrize("name", CHECKED)
 def test_no_flipped_bit_is_accepted(name, tmp_path):
-    path = shutil.copy(FORMATS / name, tmp_path)
-    whole = Path(path).read_bytes()
-    generator = np.random.default_rng(23)
-    bits = generator.integers(8 * len(whole), size=FLIPS)
-    inside = 8 * whole.index(MARK) + np.arange(8 * len(PLACEHOLDER))
-    bits[: len(inside)] = inside
-    accepted, unnamed = [], []
-    with Path(path).open("r+b", buffering=0) as file:
-        for bit in bits.tolist():
-            file.seek(bit // 8)
-            file.write(bytes([whole[bit // 8] ^ (1 << bit % 8)]))
-            try:
-                READERS[name](path)
-                accepted.append(bit)
-            except GeoaimError as error:
-                unnamed += [] if name in str(error) else [str(error)]
-            file.seek(bit // 8)
-            file.write(whole[bit // 8 : bit // 8 + 1])
-    READERS[name](path)  # whole again
+    accepted, unnamed = flip_bits(FORMATS / name, READERS[name], tmp_path)
     assert (accepted, unnamed) == ([], [])
 
 

@@ -7,7 +7,7 @@ import rasterio
 from geoaim.aim_files import read_aim
 from geoaim.errors import GeoaimError, TracksError, VideoError
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.limits import check_memory, refuse_damaged
+from geoaim.limits import check_memory, name_file, refuse_damaged
 from geoaim.mapping.video.video import open_video
 from geoaim.track_formats import read_sdd, read_tracks
 
@@ -32,6 +32,13 @@ def test_errors_of_libraries_become_one_line_and_others_pass():
         raise ValueError("b\nc")
     with pytest.raises(FileNotFoundError), refuse_damaged("a.csv", TracksError, "a table"):
         raise FileNotFoundError
+
+
+def test_errors_of_data_become_one_line_that_names_the_file():
+    with pytest.raises(TracksError, match=r"^b/a\.csv: row 3 is short$"), name_file("b/a.csv"):
+        raise TracksError("row 3\nis short")
+    with pytest.raises(TracksError, match=r"^a\.csv has no rows$"), name_file("b/a.csv"):
+        raise TracksError("a.csv has no rows")
 
 
 def test_small_files_with_large_claims_are_refused(tmp_path):

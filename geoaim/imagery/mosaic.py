@@ -28,7 +28,7 @@ from geoaim.imagery.rasters import (
     measure_resolution,
 )
 from geoaim.imagery.sources import Layer, Source, Tiles, describe_source
-from geoaim.limits import check_memory
+from geoaim.limits import check_memory, name_file
 from geoaim.world import World
 
 BYTES_PER_PIXEL = 8  # of an image and its coverage
@@ -100,7 +100,8 @@ def read_imagery(
     options: dict[str, Any] = {"resolution": resolution, "crs": crs, "bands": bands}
     layers = [describe_source(source, region, **options) for source in listed]
     if region is None:
-        region = enclose_outlines([line for layer in layers for line in layer.outlines], world)
+        with name_file(", ".join(layer.name for layer in layers)):
+            region = enclose_outlines([line for layer in layers for line in layer.outlines], world)
     layers = _select_layers(layers, region)
     points = {raster.crs: region.to_crs(raster.crs) for layer in layers for raster in layer.rasters}
     measured = [

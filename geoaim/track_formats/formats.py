@@ -6,7 +6,7 @@ import zlib
 from pathlib import Path
 
 from geoaim.errors import TracksError
-from geoaim.limits import check_regular
+from geoaim.limits import check_regular, name_file
 from geoaim.track_files import read_plain_tracks
 from geoaim.track_formats.geotrax import GEOTRAX
 from geoaim.track_formats.interaction import INTERACTION, SIND
@@ -71,7 +71,8 @@ def read_tracks(
             f"{path} is in the {track_format.name} format, which needs a resolution: give metres "
             "per pixel, such as 0.04"
         )
-    tracks = track_format.read(path, **given)
+    with name_file(path):
+        tracks = track_format.read(path, **given)
     check_plausibility(path, tracks)
     return tracks
 

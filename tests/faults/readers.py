@@ -42,16 +42,18 @@ class Reader:
     file: str
     mutations: tuple[by.Mutation, ...]
     read: Callable[[Path], object]
+    names_file: bool = True  # in its errors; those of control points name the points instead
 
 
 def _read_lines(folder: Path):
     return read_stop_lines(folder / "lines.geojson", WORLD)
 
 
-def _read_points(name: str) -> Callable[[Path], object]:
-    return lambda folder: estimate_georeference(
-        read_control_points(folder / name), height=430, width=620
-    )
+def _points(name: str) -> Reader:
+    def read(folder: Path) -> object:
+        return estimate_georeference(read_control_points(folder / name), height=430, width=620)
+
+    return Reader(name, TEXT, read, names_file=False)
 
 
 def _read_video(name: str) -> Callable[[Path], object]:
@@ -128,9 +130,9 @@ READERS = {
     "HD map": Reader(
         "map.osm", (*TEXT, by.mutate_xml), lambda f: find_drivable_area(read_hdmap(f / "map.osm"))
     ),
-    "control points: CSV": Reader("gcps.csv", TEXT, _read_points("gcps.csv")),
-    "control points: ODM": Reader("gcp_list.txt", TEXT, _read_points("gcp_list.txt")),
-    "control points: QGIS": Reader("qgis.points", TEXT, _read_points("qgis.points")),
+    "control points: CSV": _points("gcps.csv"),
+    "control points: ODM": _points("gcp_list.txt"),
+    "control points: QGIS": _points("qgis.points"),
     "SRT": Reader("bracketed.srt", TEXT, lambda f: read_srt(f / "bracketed.srt")),
     "SRT, older": Reader("older.srt", TEXT, lambda f: read_srt(f / "older.srt")),
     "photo": Reader("photo.jpg", BINARY, lambda f: read_exif([f / "photo.jpg"])),

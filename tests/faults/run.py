@@ -4,9 +4,10 @@
 
 Outcomes: read; refused, by an error under GeoaimError; traceback, any other error; crash, the
 process died; slow, over 5 s of processor time or 30 s in all; memory, over 1 GB above the start;
-implausible, read with numbers outside the plausibility that geoaim states and without a warning.
-`--reader NAME` counts one reader and keeps the others in the output; with `--seed N` it repeats one
-mutation and shows its traceback.
+implausible, read with numbers outside the plausibility that geoaim states and without a warning;
+unnamed, refused by more than one line, or by one that does not name the file.
+A run goes on where its output stops; `--reader NAME` counts one reader anew, and with `--seed N`
+repeats one mutation and shows its traceback.
 """
 
 import argparse
@@ -35,7 +36,7 @@ from tests.faults.plausible import describe_implausible
 from tests.faults.readers import READERS
 from tests.faults.seeds import write_seeds
 
-OUTCOMES = ("read", "refused", "traceback", "crash", "slow", "memory", "implausible")
+OUTCOMES = ("read", "refused", "traceback", "crash", "slow", "memory", "implausible", "unnamed")
 MAX_SECONDS, MAX_BYTES = 5.0, 10**9
 HARD_SECONDS, HARD_BYTES = 30, 4 * 10**9  # at which a child is stopped
 CHILD_SHARE = 500  # mutations of one child
@@ -119,7 +120,9 @@ def read_mutation(name: str, seed: int, folder: Path, own: Path) -> Result:
         try:
             value = reader.read(own)
         except GeoaimError as error:
-            outcome, detail = "refused", str(error)
+            named = str(own) in str(error) or Path(reader.file).stem in str(error)
+            clear = "\n" not in str(error) and (named or not reader.names_file)
+            outcome, detail = "refused" if clear else "unnamed", str(error)
         except MemoryError as error:
             outcome, detail = "memory", repr(error)
         except BaseException as error:
@@ -176,35 +179,32 @@ def main() -> None:
         if arguments.seed is not None:
             _repeat(arguments.reader[0], arguments.seed, folder)
             return
-        found = False
+        path = arguments.output or Path(temporary, "faults.json")
         for name in arguments.reader or READERS:
-            began = time.perf_counter()
-            counts, faults = count_outcomes(name, range(arguments.count), folder)
-            found |= bool(faults)
-            print(f"{name}: {dict(counts)}, {time.perf_counter() - began:.0f} s", flush=True)
-            for fault in faults[:5]:
-                print(f"  {fault}", flush=True)
-            if arguments.output:
-                _write_counts(arguments.output, arguments.count, name, counts, faults)
-    sys.exit(found)
+            _count_reader(path, name, arguments.count, folder, anew=bool(arguments.reader))
+        sys.exit(bool(json.loads(path.read_text())["faults"]))
 
 
-def _write_counts(
-    path: Path, count: int, name: str, counts: Counter[str], faults: list[Result]
-) -> None:
-    """Write a reader's counts; keep those of the other readers, if they are of as many."""
-    command = f"python -m tests.faults.run --count {count}"
-    old = json.loads(path.read_text()) if path.exists() else {}
-    if old.get("command") != command:
-        old = {"rows": [], "faults": []}
-    rows = {row["reader"]: row for row in old["rows"]} | {name: {"reader": name, **counts}}
-    others = [fault for fault in old["faults"] if fault["reader"] != name]
-    results = {
-        "command": command,
-        "rows": [rows[known] for known in READERS if known in rows],
-        "faults": others + [{"reader": name, **vars(fault)} for fault in faults],
-    }
-    path.write_text(json.dumps(results, indent=1) + "\n")
+def _count_reader(path: Path, name: str, count: int, folder: Path, *, anew: bool) -> None:
+    """Count a reader's outcomes, from where the output stops, and write them now and then."""
+    results = json.loads(path.read_text()) if path.exists() else {"rows": [], "faults": []}
+    rows = {row["reader"]: row for row in results["rows"]}
+    row = {"reader": name, **dict.fromkeys(OUTCOMES, 0)} if anew else rows.get(name)
+    row = row or {"reader": name, **dict.fromkeys(OUTCOMES, 0)}
+    kept = [fault for fault in results["faults"] if fault["reader"] != name or not anew]
+    for start in range(sum(row[key] for key in OUTCOMES), count, CHILD_SHARE):
+        seeds = range(start, min(start + CHILD_SHARE, count))
+        counts, faults = count_outcomes(name, seeds, folder)
+        row = {"reader": name, **{key: row[key] + counts[key] for key in OUTCOMES}}
+        rows[name] = row
+        kept += [{"reader": name, **vars(fault)} for fault in faults]
+        written = {
+            "command": f"python -m tests.faults.run --count {count} -o docs/bench/faults.json",
+            "rows": [rows[known] for known in READERS if known in rows],
+            "faults": kept,
+        }
+        path.write_text(json.dumps(written, indent=1) + "\n")
+        print(row, *(f"\n  {fault}" for fault in faults[:5]), flush=True)
 
 
 def _repeat(name: str, seed: int, folder: Path) -> None:
