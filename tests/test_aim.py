@@ -59,3 +59,8 @@ def test_image_that_reaches_past_the_horizon_is_refused():
     place[2, 1] = -1 / 20
     with pytest.raises(AimError, match="horizon"):
         make_aim(place=place)
+
+
+def test_image_off_the_earth_is_refused():
+    with pytest.raises(AimError, match=r"a corner .* lies .*e\+09 m from the world's origin"):
+        make_aim(place=np.diag([1e8, 1e8, 1.0]))

@@ -131,6 +131,7 @@ def test_bundled_lights_stop_traffic_at_the_maps_lines():
         ("a,b\n1,2\n", "has the columns a, b"),
         ("time,signal,state\n0,a,blue\n", r"1 rows have no time.*blue"),
         ("time,signal,state\nnoon,a,red\n", "1 rows have no time"),
+        ("time,signal,state\n1e39,a,red\n", "1 rows have no time"),
         ("time,signal,state\n0,a,red\n0,a,green\n", "two states at one time.*red.*green"),
         ("time,signal,state\n0,a,red,9\n", "is not a table of traffic lights"),
         ("time,signal,state\n0,c,red\n", "none of the signals c has a stop line.*a, b"),

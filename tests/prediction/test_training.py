@@ -9,7 +9,7 @@ import torch
 from geoaim.errors import ModelError
 from geoaim.prediction.anchors import compute_anchor_loss
 from geoaim.prediction.batches import Process, compute_top_k, draw_batch
-from geoaim.prediction.checkpoints import read_model
+from geoaim.prediction.checkpoints import read_model, read_state, write_state
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.training import LOG_COLUMNS, init_model, train
@@ -74,6 +74,23 @@ def test_another_training_in_the_folder_is_rejected(tmp_path):
         train(init_model(TINY), replace(TRAINING, learning_rate=0.01), dataset(), tmp_path)
     (tmp_path / "checkpoint.pt").write_bytes(b"no zip")
     with pytest.raises(ModelError, match=r"checkpoint\.pt is not a model"):
+        train(init_model(TINY), TRAINING, dataset(), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("optimiser", {}, "is not a checkpoint"),
+        ("log", [[9, 0, 0, 0, 0, 0]], "last step is 9"),
+        ("model", None, "not a finite number"),
+    ],
+)
+def test_a_bent_checkpoint_is_refused(tmp_path, name, value, message):
+    train(init_model(TINY), TRAINING, dataset(), tmp_path)
+    state = read_state(tmp_path / "checkpoint.pt")
+    infinite = {key: weights * torch.inf for key, weights in state["model"].items()}
+    write_state({**state, name: infinite if value is None else value}, tmp_path / "checkpoint.pt")
+    with pytest.raises(ModelError, match=rf"checkpoint\.pt.*{message}"):
         train(init_model(TINY), TRAINING, dataset(), tmp_path)
 
 

@@ -128,6 +128,7 @@ def test_missing_and_malformed_files_are_reported(folder, tmp_path):
     (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\npark_0,0.05\n")
     for broken, why in (
         (table[:-1], "99 rows; windows of 20 rows each"),
+        (table.assign(u_px=1e15), "pixels of an image"),
         (table.assign(track=np.arange(len(table)) // 10), "more than one track"),
         (table.drop(columns="u_px"), "lacks the columns u_px"),
     ):
