@@ -48,6 +48,7 @@ def join_processes(device: torch.device) -> Iterator[Process]:
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Process(rank, world_size, device)
+        dist.barrier()  # gloo's threads abort a process that ends right after a gradient's exchange
     finally:
         dist.destroy_process_group()
 

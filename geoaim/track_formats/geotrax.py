@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from geoaim.errors import TracksError
+from geoaim.limits import MAX_POSITION_M
 from geoaim.track_files import read_table
 from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns
@@ -35,7 +36,8 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
         median = table.groupby("Vehicle_Class")[name].transform("median")
         table[name] = table[name].fillna(median).fillna(table[name].median())
     time = _parse_times(path, table["Timestamp"])
-    origin = (round(float(table["Local_X"].mean()), -2), round(float(table["Local_Y"].mean()), -2))
+    means = table[["Local_X", "Local_Y"]].mean().clip(-MAX_POSITION_M, MAX_POSITION_M)
+    origin = (round(float(means.iloc[0]), -2), round(float(means.iloc[1]), -2))
     rows = pd.DataFrame(
         {
             "id": table["Vehicle_ID"],
