@@ -43,6 +43,8 @@ def _list_numbers(name: str, value: object) -> Iterator[tuple[str, np.ndarray]]:
         yield name, np.asarray(value)
     elif is_dataclass(value):
         for field in fields(value):
+            if field.name == "report":  # notes of any kind, which decide no position
+                continue
             yield from _list_numbers(f"{name}.{field.name}", getattr(value, field.name))
     elif isinstance(value, Mapping | list | tuple):
         items = value.items() if isinstance(value, Mapping) else enumerate(value)
