@@ -20,6 +20,7 @@ from shapely.ops import polygonize
 
 from geoaim.errors import MapError
 from geoaim.lights import StopLine
+from geoaim.limits import name_file
 from geoaim.world import LONLAT, World, choose_world, transform_crs, world_from_lonlat
 
 MAX_LOCAL_DEGREES = 0.1  # about (0, 0), within which degrees stand for local metres
@@ -89,7 +90,8 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     file = _parse(path)
-    points, world = _locate_nodes(path, file, world)
+    with name_file(path):
+        points, world = _locate_nodes(path, file, world)
     ways = _read_ways(path, file, points)
     lanelets = tuple(_make_lanelet(path, x, ways) for x in _list_relations(file, "lanelet"))
     if not lanelets:

@@ -13,6 +13,9 @@ from geoaim.mapping.video.telemetry import PLAUSIBLE, Telemetry
 from geoaim.track_formats.plausibility import LIMITS, OTHER_LIMITS
 from geoaim.tracks import Tracks
 
+# notes of any kind, and the size of the pixels of a picture of one colour
+NOT_MEASURED = ("report", "averaged_over")
+
 
 def describe_implausible(value: object, *, warned: bool) -> str:
     """Describe the first implausible number of what was read; empty where there is none.
@@ -43,7 +46,7 @@ def _list_numbers(name: str, value: object) -> Iterator[tuple[str, np.ndarray]]:
         yield name, np.asarray(value)
     elif is_dataclass(value):
         for field in fields(value):
-            if field.name == "report":  # notes of any kind, which decide no position
+            if field.name in NOT_MEASURED:
                 continue
             yield from _list_numbers(f"{name}.{field.name}", getattr(value, field.name))
     elif isinstance(value, Mapping | list | tuple):
