@@ -7,7 +7,6 @@
 - A formula between `$$` becomes a picture, so that pages need no script from another server.
 """
 
-import ast
 import inspect
 import io
 import re
@@ -59,8 +58,8 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     writers = {"options": write_options, "table": write_results}
     pattern = r"^.*<!-- (options|table): (\w+) -->$"
     markdown = re.sub(pattern, lambda m: writers[m[1]](m[2]), markdown, flags=re.M)
-    lists = {"decisions": write_decisions, "packages": write_packages, "modules": write_modules}
-    pattern = r"^.*<!-- (decisions|packages|modules) -->$"
+    lists = {"decisions": write_decisions, "packages": write_packages}
+    pattern = r"^.*<!-- (decisions|packages) -->$"
     markdown = re.sub(pattern, lambda m: lists[m[1]](), markdown, flags=re.M)
     return re.sub(r"^\$\$\n(.+?)\n\$\$$", lambda m: draw_formula(m[1]), markdown, flags=re.M | re.S)
 
@@ -94,15 +93,6 @@ def write_packages() -> str:
         names = ", ".join(f"`{name.rpartition('.')[2]}`" for name in modules if name != package)
         lines.append(f"| [{package}]({package}.md) | {names} |")
     return "| package | modules |\n|---|---|\n" + "\n".join(lines)
-
-
-def write_modules() -> str:
-    """The files beside the folders of the package, with the first sentence of each."""
-    lines = ["| file | holds |", "|---|---|"]
-    for path in sorted(PACKAGE.glob("[a-z]*.py")):
-        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
-        lines.append(f"| `{path.stem}` | {text.splitlines()[0]} |")
-    return "\n".join(lines)
 
 
 def write_options(command: str) -> str:

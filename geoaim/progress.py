@@ -20,7 +20,7 @@ def no_progress(stage: str, done: float, total: float | None) -> None:
 def report_each(
     items: Iterable[Item], progress: Progress, stage: str, total: float | None
 ) -> Iterator[Item]:
-    """Yield items, and report how many have been yielded.
+    """Yield items, and report the number of each before it is yielded.
 
     Args:
         items: of any kind.

@@ -205,7 +205,8 @@ def world_from_crs(
         (M, 2) metres from the world's origin.
 
     Raises:
-        GeoreferenceError: a point cannot be expressed there, or the world has no CRS.
+        GeoreferenceError: a point cannot be expressed there, or a CRS is given and the world has
+            none.
 
     >>> world_from_crs(World("EPSG:32635", (500000.0, 5970000.0)), np.array([[500003.0, 5970004]]))
     array([[3., 4.]])

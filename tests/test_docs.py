@@ -59,6 +59,13 @@ def test_site_has_every_public_module(site: Path, hooks: ModuleType) -> None:
         assert [name for name in modules if f'id="{name}"' not in page] == []
 
 
+def test_architecture_lists_the_files_beside_the_folders() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    for path in ROOT.glob("geoaim/[a-z]*.py"):
+        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+        assert f"| `{path.stem}` | {text.splitlines()[0]} |\n" in page
+
+
 def test_site_has_no_placeholder_left(site: Path) -> None:
     left = [page.name for page in site.rglob("*.html") if "&lt;!-- " in page.read_text("utf-8")]
     assert left == []

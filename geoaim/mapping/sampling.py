@@ -41,11 +41,11 @@ class Sampling:
 
 
 def sample_video(video: Video, frames: FrameCount) -> Sampling:
-    """Choose frames of a video: "auto", "all", or a number of them.
+    """Choose frames of a video: "auto", "all", or up to a number of them; nothing is read yet.
 
-    "auto" reads until the background converges: batches that are each spread over the whole video,
-    and as large as all before them together. Where the samples are closer than the keyframes, one
-    pass decodes all batches.
+    "auto" will read up to 64, until the background converges: batches that are each spread over
+    the whole video, and as large as all before them together. Where the samples are closer than
+    the keyframes, one pass decodes all batches.
 
     Raises:
         ValueError: `frames` is none of these.

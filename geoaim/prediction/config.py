@@ -22,7 +22,8 @@ class Config:
     # whether the model gets rendered views; without them it knows the agent's own motion and size
     # only
     use_observations: bool = True
-    view_size: int = 64  # side of a view, pixels
+    # side of a view, pixels: an agent sees the square of view_size x resolution metres about it
+    view_size: int = 64
     resolution: float = 0.8  # metres per pixel of a view
     # whether views have a channel of the colour distance to the ground under the agent
     surface_contrast: bool = False

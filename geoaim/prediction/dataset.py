@@ -34,7 +34,7 @@ def make_dataset(
     """Cut scenes of any places into a dataset; no segment lies in both of its parts.
 
     Args:
-        scenes: at the config's dt; scenes of one place share their ground.
+        scenes: at the config's dt; scenes of one place hold the same `Ground` object.
         config: of the model: its agent kind ("vehicle" or "pedestrian") and its view.
         val_fraction: share of each scene's steps, at its end, for validation.
         progress: takes stage, done and total.

@@ -1,4 +1,4 @@
-"""Which agents each view may show, so that time grows with their number and not with its square."""
+"""Leave out agents that a view cannot show, for speed; `Config.view_size` says what it shows."""
 
 from collections.abc import Iterator
 

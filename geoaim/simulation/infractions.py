@@ -44,7 +44,7 @@ def compute_offroad_distance(
 ) -> Float[Tensor, "..."]:
     """Compute how far the furthest corner of each agent is off the road; differentiable.
 
-    An agent is off the road where this is positive, as in Liu et al. 2023.
+    An agent is off the road where this is positive, without a tolerance, as in Liu et al. 2023.
 
     Args:
         drivable: signed distances; beyond the raster, the distance to the raster is added.

@@ -1,4 +1,4 @@
-"""Traffic removal: find which pixels of registered frames show traffic, without detections.
+"""Find which pixels of registered frames show traffic, without detections; its thresholds.
 
 A mean, a median or a mixture model takes a vehicle that stands for most of the clip for ground.
 But an object has an outline, and the bare ground has none. Where a frame and the background differ

@@ -1,4 +1,4 @@
-"""Traffic removal without detections: search in small copies of the frames, then average."""
+"""Collect small copies of frames, have `traffic_removal` find their traffic, average the rest."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace

@@ -41,7 +41,7 @@ class PointRow:
 
 
 def read_point_file(path: Path) -> list[PointRow]:
-    """Read a file of control points; the format is recognised by its content.
+    """Read a file of control points: CSV, OpenDroneMap or QGIS, recognised by its content.
 
     Raises:
         GeoreferenceError: there is no such file, or it or one of its lines cannot be read.

@@ -50,13 +50,13 @@ def read_detections(source: DetectionSource) -> Detections:
 
 
 def grow_boxes(boxes: Float[Array, "N 4"]) -> Float[Array, "N 4"]:
-    """Enlarge boxes (left, top, right, bottom) by 12 % about their centres."""
+    """Enlarge boxes (left, top, right, bottom; pixels): width and height by 12 %, same centres."""
     centre, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2 * BOX_SCALE
     return np.concatenate([centre - half, centre + half], axis=1)
 
 
 def mask_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Bool[Array, "H W"]:
-    """Make a mask of a (height, width) image, True inside boxes (pixels) enlarged by 12 %."""
+    """Make a mask of a (height, width) image, True inside the boxes that `grow_boxes` returns."""
     mask = np.zeros(size, bool)
     limits = np.array(size[::-1])
     grown = grow_boxes(boxes)

@@ -82,11 +82,11 @@ def make_pedestrian_network(
     """Connect the pavements by crossings, and add footpaths off them.
 
     Args:
-        paving: surfaces.
+        paving: surfaces of the place, plan metres.
         crossings: of the roads and the driveway.
         extent: the part of the plan that is drawn.
         pavement_width: metres.
-        generator: of the footpaths.
+        generator: draws where footpaths lie.
         park: whether footpaths lead through a park, not to doors.
 
     Returns:
