@@ -16,6 +16,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.motion_models import Model
 from geoaim.mapping.registration.patches import (
+    MIN_INLIER_CORRELATION,
     PATCH_SIDE_PX,
     PatchAlignment,
     PatchTemplate,
@@ -41,6 +42,10 @@ MIN_UNCERTAIN_SHARE = 0.6
 # chosen on the validation part of `geoaim.bench.stability`: of frames that state 0.02 to 0.04 px
 # 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
 MISLEADING_UNCERTAINTY_PX = 0.12
+MISLEADING_SCATTER = (
+    6.0  # px of uncertainty for a pixel of scatter, which counts to the third power
+)
+MAX_CONTRARY_SHARE = 0.2  # of patches that fit well, yet elsewhere
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
 
 
@@ -54,7 +59,7 @@ class FrameRegistration:
         quality: median correlation of the patches with the frame, 0 to 1.
         inlier_share: share of inliers among the patches in view.
         uncertainty: standard deviation of the transformed image corners, pixels.
-        contested: whether a large part of the image supports another placement.
+        contested: whether texture repeats, so that the next frame is compared as well.
     """
 
     reference_from_frame: Float[Array, "3 3"]
@@ -230,13 +235,19 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))
-    stated = widen_uncertainty(predict_corner_uncertainty(keyframe.fine, alignment.motion))
+    stated = widen_uncertainty(
+        predict_corner_uncertainty(keyframe.fine, alignment.motion), alignment.motion.noise
+    )
+    fits = alignment.in_view & (alignment.correlation > MIN_INLIER_CORRELATION)
+    contrary = float((fits & ~alignment.inliers).sum() / max(in_view, 1))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_PATCHES:
         reason = f"too little overlap: {in_view} patches in view, {MIN_PATCHES} needed"
     elif inliers < MIN_PATCHES or share < MIN_INLIER_SHARE:
         reason = f"too few inliers: {inliers} of {in_view} patches agree"
+    elif contrary > MAX_CONTRARY_SHARE:
+        reason = f"parts disagree: {contrary:.0%} of the patches fit elsewhere"
     elif not alignment.converged:
         reason = "the alignment did not converge"
     elif not stated <= MAX_CORNER_UNCERTAINTY_PX:
@@ -248,12 +259,20 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def widen_uncertainty(uncertainty: float) -> float:
-    """Widen a stated uncertainty, px, where the parts of the image disagree.
+def widen_uncertainty(uncertainty: float, scatter: float) -> float:
+    """Widen a stated uncertainty where the parts of the image disagree or the patches scatter.
 
     What displaces some parts (compression, waves, blur) also misleads the others.
+
+    Args:
+        uncertainty: from the fit, px.
+        scatter: standard deviation of the residuals of the inliers, px.
+
+    Returns:
+        The uncertainty to state, px.
     """
-    return uncertainty * (1 + (uncertainty / MISLEADING_UNCERTAINTY_PX) ** 2)
+    widened = uncertainty * (1 + (uncertainty / MISLEADING_UNCERTAINTY_PX) ** 2)
+    return float(np.hypot(widened, MISLEADING_SCATTER * scatter**3))
 
 
 def _reject(reason: str) -> FrameRegistration:

@@ -113,9 +113,7 @@ def make_template(
     gradient = _compute_gradients(level, rows, columns)
     gradient -= np.einsum("mkp,mp->mk", gradient, unit)[..., None] * unit[:, None]
     structure = gradient @ gradient.transpose(0, 2, 1)
-    usable = (
-        np.linalg.eigvalsh(structure)[:, 0] > (_estimate_noise(level) / MAX_PATCH_NOISE_PX) ** 2
-    )
+    usable = np.linalg.eigvalsh(structure)[:, 0] > (estimate_noise(level) / MAX_PATCH_NOISE_PX) ** 2
     inverse = np.linalg.inv(structure[usable])
     gain = (unit / np.sqrt(energy)[:, None])[usable, None]
     position = np.stack([columns, rows, np.ones_like(rows)])[:, usable].reshape(3, -1)
@@ -309,11 +307,11 @@ def _subtract_mean(patches: Float[Array, "M P"]) -> Float[Array, "M P"]:
     return patches - patches.mean(-1, keepdims=True)
 
 
-def _estimate_noise(grey: UInt8[Array, "H W"]) -> float:
-    """Standard deviation of the image noise, at least half a grey level (Immerkaer 1996).
+def estimate_noise(grey: UInt8[Array, "H W"], *, least: float = 0.5) -> float:
+    """Standard deviation of the image noise, at least that given, grey levels (Immerkaer 1996).
 
     The median replaces his mean, to reduce the influence of texture.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = cv2.filter2D(grey.astype(np.float32), -1, mask)
-    return max(float(np.median(np.abs(response))) / 0.6745 / 6, 0.5)
+    return max(float(np.median(np.abs(response))) / 0.6745 / 6, least)

@@ -1,9 +1,8 @@
-"""Find other placements of a frame that a part of the image supports.
+"""Find other placements of a frame, and measure how much of the image fits at one.
 
-A local search accepts the first placement on which enough patches agree. Coherent traffic and
-periodic texture offer more than one. The phase correlation of the reference and the registered
-frame shows them all at once: a peak for each displacement that a part of the image has.
-`placements.py` chooses between them.
+A local search accepts the first placement on which enough patches agree. Periodic texture offers
+more than one. The phase correlation of the reference and the registered frame shows them all at
+once, as peaks. `placements.py` decides.
 """
 
 from typing import NamedTuple
@@ -15,15 +14,19 @@ from jaxtyping import Complex, Float, Int, UInt8
 from numpy import ndarray as Array
 
 from geoaim.geometry import to_opencv, translation
+from geoaim.mapping.registration.patches import estimate_noise
 
 MAX_RIVALS = 3
 MIN_RIVAL_STRENGTH = 0.03  # of the peak at zero
 MIN_RIVAL_SIGNIFICANCE = 8.0  # standard deviations of the correlation
 PEAK_RADIUS_PX = 2  # within which there is no other peak, pixels of the small image
-SMOOTHING_PX = 0.7  # of the peaks, pixels of the small image
+SMOOTHING_PX = 0.7  # of peaks and details, pixels of the small image
 DETAIL_SIDE_PX = 9  # of the window whose mean is subtracted, pixels of the small image
-COMPARED_SIDE_PX = 7  # of the window in which details are compared, pixels of the small image
-CLEAR_DIFFERENCE = 0.6  # ratio of the two differences below which a pixel fits clearly better
+COMPARED_SIZE = (5, 5)  # of the windows in which details are compared, pixels of the small image
+MIN_NOISE = 0.05  # variance; that of rounding to grey levels
+MIN_TEXTURE = 3.0  # ratio to the noise
+MIN_TEXTURE_LEFT = 0.3  # ratio to the noise, when that is subtracted
+CLEAR_FIT = 0.7  # of the typical correlation of inliers
 
 
 class Overview(NamedTuple):
@@ -31,13 +34,15 @@ class Overview(NamedTuple):
 
     Attributes:
         spectrum: its Fourier transform, whitened and low-pass filtered.
-        detail: its grey levels minus their local means.
+        detail: its grey levels, smoothed, minus their local means.
+        noise: variance of the noise in `detail`.
         window: that fades the image's margins.
         scale: pixels of the small image per pixel of the full image.
     """
 
     spectrum: Complex[Array, "h k"]
     detail: Float[Array, "h w"]
+    noise: float
     window: Float[Array, "h w"]
     scale: float
 
@@ -70,7 +75,7 @@ def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
     rows, columns = scipy.fft.fftfreq(height)[:, None], scipy.fft.rfftfreq(width)
     smoothing = np.exp(-2 * (np.pi * SMOOTHING_PX) ** 2 * (rows**2 + columns**2))
     return Overview(
-        (spectrum * smoothing).astype(np.complex64), _extract_detail(small), window, scale
+        (spectrum * smoothing).astype(np.complex64), *_extract_detail(small), window, scale
     )
 
 
@@ -129,40 +134,49 @@ def correlate_phases(
     )
 
 
-def compare_areas(
+def measure_fit(
     overview: Overview,
     small: UInt8[Array, "h w"],
-    one: Float[Array, "3 3"],
-    other: Float[Array, "3 3"],
+    reference_from_frame: Float[Array, "3 3"],
+    points: Float[Array, "M 2"],
 ) -> tuple[float, float]:
-    """Compare how much of the image fits clearly better at one of two placements.
+    """Measure how much of the image has texture, and how much of that fits at a placement.
+
+    Details are correlated in small windows, less what noise contributes. A window fits if it
+    correlates nearly as well as those of the inliers, so that blur or compression of the whole
+    image is no misfit.
 
     Args:
         overview: of the reference.
         small: the frame, reduced like the overview.
-        one: `reference_from_frame` of the first placement, in pixels of the full image.
-        other: `reference_from_frame` of the second one.
+        reference_from_frame: the placement, in pixels of the full image.
+        points: patches of the reference that follow it, in pixels of the full image.
 
     Returns:
-        Shares of the area seen in both that fit clearly better at the first and at the second
-        placement.
+        The share of the common area that has texture, and the share of that which fits.
     """
-    detail = _extract_detail(small)
-    size = (COMPARED_SIDE_PX, COMPARED_SIDE_PX)
-    seen = np.ones(small.shape, bool)
-    differences = []
-    for matrix in (one, other):
-        seen &= _warp(overview, np.ones_like(detail), matrix) > 1 - 1e-3
-        moved = _warp(overview, detail, matrix)
-        differences.append(cv2.blur(np.abs(overview.detail - moved), size))
-    if not seen.any():
-        return 1.0, 0.0
-    first, second = (difference[seen] for difference in differences)
-    noise = 0.5 * min(float(np.median(first)), float(np.median(second)))
-    return (
-        float((first < CLEAR_DIFFERENCE * second - noise).mean()),
-        float((second < CLEAR_DIFFERENCE * first - noise).mean()),
-    )
+    detail, noise = _extract_detail(small)
+    moved = _warp(overview, detail, reference_from_frame)
+    seen = _warp(overview, np.ones_like(detail), reference_from_frame) > 1 - 1e-3
+    energies = []
+    textured = np.zeros(seen.shape, bool)
+    for image, own_noise in ((overview.detail, overview.noise), (moved, noise)):
+        energy = cv2.blur(image * image, COMPARED_SIZE)
+        textured |= energy > MIN_TEXTURE * own_noise
+        energies.append(np.maximum(energy - own_noise, MIN_TEXTURE_LEFT * own_noise))
+    product = cv2.blur(overview.detail * moved, COMPARED_SIZE)
+    correlation = product / np.sqrt(energies[0] * energies[1])
+    window = np.ones(COMPARED_SIZE[::-1], np.uint8)
+    seen = cv2.erode(seen.view(np.uint8), window, borderValue=1).view(bool)
+    textured &= seen
+    if not textured.any():
+        return 0.0, 0.0
+    columns, rows = (points * overview.scale).astype(int).T
+    limits = np.array([[seen.shape[1] - 1], [seen.shape[0] - 1]])
+    columns, rows = np.minimum([columns, rows], limits)
+    typical = min(float(np.median(correlation[rows, columns])), 1.0)
+    fits = correlation[textured] > CLEAR_FIT * typical
+    return float(textured.sum() / seen.sum()), float(fits.mean())
 
 
 def _warp(
@@ -173,9 +187,11 @@ def _warp(
     return cv2.warpPerspective(small, to_opencv(matrix), overview.window.shape[::-1])
 
 
-def _extract_detail(small: UInt8[Array, "h w"]) -> Float[Array, "h w"]:
-    intensity = small.astype(np.float32)
-    return intensity - cv2.blur(intensity, (DETAIL_SIDE_PX, DETAIL_SIDE_PX))
+def _extract_detail(small: UInt8[Array, "h w"]) -> tuple[Float[Array, "h w"], float]:
+    """Grey levels minus their local means, smoothed, and the variance of the noise in them."""
+    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), SMOOTHING_PX)
+    noise = estimate_noise(small, least=0.0) ** 2 / (4 * np.pi * SMOOTHING_PX**2)
+    return smooth - cv2.blur(smooth, (DETAIL_SIDE_PX, DETAIL_SIDE_PX)), max(noise, MIN_NOISE)
 
 
 def _whiten(image: Float[Array, "h w"]) -> Complex[Array, "h k"]:
