@@ -97,24 +97,28 @@ def _invert(
     return pixels
 
 
-def list_cases(split: str, kinds: Sequence[str], *, repeats: int = 1) -> Iterator[SweepCase]:
+def list_cases(
+    split: str, kinds: Sequence[str], *, repeats: int = 1, skipped: int = 0
+) -> Iterator[SweepCase]:
     """List the clips of a sweep: every level of each kind on every base that can be had.
 
     Args:
         split: "validation" or "test".
         kinds: names of kinds.
         repeats: seeds for each level and base.
+        skipped: seeds to leave out, since earlier sweeps used them.
 
     Yields:
         The cases.
     """
     bases = [base for base in BASES[split] if find_data() is not None or not base[2]]
+    seeds = range(skipped, skipped + repeats)
     for name in kinds:
         levels = KINDS[name].levels
         for rank, level in enumerate(levels):
             following = levels[min(rank + 1, len(levels) - 1)]
             level += (following - level) * (TEST_STEP if split == "test" else 0)
-            for number, repeat in itertools.product(range(len(bases)), range(repeats)):
+            for number, repeat in itertools.product(range(len(bases)), seeds):
                 generator, base, _ = bases[number]
                 key = f"{split} {name} {rank} {base} {repeat}"
                 seed = zlib.crc32(key.encode())

@@ -70,6 +70,7 @@ def main(
     split: Annotated[str, typer.Option(help="validation or test")] = "validation",
     kinds: Annotated[str, typer.Option(help="separated by semicolons; all by default")] = "",
     repeats: Annotated[int, typer.Option(help="seeds of each level and base")] = 1,
+    skipped: Annotated[int, typer.Option(help="seeds that earlier sweeps used")] = 0,
     rivals: Annotated[bool, typer.Option(help="other methods on the same frames")] = False,
     every: Annotated[int, typer.Option(help="use every n-th clip")] = 1,
     quick: Annotated[bool, typer.Option(help="a few kinds, three levels of each")] = False,
@@ -82,7 +83,8 @@ def main(
     output.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     for kind in chosen:
-        for number, case in enumerate(list_cases(split, [kind.strip()], repeats=repeats)):
+        cases = list_cases(split, [kind.strip()], repeats=repeats, skipped=skipped)
+        for number, case in enumerate(cases):
             if number % every == 0 and (not quick or case.rank % 3 == 0):
                 clip = make_clip(case)
                 rows += run_geoaim(case, clip) + run_rivals(case, clip, methods)

@@ -235,9 +235,9 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))
-    stated = widen_uncertainty(
-        predict_corner_uncertainty(keyframe.fine, alignment.motion), alignment.motion.noise
-    )
+    spread = predict_corner_uncertainty(keyframe.fine, alignment.motion)
+    limit = MISLEADING_SCATTER * keyframe.fine.width
+    stated = widen_uncertainty(spread, alignment.motion.noise, limit)
     fits = alignment.in_view & (alignment.correlation > MIN_INLIER_CORRELATION)
     contrary = float((fits & ~alignment.inliers).sum() / max(in_view, 1))
     total = float(np.hypot(stated, keyframe.uncertainty))
@@ -259,7 +259,7 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def widen_uncertainty(uncertainty: float, scatter: float) -> float:
+def widen_uncertainty(uncertainty: float, scatter: float, limit: float) -> float:
     """Widen a stated uncertainty where the parts of the image disagree or the patches scatter.
 
     What displaces some parts (compression, waves, blur) also misleads the others.
@@ -267,12 +267,13 @@ def widen_uncertainty(uncertainty: float, scatter: float) -> float:
     Args:
         uncertainty: from the fit, px.
         scatter: standard deviation of the residuals of the inliers, px.
+        limit: scatter that misleads by as much, px.
 
     Returns:
         The uncertainty to state, px.
     """
     widened = uncertainty * (1 + (uncertainty / MISLEADING_UNCERTAINTY_PX) ** 2)
-    return float(np.hypot(widened, MISLEADING_SCATTER * scatter**3))
+    return float(np.hypot(widened, scatter * (scatter / limit) ** 2))
 
 
 def _reject(reason: str) -> FrameRegistration:
