@@ -111,6 +111,27 @@ def test_breakpoint_is_the_last_level_before_the_first_that_fails():
     assert judge.find_breakpoint(frames[frames["rank"] == 1]) == -1
 
 
+def test_refusals_are_counted_up_to_an_earlier_breakpoint_of_the_others():
+    frames = pd.DataFrame(
+        {
+            "method": "geoaim",
+            "kind": "noise",
+            "level": [2.0, 2.0, 8.0, 20.0],
+            "rank": [0, 0, 1, 2],
+            "verdict": ["right", "refused", "right", "refused"],
+        }
+    )
+    rows = [{"kind": "noise", "geoaim up to": "20", "ORB up to": "8", "SIFT up to": "none"}]
+    ranks = judge.read_best_ranks(frames, rows)
+    assert ranks == {"noise": 1}
+    assert judge.measure_refusals(frames, ranks) == pytest.approx(1 / 3)
+
+
+def test_seeds_of_earlier_sweeps_are_left_out():
+    before, after = (list(clips.list_cases("test", ["plain"], skipped=n)) for n in (0, 1))
+    assert {case.seed for case in before}.isdisjoint(case.seed for case in after)
+
+
 def test_sweep_is_judged_written_and_read_again(tmp_path):
     rows = []
     for rank, level in enumerate((2.0, 6.0)):

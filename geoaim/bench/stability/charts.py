@@ -3,6 +3,7 @@
 python -m geoaim.bench.stability.charts build/stability/*.json -o build/stability
 """
 
+from json import loads
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +18,10 @@ from geoaim.bench.stability.judge import (
     VERDICTS,
     compare_methods,
     count_silent,
+    find_best_ranks,
+    is_of_rival,
     measure_refusals,
+    read_best_ranks,
     summarise,
 )
 from geoaim.files import atomic_write
@@ -58,12 +62,13 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
     """
     table = summarise(frames)
     silent = count_silent(frames)
+    refused = measure_refusals(frames, find_best_ranks(frames))
     lines = [
         format_table([dict(zip(table.columns, row, strict=True)) for row in table.to_numpy()]),
         "",
         f"{silent['frames']} frames, {silent['valid']} valid; silent failures: {silent['silent']} "
         f"({silent['share']:.2%}), of these {silent['far']} over 10 px; right frames refused "
-        f"below the best rival's breakpoint: {measure_refusals(frames):.2%}",
+        f"below the best rival's breakpoint: {refused:.2%}",
     ]
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
@@ -133,6 +138,9 @@ def main(
     output: Annotated[Path, typer.Option("-o", help="folder to write")] = Path("build/stability"),
     name: Annotated[str, typer.Option(help="of the files, without suffix")] = "validation",
     json: JsonFile = None,
+    earlier: Annotated[
+        Path | None, typer.Option(help="earlier JSON, for the other methods at the same levels")
+    ] = None,
     command: Annotated[str, typer.Option(help="that made the sweep, for the JSON")] = "",
 ) -> None:
     """Write the table and the charts of finished sweeps, and the tables as JSON."""
@@ -140,14 +148,23 @@ def main(
     frames = read_cases(files)
     print(write_report(frames, output, name))
     if json is not None:
+        methods, rows = compare_methods(frames), summarise(frames).to_dict("records")
+        best_ranks = find_best_ranks(frames)
+        if earlier is not None:
+            known = loads(earlier.read_text(encoding="utf-8"))
+            best_ranks = read_best_ranks(frames, known["rows"])
+            methods += [row for row in known["methods"] if row["method"] != "geoaim"]
+            theirs = {row["kind"]: row for row in known["rows"]}
+            for row in rows:
+                row |= {key: v for key, v in theirs[row["kind"]].items() if is_of_rival(key)}
         content = {
             "command": command,
             "machine": describe_machine(),
             "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
-            "methods": compare_methods(frames),
+            "methods": methods,
             "totals": count_silent(frames)
-            | {"refused_below_best_breakpoint": measure_refusals(frames)},
-            "rows": summarise(frames).to_dict("records"),
+            | {"refused_below_best_breakpoint": measure_refusals(frames, best_ranks)},
+            "rows": rows,
         }
         write_json(content, json)
 

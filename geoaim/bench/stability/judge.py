@@ -19,6 +19,7 @@ MAX_UNDERSTATEMENT = 5.0
 FAR_PX = 10.0
 SMALLEST_STATED_PX = 1e-3  # identical frames state next to nothing
 MIN_RIGHT_SHARE = 0.8  # of the frames of a level that is not beyond the breakpoint
+LEVEL = ["kind", "level", "rank"]
 VERDICTS = ("right", "refused", "wrong and said", "understated", "wrong and sure")
 
 
@@ -150,12 +151,41 @@ def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def measure_refusals(frames: pd.DataFrame) -> float:
-    """Measure the share of refused frames up to the best rival's breakpoint; NaN without rivals."""
-    refused = []
-    for _, of_kind in frames.groupby("kind"):
+def find_best_ranks(frames: pd.DataFrame) -> dict[str, int]:
+    """Breakpoint of the best other method in each kind; -1 for none."""
+    best = {}
+    for kind, of_kind in frames.groupby("kind", sort=False):
         theirs = of_kind[of_kind.method != "geoaim"]
-        rank = max((find_breakpoint(one) for _, one in theirs.groupby("method")), default=-1)
-        own = of_kind[(of_kind.method == "geoaim") & (of_kind["rank"] <= rank)]
-        refused.append(own.verdict == "refused")
-    return float(pd.concat(refused).mean())
+        ranks = (find_breakpoint(one) for _, one in theirs.groupby("method"))
+        best[str(kind)] = max(ranks, default=-1)
+    return best
+
+
+def read_best_ranks(frames: pd.DataFrame, rows: list[dict[str, Any]]) -> dict[str, int]:
+    """Breakpoint of the best other method in each kind, from rows of `summarise`.
+
+    Args:
+        frames: rows of judged frames at the same levels.
+        rows: of an earlier sweep.
+
+    Returns:
+        The rank of the last level, by kind; -1 for none.
+    """
+    ranks = {(kind, f"{level:g}"): rank for kind, level, rank in frames[LEVEL].to_numpy()}
+    best = {}
+    for row in rows:
+        levels = [level for key, level in row.items() if is_of_rival(key)]
+        best[row["kind"]] = max(ranks.get((row["kind"], level), -1) for level in levels)
+    return best
+
+
+def is_of_rival(key: str) -> bool:
+    """Whether a column of `summarise` is the breakpoint of another method."""
+    return key.endswith(" up to") and not key.startswith("geoaim")
+
+
+def measure_refusals(frames: pd.DataFrame, best_ranks: dict[str, int]) -> float:
+    """Share of refused frames at levels up to the best rival's breakpoint; NaN without rivals."""
+    own = frames[frames.method == "geoaim"]
+    below = own[own["rank"] <= own.kind.map(best_ranks)]
+    return float((below.verdict == "refused").mean())

@@ -63,7 +63,7 @@ def test_vehicles_on_ground_without_texture_do_not_place_a_frame():
 
 
 def test_a_wrong_period_gives_way_to_the_placement_with_more_inliers():
-    image = tile(border=80)
+    image = tile(border=110)
     reference, frame = image[:HEIGHT, 48 : 48 + WIDTH], image[:HEIGHT, 50 : 50 + WIDTH]
     chosen = place(reference.copy(), frame.copy(), translation(2.0 + 24.0, 0.0))
     assert abs(chosen.matrix[0, 2] - 2) < 0.1
@@ -86,5 +86,5 @@ def test_the_fit_tells_the_share_that_a_placement_explains_in_spite_of_noise(noi
     overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
     points = np.array([[x, 200.0] for x in range(50, 450, 10)])
     textured, explained = measure_fit(overview, shrink_image(frame, FACTOR), np.eye(3), points)
-    assert textured > 0.9
+    assert textured > 0.8
     assert explained == pytest.approx(0.75, abs=0.06)
