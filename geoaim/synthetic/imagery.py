@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.grid import Grid, fit_affine
+from geoaim.imagery.sources import HALF_WORLD_M
 from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
@@ -18,8 +19,6 @@ from geoaim.synthetic.scenery.day import SEASONS, Day
 from geoaim.tracks import Tracks
 from geoaim.world import crs_from_world
 
-WEB = "EPSG:3857"
-ROUND = 20037508.342789244  # m, half the width of the world in EPSG:3857
 TILE = 256  # px
 IMAGERY = 30  # stream of random numbers
 # a satellite's or an aeroplane's sensor
@@ -125,13 +124,17 @@ def cut_tiles(imagery: Imagery, zoom: int) -> Iterator[tuple[int, int, UInt8[Arr
     Yields:
         Column, row (from the north) and RGB picture, white where there is no imagery.
     """
-    side = 2 * ROUND / 2**zoom
+    side = 2 * HALF_WORLD_M / 2**zoom
     corners = transform_points(imagery.crs_from_image, image_corners(*imagery.image.shape[:2]))
-    spans = np.floor((corners * [1, -1] + ROUND) / side).astype(int)
+    spans = np.floor((corners * [1, -1] + HALF_WORLD_M) / side).astype(int)
     (left, top), (right, low) = spans.min(axis=0), spans.max(axis=0)
     for column in range(left, right + 1):
         for row in range(top, low + 1):
-            west, north, pixel = column * side - ROUND, ROUND - row * side, side / TILE
+            west, north, pixel = (
+                column * side - HALF_WORLD_M,
+                HALF_WORLD_M - row * side,
+                side / TILE,
+            )
             crs_from_tile = np.array([[pixel, 0, west], [0, -pixel, north], [0, 0, 1.0]])
             image_from_tile = np.linalg.inv(imagery.crs_from_image) @ crs_from_tile
             tile, inside = _resample(imagery.image, image_from_tile, TILE, TILE)

@@ -14,9 +14,9 @@ from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
 
 from geoaim.geometry import transform_points
+from geoaim.imagery.sources import MERCATOR
 from geoaim.raster_files import create_raster_file
 from geoaim.synthetic.imagery import (
-    WEB,
     Imagery,
     cut_tiles,
     draw_offset,
@@ -66,7 +66,7 @@ def write_imagery(sample: Sample, folder: Path) -> tuple[float, float]:
     photo = photograph(place, make_other_day(place), last, resolution=sample.resolution)
     ortho = georeference_photo(place, photo, "EPSG:3035", offset=offset)
     _write_geotiff(ortho, folder / "ortho.tif")
-    web = georeference_photo(place, photo, WEB, offset=offset)
+    web = georeference_photo(place, photo, MERCATOR, offset=offset)
     for column, row, tile in cut_tiles(web, ZOOM):
         write_jpeg(tile, folder / "tiles" / str(ZOOM) / str(column) / f"{row}.jpg", quality=85)
     return offset

@@ -3,9 +3,9 @@ import pytest
 from pyproj import Transformer
 
 from geoaim.geometry import transform_points
+from geoaim.imagery.sources import MERCATOR
 from geoaim.synthetic.imagery import (
     TILE,
-    WEB,
     cut_tiles,
     draw_offset,
     georeference_photo,
@@ -43,7 +43,7 @@ def _in_world(place, points, crs):
     return np.stack(moved, axis=1)
 
 
-@pytest.mark.parametrize("crs", ["EPSG:3035", WEB])
+@pytest.mark.parametrize("crs", ["EPSG:3035", MERCATOR])
 def test_imagery_is_misplaced_by_just_its_offset(place, photo, crs):
     offset = (3.0, -4.0)
     imagery = georeference_photo(place, photo, crs, offset=offset)
@@ -55,7 +55,7 @@ def test_imagery_is_misplaced_by_just_its_offset(place, photo, crs):
     np.testing.assert_allclose(shown - true, [offset] * 3, atol=0.02)
 
 
-@pytest.mark.parametrize("crs", ["EPSG:3035", WEB, "EPSG:32635"])
+@pytest.mark.parametrize("crs", ["EPSG:3035", MERCATOR, "EPSG:32635"])
 def test_middle_of_the_place_lies_where_the_crs_has_it(place, photo, crs):
     imagery = georeference_photo(place, photo, crs, offset=(0.0, 0.0))
     pixel = transform_points(np.linalg.inv(imagery.crs_from_image), _middle_in(place, crs)[None])[0]
@@ -75,7 +75,7 @@ def test_what_lies_outside_is_not_covered(place, photo):
 
 
 def test_tiles_continue_each_other(place, photo):
-    web = georeference_photo(place, photo, WEB, offset=(0.0, 0.0))
+    web = georeference_photo(place, photo, MERCATOR, offset=(0.0, 0.0))
     tiles = {(column, row): tile for column, row, tile in cut_tiles(web, 19)}
     pairs = [(k, (k[0] + 1, k[1])) for k in tiles if (k[0] + 1, k[1]) in tiles]
     seams, inside = [], []
