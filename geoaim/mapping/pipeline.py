@@ -34,7 +34,7 @@ from geoaim.mapping.georeference.reference_frame import (
     georeference_reference_frame,
 )
 from geoaim.mapping.registration import register
-from geoaim.mapping.registration.keyframes import FrameRegistration
+from geoaim.mapping.registration.frame_registration import FrameRegistration
 from geoaim.mapping.report import report_background, report_georeference, report_registration
 from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from geoaim.geometry import transform_points
 from geoaim.mapping.registration.features import detect_features, match_features
-from geoaim.mapping.registration.keyframes import mask_detections
+from geoaim.mapping.registration.frame_registration import mask_detections
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.video import Video
 

@@ -2,8 +2,8 @@
 
 All frames are registered to the same reference, each search starting from the frame before, so that
 errors do not accumulate. Where the view leaves the reference another keyframe is made; its
-uncertainty is added to that of the frames that are registered to it. `keyframes.py` registers a
-single frame, and decides whether it is rejected.
+uncertainty is added to that of the frames that are registered to it. `frame_registration.py`
+registers a single frame, and decides whether it is rejected.
 """
 
 import os
@@ -21,7 +21,7 @@ from geoaim.errors import RegistrationError
 from geoaim.files import atomic_write
 from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import Features, detect_features, match_features
-from geoaim.mapping.registration.keyframes import (
+from geoaim.mapping.registration.frame_registration import (
     MIN_OVERLAP,
     MIN_PATCHES,
     FrameRegistration,

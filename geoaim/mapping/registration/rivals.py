@@ -30,33 +30,20 @@ CLEAR_FIT = 0.7  # of the typical correlation of inliers
 
 
 class Overview(NamedTuple):
-    """A small image of the reference, prepared for phase correlation.
+    """A small image of the reference, prepared for phase correlation."""
 
-    Attributes:
-        spectrum: its Fourier transform, whitened and low-pass filtered.
-        detail: its grey levels, smoothed, minus their local means.
-        noise: variance of the noise in `detail`.
-        window: that fades the image's margins.
-        scale: pixels of the small image per pixel of the full image.
-    """
-
-    spectrum: Complex[Array, "h k"]
-    detail: Float[Array, "h w"]
-    noise: float
-    window: Float[Array, "h w"]
-    scale: float
+    spectrum: Complex[Array, "h k"]  # its Fourier transform, whitened and low-pass filtered
+    detail: Float[Array, "h w"]  # its grey levels, smoothed, minus their local means
+    noise: float  # variance of the noise in `detail`
+    window: Float[Array, "h w"]  # that fades the image's margins
+    scale: float  # pixels of the small image per pixel of the full image
 
 
 class Rival(NamedTuple):
-    """Another placement of a frame.
+    """Another placement of a frame."""
 
-    Attributes:
-        reference_from_frame: in pixels of the full image.
-        strength: of its peak in the phase correlation, relative to that of the placement found.
-    """
-
-    reference_from_frame: Float[Array, "3 3"]
-    strength: float
+    reference_from_frame: Float[Array, "3 3"]  # in pixels of the full image
+    strength: float  # of its peak in the phase correlation, relative to that of the placement found
 
 
 def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
@@ -94,7 +81,7 @@ def find_rivals(
     Returns:
         The rivals.
     """
-    surface = correlate_phases(overview, small, reference_from_frame)
+    surface = _correlate_phases(overview, small, reference_from_frame)
     height, width = surface.shape
     main, noise = float(surface[_index_surroundings(surface, 0, 0)].max()), float(surface.std())
     surface[_index_surroundings(surface, 0, 0)] = 0
@@ -112,19 +99,13 @@ def find_rivals(
     return rivals
 
 
-def correlate_phases(
+def _correlate_phases(
     overview: Overview, small: UInt8[Array, "h w"], reference_from_frame: Float[Array, "3 3"]
 ) -> Float[Array, "h w"]:
     """Correlate the phases of the reference and of a registered frame.
 
-    Args:
-        overview: of the reference.
-        small: the frame, reduced like the overview.
-        reference_from_frame: of the frame, in pixels of the full image.
-
-    Returns:
-        The correlation: a peak at row y, column x says that a part of the frame belongs x pixels
-        of the small image further right and y further down; negative shifts count from the end.
+    A peak at row y, column x says that a part of the frame belongs x pixels of the small image
+    further right and y further down; negative shifts count from the end.
     """
     height, width = overview.window.shape
     centred = small.astype(np.float32) - small.mean(dtype=np.float32)

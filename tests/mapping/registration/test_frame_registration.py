@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from geoaim.geometry import translation
-from geoaim.mapping.registration import keyframes as limits
+from geoaim.mapping.registration import frame_registration as limits
 from geoaim.mapping.registration.features import detect_features
-from geoaim.mapping.registration.keyframes import (
+from geoaim.mapping.registration.frame_registration import (
     Keyframe,
     compute_overlap,
     make_keyframe,

@@ -1,4 +1,4 @@
-"""Register one frame to keyframes: the reference, or frames that are registered to it.
+"""Register one frame to keyframes (the reference, or registered frames), or say why it is rejected.
 
 The search starts from the previous frame's transform, with the patches of one keyframe at full
 size. Only when that fails do coarse patches widen the search, and only when these fail are ORB
@@ -42,32 +42,21 @@ MIN_UNCERTAIN_SHARE = 0.6
 # chosen on the validation part of `geoaim.bench.stability`: of frames that state 0.02 to 0.04 px
 # 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
 MISLEADING_UNCERTAINTY_PX = 0.12
-MISLEADING_SCATTER = (
-    6.0  # px of uncertainty for a pixel of scatter, which counts to the third power
-)
+MISLEADING_SCATTER = 6.0  # px of uncertainty for one of scatter, which counts to the third power
 MAX_CONTRARY_SHARE = 0.2  # of patches that fit well, yet elsewhere
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
 
 
 @dataclass(frozen=True, eq=False)
 class FrameRegistration:
-    """The registration of one frame to the reference.
+    """The registration of one frame to the reference."""
 
-    Attributes:
-        reference_from_frame: (3, 3) in pixels; NaN when invalid.
-        reason: why it is invalid; empty when it is valid.
-        quality: median correlation of the patches with the frame, 0 to 1.
-        inlier_share: share of inliers among the patches in view.
-        uncertainty: standard deviation of the transformed image corners, pixels.
-        contested: whether texture repeats, so that the next frame is compared as well.
-    """
-
-    reference_from_frame: Float[Array, "3 3"]
-    reason: str
-    quality: float
-    inlier_share: float
-    uncertainty: float
-    contested: bool = False
+    reference_from_frame: Float[Array, "3 3"]  # in pixels; NaN when invalid
+    reason: str  # why it is invalid; empty when it is valid
+    quality: float  # median correlation of the patches with the frame, 0 to 1
+    inlier_share: float  # share of inliers among the patches in view
+    uncertainty: float  # standard deviation of the transformed image corners, pixels
+    contested: bool = False  # whether texture repeats, so that the next frame is compared as well
 
     @property
     def valid(self) -> bool:
@@ -237,7 +226,7 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     quality = float(np.median(alignment.correlation[alignment.in_view]))
     spread = predict_corner_uncertainty(keyframe.fine, alignment.motion)
     limit = MISLEADING_SCATTER * keyframe.fine.width
-    stated = widen_uncertainty(spread, alignment.motion.noise, limit)
+    stated = _widen_uncertainty(spread, alignment.motion.noise, limit)
     fits = alignment.in_view & (alignment.correlation > MIN_INLIER_CORRELATION)
     contrary = float((fits & ~alignment.inliers).sum() / max(in_view, 1))
     total = float(np.hypot(stated, keyframe.uncertainty))
@@ -259,18 +248,13 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def widen_uncertainty(uncertainty: float, scatter: float, limit: float) -> float:
+def _widen_uncertainty(uncertainty: float, scatter: float, limit: float) -> float:
     """Widen a stated uncertainty where the parts of the image disagree or the patches scatter.
 
     What displaces some parts (compression, waves, blur) also misleads the others.
 
-    Args:
-        uncertainty: from the fit, px.
-        scatter: standard deviation of the residuals of the inliers, px.
-        limit: scatter that misleads by as much, px.
-
-    Returns:
-        The uncertainty to state, px.
+    All in px; the scatter is the standard deviation of the inliers' residuals, which misleads by
+    as much where it reaches the limit.
     """
     widened = uncertainty * (1 + (uncertainty / MISLEADING_UNCERTAINTY_PX) ** 2)
     return float(np.hypot(widened, scatter * (scatter / limit) ** 2))
