@@ -15,6 +15,7 @@ from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from geoaim.errors import GeoaimError, warn
+from geoaim.limits import check_regular
 
 MARK = b"geoaim-sha256:"
 ZEROS = b"0" * 64
@@ -54,6 +55,7 @@ def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bo
         GeoaimError: it has one that does not match (`file_format.error`). In an editable format, a
             file that another program rewrote is accepted.
     """
+    check_regular(path, file_format.error)
     if os.path.getsize(path) == 0:
         return False
     with open(path, "rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:

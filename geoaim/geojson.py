@@ -40,7 +40,7 @@ def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
             return geometry
         return shapely.transform(geometry, lambda points: world_from_lonlat(world, points))
 
-    with refuse_damaged(path, MapError, "GeoJSON"):
+    with refuse_damaged(path, MapError, "GeoJSON", reads_once=True):
         content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
         features = [
             (shape(item.get("geometry", item)), dict(item.get("properties") or {}))

@@ -74,7 +74,11 @@ def name_file(path: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def refuse_damaged(
-    path: str | os.PathLike[str], error_type: type[GeoaimError], needed: str
+    path: str | os.PathLike[str],
+    error_type: type[GeoaimError],
+    needed: str,
+    *,
+    reads_once: bool = False,
 ) -> Iterator[None]:
     """Turn whatever a library raises on a file's content into an error that names the file.
 
@@ -82,6 +86,7 @@ def refuse_damaged(
         path: the file.
         error_type: type of the error that is raised.
         needed: what the file should be, such as "a GeoTIFF".
+        reads_once: whether the block reads the file from begin to end, so that it may be a pipe.
 
     Yields:
         Nothing.
@@ -91,11 +96,14 @@ def refuse_damaged(
             GeoaimError, a warning, or one of a missing or forbidden file; these stay as they are,
             but for the file's name.
     """
-    check_regular(path, error_type)
+    if os.path.isdir(path):
+        raise error_type(f"{path} is a folder; {needed} is needed")
+    if not reads_once:
+        check_regular(path, error_type)
     try:
         with name_file(path):
             yield
-    except (GeoaimError, Warning, FileNotFoundError, PermissionError, IsADirectoryError):
+    except (GeoaimError, Warning, FileNotFoundError, PermissionError):
         raise
     except Exception as error:  # parsers raise errors of their own, and of every kind
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_REASON_CHARS]

@@ -52,8 +52,9 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
         The same agents, even those that are absent at all of the new times.
 
     Raises:
-        ValueError: the rate is not positive or gives too many states, or the recorded states are
-            mostly further apart than the gap.
+        ValueError: the rate is not positive.
+        TracksError: there would be too many states, or the recorded ones are mostly further apart
+            than the gap.
     """
     if not 0 < rate < np.inf:
         raise ValueError(f"rate is {rate}; a positive number of Hz is needed")
@@ -62,9 +63,9 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
     _check_gap(tracks, max_gap)
     steps = int((tracks.times[-1] - tracks.times[0]) * rate + rate / TICKS_PER_S) + 1
     if steps * max(len(tracks.ids), 1) > MAX_STATES:
-        raise ValueError(
-            f"{len(tracks.ids)} agents x {steps} steps exceed {MAX_STATES} states; lower the "
-            f"rate of {rate} Hz or cut the tracks"
+        raise TracksError(
+            f"{len(tracks.ids):,} agents at {steps:,} steps, from {tracks.times[0]:g} to "
+            f"{tracks.times[-1]:g} s at {rate:g} Hz, exceed {MAX_STATES:,} states; cut the tracks"
         )
     times = tracks.times[0] + np.arange(steps) / rate
     states = np.full((len(tracks.ids), steps, 4), np.nan)
@@ -79,9 +80,9 @@ def _check_gap(tracks: Tracks, max_gap: float) -> None:
     dts = np.concatenate([[], *(np.diff(tracks.times[present]) for present in tracks.present)])
     dt = float(np.median(dts)) if len(dts) else 0.0
     if not max_gap >= dt - 1 / TICKS_PER_S:
-        raise ValueError(
-            f"max_gap is {max_gap} s, less than the median time of {dt:g} s between recorded "
-            "states, so that most of them would be lost; increase it"
+        raise TracksError(
+            f"the agents' states are {dt:g} s apart (median), and gaps of up to {max_gap:g} s are "
+            "filled; give tracks with more states, or a larger max_gap in Python"
         )
 
 

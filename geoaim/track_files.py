@@ -47,8 +47,8 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
 
     Raises:
-        ValueError: the suffix is another one, no agent is present, or times are closer than a
-            millisecond (CSV) or a microsecond (Parquet).
+        ValueError: the suffix is another one, or no agent is present.
+        TracksError: times are closer than a millisecond (CSV) or a microsecond (Parquet).
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -58,8 +58,8 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     dt = np.diff(tracks.times).min(initial=np.inf)
     min_dt = MIN_CSV_DT_S if suffix == ".csv" else 1 / TICKS_PER_S
-    if dt < min_dt:
-        raise ValueError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s or more")
+    if dt < min_dt * (1 - 1e-6):  # of times that are rounded
+        raise TracksError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s")
     write = _write_csv if suffix == ".csv" else _write_parquet
     with atomic_write(path) as temporary:
         write(tracks.to_frame(), tracks.world, temporary)

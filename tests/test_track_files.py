@@ -126,6 +126,6 @@ def test_tracks_that_could_not_be_read_back_are_not_written(tmp_path):
     with pytest.raises(ValueError, match="no agent is present"):
         write_tracks(absent, tmp_path / "a.csv")
     close = make_tracks(pd.DataFrame([make_row(), make_row(time=1e-4)]), WORLD)
-    with pytest.raises(ValueError, match=r"apart; \.csv needs"):
+    with pytest.raises(TracksError, match=r"apart; \.csv needs"):
         write_tracks(close, tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from threading import Event
 
 import rich.progress
 import typer
@@ -18,6 +19,7 @@ from geoaim.progress import Progress
 
 console = Console(stderr=True, markup=False)  # file names may have brackets
 TERMINATED = 143  # exit code
+stopping = Event()  # set once SIGTERM has arrived
 DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback
 
 
@@ -61,6 +63,9 @@ def report_errors() -> Iterator[None]:
         except typer.BadParameter:
             raise  # shown with the command's usage
         except Exception as error:
+            if stopping.is_set():  # an import in C makes an error of the signal
+                _print_stopped()
+                sys.exit(TERMINATED)
             if DEBUG.get():
                 raise
             expected = isinstance(error, GeoaimError | OSError | ValueError)
@@ -75,6 +80,7 @@ def stop_when_terminated() -> None:
     """Remove unfinished files on SIGTERM as on Ctrl-C, and exit with code 143."""
 
     def stop(*_: object) -> None:
+        stopping.set()
         sys.exit(TERMINATED)  # what it interrupts may be needed to print
 
     signal.signal(signal.SIGTERM, stop)

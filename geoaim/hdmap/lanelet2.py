@@ -20,7 +20,7 @@ from shapely.ops import polygonize
 
 from geoaim.errors import MapError
 from geoaim.lights import StopLine
-from geoaim.limits import name_file
+from geoaim.limits import name_file, refuse_damaged
 from geoaim.world import LONLAT, World, choose_world, transform_crs, world_from_lonlat
 
 MAX_LOCAL_DEGREES = 0.1  # about (0, 0), within which degrees stand for local metres
@@ -125,9 +125,6 @@ class _File:
 
 
 def _parse(path: Path) -> _File:
-    content = path.read_bytes()
-    if b"\0" in content or any(part in content for part in XML_DECLARATIONS):
-        raise MapError(f"{path} defines XML entities, or is not UTF-8; no map needs that")
     file, parser = _File(), expat.ParserCreate()
 
     def check_root(name: str, _: Mapping[str, str]) -> None:
@@ -136,10 +133,11 @@ def _parse(path: Path) -> _File:
         parser.StartElementHandler = _make_handler(file)
 
     parser.StartElementHandler = check_root
-    try:
+    with refuse_damaged(path, MapError, "a lanelet2 map in XML", reads_once=True):
+        content = path.read_bytes()
+        if b"\0" in content or any(part in content for part in XML_DECLARATIONS):
+            raise MapError(f"{path} defines XML entities, or is not UTF-8; no map needs that")
         parser.Parse(content, True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # an unknown encoding
-        raise MapError(f"{path} is not XML: {error}") from error
     return file
 
 

@@ -10,6 +10,7 @@ from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from geoaim.aim import AIM
+from geoaim.errors import MapError
 from geoaim.geometry import transform_points
 from geoaim.grid import make_north_up_grid
 from geoaim.hdmap.drivable import NOT_DRIVABLE, outline_lanelet, sample_borders, to_polygons
@@ -54,7 +55,8 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
     The colours are the constants of this module. Coverage is 1 everywhere.
 
     Raises:
-        ValueError: the resolution is not positive, or the image would be too large.
+        ValueError: the resolution is not positive.
+        MapError: the image would be too large.
         AimError: the image would have more than 30,000 pixels a side.
     """
     points = np.concatenate([line.points for line in hdmap.lines])
@@ -62,7 +64,7 @@ def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
     width, height = corners[1] - corners[0]
     pixels = width * height / max(resolution, 1e-9) ** 2
     if resolution > 0 and pixels > MAX_DRAWN_PIXELS / SUPERSAMPLING**2:
-        raise ValueError(
+        raise MapError(
             f"at {resolution} m a pixel the map of {width:.0f} by {height:.0f} m would have "
             f"{pixels:.3g} pixels; give a coarser resolution, or cut the map"
         )

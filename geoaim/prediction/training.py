@@ -76,8 +76,9 @@ def train(
         The trained model, in evaluation mode.
 
     Raises:
-        ValueError: the folder holds another training, or another process trains in it.
-        ModelError: its checkpoint cannot be read, or the loss is not finite.
+        ModelError: the folder holds another training, its checkpoint cannot be read, or the loss
+            is not finite.
+        ValueError: another process trains in it.
     """
     path = Path(folder) / "checkpoint.pt"
     data = [dataset.train.states, dataset.train.light_states, dataset.ground.image]
@@ -183,7 +184,7 @@ def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[f
             if state.get(name, {}).get(key) != value
         ]
     if differences:
-        raise ValueError(
+        raise ModelError(
             f"{path} is of another training ({', '.join(differences)}); name another folder"
         )
     with refuse_damaged(path, ModelError, "a checkpoint of a training"):

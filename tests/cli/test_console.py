@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from geoaim.cli import app
-from geoaim.cli.console import console, report_errors, stop_when_terminated
+from geoaim.cli.console import console, report_errors, stop_when_terminated, stopping
 
 run = CliRunner().invoke
 
@@ -59,6 +59,9 @@ def test_nothing_is_printed_while_the_signal_is_handled(monkeypatch):
     try:
         with pytest.raises(SystemExit, match="143"), report_errors():
             os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(SystemExit, match="143"), report_errors():
+            raise ImportError("initialization failed")  # what imports in C make of it
     finally:
+        stopping.clear()
         signal.signal(signal.SIGTERM, before)
-    assert handled == [("stopped", SystemExit)]
+    assert handled == [("stopped", SystemExit), ("stopped", ImportError)]

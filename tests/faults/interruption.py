@@ -42,12 +42,12 @@ class Outcome:
     """How a writer ended.
 
     Args:
-        exit_code: 0: it was done; `KILLED`; 1: it ended with an error.
+        exit_code: 0: it was done; `KILLED`; 1: it ended with an error; None: it did not end.
         changes: files and folders that it changed, or was about to.
         printed: on stderr; empty after a kill.
     """
 
-    exit_code: int
+    exit_code: int | None
     changes: int
     printed: str
 
@@ -75,8 +75,8 @@ def run_interrupted(
 
 def run_signalled(
     write: Callable[[Path], None], target: Path, delay: float, sent: signal.Signals
-) -> int:
-    """Run a writer in a child process, send it a signal, and return its exit code.
+) -> Outcome:
+    """Run a writer in a child process, and send it a signal.
 
     Args:
         write: takes the target; a function of a module.
@@ -84,14 +84,17 @@ def run_signalled(
         delay: from the start of the child to the signal, s.
         sent: the signal.
     """
-    child, *shared = _start(write, target, None, "kill")
+    child, changes, printed = _start(write, target, None, "kill")
     child.join(delay)
     if child.exitcode is None:
         with suppress(ProcessLookupError):  # it has just ended
             os.kill(child.pid, sent)
-    child.join()
-    del shared  # which the child needs as long as it runs
-    return child.exitcode
+    child.join(60)
+    if child.exitcode is None:
+        child.kill()
+        return Outcome(None, changes.value, "does not end")
+    text = "" if printed.empty() else printed.get()
+    return Outcome(child.exitcode, changes.value, text)
 
 
 def _start(

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geoaim.errors import MapError
 from geoaim.geometry import transform_points
 from geoaim.hdmap.lanelet2 import HDMap, MapLine, read_hdmap
 from geoaim.hdmap.rasterize import GROUND, LINES, draw_hdmap
@@ -31,5 +32,5 @@ def test_drawn_map_lies_where_its_lines_are():
 def test_absurd_resolution_is_refused():
     line = MapLine("curbstone", "low", np.array([[0.0, 3], [30, 3]]))
     hdmap = HDMap((line,), (), (), (), World(None))
-    with pytest.raises(ValueError, match="would have"):
+    with pytest.raises(MapError, match="would have"):
         draw_hdmap(hdmap, resolution=0.0005)

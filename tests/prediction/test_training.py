@@ -70,7 +70,7 @@ def test_training_writes_a_model_and_a_log(tmp_path):
 
 def test_another_training_in_the_folder_is_rejected(tmp_path):
     train(init_model(TINY), TRAINING, dataset(), tmp_path)
-    with pytest.raises(ValueError, match=r"learning_rate 0\.002 instead of 0\.01"):
+    with pytest.raises(ModelError, match=r"learning_rate 0\.002 instead of 0\.01"):
         train(init_model(TINY), replace(TRAINING, learning_rate=0.01), dataset(), tmp_path)
     (tmp_path / "checkpoint.pt").write_bytes(b"no zip")
     with pytest.raises(ModelError, match=r"checkpoint\.pt is not a model"):

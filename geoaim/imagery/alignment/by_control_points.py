@@ -38,8 +38,7 @@ def georeference_picture(
 
     Raises:
         GeoreferenceError: the control points do not fix a place.
-        ImageryError: the picture cannot be read, or is masked everywhere.
-        ValueError: the path holds several pictures.
+        ImageryError: the picture cannot be read, is masked everywhere, or is one of several.
     """
     points = read_control_points(gcps, crs=crs)
     image, valid = _read_picture(path)
@@ -61,7 +60,7 @@ def _read_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]
         return _read_masked_picture(path)
     image, *others = [frame.image for frame in islice(open_video(str(path)), 2)]
     if others:
-        raise ValueError(f"{path} has several images; control points refer to one")
+        raise ImageryError(f"{path} has several images; control points refer to one: give one")
     return image, np.ones(image.shape[:2], bool)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geoaim.errors import GeoreferenceError
+from geoaim.limits import refuse_damaged
 from geoaim.world import LONLAT
 
 COLUMN_NAMES = {
@@ -47,9 +48,10 @@ def read_point_file(path: Path) -> list[PointRow]:
         GeoreferenceError: there is no such file, or it or one of its lines cannot be read.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise GeoreferenceError(f"{path}: cannot be read as text ({error}).") from error
+        with refuse_damaged(path, GeoreferenceError, "a table of control points", reads_once=True):
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except OSError as error:
+        raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
     numbered = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip()]
     content = [(number, line) for number, line in numbered if not line.startswith("#")]
     if not content:

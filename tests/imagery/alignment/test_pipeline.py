@@ -208,7 +208,7 @@ def test_at_most_two_frames_of_a_video_are_read(tmp_path, monkeypatch):
             yield SimpleNamespace(image=np.zeros((4, 6, 3), np.uint8))
 
     monkeypatch.setattr("geoaim.imagery.alignment.by_control_points.open_video", lambda _: frames())
-    with pytest.raises(ValueError, match="has several images"):
+    with pytest.raises(ImageryError, match="has several images"):
         align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
 
 
