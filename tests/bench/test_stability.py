@@ -122,7 +122,7 @@ def test_refusals_are_counted_up_to_an_earlier_breakpoint_of_the_others():
         }
     )
     rows = [{"kind": "noise", "geoaim up to": "20", "ORB up to": "8", "SIFT up to": "none"}]
-    ranks = judge.read_best_ranks(frames, rows)
+    ranks = judge.read_best_ranks("validation", rows)
     assert ranks == {"noise": 1}
     assert judge.measure_refusals(frames, ranks) == pytest.approx(1 / 3)
 

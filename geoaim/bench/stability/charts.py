@@ -136,10 +136,10 @@ def _draw_verdicts(table: pd.DataFrame) -> Figure:
 def main(
     files: Annotated[list[Path], typer.Argument(help="JSON of sweeps, taken together")],
     output: Annotated[Path, typer.Option("-o", help="folder to write")] = Path("build/stability"),
-    name: Annotated[str, typer.Option(help="of the files, without suffix")] = "validation",
+    name: Annotated[str, typer.Option(help="of the split and of the files")] = "validation",
     json: JsonFile = None,
     earlier: Annotated[
-        Path | None, typer.Option(help="earlier JSON, for the other methods at the same levels")
+        Path | None, typer.Option(help="earlier JSON of the split, for the other methods")
     ] = None,
     command: Annotated[str, typer.Option(help="that made the sweep, for the JSON")] = "",
 ) -> None:
@@ -152,7 +152,7 @@ def main(
         best_ranks = find_best_ranks(frames)
         if earlier is not None:
             known = loads(earlier.read_text(encoding="utf-8"))
-            best_ranks = read_best_ranks(frames, known["rows"])
+            best_ranks = read_best_ranks(name, known["rows"])
             methods += [row for row in known["methods"] if row["method"] != "geoaim"]
             theirs = {row["kind"]: row for row in known["rows"]}
             for row in rows:

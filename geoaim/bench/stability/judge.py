@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.bench.stability.clips import CORNERS, Clip, make_grid
+from geoaim.bench.stability.clips import CORNERS, Clip, list_cases, make_grid
 from geoaim.geometry import transform_points
 
 MAX_RIGHT_ERROR_PX = 1.0
@@ -19,7 +19,6 @@ MAX_UNDERSTATEMENT = 5.0
 FAR_PX = 10.0
 SMALLEST_STATED_PX = 1e-3  # identical frames state next to nothing
 MIN_RIGHT_SHARE = 0.8  # of the frames of a level that is not beyond the breakpoint
-LEVEL = ["kind", "level", "rank"]
 VERDICTS = ("right", "refused", "wrong and said", "understated", "wrong and sure")
 
 
@@ -161,21 +160,21 @@ def find_best_ranks(frames: pd.DataFrame) -> dict[str, int]:
     return best
 
 
-def read_best_ranks(frames: pd.DataFrame, rows: list[dict[str, Any]]) -> dict[str, int]:
+def read_best_ranks(split: str, rows: list[dict[str, Any]]) -> dict[str, int]:
     """Breakpoint of the best other method in each kind, from rows of `summarise`.
 
     Args:
-        frames: rows of judged frames at the same levels.
+        split: of the sweep that the rows are from.
         rows: of an earlier sweep.
 
     Returns:
         The rank of the last level, by kind; -1 for none.
     """
-    ranks = {(kind, f"{level:g}"): rank for kind, level, rank in frames[LEVEL].to_numpy()}
     best = {}
     for row in rows:
+        ranks = {f"{case.level:g}": case.rank for case in list_cases(split, [row["kind"]])}
         levels = [level for key, level in row.items() if is_of_rival(key)]
-        best[row["kind"]] = max(ranks.get((row["kind"], level), -1) for level in levels)
+        best[row["kind"]] = max(ranks.get(level, -1) for level in levels)
     return best
 
 

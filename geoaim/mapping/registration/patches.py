@@ -310,8 +310,8 @@ def _subtract_mean(patches: Float[Array, "M P"]) -> Float[Array, "M P"]:
 def estimate_noise(grey: UInt8[Array, "H W"], *, least: float = 0.5) -> float:
     """Standard deviation of the image noise, at least that given, grey levels (Immerkaer 1996).
 
-    The median replaces his mean, to reduce the influence of texture.
+    The median replaces his mean, to reduce the influence of texture; a quarter of the pixels do.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-    response = cv2.filter2D(grey.astype(np.float32), -1, mask)
+    response = cv2.filter2D(grey, cv2.CV_32F, mask)[::2, ::2]
     return max(float(np.median(np.abs(response))) / 0.6745 / 6, least)
