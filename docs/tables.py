@@ -92,15 +92,17 @@ def write_robustness(results: Row) -> str:
 
 
 def write_background(results: Row) -> str:
-    """Errors of each method, means over both stills."""
+    """Each method on each kind of clip, means over the seeds; then real sequences."""
+    keys = ["static", "passed", "stood", "wrong %", "wrong marked %", "good marked %"]
+    keys += ["gradient energy %", "ms"]
     rows = []
-    for method in _distinct(results["rows"], "method"):
-        own = [row for row in results["rows"] if row["method"] == method]
-        keys = ("static", "passed", "stood", "gradient energy %", "seconds", "peak MB")
-        rows.append([method, *(_mean(own, key) for key in keys)])
-    header = ["method", "static ground", "where cars passed", "where the queue stood"]
-    header += ["gradient energy kept, %", "seconds", "peak memory, MB"]
-    return write_table(header, rows) + "\n\n" + write_rows(results["real"])
+    for clip in _distinct(results["rows"], "clip"):
+        of_clip = [row for row in results["rows"] if row["clip"] == clip]
+        for method in _distinct(of_clip, "method"):
+            own = [row for row in of_clip if row["method"] == method]
+            values = [[row[key] for row in own if row[key] is not None] for key in keys]
+            rows.append([clip, method, *(fmean(known) if known else None for known in values)])
+    return write_table(["clip", "method", *keys], rows) + "\n\n" + write_rows(results["real"])
 
 
 def write_pipeline(results: Row) -> str:
@@ -121,22 +123,16 @@ def write_birdview(results: Row) -> str:
     return "\n\n".join(write_rows(rows) for rows in parts)
 
 
-def write_queues(results: Row) -> str:
-    """Each method on each kind of clip, means over the seeds."""
-    keys = ["RMSE", "wrong %", "wrong marked %", "good marked %", "seconds"]
-    rows = []
-    for clip in _distinct(results["rows"], "clip"):
-        for method in _distinct(results["rows"], "method"):
-            cells: list[Any] = [clip, method]
-            for key in keys:
-                values = [
-                    row[key]
-                    for row in results["rows"]
-                    if (row["clip"], row["method"]) == (clip, method) and row[key] == row[key]
-                ]
-                cells.append(fmean(values) if values else None)
-            rows.append(cells)
-    return write_table(["clip", "method", *keys], rows)
+def write_georeference(results: Row) -> str:
+    """Errors by noise and number of points, without the times, which the chart shows."""
+    keys = [key for key in results["rows"][0] if not key.endswith(", ms")]
+    return write_rows([{key: row[key] for key in keys} for row in results["rows"]])
+
+
+def write_sizes(results: Row) -> str:
+    """The default of each setting and its knee, then how automatic choices fare."""
+    choices = [rows for name, rows in results.items() if name.startswith("choice ")]
+    return "\n\n".join(write_rows(rows) for rows in [results["defaults"], *choices])
 
 
 def write_stability(results: Row) -> str:
@@ -145,6 +141,7 @@ def write_stability(results: Row) -> str:
 
 
 SOURCES = {"robustness": "registration", "length": "pipeline"}
+SOURCES |= {f"{name}_sizes": name for name in ("registration", "background", "georeference")}
 TABLES: dict[str, Callable[[Row], str]] = {
     "registration": write_registration,
     "robustness": write_robustness,
@@ -152,7 +149,10 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "pipeline": write_pipeline,
     "length": lambda results: write_rows(results["lengths"]),
     "birdview": write_birdview,
-    "background_queues": write_queues,
+    "georeference": write_georeference,
+    "georeference_sizes": write_sizes,
+    "registration_sizes": write_sizes,
+    "background_sizes": write_sizes,
     "stability": write_stability,
 }
 

@@ -10,7 +10,9 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.stills import STILLS, cut_sprites, read_clean_still
+from geoaim.synthetic import make_sample
 from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film, render_frame
+from geoaim.synthetic.roads.layouts import PlaceKind
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 SIZES = {"720p": (720, 1280), "1080p": (1080, 1920), "4k": (2160, 3840)}
@@ -115,6 +117,56 @@ def make_hover_video(
         next(s for s in STILLS if s != still), size=size, count=count, seed=seed + 1
     )
     return HoverVideo(clip, kind, is_valid, other.clip)
+
+
+def film_place(
+    kind: PlaceKind,
+    *,
+    size: str = "720p",
+    count: int = 60,
+    hover: Hover | None = None,
+    seed: int = 3,
+) -> HoverVideo:
+    """Render a hover video over a drawn place with its traffic, which needs no real data.
+
+    Args:
+        kind: of the place.
+        size: "720p", "1080p" or "4k"; drift grows with it.
+        count: number of frames, at 30 frames/s.
+        hover: the camera; None takes the default for the size. Its count is replaced.
+        seed: random seed.
+
+    Returns:
+        The video with its truth.
+    """
+    scale = SIZES[size][1] / 1920
+    hover = hover or Hover(drift=28 * scale, perspective=1.5 * scale, vibration=0.4 * scale)
+    hover = replace(hover, count=count)
+    minutes = max(count / hover.frame_rate / 60, 1 / 60) + 1e-6
+    resolution = 0.1 if size == "720p" else 0.05
+    sample = make_sample(
+        seed, kind=kind, minutes=minutes, video=SIZES[size], hover=hover, resolution=resolution
+    )
+    assert sample.clip is not None
+    return HoverVideo(sample.clip, "plain", np.ones(count, bool))
+
+
+def film_ground(ground: UInt8[Array, "H W 3"], hover: Hover, seed: int) -> HoverVideo:
+    """Render a hover video of 720p over ground without traffic.
+
+    Args:
+        ground: the still.
+        hover: the camera.
+        seed: random seed.
+
+    Returns:
+        The video with its truth.
+    """
+    none = SpriteTracks((), np.empty((0, 2)), np.empty((hover.count, 0, 3)))
+    height, width = SIZES["720p"]
+    generator = np.random.default_rng(seed)
+    clip = film(ground, none, hover, height=height, width=width, generator=generator)
+    return HoverVideo(clip, "plain", np.ones(hover.count, bool))
 
 
 def make_lane_traffic(

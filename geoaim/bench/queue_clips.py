@@ -16,7 +16,9 @@ class QueueClip:
 
     frames: UInt8[Array, "K h w 3"]  # RGB, spread over the clip
     ground: UInt8[Array, "h w 3"]  # without traffic
-    share: Float32[Array, "h w"]  # of the frames in which traffic covers the pixel, 0 to 1
+    share: Float32[Array, "h w"]  # of the time that traffic covers a pixel; NaN: does not count
+    transforms: Float[Array, "K 3 3"] | None = None  # image_from_frame; None for a still camera
+    boxes: tuple[Float[Array, "_ 4"], ...] | None = None  # of the traffic in each frame, if known
 
 
 def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> QueueClip:

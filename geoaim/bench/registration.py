@@ -1,32 +1,37 @@
-"""Registration against other methods: speed and error on hover videos with exact truth.
+"""Registration against other methods: speed and error on hover videos with exact truth."""
 
-    python -m geoaim.bench.registration --json docs/bench/registration.json \
-        --chart docs/images/registration.png
-"""
-
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-import typer
 from jaxtyping import Float, UInt8
-from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from geoaim.bench.hover_videos import HoverVideo, Kind, make_hover_video
+from geoaim.bench.charts import draw_fronts, draw_sizes
+from geoaim.bench.curves import judge_choices, mark_fronts, summarise_sizes
+from geoaim.bench.data import find_data
+from geoaim.bench.hover_videos import HoverVideo, Kind, film_place, make_hover_video
 from geoaim.bench.registration_methods import Matrices, Method, list_methods, to_grey
-from geoaim.bench.report import ChartFile, JsonFile, print_rows, write_rows
+from geoaim.bench.registration_settings import SETTINGS, measure_models, measure_sizes
+from geoaim.bench.report import Results, Row, collect
 from geoaim.bench.stills import STILLS
 from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.registration.motion_models import MIN_GAIN_PX
 from geoaim.mapping.registration.patches import align_patches, make_template
 from geoaim.mapping.video.video import open_video
+from geoaim.progress import Progress
 from geoaim.synthetic import list_boxes, reference_from_frames, write_video
+from geoaim.synthetic.roads.layouts import PlaceKind
 
 Frames = list[UInt8[Array, "H W 3"]]
+Videos = dict[tuple[str, str], HoverVideo]  # by size and what they show
+SIZES = ("1080p", "4k")
+FRAMES, QUICK_FRAMES = 60, 12  # of each video
+THREADS = 2  # of OpenCV, for the comparison with other methods
 HARD: tuple[Kind, ...] = ("cars", "shadow", "gain", "cut", "noise")
 MAX_RIGHT_ERROR_PX = 0.3  # a frame with a larger error counts as wrong
 
@@ -53,13 +58,12 @@ def measure(method: Method, video: HoverVideo, frames: Any) -> dict[str, Any]:
     """Run a method: its rate from the median time of a frame, its errors on valid frames.
 
     Args:
-        method: from `list_methods`.
+        method: the method.
         video: the video with its truth.
         frames: the video's frames, as rendered or after coding.
 
     Returns:
-        By name: frames_per_s, error_mean_px, error_p95_px and error_max_px of corners,
-        right_share_of_valid (0 to 1), and accepted_but_wrong, a number of frames.
+        Figures of a row of the table, by name.
     """
     boxes = [list_boxes(video.clip, index) for index in range(len(video))]
     matrices, seconds = method(frames, boxes)
@@ -78,14 +82,14 @@ def measure(method: Method, video: HoverVideo, frames: Any) -> dict[str, Any]:
     }
 
 
-def _code_frames(video: HoverVideo) -> Frames:
+def code_frames(video: Iterable[UInt8[Array, "H W 3"]]) -> Frames:
     """Return the frames after H.264 coding by x264's preset "medium" at CRF 20."""
     with TemporaryDirectory() as folder:
         path = write_video(video, Path(folder) / "clip.mp4")
         return [frame.image for frame in open_video(path)]
 
 
-def _measure_codec_shift(raw: Frames, coded: Frames) -> float:
+def measure_codec_shift(raw: Frames, coded: Frames) -> float:
     """Measure how far coding itself shifts a frame, in pixels, on every fourth frame.
 
     Predicted blocks keep part of a motion that the encoder found too small to code. A method that
@@ -102,24 +106,24 @@ def _measure_codec_shift(raw: Frames, coded: Frames) -> float:
     return float(np.mean(shifts))
 
 
-def _measure_accuracy(sizes: list[str], frames: int) -> Iterator[dict[str, Any]]:
-    """Run every method on plain videos of both stills, raw and after H.264."""
+def measure_accuracy(videos: Videos) -> Iterator[dict[str, Any]]:
+    """Run every method on videos, raw and after H.264."""
     methods = list_methods()
-    for size, still in product(sizes, STILLS):
-        video = make_hover_video(still, size=size, count=frames)
+    for (size, still), video in videos.items():
         raw = list(video)
-        coded = _code_frames(video)
-        shift = _measure_codec_shift(raw, coded)
+        coded = code_frames(video)
+        shift = measure_codec_shift(raw, coded)
         for source, pictures, moved in (("raw", raw, 0.0), ("H.264", coded, shift)):
-            case = {"size": size, "still": still, "source": source, "codec_shift_px": moved}
+            case = {"size": size, "still": still, "source": source}
             for name, method in methods.items():
-                yield case | {"method": name} | measure(method, video, pictures)
+                row = measure(method, video, pictures)
+                yield case | {"codec_shift_px": moved, "method": name} | row
 
 
-def _measure_robustness(sizes: list[str], frames: int) -> Iterator[dict[str, Any]]:
+def measure_robustness(frames: int) -> Iterator[dict[str, Any]]:
     """Run this library and stabilo on the difficult videos, without boxes."""
     methods = {name: m for name, m in list_methods().items() if name in ("geoaim", "stabilo")}
-    for size, still, kind in product(sizes, STILLS, HARD):
+    for size, still, kind in product(SIZES, STILLS, HARD):
         video = make_hover_video(still, size=size, count=frames, kind=kind)
         pictures = list(video)
         for name, method in methods.items():
@@ -127,40 +131,68 @@ def _measure_robustness(sizes: list[str], frames: int) -> Iterator[dict[str, Any
             yield case | measure(method, video, pictures)
 
 
-def _draw_chart(rows: Sequence[Any], path: Path) -> None:
-    """Draw speed against error, one point for each method, size and still."""
-    figure = Figure(figsize=(7.5, 4.5), layout="constrained")
-    axes = figure.subplots()
-    names = sorted({row["method"] for row in rows})
-    sizes = sorted({row["size"] for row in rows})
-    for (number, name), (size, mark) in product(enumerate(names), zip(sizes, "os", strict=False)):
-        points = [r for r in rows if r["method"] == name and r["size"] == size]
-        speeds, errors = ([r[key] for r in points] for key in ("frames_per_s", "error_mean_px"))
-        axes.scatter(speeds, errors, color=f"C{number}", marker=mark, label=f"{name}, {size}")
-    axes.set(xscale="log", yscale="log", xlabel="frames a second", ylabel="mean corner error, px")
-    axes.set_title("Rendered hover videos with exact truth (right and low is better)")
-    axes.grid(alpha=0.3, which="both")
-    axes.legend(fontsize=7, ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+def make_videos(quick: bool) -> Videos:
+    """Make plain videos: over real stills if GEOAIM_DATA is set, else over drawn places."""
+    if quick:
+        return {("720p", "junction"): film_place("junction", size="720p", count=QUICK_FRAMES)}
+    if find_data() is None:
+        kinds: tuple[PlaceKind, ...] = ("junction", "roundabout")
+        return {("1080p", kind): film_place(kind, size="1080p", count=FRAMES) for kind in kinds}
+    return {
+        (size, still): make_hover_video(still, size=size, count=FRAMES)
+        for size, still in product(SIZES, STILLS)
+    }
 
 
-def main(
-    json: JsonFile = None,
-    chart: ChartFile = None,
-    sizes: Annotated[str, typer.Option(help="frame sizes, comma-separated")] = "1080p,4k",
-    frames: Annotated[int, typer.Option(help="frames of each video")] = 60,
-    threads: Annotated[int, typer.Option(help="OpenCV's threads")] = 2,
-) -> None:
-    """Measure all methods; print tables; write JSON and a chart if asked."""
-    cv2.setNumThreads(threads)
-    plain = print_rows(_measure_accuracy(sizes.split(","), frames))
-    hard = print_rows(_measure_robustness(sizes.split(","), frames))
-    command = "python -m geoaim.bench.registration"
-    write_rows(plain, json, command=command, frames=frames, robustness=hard)
-    if chart:
-        _draw_chart(plain, chart)
+def measure_registration(quick: bool, progress: Progress) -> Results:
+    """Measure other methods, and the settings of this one by their size.
+
+    Args:
+        quick: whether to take one small video.
+        progress: called with what is measured, what is done and all there is.
+
+    Returns:
+        Tables and charts.
+    """
+    cv2.setNumThreads(THREADS)
+    videos = make_videos(quick)
+    runs = 2 * len(videos) * len(list_methods())
+    rows = collect(measure_accuracy(videos), "methods and videos", progress, runs)
+    hard = []
+    if len(videos) > len(STILLS):
+        hard = collect(measure_robustness(FRAMES), "hard videos and methods", progress)
+    cv2.setNumThreads(1)
+    sizes = measure_sizes(list(videos.values())[:2], progress)
+    cases = collect(measure_models(quick), "camera motions", progress)
+    panels = _average_stills(rows)
+    tables: dict[str, Sequence[Row]] = {
+        "rows": rows,
+        "robustness": hard,
+        "fronts": mark_fronts(panels, "ms", "error, px"),
+        "defaults": summarise_sizes(sizes),
+        "choice of the motion model": [judge_choices(cases, MIN_GAIN_PX)],
+        "sizes": sizes,
+        "cases": cases,
+    }
+    axes = ("ms a frame", "mean error at the corners, px")
+    charts = {
+        "fronts": draw_fronts(panels, cost="ms", error="error, px", labels=axes),
+        "sizes": draw_sizes(sizes, dict.fromkeys(SETTINGS, axes[1])),
+    }
+    return Results("Registration of hover videos with exact truth", tables, charts)
 
 
-if __name__ == "__main__":
-    typer.run(main)
+def _average_stills(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """Means of each method over the stills, by size and source."""
+    groups: dict[str, dict[str, list[list[float]]]] = {}
+    for row in rows:
+        methods = groups.setdefault(f"{row['size']}, {row['source']}", {})
+        figures = [1e3 / row["frames_per_s"], row["error_mean_px"]]
+        methods.setdefault(row["method"], []).append(figures)
+    return {
+        title: [
+            {"method": name, **dict(zip(("ms", "error, px"), np.mean(own, axis=0), strict=True))}
+            for name, own in methods.items()
+        ]
+        for title, methods in groups.items()
+    }

@@ -5,6 +5,7 @@ import platform
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -12,14 +13,25 @@ from typing import Annotated, Any, TypeVar
 import cv2
 import numpy as np
 import typer
+from matplotlib.figure import Figure
 
 from geoaim.files import atomic_write
+from geoaim.progress import Progress
 
 Row = Mapping[str, Any]
 Result = TypeVar("Result")
 Clock = Callable[[], float]
 JsonFile = Annotated[Path | None, typer.Option("--json", help="JSON file to write")]
 ChartFile = Annotated[Path | None, typer.Option("--chart", help="chart to write")]
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What a benchmark measured."""
+
+    title: str  # what was measured, in a sentence
+    tables: Mapping[str, Sequence[Row]]  # rows by the name of their table
+    charts: dict[str, Figure] = field(default_factory=dict)  # figures by name
 
 
 def describe_machine() -> dict[str, Any]:
@@ -102,6 +114,28 @@ def print_rows(measured: Iterable[Row]) -> list[Row]:
     return rows
 
 
+def collect(
+    measured: Iterable[Row], stage: str, progress: Progress, total: int | None = None
+) -> list[Row]:
+    """Collect the rows of a table as they are measured.
+
+    Args:
+        measured: the rows.
+        stage: what one row measures, in the plural.
+        progress: called with the stage, the rows done and all rows.
+        total: number of rows, if it is known.
+
+    Returns:
+        The rows.
+    """
+    rows: list[Row] = []
+    progress(stage, 0, total)
+    for row in measured:
+        rows.append(row)
+        progress(stage, len(rows), total)
+    return rows
+
+
 def write_rows(rows: Sequence[Row], path: Path | None, *, command: str, **settings: Any) -> None:
     """Write rows as JSON, with the machine and the command that made them.
 
@@ -117,6 +151,35 @@ def write_rows(rows: Sequence[Row], path: Path | None, *, command: str, **settin
     write_json(content, path)
 
 
+def write_results(results: Results, folder: Path, name: str, command: str) -> list[Path]:
+    """Write the results of a benchmark: NAME.json, NAME.md, and NAME-CHART.svg and .png.
+
+    Args:
+        results: what was measured.
+        folder: to write to.
+        name: with which the files' names begin.
+        command: the command that measured it.
+
+    Returns:
+        The files.
+    """
+    machine = describe_machine()
+    paths = [folder / f"{name}.json", folder / f"{name}.md"]
+    tables = {title: [_clear(row) for row in rows] for title, rows in results.tables.items()}
+    write_json({"command": command, "machine": machine, **tables}, paths[0])
+    parts = [f"# {results.title}", f"`{command}`, {machine['cores']} x {machine['processor']}"]
+    for chart, figure in results.charts.items():
+        for suffix in ("svg", "png"):
+            paths.append(folder / f"{name}-{chart}.{suffix}")
+            with atomic_write(paths[-1]) as part:
+                figure.savefig(part, dpi=110, format=suffix)
+        parts.append(f"![{chart}]({name}-{chart}.png)")
+    parts += [f"## {title}\n\n{format_table(rows)}" for title, rows in tables.items() if rows]
+    with atomic_write(paths[1]) as part:
+        part.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    return paths
+
+
 def write_json(content: Any, path: Path) -> None:
     """Write content as JSON, NumPy arrays as lists."""
     with atomic_write(path) as temporary:
@@ -124,7 +187,18 @@ def write_json(content: Any, path: Path) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def _clear(value: Any) -> Any:
+    """Replace figures that do not exist by None, null in JSON."""
+    if isinstance(value, Mapping):
+        return {key: _clear(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_clear(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def _format_cell(value: Any) -> str:
+    if value is None:
+        return ""
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 

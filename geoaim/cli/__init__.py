@@ -6,6 +6,7 @@ import typer
 
 from geoaim import __version__
 from geoaim.cli.align import align
+from geoaim.cli.bench import bench
 from geoaim.cli.build import build
 from geoaim.cli.console import DEBUG, stop_when_terminated
 from geoaim.cli.doctor import doctor
@@ -21,7 +22,7 @@ from geoaim.cli.train import train
 
 COMMANDS = (
     *(frame, build, align, draw, register, info, texture, render, simulate),
-    *(predict, evaluate, train, experiment, sample, doctor),
+    *(predict, evaluate, train, experiment, sample, bench, doctor),
 )
 
 app = typer.Typer(name="geoaim", no_args_is_help=True, pretty_exceptions_enable=False)

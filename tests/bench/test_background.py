@@ -1,49 +1,97 @@
 import numpy as np
 import pytest
 
-from geoaim.bench import background
-from geoaim.bench.background import METHODS, _measure_gradient_energy, _run_method, _spread_indices
-from geoaim.encode import write_video
+from geoaim.bench import background_real, background_results
+from geoaim.bench.background import (
+    METHODS,
+    divide_zones,
+    measure_background,
+    measure_gradient_energy,
+    measure_methods,
+)
+from geoaim.bench.drawn_queue import draw_queue
+from geoaim.bench.queue_clips import QueueClip, paste_queue
+from geoaim.progress import no_progress
 from tests.mapping.background.clips import make_ground, queue
 
 
-@pytest.fixture
-def ground():
-    return make_ground()
+@pytest.fixture(scope="module")
+def clip():
+    return draw_queue(standing=0.6, seed=0, count=24)
 
 
-@pytest.fixture
-def folder(ground, tmp_path):
-    """A clip in which a car stands for 60 % of the time, with its truth."""
-    images = queue(ground, count=16)
-    write_video(images, tmp_path / "frames.mp4", frame_rate=1, crf=5)
-    height, width = ground.shape[:2]
-    share = np.zeros((height, width), np.float32)
-    share[40:60, 60:100], share[80:100] = 0.6, 0.2
-    np.savez(
-        tmp_path / "truth.npz",
-        reference_from_frame=np.tile(np.eye(3), (16, 1, 1)),
-        boxes=np.array([[k, 60.0, 40.0, 100.0, 60.0] for k in range(16)]),
-        clean=ground,
-        share=share,
-    )
-    return tmp_path
+@pytest.fixture(scope="module")
+def small():
+    """A clip with boxes in which a car stands for 60 % of the time."""
+    ground = make_ground()
+    share = np.zeros(ground.shape[:2], np.float32)
+    share[40:60, 60:100], share[80:100], share[:10] = 0.6, 0.2, np.nan
+    boxes = tuple(np.array([[60.0, 40.0, 100.0, 60.0]]) for _ in range(16))
+    transforms = np.tile(np.eye(3), (16, 1, 1))
+    return QueueClip(np.stack(queue(ground, count=16)), ground, share, transforms, boxes)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_each_method_is_measured_in_each_zone(folder, monkeypatch, method):
-    monkeypatch.setattr(background, "MARGIN_PX", 10)
-    monkeypatch.setattr(background, "THREADS", 1)
-    row = _run_method(method, folder)
-    assert np.isfinite([row["static"], row["passed"], row["stood"], row["gradient energy %"]]).all()
-    assert row["static"] < 10
+def test_each_method_is_measured_in_each_zone(small):
+    rows = {row["method"]: row for row in measure_methods(small)}
+    assert list(rows) == list(METHODS)
+    for row in rows.values():
+        assert np.isfinite([row[key] for key in ("static", "passed", "stood", "ms")]).all()
+        assert row["static"] < 10
 
 
-def test_gradient_energy_of_the_frame_itself_is_one(ground):
-    where = np.ones(ground.shape[:2], bool)
-    assert _measure_gradient_energy(ground, ground, ground, where) == pytest.approx(1)
+def test_clips_without_boxes_leave_out_the_method_that_needs_them(clip):
+    assert "geoaim with boxes" not in [row["method"] for row in measure_methods(clip)]
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 7, 16])
-def test_spread_indices_are_a_permutation(count):
-    assert sorted(_spread_indices(count)) == list(range(count))
+def test_zones_leave_out_what_is_unknown():
+    zones = divide_zones(np.array([[np.nan, 0.0, 0.1, 0.7]], np.float32))
+    assert [int(np.flatnonzero(zone)[0]) for zone in zones.values()] == [1, 2, 3]
+    assert sum(zone.sum() for zone in zones.values()) == 3
+
+
+def test_gradient_energy_of_the_frame_itself_is_one(small):
+    where = np.isfinite(small.share)
+    same = QueueClip(small.ground[None], small.ground, small.share)
+    assert measure_gradient_energy(small.ground, same, where) == pytest.approx(1)
+
+
+def test_ground_of_a_drawn_queue_shows_where_no_car_is(clip):
+    free = clip.share == 0
+    error = np.abs(np.median(clip.frames, axis=0) - clip.ground)[free]
+    assert error.mean() < 2
+    assert (clip.share > 0.5).mean() > 0.02
+
+
+def test_standing_queue_is_removed_and_most_wrong_pixels_are_marked(clip):
+    ours = measure_background(clip, METHODS["geoaim"])
+    assert ours["stood"] < 20
+    assert ours["wrong marked %"] > 50
+    assert ours["good marked %"] < 2
+    assert measure_background(clip, METHODS["median"])["stood"] > 2 * ours["stood"]
+
+
+def test_pasted_queue_has_ground_that_its_frames_show(data_folder):
+    clip = paste_queue("munich_mos074", standing=0.6, seed=0, count=8)
+    free = clip.share == 0
+    assert np.abs(clip.frames[0][free].astype(int) - clip.ground[free]).mean() < 8
+    assert 0.01 < (clip.share >= 0.5).mean() < 0.3
+
+
+def test_real_sequences_are_compared(data_folder, monkeypatch):
+    monkeypatch.setattr(background_real, "PLACES", ("hover/munich_mos074",))
+    row = next(background_real.measure_real(data_folder))
+    assert row["frames"] > 10
+    assert 0 < row["differs from boxes %"] < 10
+
+
+def test_the_benchmark_has_tables_and_charts(monkeypatch, small):
+    monkeypatch.delenv("GEOAIM_DATA", raising=False)
+    monkeypatch.setattr(background_results, "COUNTS", (8, 16))
+    monkeypatch.setattr(background_results, "FRAMES", 16)
+    monkeypatch.setattr(background_results, "make_clips", lambda *_, **__: [("small", 1, small)])
+    results = background_results.measure_backgrounds(True, no_progress)
+    assert [row["method"] for row in results.tables["rows"]] == list(METHODS)
+    assert [row["setting"] for row in results.tables["defaults"]] == ["frames"]
+    [case] = results.tables["cases"]
+    assert len(case["errors"]) == 2
+    assert list(results.charts) == ["fronts", "sizes"]

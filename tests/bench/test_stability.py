@@ -3,10 +3,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from geoaim.bench.stability import charts, clips, judge, sweep
+from geoaim.bench.stability import benchmark, charts, clips, judge, sweep
 from geoaim.bench.stability.effects import EFFECTS, apply_effects
 from geoaim.bench.stability.kinds import KINDS, Hardship
 from geoaim.bench.stability.motion import draw_motion
+from geoaim.progress import no_progress
 
 SMALL = (180, 320)
 
@@ -151,3 +152,13 @@ def test_sweep_is_judged_written_and_read_again(tmp_path):
     assert "plain" in text
     assert (tmp_path / "a-errors.svg").stat().st_size > 1000
     assert (tmp_path / "a-verdicts.png").stat().st_size > 1000
+
+
+def test_benchmark_sweeps_the_kinds_that_it_is_given(monkeypatch):
+    monkeypatch.setattr(benchmark, "QUICK_KINDS", ["plain"])
+    monkeypatch.setattr(clips, "SMALL", SMALL)
+    monkeypatch.setattr(clips, "LARGE", SMALL)
+    results = benchmark.measure_stability(True, no_progress)
+    assert [row["kind"] for row in results.tables["rows"]] == ["plain"]
+    assert [row["method"] for row in results.tables["methods"]] == ["geoaim", sweep.RIVALS[0]]
+    assert list(results.charts) == ["errors", "verdicts"]

@@ -27,7 +27,9 @@ from geoaim.bench.stability.judge import (
 from geoaim.files import atomic_write
 
 CASE = ["method", "kind", "rank", "level", "generator", "base", "size", "seed"]
-COLOURS = ("tab:green", "lightgrey", "tab:olive", "tab:orange", "tab:red")  # of the verdicts
+COLOURS = ("#009E73", "#DDDDDD", "#56B4E9", "#E69F00", "#000000")  # of the verdicts
+# of the methods, this library first; colour-blind readers tell them apart by their dashes as well
+LINES = (("#D55E00", "-"), ("#0072B2", "--"), ("#CC79A7", "-."), ("#009E73", ":"))
 PANEL_COLUMNS = 7
 SMALLEST_PX, LARGEST_PX = 0.003, 300.0  # of the charts' error axis
 
@@ -73,12 +75,12 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
     for suffix in ("svg", "png"):
-        _draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=75)
-        _draw_verdicts(table).savefig(folder / f"{name}-verdicts.{suffix}", dpi=100)
+        draw_errors(frames).savefig(folder / f"{name}-errors.{suffix}", dpi=75)
+        draw_verdicts(table).savefig(folder / f"{name}-verdicts.{suffix}", dpi=100)
     return text
 
 
-def _draw_errors(frames: pd.DataFrame) -> Figure:
+def draw_errors(frames: pd.DataFrame) -> Figure:
     """Draw error against hardship, a panel for each kind.
 
     Lines are medians over the frames that a method did not refuse, bands reach to their 90th
@@ -86,7 +88,7 @@ def _draw_errors(frames: pd.DataFrame) -> Figure:
     library stated.
     """
     kinds = list(frames.kind.unique())
-    columns = min(len(kinds), PANEL_COLUMNS)
+    columns = min(int(np.ceil(np.sqrt(len(kinds)))), PANEL_COLUMNS)
     rows = -(-len(kinds) // columns)
     figure = Figure(figsize=(3 * columns + 2, 2.2 * rows + 0.6), layout="constrained")
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -97,9 +99,10 @@ def _draw_errors(frames: pd.DataFrame) -> Figure:
             error = by_level.error
             median, high = error.median(), error.quantile(0.9)
             share = by_level.error.apply(lambda e: e.notna().mean())
-            panel.plot(median.index, median, color=f"C{number}", label=str(method))
-            panel.scatter(median.index, median, 30 * share + 1, color=f"C{number}")
-            panel.fill_between(median.index, median, high, color=f"C{number}", alpha=0.15)
+            colour, style = LINES[number % len(LINES)]
+            panel.plot(median.index, median, style, color=colour, label=str(method))
+            panel.scatter(median.index, median, 30 * share + 1, color=colour)
+            panel.fill_between(median.index, median, high, color=colour, alpha=0.12)
             if method == "geoaim":
                 stated = theirs[theirs.error.notna()].groupby("rank").stated.median()
                 panel.plot(stated.index, stated, ":", color="black", label="stated by geoaim")
@@ -116,7 +119,7 @@ def _draw_errors(frames: pd.DataFrame) -> Figure:
     return figure
 
 
-def _draw_verdicts(table: pd.DataFrame) -> Figure:
+def draw_verdicts(table: pd.DataFrame) -> Figure:
     """Draw the share of each verdict on this library's frames, a bar for each kind."""
     figure = Figure(figsize=(9, 0.22 * len(table) + 1.2), layout="constrained")
     axes = figure.subplots()
