@@ -98,7 +98,7 @@ def train(
         network: nn.Module = parts.model if alone else DistributedDataParallel(parts.model)
         if config.log_start and not log:
             min_ade = _validate(parts.model, dataset.val, ground, config)
-            log.append((0, math.nan, math.nan, math.nan, min_ade, math.nan))
+            log.append((0.0, math.nan, math.nan, math.nan, min_ade, math.nan))
         began, losses = time.perf_counter(), []
         for step in range(int(log[-1][0]) if log else 0, config.steps):
             batch = draw_batch(config, dataset.train, ground, step, process)
@@ -113,7 +113,7 @@ def train(
                 speed = len(losses) * config.batch_size / (time.perf_counter() - began)
                 means = torch.tensor(losses).mean(dim=0).tolist()
                 min_ade = _validate(parts.model, dataset.val, ground, config)
-                log.append((done, *means, min_ade, speed))
+                log.append((float(done), *means, min_ade, speed))
                 _write_checkpoint(path, parts, identity, log)
                 began, losses = time.perf_counter(), []
         if process.rank == 0:
