@@ -170,7 +170,8 @@ def _warn_of_upsampling(sources: Sequence[_Source], resolution: float) -> None:
 
 def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> AIM:
     """Resample the sources block by block, each below the ones before it."""
-    grid = make_north_up_grid(region.points, resolution, region.world)
+    with name_file(", ".join(source.layer.name for source in sources)):
+        grid = make_north_up_grid(region.points, resolution, region.world)
     _check_size(sources, grid)
     image, covered = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     counts = np.zeros(len(sources))

@@ -38,9 +38,7 @@ def _list_numbers(name: str, value: object) -> Iterator[tuple[str, np.ndarray]]:
     """All fractions in nested data, with their names."""
     if isinstance(value, torch.Tensor):
         value = value.detach().numpy()
-    if isinstance(value, torch.nn.Module):
-        value = value.state_dict()
-    elif isinstance(value, BaseGeometry):
+    if isinstance(value, BaseGeometry):
         value = np.array(value.bounds)
     if isinstance(value, np.ndarray | float) and np.asarray(value).dtype.kind == "f":
         yield name, np.asarray(value)
