@@ -16,7 +16,6 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.motion_models import Model
 from geoaim.mapping.registration.patches import (
-    MIN_INLIER_CORRELATION,
     PATCH_SIDE_PX,
     PatchAlignment,
     PatchTemplate,
@@ -43,7 +42,6 @@ MIN_UNCERTAIN_SHARE = 0.6
 # 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
 MISLEADING_UNCERTAINTY_PX = 0.12
 MISLEADING_SCATTER = 6.0  # px of uncertainty for one of scatter, which counts to the third power
-MAX_CONTRARY_SHARE = 0.2  # of patches that fit well, yet elsewhere
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
 
 
@@ -227,16 +225,12 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     spread = predict_corner_uncertainty(keyframe.fine, alignment.motion)
     limit = MISLEADING_SCATTER * keyframe.fine.width
     stated = _widen_uncertainty(spread, alignment.motion.noise, limit)
-    fits = alignment.in_view & (alignment.correlation > MIN_INLIER_CORRELATION)
-    contrary = float((fits & ~alignment.inliers).sum() / max(in_view, 1))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_PATCHES:
         reason = f"too little overlap: {in_view} patches in view, {MIN_PATCHES} needed"
     elif inliers < MIN_PATCHES or share < MIN_INLIER_SHARE:
         reason = f"too few inliers: {inliers} of {in_view} patches agree"
-    elif contrary > MAX_CONTRARY_SHARE:
-        reason = f"parts disagree: {contrary:.0%} of the patches fit elsewhere"
     elif not alignment.converged:
         reason = "the alignment did not converge"
     elif not stated <= MAX_CORNER_UNCERTAINTY_PX:

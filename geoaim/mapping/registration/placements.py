@@ -22,7 +22,7 @@ from geoaim.mapping.registration.rivals import Overview, Rival, find_rivals, mea
 
 # chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half
 MIN_TEXTURED_SHARE = 0.55  # of the image
-MIN_EXPLAINED_SHARE = 0.85  # of what has texture
+MIN_EXPLAINED_SHARE = 0.8  # of what has texture
 MIN_DISTANCE_PX = 1.0  # between the corners of different placements
 MIN_PATCHES_OF_PART = 16
 MIN_COMMON_SHARE = 0.5  # of the smaller set of inliers, for texture that repeats
