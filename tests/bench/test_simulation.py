@@ -22,7 +22,7 @@ def test_renderers_are_timed_and_compared(ground, tmp_path, monkeypatch):
     methods = birdview._compare_renderers(ground, pixels=16, views=2, repeats=1)
     errors = {row["method"]: row["mean error at edges of boxes"] for row in methods}
     assert errors["geoaim"] < errors["OpenCV: warp, hard polygons"] / 3
-    birdview.draw_chart(methods, tmp_path / "chart.png")
+    birdview._draw_chart(methods, tmp_path / "chart.png")
     assert (tmp_path / "chart.png").stat().st_size > 10_000
 
 

@@ -1,6 +1,7 @@
 """The measure of memory over long work finds a leak, and none in a short simulation."""
 
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -11,10 +12,11 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is measu
 
 def test_a_leak_is_found(monkeypatch):
     kept = []
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
 
     def leak(folder, count, sample):
         for index in range(count):
-            kept.append(bytes(range(256)) * 8000)
+            kept.append(b"x" * (pages * 4096 // 500))
             sample(index + 1)
 
     monkeypatch.setitem(long_runs.RUNS, "leak", (leak, 100))

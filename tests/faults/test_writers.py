@@ -97,7 +97,10 @@ def test_training_on_a_full_disk_ends_in_a_line(training, tmp_path):
         folder = tmp_path / str(limit)
         folder.mkdir()
         check_outcome(run_interrupted(training.write, folder / "out", limit, how="full"), "full")
-        assert read_after_next_run(folder) == {}
+        if kept := read_after_next_run(folder):  # the first checkpoint is smaller than the last
+            assert limit == size - 1
+            assert set(kept) == {"checkpoint.pt", "log.csv"}
+            assert len(read_state(folder / "checkpoint.pt")["log"]) == 1
 
 
 def test_training_from_a_damaged_checkpoint_ends_in_a_line_and_replaces_nothing(training, tmp_path):

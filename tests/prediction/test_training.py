@@ -121,7 +121,7 @@ import sys, torch
 torch.set_num_threads(1)
 from tests.prediction.test_training import TINY, TRAINING, dataset, init_model, train
 model = train(init_model(TINY), TRAINING, dataset(), sys.argv[1])
-print(sum(float(p.double().sum()) for p in model.parameters()))
+sys.stdout.write(f"{sum(float(p.double().sum()) for p in model.parameters())}\n")
 """
 
 

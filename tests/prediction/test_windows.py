@@ -121,7 +121,7 @@ def test_command_prints_metrics_as_json_or_as_a_table(folder, tmp_path):
 def test_missing_and_malformed_files_are_reported(folder, tmp_path):
     with pytest.raises(TracksError, match=r"neither park_0\.jpg nor park_0\.png"):
         read(folder, "w")
-    with pytest.raises(TracksError, match="lake_3 are not"):
+    with pytest.raises(TracksError, match="the scenes lake_3 must be in both"):
         read(folder, scenes=["lake_3"])
     table = pd.read_csv(folder / "w" / "park_0.csv")
     (tmp_path / "w").mkdir()

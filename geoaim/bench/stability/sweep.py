@@ -51,6 +51,11 @@ def run_geoaim(case: SweepCase, clip: Clip) -> list[dict[str, Any]]:
 def run_rivals(case: SweepCase, clip: Clip, methods: dict[str, Method]) -> list[dict[str, Any]]:
     """Register a clip to its first frame by other methods, and judge its frames.
 
+    Args:
+        case: the clip's kind, level and seed.
+        clip: the clip with its truth.
+        methods: to run, by name.
+
     Returns:
         A row for each method and frame: as of `judge_frames`, with method, the case's fields,
         reason (empty), inlier share (NaN) and mean seconds of a frame.
