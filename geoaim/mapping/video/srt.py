@@ -106,8 +106,9 @@ def _parse_place(text: str) -> dict[str, float]:
         return {}
     latitude_first = parts[-1].endswith("M")
     if len(parts) != 3 or not (latitude_first or parts[-1].isdecimal()):
+        found = " ".join(text.split())
         raise ValueError(
-            f"GPS({text}) is neither (longitude, latitude, satellites) nor (latitude, longitude, "
+            f"GPS({found}) is neither (longitude, latitude, satellites) nor (latitude, longitude, "
             "altitude with M), in numbers with a decimal point"
         )
     names = ("latitude", "longitude") if latitude_first else ("longitude", "latitude")
