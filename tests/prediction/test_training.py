@@ -121,7 +121,8 @@ import sys, torch
 torch.set_num_threads(1)
 from tests.prediction.test_training import TINY, TRAINING, dataset, init_model, train
 model = train(init_model(TINY), TRAINING, dataset(), sys.argv[1])
-sys.stdout.write(f"{sum(float(p.double().sum()) for p in model.parameters())}\n")
+total = sum(float(p.double().sum()) for p in model.parameters())
+sys.stdout.write(f"{total}\\n")  # at once: two processes write here
 """
 
 
