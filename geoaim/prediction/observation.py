@@ -60,12 +60,12 @@ def render_observation(
         A view of each of the E controlled agents, in 7 channels between 0 and 1: ground (RGB),
         vehicles, pedestrians, red and yellow lights, green lights.
     """
-    poses = _select_seen(states[..., :3], controlled)  # (E, n, 3)
+    poses = _gather_agents(states[..., :3], controlled)  # (E, n, 3)
     cameras = states[controlled.segment, controlled.agent, :3]  # (E, 3)
-    layers, sizes = (_select_seen(x, controlled) for x in (segments.layers, segments.sizes))
+    layers, sizes = (_gather_agents(x, controlled) for x in (segments.layers, segments.sizes))
     seen = torch.arange(states.shape[1], device=states.device)
     seen = seen[None] if controlled.seen is None else controlled.seen
-    visible = _select_seen(segments.present[:, step], controlled)
+    visible = _gather_agents(segments.present[:, step], controlled)
     visible = visible & (seen != controlled.agent[:, None]) & (seen >= 0)  # (E, n)
     white = sizes.new_ones(1, 3).expand(poses.shape[1], 3)
     boxes = [
@@ -79,7 +79,7 @@ def render_observation(
     return render_layers(view, cameras, ground, boxes)
 
 
-def _select_seen(values: Shaped[Tensor, "B N ..."], controlled: Controlled) -> Tensor:
+def _gather_agents(values: Shaped[Tensor, "B N ..."], controlled: Controlled) -> Tensor:
     """Values of the agents that each view may show."""
     if controlled.seen is None:
         return values[controlled.segment]

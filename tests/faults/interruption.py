@@ -73,7 +73,7 @@ def run_interrupted(
     return Outcome(child.exitcode, changes.value, text)
 
 
-def run_signalled(
+def run_and_signal(
     write: Callable[[Path], None], target: Path, delay: float, sent: signal.Signals
 ) -> Outcome:
     """Run a writer in a child process, and send it a signal.

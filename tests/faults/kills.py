@@ -21,7 +21,7 @@ from random import Random
 
 from geoaim.files import TEMPORARY, atomic_write
 from tests.faults import small_sample, writers
-from tests.faults.interruption import run_interrupted, run_signalled
+from tests.faults.interruption import run_and_signal, run_interrupted
 
 EXIT_CODES = {0, -signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM}
 LATEST = 1.2  # moment, of an uninterrupted run's time
@@ -100,7 +100,7 @@ def count_kills(case: Case, count: int, folder: Path, random: Random) -> Counter
             target.parent.mkdir()
         else:
             shutil.copytree(case.old, target.parent)
-        outcome = run_signalled(case.write, target, random.uniform(0, LATEST * case.seconds), sent)
+        outcome = run_and_signal(case.write, target, random.uniform(0, LATEST * case.seconds), sent)
         if outcome.exit_code not in EXIT_CODES:
             print(case.name, outcome, flush=True)
             counts["errors"] += 1

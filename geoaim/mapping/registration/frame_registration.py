@@ -34,7 +34,7 @@ COARSE_ITERATIONS = 10
 MIN_PATCHES = 16  # inliers without which a frame is rejected, of about 300 patches
 MIN_INLIER_SHARE = 0.2  # of the patches in view
 SUFFICIENT_INLIER_SHARE = 0.5  # at which the search is not widened
-UNDOUBTED_INLIER_SHARE = 0.7  # below which the placement is always compared with others
+UNDOUBTED_INLIER_SHARE = 0.7  # below which it is always checked that the image is explained
 MAX_CORNER_UNCERTAINTY_PX = 10.0
 CONSISTENT_UNCERTAINTY_PX = 1.0  # above which a frame needs a larger share of inliers:
 MIN_UNCERTAIN_SHARE = 0.6
@@ -91,8 +91,8 @@ def register_frame(
         keyframe: the one to search first.
         prior: reference_from_frame to start from, pixels.
         model: motion model to fit.
-        compare: whether to compare the placement with those that other parts of the image support,
-            even if most patches agree with it.
+        compare: whether to check that the placement explains the image, even if most patches agree
+            with it.
 
     Returns:
         The first registration with enough inliers, or else the best, and the alignment behind it.

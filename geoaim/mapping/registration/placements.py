@@ -20,7 +20,8 @@ from geoaim.mapping.registration.patches import (
 )
 from geoaim.mapping.registration.rivals import Overview, Rival, find_rivals, measure_fit
 
-# chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half
+# chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half;
+# there 0.85 of the texture was best, but it refused hover videos with dense traffic
 MIN_TEXTURED_SHARE = 0.55  # of the image
 MIN_EXPLAINED_SHARE = 0.8  # of what has texture
 MIN_DISTANCE_PX = 1.0  # between the corners of different placements
