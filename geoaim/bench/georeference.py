@@ -32,8 +32,6 @@ from geoaim.mapping.georeference.transform_models import TERM_COUNTS
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 
 SEED = 2
-POINT_COUNTS = (4, 5, 6, 8, 12)
-MORE_COUNTS = (4, 5, 6, 8, 12, 20, 40)
 ADVISED = 6  # points, by the messages of `point_checks`
 RIVALS = ("plain homography", "GDAL polynomial", "GDAL thin plate")
 NAMES = ("geoaim", *RIVALS)

@@ -22,7 +22,7 @@ from matplotlib.axes import Axes
 from numpy import ndarray as Array
 
 from geoaim.bench.data import require_data
-from geoaim.bench.realism_images import OCTAVES, draw_sample, measure_image, read_real_images
+from geoaim.bench.realism_images import OCTAVES, draw_sample, read_real_images, sample_statistics
 from geoaim.bench.realism_motion import (
     VEHICLES,
     Statistics,
@@ -58,8 +58,8 @@ def main(
     vehicles, pedestrians = read_real_vehicles(folder), read_real_pedestrians(folder)
     groups: Groups = {
         "image": (
-            [measure_image(image) for image in synthetic],
-            {name: measure_image(image) for name, image in real.items()},
+            [sample_statistics(image) for image in synthetic],
+            {name: sample_statistics(image) for name, image in real.items()},
         ),
         "vehicles": _measure_group(tracks, vehicles, VEHICLES),
         "pedestrians": _measure_group(tracks, pedestrians, ("pedestrian",)),

@@ -27,7 +27,7 @@ SEQUENCES = ("minsk_junction", "minsk_street", "munich_mos074", "munich_street02
 REFERENCES = 4  # frames of a sequence that serve as the reference in turn
 
 
-def measure(folder: Path, boxes: Detections | None) -> dict[str, Any]:
+def measure_consistency(folder: Path, boxes: Detections | None) -> dict[str, Any]:
     """Register a sequence to several references, and measure forward-backward and loop errors, px.
 
     A row of the table; loops lead over another reference.
@@ -75,7 +75,7 @@ def main(json: JsonFile = None) -> None:
     """Measure all sequences, with and without the vehicles' boxes."""
     data = require_data("hover")
     rows = print_rows(
-        measure(data / name, boxes)
+        measure_consistency(data / name, boxes)
         for name in SEQUENCES
         for boxes in (None, read_detections(data / name))
     )

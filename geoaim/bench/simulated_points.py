@@ -27,7 +27,8 @@ NOISE_PX = (0.5, 5.0)
 NOISES = ("normal", "heavy tails", "one wrong")
 HEAVY_DOF = 3  # of Student's t
 WRONG_PX = (10.0, 1000.0)  # error of the wrong point
-Ground = tuple[Callable[[Points], Points], float]  # ground from pixels, and metres per pixel
+# where pixels lie on the ground (metres), and metres per pixel
+Camera = tuple[Callable[[Points], Points], float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +40,8 @@ class PointSet:
     resolution: float  # metres per pixel
 
 
-def draw_terms_camera(generator: np.random.Generator) -> Ground:
-    """Draw a camera of the method's own nine terms, up to three times the expected sizes."""
+def sample_terms_camera(generator: np.random.Generator) -> Camera:
+    """Choose a camera of the method's own nine terms, up to three times the expected sizes."""
     terms = np.zeros(9)
     terms[4:] = generator.choice([0.0, 1.0, 3.0]) * PRIOR_SIGMA * generator.normal(size=5)
     unit = 0.05 * half_diagonal(HEIGHT, WIDTH)
@@ -53,8 +54,8 @@ def draw_terms_camera(generator: np.random.Generator) -> Ground:
     return transform, 0.05
 
 
-def draw_pinhole_camera(generator: np.random.Generator) -> Ground:
-    """Draw a pinhole camera with tilt (3 degrees, every fifth up to 20), lens and pixel aspect."""
+def sample_pinhole_camera(generator: np.random.Generator) -> Camera:
+    """Choose a pinhole camera: tilt (3 degrees, every fifth up to 20), lens and pixel aspect."""
     tilt = abs(generator.normal()) * 3.0
     if generator.random() < 0.2:
         tilt = generator.uniform(5.0, 20.0)
@@ -64,7 +65,7 @@ def draw_pinhole_camera(generator: np.random.Generator) -> Ground:
 
 def make_pinhole_camera(
     tilt: float, lens: Array, aspect: float, generator: np.random.Generator
-) -> Ground:
+) -> Camera:
     """Make a pinhole camera at a random height, in a random direction.
 
     Args:
@@ -93,7 +94,7 @@ def make_pinhole_camera(
     return transform, height / focal
 
 
-CAMERAS = (draw_terms_camera, draw_pinhole_camera)
+CAMERAS = (sample_terms_camera, sample_pinhole_camera)
 
 
 def draw_sets(noise: str, count: int, trials: int, seed: int) -> list[PointSet]:
@@ -111,15 +112,15 @@ def draw_sets(noise: str, count: int, trials: int, seed: int) -> list[PointSet]:
     generator = np.random.default_rng([seed, count, NOISES.index(noise)])
     sets = []
     for trial in range(trials):
-        ground = CAMERAS[trial % len(CAMERAS)](generator)
+        camera = CAMERAS[trial % len(CAMERAS)](generator)
         layout = LAYOUTS[generator.integers(len(LAYOUTS))]
         sigma = np.exp(generator.uniform(*np.log(NOISE_PX)))
-        sets.append(pick_points(ground, layout, noise, (count, float(sigma)), generator))
+        sets.append(pick_points(camera, layout, noise, (count, float(sigma)), generator))
     return sets
 
 
 def pick_points(
-    ground: Ground,
+    camera: Camera,
     layout: tuple[float, ...],
     noise: str,
     size: tuple[int, float],
@@ -128,7 +129,7 @@ def pick_points(
     """Pick control points on an image.
 
     Args:
-        ground: the camera.
+        camera: the camera.
         layout: one of LAYOUTS.
         noise: one of NOISES.
         size: number of points, and standard deviation of the noise in pixels.
@@ -137,7 +138,7 @@ def pick_points(
     Returns:
         The points with their truth.
     """
-    transform, resolution = ground
+    transform, resolution = camera
     count, sigma = size
     box = np.reshape(layout, (2, 2)) * [WIDTH, HEIGHT]
     pixels = generator.uniform(box[0], box[1], size=(count, 2))

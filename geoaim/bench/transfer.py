@@ -34,7 +34,7 @@ from geoaim.bench.realism_motion import (
     read_real_vehicles,
     resample_positions,
 )
-from geoaim.bench.registration import measure
+from geoaim.bench.registration import measure_rate_and_errors
 from geoaim.bench.registration_methods import list_methods
 from geoaim.bench.report import JsonFile, format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
@@ -122,7 +122,7 @@ def _measure_registration(frames: int) -> Figures:
     for source, video in videos.items():
         pictures = list(video)
         figures[source] = {
-            name: measure(method, video, pictures)["error_mean_px"]
+            name: measure_rate_and_errors(method, video, pictures)["error_mean_px"]
             for name, method in methods.items()
         }
     return figures

@@ -1,4 +1,4 @@
-"""Commands that render agents on a map and simulate them."""
+"""Commands that render agents on a map and simulate them; the default size of a view."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from geoaim.simulation.scene import Scene
 
 PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
-VIDEO = {"size": 512, "extent": 80.0, "trail": 2.0}  # of a simulation: pixels, metres, seconds
+DEFAULT_SIZE_PX, DEFAULT_EXTENT_M = 512, 80.0  # sides of a view
+VIDEO = {"size": DEFAULT_SIZE_PX, "extent": DEFAULT_EXTENT_M, "trail": 2.0}  # of a simulation
 
 
 def render(
@@ -25,8 +26,10 @@ def render(
     tracks: options.TracksFile,
     ego: Annotated[str, typer.Option(help="id of the agent at the centre")],
     output: Annotated[Path, options.output(".mp4, .gif or .png to write")],
-    size: Annotated[int, typer.Option(help="side of the view, px", min=16, max=4096)] = 512,
-    extent: Annotated[float, typer.Option(help="side of the view, m", min=1)] = 80.0,
+    size: Annotated[
+        int, typer.Option(help="side of the view, px", min=16, max=4096)
+    ] = DEFAULT_SIZE_PX,
+    extent: Annotated[float, typer.Option(help="side of the view, m", min=1)] = DEFAULT_EXTENT_M,
     time: Annotated[
         float | None, typer.Option(help="time of a .png, s; the agent's first if omitted")
     ] = None,

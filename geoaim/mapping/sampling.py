@@ -1,4 +1,4 @@
-"""Choose the frames of a video from which a map is built, and their order."""
+"""Choose the frames of a video from which a map is built, with traffic removed or as a mean."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace

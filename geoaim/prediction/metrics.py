@@ -14,7 +14,7 @@ from torch import Tensor
 
 from geoaim.lights import UNKNOWN
 from geoaim.prediction.segments import VEHICLE, Segments
-from geoaim.simulation.infractions import compute_offroad_distance, detect_red_light_running
+from geoaim.simulation.infractions import detect_offroad, detect_red_light_running
 from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
@@ -171,7 +171,7 @@ def _compute_infraction_rates(
     rates = {"collision rate": _make_rate((iou > 0).any(-1).view(present.shape), controlled)}
     vehicles = controlled & (segments.layers == VEHICLE)[:, None, None]
     if rules.drivable is not None and vehicles.any():
-        offroad = compute_offroad_distance(rules.drivable, after, sizes, vehicles) > 0
+        offroad = detect_offroad(rules.drivable, after, sizes, vehicles)
         rates["off-road rate"] = _make_rate(offroad, vehicles)
     states = segments.light_states[:, history - 1 : -1]  # (B, t, L)
     known = (states != UNKNOWN).any(dim=2)[:, None, :, None]

@@ -11,11 +11,7 @@ from geoaim.agent_types import select_group
 from geoaim.errors import TracksError
 from geoaim.lights import UNKNOWN
 from geoaim.simulation import simulator
-from geoaim.simulation.infractions import (
-    compute_offroad_distance,
-    detect_red_light_running,
-    detect_wrong_way,
-)
+from geoaim.simulation.infractions import detect_offroad, detect_red_light_running, detect_wrong_way
 from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.policies import (
     constant_turn_rate,
@@ -159,8 +155,7 @@ def _count_infractions(
         ran = detect_red_light_running(last_poses, poses, sizes[..., 0], moved, *lights)
         found["red light"] = ran, vehicles & lit
     if rules.drivable is not None:
-        offroad = compute_offroad_distance(rules.drivable, poses, sizes, vehicles) > 0
-        found["off road"] = offroad, vehicles
+        found["off road"] = detect_offroad(rules.drivable, poses, sizes, vehicles), vehicles
     if rules.lanes is not None:
         wrong, on_lane = detect_wrong_way(rules.lanes, poses, vehicles)
         if on_lane.any():

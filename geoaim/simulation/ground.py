@@ -1,4 +1,8 @@
-"""The ground of bird's-eye views: a texture, sampled at the pixels of all views at once."""
+"""The ground of bird's-eye views: a texture, sampled at the pixels of all views at once.
+
+`View` is the size of a view. Its defaults are those of who renders: `geoaim.cli.simulate` for
+videos, `geoaim.prediction.config` for what a model sees.
+"""
 
 import math
 from collections.abc import Iterator

@@ -1,6 +1,7 @@
-"""Infractions: off-road distance, collisions, running red lights, driving the wrong way.
+"""Infractions: which agents are off the road, run a red light or drive the wrong way.
 
-All functions are batched. Absent agents commit no infraction.
+Collisions are overlaps of boxes, in `overlap`. All functions are batched. Absent agents commit no
+infraction.
 """
 
 import math
@@ -44,8 +45,6 @@ def compute_offroad_distance(
 ) -> Float[Tensor, "..."]:
     """Compute how far the furthest corner of each agent is off the road; differentiable.
 
-    An agent is off the road where this is positive, without a tolerance, as in Liu et al. 2023.
-
     Args:
         drivable: signed distances; beyond the raster, the distance to the raster is added.
         poses: (..., 3) x, y, heading.
@@ -59,6 +58,26 @@ def compute_offroad_distance(
     corners = compute_box_corners(safe, sizes)
     outside = sample_distance(drivable, corners).amax(dim=-1).clamp_min(0)
     return torch.where(present, outside, 0.0)
+
+
+def detect_offroad(
+    drivable: Drivable,
+    poses: Float[Tensor, "... 3"],
+    sizes: Float[Tensor, "... 2"],
+    present: Bool[Tensor, "..."],
+) -> Bool[Tensor, "..."]:
+    """Mark agents of which a corner is off the road, without a tolerance, as in Liu et al. 2023.
+
+    Args:
+        drivable: signed distances.
+        poses: (..., 3) x, y, heading.
+        sizes: (..., 2) length and width, metres.
+        present: (...); poses of absent agents may be NaN.
+
+    Returns:
+        (...) True for those off the road.
+    """
+    return compute_offroad_distance(drivable, poses, sizes, present) > 0
 
 
 def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:

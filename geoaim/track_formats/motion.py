@@ -1,4 +1,4 @@
-"""Headings and speeds from positions."""
+"""Speeds and headings of tracks, computed from positions where a file states none."""
 
 from dataclasses import replace
 

@@ -53,7 +53,7 @@ def video(monkeypatch):
 )
 def test_registration_methods_have_small_errors_on_a_plain_video(video, name, limit):
     method = registration_methods.list_methods()[name]
-    row = registration.measure(method, video, list(video))
+    row = registration.measure_rate_and_errors(method, video, list(video))
     assert row["frames_per_s"] > 0
     assert row["error_mean_px"] < limit
 
@@ -107,7 +107,7 @@ def test_short_clips_are_decoded_and_built(video, tmp_path):
 def test_statistics_are_no_distance_from_themselves():
     field = make_natural_noise((800, 1600), 1.2, np.random.default_rng(0))
     grey = (110 + 30 * field).clip(0, 255).astype(np.uint8)
-    image = realism_images.measure_image(np.dstack([grey] * 3))
+    image = realism_images.sample_statistics(np.dstack([grey] * 3))
     sample = make_sample(1, minutes=0.2, video=None)
     motion = realism_motion.measure_motion(tracks_of(sample), realism_motion.VEHICLES)
     rows = [*realism._compare("image", [image], {"a": image, "b": image})]

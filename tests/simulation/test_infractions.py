@@ -9,6 +9,7 @@ from geoaim.simulation.infractions import (
     Drivable,
     Lanes,
     compute_offroad_distance,
+    detect_offroad,
     detect_red_light_running,
     detect_wrong_way,
     sample_distance,
@@ -45,6 +46,8 @@ def test_offroad_distance_is_that_of_the_furthest_corner():
     present = torch.tensor([True, True, False])
     metres = compute_offroad_distance(_drivable(), poses, CAR.expand(3, 2), present)
     np.testing.assert_allclose(metres.numpy(), [0, 0.5, 0], atol=0.05)
+    offroad = detect_offroad(_drivable(), poses, CAR.expand(3, 2), present)
+    assert offroad.tolist() == [False, True, False]
 
 
 def test_gradient_leads_back_to_the_road():

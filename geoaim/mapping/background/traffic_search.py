@@ -1,4 +1,7 @@
-"""Collect small copies of frames, have `traffic_removal` find their traffic, average the rest."""
+"""Collect small copies of frames, have `traffic_removal` find their traffic, average the rest.
+
+All frames that are given count; `mapping.sampling` chooses them.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
