@@ -3,9 +3,21 @@
 import sys
 import warnings
 
+# characters that end a line or control a terminal; damaged files have them in names and values
+CONTROLS = dict.fromkeys((*range(32), *range(127, 160), 0x2028, 0x2029), " ")
+MAX_START, MAX_END = 700, 300  # characters of a longer message that are kept
+
 
 class GeoaimError(Exception):
-    """Data that cannot be used: the message says what was found, what was needed, what to do."""
+    """Data that cannot be used: the message says what was found, what was needed, what to do.
+
+    It is one line without control characters; the middle of a very long one is left out.
+    """
+
+    def __str__(self) -> str:
+        line = super().__str__().translate(CONTROLS)
+        too_long = len(line) > MAX_START + MAX_END
+        return f"{line[:MAX_START]} ... {line[-MAX_END:]}" if too_long else line
 
 
 class VideoError(GeoaimError):
@@ -57,4 +69,4 @@ def warn(message: str) -> None:
     level, frame = 2, sys._getframe(1)
     while frame.f_back and frame.f_back.f_globals.get("__name__", "").startswith("geoaim"):
         level, frame = level + 1, frame.f_back
-    warnings.warn(message, GeoaimWarning, stacklevel=level + 1)
+    warnings.warn(message.translate(CONTROLS), GeoaimWarning, stacklevel=level + 1)

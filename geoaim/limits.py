@@ -12,6 +12,7 @@ MAX_RATIO = 300  # of bytes in memory to bytes of the file; flat colours compres
 MAX_REASON_CHARS = 300
 MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
+MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
 
 
 def read_memory_limit() -> float:

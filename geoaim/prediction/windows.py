@@ -20,7 +20,7 @@ from torch import Tensor
 
 from geoaim.errors import TracksError
 from geoaim.limits import MAX_POSITION_M, check_memory, refuse_damaged
-from geoaim.prediction.atlas import make_atlas, make_grey_ground
+from geoaim.prediction.atlas import PIXELS_PER_VIEW_PIXEL, make_atlas, make_grey_ground
 from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.simulation.ground import Ground, View, make_ground
 from geoaim.track_files import read_table
@@ -31,7 +31,7 @@ DT_S = 0.4
 PEDESTRIAN_SIZE_M = 0.5
 MIN_HEADING_TRAVEL_M = 0.15  # a shorter displacement gives no reliable heading
 FORMATS = ("JPEG", "PNG")
-BYTES_PER_PIXEL = 30  # while an image becomes a map
+BYTES_PER_PIXEL = 90  # of an image and of the atlas that is made of it
 
 ImageTransform = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
 
@@ -93,7 +93,7 @@ def read_windows(
         ground, offsets = make_grey_ground(), torch.zeros(len(names), 2)
     else:
         images = Path(files.images)
-        grounds = [_read_ground(images, name, scales[name], transform) for name in names]
+        grounds = [_read_ground(images, name, scales[name], view, transform) for name in names]
         ground, offsets = make_atlas(grounds, view)
     paths = [_read_paths(folder / f"{name}.csv", scales[name]) for name in names]
     shifted = [torch.tensor(x).float() + d for x, d in zip(paths, offsets, strict=True)]
@@ -161,8 +161,9 @@ def _read_paths(path: Path, resolution: float) -> Float[Array, "B T 2"]:
 
 
 def _read_ground(
-    folder: Path, name: str, resolution: float, transform: ImageTransform | None
+    folder: Path, name: str, resolution: float, view: View, transform: ImageTransform | None
 ) -> Ground:
+    """Read a scene's image, which has to fit into memory both as it is and as it is drawn."""
     paths = [folder / f"{name}{suffix}" for suffix in (".jpg", ".png")]
     path = next((path for path in paths if path.exists()), None)
     if path is None:
@@ -170,8 +171,11 @@ def _read_ground(
     needed = "a JPEG or PNG that can be read"
     with refuse_damaged(path, TracksError, needed), Image.open(path, formats=FORMATS) as picture:
         width, height = picture.size
-        needed_bytes, size = BYTES_PER_PIXEL * width * height, os.path.getsize(path)
-        check_memory(path, needed_bytes, size, TracksError, f"{height} x {width} pixels")
+        scale, margin = resolution / view.resolution, math.hypot(view.height, view.width)
+        sides = [PIXELS_PER_VIEW_PIXEL * (side * scale + margin) for side in picture.size]
+        needed_bytes = BYTES_PER_PIXEL * (height * width + math.prod(sides))
+        content = f"{height} x {width} pixels of {resolution:g} m"
+        check_memory(path, needed_bytes, os.path.getsize(path), TracksError, content)
         image = np.asarray(picture.convert("RGB")).astype(np.float32) / 255
     if transform is not None:
         image = transform(image, resolution)

@@ -8,27 +8,28 @@ import torch
 from shapely.geometry.base import BaseGeometry
 
 from geoaim.aim import AIM
-from geoaim.limits import MAX_POSITION_M, MAX_TIME_S
+from geoaim.limits import MAX_POSITION_M, MAX_RECORDING_S, MAX_TIME_S
 from geoaim.mapping.video.telemetry import PLAUSIBLE, Telemetry
 from geoaim.track_formats.plausibility import LIMITS, OTHER_LIMITS
 from geoaim.tracks import Tracks
 
 # notes of any kind, and the size of the pixels of a picture of one colour
 NOT_MEASURED = ("report", "averaged_over")
+LIMITS_BY_NAME = {"video": MAX_RECORDING_S, "time": MAX_TIME_S}
 
 
 def describe_implausible(value: object, *, warned: bool) -> str:
     """Describe the first implausible number of what was read; empty where there is none.
 
     Every fraction is finite or absent (NaN), and no position or time lies beyond the limits that
-    tracks have. Tracks, telemetry, maps and weights have limits of their own.
+    tracks and recordings have. Tracks, telemetry, maps and weights have limits of their own.
 
     Args:
         value: what a reader returned.
         warned: whether it gave a warning, which allows sizes and speeds beyond an agent's type.
     """
     for name, part in _list_numbers("", value):
-        limit = MAX_TIME_S if "time" in name else MAX_POSITION_M
+        limit = next((LIMITS_BY_NAME[key] for key in LIMITS_BY_NAME if key in name), MAX_POSITION_M)
         if np.isinf(part).any() or (np.abs(part[np.isfinite(part)]) > limit).any():
             return f"{name} reaches {np.nanmax(np.abs(part)):g}"
     return "; ".join(_describe_parts(value, warned))

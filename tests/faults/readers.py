@@ -63,7 +63,7 @@ def _read_video(name: str) -> Callable[[Path], object]:
         for frame in (*video, *video.frames_at([0.3, 0.9])):
             assert frame.grey.size
             times.append(frame.time)
-        return times
+        return {"video": times}
 
     return read
 

@@ -140,6 +140,16 @@ def test_missing_and_malformed_files_are_reported(folder, tmp_path):
         read(tmp_path, None)
 
 
+@pytest.mark.parametrize(("size", "resolution"), [((255, 60_000), 0.05), ((400, 300), 5.0)])
+def test_images_that_become_too_large_are_refused(folder, tmp_path, size, resolution):
+    Image.new("RGB", size).save(tmp_path / "park_0.png")
+    (tmp_path / "scenes.csv").write_text(f"scene,metres_per_pixel\npark_0,{resolution}\n")
+    files = WindowFiles(folder / "w", tmp_path, tmp_path / "scenes.csv")
+    found = rf"park_0\.png .*{size[1]} x {size[0]} pixels of {resolution:g} m, which need 1\.\d GB"
+    with pytest.raises(TracksError, match=found):
+        read_windows(files, CONFIG.view)
+
+
 def test_a_model_without_observations_needs_no_images(folder):
     torch.manual_seed(0)
     blind = ITRA(replace(CONFIG, use_observations=False)).eval()

@@ -114,7 +114,13 @@ def _read_qgis(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
 
 def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
     separator = max(",;\t", key=content[0][1].count)
-    table = list(csv.reader((line for _, line in content), delimiter=separator))
+    try:
+        table = list(csv.reader((line for _, line in content), delimiter=separator))
+    except csv.Error as error:
+        raise GeoreferenceError(
+            f"{path}: not a table of control points ({error}). Give the file of points, or close"
+            " the quotation mark that is open."
+        ) from error
     if len(table) != len(content):
         raise GeoreferenceError(f"{path}: a quotation mark is not closed. Close or remove it.")
     header = [name.strip().lower() for name in table[0]]

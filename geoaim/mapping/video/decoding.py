@@ -12,7 +12,7 @@ from typing import Any
 import av
 
 from geoaim.errors import VideoError, warn
-from geoaim.limits import check_regular
+from geoaim.limits import MAX_RECORDING_S, check_regular
 from geoaim.mapping.video.frames import Frame
 
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
@@ -238,6 +238,11 @@ def _make_frame(file: VideoFile, decoded: Any, index: int, time: float) -> Frame
         raise VideoError(
             f"{file.path}: frame {index} has {decoded.height} x {decoded.width} pixels (height x "
             f"width), the first has {file.stored_size[0]} x {file.stored_size[1]}; split the file"
+        )
+    if not abs(time) <= MAX_RECORDING_S:
+        raise VideoError(
+            f"{file.path}: frame {index} is at {time:.3g} s, {MAX_RECORDING_S:g} s at most are "
+            "plausible; the file's times are damaged: copy it again, or convert it"
         )
     return Frame(index, time, None, decoded, file.quarter_turns)
 

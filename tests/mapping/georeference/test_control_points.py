@@ -129,6 +129,8 @@ def test_nothing_and_nonsense_are_refused(tmp_path, unchecked):
         read_control_points(written(tmp_path, "\n# only a remark\n"))
     with pytest.raises(GeoreferenceError, match="cannot be read"):
         read_control_points(tmp_path / "missing.csv")
+    with pytest.raises(GeoreferenceError, match=r"field larger .*close the quotation mark that is"):
+        read_control_points(written(tmp_path, 'u,v,x,y\n1,2,3,"' + 140_000 * "9"))
     with pytest.raises(TypeError, match="pair"):
         read_control_points([3, 4])
 

@@ -335,6 +335,15 @@ def test_whole_files_give_no_warning(clips: dict[str, Path]) -> None:
             assert len(list(open_video(path).sample(9))) == 9
 
 
+def test_frames_years_apart_are_refused(clips: dict[str, Path], tmp_path: Path) -> None:
+    content = bytearray(clips["avi"].read_bytes())
+    scale = content.index(b"strh") + 28  # of which a second has `rate`, the number after it
+    content[scale : scale + 8] = b"\xff\xff\xff\x0f\1\0\0\0"
+    (tmp_path / "damaged.avi").write_bytes(content)
+    with pytest.raises(VideoError, match=r"damaged\.avi: frame 1 is at 2\.68e\+08 s, 864000 s at"):
+        list(open_video(tmp_path / "damaged.avi"))
+
+
 def test_files_that_are_no_video_are_refused_at_once(tmp_path: Path) -> None:
     (tmp_path / "empty.mp4").touch()
     (tmp_path / "text.mp4").write_text("not a video" * 50)
