@@ -13,12 +13,10 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import cv2
-import matplotlib.pyplot as plt
 import numpy as np
 import typer
 from jaxtyping import Float
@@ -26,6 +24,7 @@ from numpy import ndarray as Array
 
 from geoaim.bench.alignment_pairs import Pair, make_pairs, measure_error, misplace_picture
 from geoaim.bench.alignment_real import measure_rotterdam, measure_songdo, measure_synthetic
+from geoaim.bench.charts import draw_fronts
 from geoaim.bench.data import find_data
 from geoaim.bench.report import ChartFile, JsonFile, format_table, write_rows
 from geoaim.errors import AlignmentError
@@ -151,23 +150,6 @@ def _measure_case(pair: Pair, method: Method) -> tuple[float, float, float]:
     return measure_error(pair, matrix) / pixel, bound / pixel, duration
 
 
-def _draw_chart(rows: list[dict[str, Any]], path: Path) -> None:
-    """Draw time against error, with the number of errors that are not refused."""
-    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    for row in rows:
-        if row["median, px"] is None:  # over half of the cases were refused
-            continue
-        wrong = row["over 1 px and not refused"]
-        label = f"{row['method']}: {row['under 1 px, %']:.0f} % under 1 px, {wrong} wrong"
-        axes.plot(row["s"], row["median, px"], "o", markersize=11, label=label)
-    axes.legend(fontsize=8)
-    axes.set(xscale="log", yscale="log", xlabel="s for a pair", ylabel="median error, px")
-    axes.set_title(f"{rows[0]['cases']} synthetic pairs of other days and sensors")
-    axes.margins(0.35)
-    axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
-
-
 def main(json: JsonFile = None, chart: ChartFile = None) -> None:
     """Compare on synthetic pairs, then measure real pairs and tracks if there are any."""
     cv2.setNumThreads(2)
@@ -186,7 +168,12 @@ def main(json: JsonFile = None, chart: ChartFile = None) -> None:
         print(format_table(measured) + "\n", flush=True)
     write_rows(rows, json, command="python -m geoaim.bench.alignment")
     if chart is not None:
-        _draw_chart(compared, chart)
+        # of the others, over half of the cases were refused
+        shown = [row for row in compared if row["median, px"] is not None]
+        panels = {f"{compared[0]['cases']} synthetic pairs of other days and sensors": shown}
+        labels = ("s for a pair", "median error, px")
+        figure = draw_fronts(panels, cost="s", error="median, px", labels=labels)
+        figure.savefig(chart, dpi=110)
 
 
 if __name__ == "__main__":

@@ -44,20 +44,13 @@ MARGIN_PX = 50  # of a hover video's rim, which drift uncovers
 Image = UInt8[Array, "H W 3"]
 
 
-def film_queue(still: str, seed: int, *, size: str = "1080p", count: int = 60) -> QueueClip:
-    """Film the hover video "queue" over a real still: H.264 frames spread over 20 s.
+def film_queue(still: str, seed: int) -> QueueClip:
+    """Film the hover video "queue" over a real still: 60 frames in H.264, spread over 20 s.
 
-    Args:
-        still: "00003" or "00972".
-        seed: random seed.
-        size: of the frames, a key of `hover_videos.SIZES`.
-        count: number of frames.
-
-    Returns:
-        The clip, with true transforms and boxes; the first frame is the reference.
+    The clip has true transforms and boxes; the first frame is the reference.
     """
-    video = make_hover_video(still, size=size, count=600, kind="queue", seed=seed)
-    chosen = np.linspace(0, len(video) - 1, count).round().astype(int).tolist()
+    video = make_hover_video(still, count=600, kind="queue", seed=seed)
+    chosen = np.linspace(0, len(video) - 1, 60).round().astype(int).tolist()
     share = measure_traffic_share(video.clip)
     rim = np.ones(share.shape, bool)
     rim[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX] = False
@@ -84,15 +77,11 @@ def make_clips(quick: bool, *, real: bool) -> Iterator[tuple[str, int, QueueClip
     if real and not quick:
         makers |= {f"hover video {still}": partial(film_queue, still) for still in STILLS}
         for place in ("minsk_junction", "munich_street02"):
-            makers[f"pasted on {place}"] = partial(_paste, place)
+            makers[f"pasted on {place}"] = partial(paste_queue, place, standing=STANDING)
     makers["drawn"] = partial(draw_queue, standing=STANDING)
     for name, make in makers.items():
         for seed in SEEDS[:1] if quick or name.startswith("hover") else SEEDS:
             yield name, seed, make(seed=seed)
-
-
-def _paste(place: str, seed: int) -> QueueClip:
-    return paste_queue(place, standing=STANDING, seed=seed)
 
 
 def _list_frames(clip: QueueClip) -> list[tuple[Frame, Array]]:

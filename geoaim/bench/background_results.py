@@ -7,11 +7,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 
 from geoaim.bench.background import SEEDS, STANDING, make_clips, measure_methods
 from geoaim.bench.background_real import measure_real
 from geoaim.bench.charts import draw_fronts, draw_sizes
-from geoaim.bench.curves import judge_choices, mark_fronts, summarise_sizes
+from geoaim.bench.curves import average_methods, judge_choices, mark_fronts, summarise_sizes
 from geoaim.bench.data import find_data
 from geoaim.bench.drawn_queue import draw_queue
 from geoaim.bench.queue_clips import QueueClip, paste_queue
@@ -44,10 +45,8 @@ def measure_backgrounds(quick: bool, progress: Progress) -> Results:
     rows = collect(_measure_clips(quick, real), "clips and methods", progress)
     cases = collect(measure_counts(quick, real), "clips by number of frames", progress)
     sizes = list(average_counts(cases))
-    panels = {
-        name: list(_average_seeds([row for row in rows if row["clip"] == name]))
-        for name in dict.fromkeys(row["clip"] for row in rows)
-    }
+    clips = pd.DataFrame(rows).groupby("clip", sort=False)
+    panels = {str(name): average_methods(own, ["ms", "stood"]) for name, own in clips}
     tables: dict[str, Sequence[Row]] = {
         "rows": rows,
         "fronts": mark_fronts(panels, "ms", "stood"),
@@ -68,13 +67,6 @@ def _measure_clips(quick: bool, real: bool) -> Iterator[dict[str, Any]]:
     for name, seed, clip in make_clips(quick, real=real):
         for row in measure_methods(clip):
             yield {"clip": name, "seed": seed, **row}
-
-
-def _average_seeds(rows: Sequence[Row]) -> Iterator[dict[str, Any]]:
-    for method in dict.fromkeys(row["method"] for row in rows):
-        own = [row for row in rows if row["method"] == method]
-        means = {key: float(np.mean([row[key] for row in own])) for key in ("ms", "stood")}
-        yield {"method": method, **means}
 
 
 def measure_counts(quick: bool, real: bool) -> Iterator[dict[str, Any]]:

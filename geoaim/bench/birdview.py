@@ -10,16 +10,15 @@ time, and medians compared. Accuracy: a pixel of the reference is the mean of 37
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 from time import process_time
 from typing import Annotated, Any
 
 import cv2
-import matplotlib.pyplot as plt
 import torch
 import torch.nn.functional as F
 import typer
 from jaxtyping import Float
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from geoaim.bench.birdview_peers import (
@@ -30,7 +29,8 @@ from geoaim.bench.birdview_peers import (
     make_sampling_grid,
     supersample,
 )
-from geoaim.bench.report import ChartFile, JsonFile, print_rows, time_medians, write_rows
+from geoaim.bench.charts import draw_fronts
+from geoaim.bench.report import ChartFile, JsonFile, Row, print_rows, time_medians, write_rows
 from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
 from geoaim.synthetic import draw_place, make_place
 
@@ -188,19 +188,14 @@ def _measure_errors(draw: Draw, view: View, ground: Ground, scenes: Scenes) -> d
     }
 
 
-def _draw_chart(rows: Sequence[Any], path: Path) -> None:
+def _draw_chart(rows: Sequence[Row]) -> Figure:
     """Draw error over time, for all pixels and for those at edges of boxes."""
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained", sharex=True)
-    for axis, column in zip(axes, ("mean error", "mean error at edges of boxes"), strict=True):
-        for row in rows:
-            axis.semilogy(row["ratio to grid_sample"], row[column], "o", ms=10, label=row["method"])
-        axis.axvline(1.0, color="grey", linestyle=":")
-        axis.set(xlabel="time, grid_sample alone = 1", ylabel=f"{column}, grey levels")
-        axis.grid(visible=True, which="both", alpha=0.3)
-        axis.set_xlim(left=0)
-    axes[0].legend(loc="center right")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    panels = {
+        column: [{**row, "error": row[column]} for row in rows]
+        for column in ("mean error", "mean error at edges of boxes")
+    }
+    labels = ("time, grid_sample alone = 1", "error, grey levels")
+    return draw_fronts(panels, cost="ratio to grid_sample", error="error", labels=labels)
 
 
 def main(
@@ -216,7 +211,7 @@ def main(
     rows = print_rows(_time_renderer(ground, *size, repeats) for size in sizes)
     methods = print_rows(_compare_renderers(ground, 256, 16, repeats))
     if chart:
-        _draw_chart(methods, chart)
+        _draw_chart(methods).savefig(chart, dpi=110)
     command = f"python -m geoaim.bench.birdview --repeats {repeats}"
     write_rows(rows, json, command=command, torch=torch.__version__, methods=methods)
 

@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from matplotlib.transforms import Bbox
 from numpy import ndarray as Array
 
-from geoaim.bench.curves import find_knee, find_pareto_front
+from geoaim.bench.curves import find_best_size, find_pareto_front
 from geoaim.bench.report import Row
 
 # of Okabe and Ito, told apart by colour-blind readers; the marks differ as well
@@ -84,9 +84,7 @@ def _draw_size(axes: Axes, rows: Sequence[Row], key: str) -> None:
     """Draw one quantity against a size."""
     sizes = [row for row in rows if not row.get("automatic")]
     default = next(row for row in rows if row["default"])
-    knee = sizes[
-        find_knee(*(np.array([row[k] for row in sizes], float) for k in ("cost", "error")))
-    ]
+    knee = find_best_size(rows)
     x = [row["size"] for row in sizes]
     axes.plot(x, [row[key] for row in sizes], "o-", color=OTHERS, markersize=4)
     axes.plot(default["size"], default[key], "D", color=OURS, markersize=8, label="default")

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.stats import gmean
@@ -46,6 +47,13 @@ def find_knee(cost: Float[Array, " n"], error: Float[Array, " n"]) -> int:
     return int(front[0] if x[0] + y[0] <= x[-1] + y[-1] else front[-1])
 
 
+def find_best_size(rows: Sequence[Row]) -> Row:
+    """Find the row of one setting at the knee; "automatic" ones are no size of their own."""
+    sizes = [row for row in rows if not row.get("automatic")]
+    cost, error = (np.array([row[key] for row in sizes], float) for key in ("cost", "error"))
+    return sizes[find_knee(cost, error)]
+
+
 def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
     """Compare the default of each setting with the knee of its sizes.
 
@@ -60,10 +68,7 @@ def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
     for name in dict.fromkeys(row["setting"] for row in rows):
         own = [row for row in rows if row["setting"] == name]
         default = next(row for row in own if row["default"])
-        sizes = [row for row in own if not row.get("automatic")]
-        knee = sizes[
-            find_knee(*(np.array([row[k] for row in sizes], float) for k in ("cost", "error")))
-        ]
+        knee = find_best_size(own)
         ratio = default["size"] / knee["size"]
         place = "before" if ratio < 1 / NEAR_KNEE else "beyond" if ratio > NEAR_KNEE else "at"
         found.append(
@@ -111,6 +116,12 @@ def judge_choices(cases: Sequence[Row], tolerance: float) -> dict[str, Any]:
         "mean size chosen": float(size.mean()),
         "mean size of the richest": float(sizes[:, -1].mean()),
     }
+
+
+def average_methods(rows: pd.DataFrame, keys: list[str]) -> list[Row]:
+    """Average the rows of each method: a row with "method" and the means of `keys`."""
+    means = rows.groupby("method", sort=False)[keys].mean().reset_index()
+    return [{str(key): value for key, value in row.items()} for row in means.to_dict("records")]
 
 
 def mark_fronts(groups: Mapping[str, Sequence[Row]], cost: str, error: str) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Hover videos rendered from real stills: real texture, exact truth, and kinds of difficulty."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import cv2
@@ -70,13 +70,7 @@ class HoverVideo:
 
 
 def make_hover_video(
-    still: str,
-    *,
-    size: str = "1080p",
-    count: int = 120,
-    kind: Kind = "plain",
-    hover: Hover | None = None,
-    seed: int = 0,
+    still: str, *, size: str = "1080p", count: int = 120, kind: Kind = "plain", seed: int = 0
 ) -> HoverVideo:
     """Render a hover video over one of the stills, with moving cars in place of its own.
 
@@ -88,7 +82,6 @@ def make_hover_video(
             frame, queues standing for 60 % of the time), "cars" (300), "shadow" (x0.15 over
             half of the frame, moving), "gain" (x3 in the middle third), "cut" (the last third
             shows the other still), "noise" (a fifth of the frames).
-        hover: the camera; None takes the default for the size. Its count is replaced.
         seed: random seed.
 
     Returns:
@@ -97,10 +90,7 @@ def make_hover_video(
     Raises:
         TracksError: the folder of real data does not hold the stills.
     """
-    height, width = SIZES[size]
-    scale = width / 1920
-    hover = hover or Hover(drift=28 * scale, perspective=1.5 * scale, vibration=0.4 * scale)
-    hover = replace(hover, count=count)
+    (height, width), hover = SIZES[size], _make_hover(size, count)
     generator = np.random.default_rng([seed, STILLS.index(still)])
     moving = {"cars": 300, "queue": 70}.get(kind, 60)
     queue = 10 if kind == "queue" else 5
@@ -119,36 +109,31 @@ def make_hover_video(
     return HoverVideo(clip, kind, is_valid, other.clip)
 
 
-def film_place(
-    kind: PlaceKind,
-    *,
-    size: str = "720p",
-    count: int = 60,
-    hover: Hover | None = None,
-    seed: int = 3,
-) -> HoverVideo:
+def film_place(kind: PlaceKind, *, size: str, count: int) -> HoverVideo:
     """Render a hover video over a drawn place with its traffic, which needs no real data.
 
     Args:
         kind: of the place.
         size: "720p", "1080p" or "4k"; drift grows with it.
         count: number of frames, at 30 frames/s.
-        hover: the camera; None takes the default for the size. Its count is replaced.
-        seed: random seed.
 
     Returns:
         The video with its truth.
     """
-    scale = SIZES[size][1] / 1920
-    hover = hover or Hover(drift=28 * scale, perspective=1.5 * scale, vibration=0.4 * scale)
-    hover = replace(hover, count=count)
+    hover = _make_hover(size, count)
     minutes = max(count / hover.frame_rate / 60, 1 / 60) + 1e-6
     resolution = 0.1 if size == "720p" else 0.05
     sample = make_sample(
-        seed, kind=kind, minutes=minutes, video=SIZES[size], hover=hover, resolution=resolution
+        3, kind=kind, minutes=minutes, video=SIZES[size], hover=hover, resolution=resolution
     )
     assert sample.clip is not None
     return HoverVideo(sample.clip, "plain", np.ones(count, bool))
+
+
+def _make_hover(size: str, count: int) -> Hover:
+    """The camera, whose motion in pixels grows with the width of the frames."""
+    scale = SIZES[size][1] / 1920
+    return Hover(count, drift=28 * scale, perspective=1.5 * scale, vibration=0.4 * scale)
 
 
 def film_ground(ground: UInt8[Array, "H W 3"], hover: Hover, seed: int) -> HoverVideo:

@@ -8,11 +8,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pandas as pd
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.charts import draw_fronts, draw_sizes
-from geoaim.bench.curves import judge_choices, mark_fronts, summarise_sizes
+from geoaim.bench.curves import average_methods, judge_choices, mark_fronts, summarise_sizes
 from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import HoverVideo, Kind, film_place, make_hover_video
 from geoaim.bench.registration_methods import Matrices, Method, list_methods, to_grey
@@ -188,15 +189,10 @@ def measure_registration(quick: bool, progress: Progress) -> Results:
 
 def _average_stills(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """Means of each method over the stills, by size and source."""
-    groups: dict[str, dict[str, list[list[float]]]] = {}
-    for row in rows:
-        methods = groups.setdefault(f"{row['size']}, {row['source']}", {})
-        figures = [1e3 / row["frames_per_s"], row["error_mean_px"]]
-        methods.setdefault(row["method"], []).append(figures)
+    table = pd.DataFrame(rows).rename(columns={"error_mean_px": "error, px"})
+    table["ms"] = 1e3 / table.frames_per_s
+    groups = table.groupby(["size", "source"], sort=False)
     return {
-        title: [
-            {"method": name, **dict(zip(("ms", "error, px"), np.mean(own, axis=0), strict=True))}
-            for name, own in methods.items()
-        ]
-        for title, methods in groups.items()
+        f"{size}, {source}": average_methods(own, ["ms", "error, px"])
+        for (size, source), own in groups
     }

@@ -1,12 +1,12 @@
 """Real pedestrians of the SinD dataset, on HD maps and on drone images of its junctions.
 
-The dataset does not tell where its images lie. The control points below were picked by hand: ends
-of stop lines and corners of crosswalks, which the HD map has too.
+The dataset does not tell where its images lie. Control points were picked by hand, in files beside
+this one: ends of stop lines and corners of crosswalks, which the HD map has too.
 """
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,52 +29,10 @@ from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
 from geoaim.track_formats import read_tracks
 
-
-@dataclass(frozen=True)
-class _Junction:
-    """A junction of the dataset."""
-
-    hdmap: str  # file of its HD map
-    tracks: str  # file of its pedestrians
-    # control points: u, v in pixels of its image, x, y in metres of its HD map
-    points: tuple[tuple[float, float, float, float], ...]
-
-
+# of each junction: files of its HD map and of its pedestrians
 JUNCTIONS = {
-    "Chongqing": _Junction(
-        "NR_ll2.osm",
-        "6_22_NR_1/Ped_smoothed_tracks.csv",
-        (
-            (1601, 720, -8.6, 27.2),  # inner corners of crosswalks
-            (1601, 1422, -8.2, 8.0),
-            (2272, 734, 9.9, 27.2),
-            (2270, 1432, 10.2, 8.2),
-            (1383, 503, -14.6, 33.1),  # outer corners
-            (1383, 1630, -14.2, 2.1),
-            (2486, 522, 15.8, 33.2),
-            (2484, 1649, 16.4, 2.2),
-            (1891, 1714, 0.0, 0.0),  # ends of stop lines
-            (2545, 1139, 17.7, 16.2),
-            (1305, 1047, -16.4, 18.2),
-            (1305, 1442, -16.2, 6.7),
-            (1954, 433, 1.4, 35.4),
-            (1562, 422, -10.3, 35.2),
-            (2545, 739, 17.5, 27.7),
-        ),
-    ),
-    "Changchun": _Junction(
-        "Changchun_Pudong.osm",
-        "changchun_pudong_507_009/Ped_smoothed_tracks.csv",
-        (
-            (1494, 1052, -39.6, -3.7),  # ends of stop lines
-            (1496, 1296, -39.2, -13.4),
-            (1704, 598, -32.0, 14.3),
-            (1934, 598, -21.7, 14.7),
-            (2370, 1053, -3.4, -2.3),
-            (1931, 1495, -20.4, -20.6),
-            (2155, 1494, -10.3, -20.1),
-        ),
-    ),
+    "Chongqing": ("NR_ll2.osm", "6_22_NR_1/Ped_smoothed_tracks.csv"),
+    "Changchun": ("Changchun_Pudong.osm", "changchun_pudong_507_009/Ped_smoothed_tracks.csv"),
 }
 DATA = "tracks/sind"
 MAPS = ("aim", "hdm")
@@ -124,18 +82,17 @@ def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
     Raises:
         TracksError: the data are missing.
     """
-    folder, junction = require_data(DATA) / name, JUNCTIONS[name]
-    hdmap = read_hdmap(folder / junction.hdmap)
+    folder = require_data(DATA) / name
+    hdmap = read_hdmap(folder / JUNCTIONS[name][0])
     image = read_image(folder / "frame_4k.jpg")
-    rows = [dict(zip(("u", "v", "x", "y"), row, strict=True)) for row in junction.points]
-    points = read_control_points(rows, crs="local")
+    points = read_control_points(Path(__file__).with_name(f"sind_{name.lower()}.csv"), crs="local")
     height, width = image.shape[:2]
     fit = estimate_georeference(points, height=height, width=width, world=hdmap.world)
     return AIM.from_image(image, fit.world_from_image, hdmap.world, "SinD"), fit, hdmap
 
 
 def _make_scene(name: str, aim: AIM) -> Scene:
-    tracks = read_tracks(require_data(DATA) / name / JUNCTIONS[name].tracks, world=aim.world)
+    tracks = read_tracks(require_data(DATA) / name / JUNCTIONS[name][1], world=aim.world)
     return make_scene(aim, resample_tracks(tracks, 1 / PEDESTRIANS.dt))
 
 

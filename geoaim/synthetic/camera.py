@@ -182,11 +182,11 @@ def list_boxed_agents(clip: HoverClip, index: int) -> tuple[Int[Array, "n"], Flo
     return present[visible], boxes[visible]
 
 
-def measure_traffic_share(clip: HoverClip, reference: int = 0) -> Float32[Array, "H W"]:
-    """Measure the share of frames (0 to 1) in which agents or shadows cover a reference pixel."""
+def measure_traffic_share(clip: HoverClip) -> Float32[Array, "H W"]:
+    """Measure the share of frames (0 to 1) in which agents or shadows cover a pixel of frame 0."""
     counts = np.zeros((clip.height, clip.width), np.float32)
     covered = np.zeros_like(counts)
-    pose = clip.frame_from_background[reference]
+    pose = clip.frame_from_background[0]
     for index in range(len(clip.times)):
         windows = []
         for window, _, alpha in _render_vehicles(clip, index, pose):

@@ -37,13 +37,6 @@ def test_methods_align_a_shifted_picture_and_refuse_another_place(monkeypatch):
     assert rows[0]["median, px"] < 0.5
 
 
-def test_chart_is_drawn(tmp_path):
-    row = {"method": "a", "cases": 2, "median, px": 0.2, "under 1 px, %": 100.0, "s": 1.0}
-    rows = [row | {"over 1 px and not refused": 0}, row | {"median, px": None}]
-    alignment._draw_chart(rows, tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 1000
-
-
 def test_ecc_finds_the_shift_of_a_picture():
     pair = _make_pair(1)
     moved = translation(1.0, -0.5) @ pair.picture.world_from_image

@@ -1,6 +1,6 @@
 """The README's pictures, from the bundled sample and other synthetic places.
 
-python -m geoaim.bench.figures samples docs/images
+python docs/pictures.py samples docs/images
 """
 
 from pathlib import Path
