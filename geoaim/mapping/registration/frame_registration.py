@@ -6,7 +6,7 @@ features matched.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -16,6 +16,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.motion_models import Model
 from geoaim.mapping.registration.patches import (
+    MIN_INLIER_CORRELATION,
     PATCH_SIDE_PX,
     PatchAlignment,
     PatchTemplate,
@@ -34,14 +35,15 @@ COARSE_ITERATIONS = 10
 MIN_PATCHES = 16  # inliers without which a frame is rejected, of about 300 patches
 MIN_INLIER_SHARE = 0.2  # of the patches in view
 SUFFICIENT_INLIER_SHARE = 0.5  # at which the search is not widened
-UNDOUBTED_INLIER_SHARE = 0.7  # below which it is always checked that the image is explained
+UNDOUBTED_INLIER_SHARE = 0.7  # below which a placement is always compared with others
 MAX_CORNER_UNCERTAINTY_PX = 10.0
-CONSISTENT_UNCERTAINTY_PX = 1.0  # above which a frame needs a larger share of inliers:
-MIN_UNCERTAIN_SHARE = 0.6
 # chosen on the validation part of `geoaim.bench.stability`: of frames that state 0.02 to 0.04 px
 # 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
 MISLEADING_UNCERTAINTY_PX = 0.12
-MISLEADING_SCATTER = 6.0  # px of uncertainty for one of scatter, which counts to the third power
+INTERPOLATION_ERROR_PX = 0.012  # the least that is stated
+MISLEADING_MISFIT_PX = 0.4  # misfit that misleads by as much
+MISFIT_QUANTILE = 0.8  # of the residuals, so that a fifth of the patches may lie on vehicles
+MAX_MISFIT_PX = 4.0  # a larger residual is another motion
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
 
 
@@ -54,7 +56,6 @@ class FrameRegistration:
     quality: float  # median correlation of the patches with the frame, 0 to 1
     inlier_share: float  # share of inliers among the patches in view
     uncertainty: float  # standard deviation of the transformed image corners, pixels
-    contested: bool = False  # whether texture repeats, so that the next frame is compared as well
 
     @property
     def valid(self) -> bool:
@@ -91,8 +92,7 @@ def register_frame(
         keyframe: the one to search first.
         prior: reference_from_frame to start from, pixels.
         model: motion model to fit.
-        compare: whether to check that the placement explains the image, even if most patches agree
-            with it.
+        compare: whether to compare the placement with others, even if most patches agree with it.
 
     Returns:
         The first registration with enough inliers, or else the best, and the alignment behind it.
@@ -114,13 +114,14 @@ def register_frame(
             break
     registration, alignment = best
     compare = compare or registration.inlier_share < UNDOUBTED_INLIER_SHARE
+    compare = compare or chosen.overview.repeats
     if not compare or alignment is None or not registration.valid:
         return best
     try:
-        alignment, contested = choose_placement(grey, chosen.fine, chosen.overview, alignment)
+        alignment = choose_placement(grey, chosen.fine, chosen.overview, alignment)
     except AmbiguousPlacementError as error:
         return _reject(str(error)), alignment
-    return replace(_check_alignment(chosen, alignment), contested=contested), alignment
+    return _check_alignment(chosen, alignment), alignment
 
 
 def make_keyframe(
@@ -223,8 +224,7 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))
     spread = predict_corner_uncertainty(keyframe.fine, alignment.motion)
-    limit = MISLEADING_SCATTER * keyframe.fine.width
-    stated = _widen_uncertainty(spread, alignment.motion.noise, limit)
+    stated = _widen_uncertainty(spread, _measure_misfit(alignment))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_PATCHES:
@@ -235,23 +235,27 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
         reason = "the alignment did not converge"
     elif not stated <= MAX_CORNER_UNCERTAINTY_PX:
         reason = f"badly spread inliers: corners uncertain by {stated:.1f} px"
-    elif stated > CONSISTENT_UNCERTAINTY_PX and share < MIN_UNCERTAIN_SHARE:
-        reason = f"parts disagree: {share:.0%} inliers, corners uncertain by {stated:.1f} px"
     matrix = keyframe.reference_from_keyframe @ alignment.matrix
     matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def _widen_uncertainty(uncertainty: float, scatter: float, limit: float) -> float:
-    """Widen a stated uncertainty where the parts of the image disagree or the patches scatter.
+def _measure_misfit(alignment: PatchAlignment) -> float:
+    """Residual of the patches that match, px; NaN without any."""
+    matches = alignment.correlation[alignment.fitted] > MIN_INLIER_CORRELATION
+    residuals = np.hypot(*alignment.motion.residuals.T)
+    residuals = residuals[matches & (residuals < MAX_MISFIT_PX)]
+    return float(np.quantile(residuals, MISFIT_QUANTILE)) if residuals.size else np.nan
 
-    What displaces some parts (compression, waves, blur) also misleads the others.
 
-    All in px; the scatter is the standard deviation of the inliers' residuals, which misleads by
-    as much where it reaches the limit.
+def _widen_uncertainty(uncertainty: float, misfit: float) -> float:
+    """Widen a stated uncertainty where the parts of the image disagree, all in px.
+
+    What displaces some parts (compression, waves, a rolling shutter) also misleads the others.
     """
     widened = uncertainty * (1 + (uncertainty / MISLEADING_UNCERTAINTY_PX) ** 2)
-    return float(np.hypot(widened, scatter * (scatter / limit) ** 2))
+    misled = misfit**2 / MISLEADING_MISFIT_PX
+    return float(np.linalg.norm([widened, misled, INTERPOLATION_ERROR_PX]))
 
 
 def _reject(reason: str) -> FrameRegistration:

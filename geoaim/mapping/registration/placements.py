@@ -1,9 +1,7 @@
-"""Decide whether a placement explains a frame, and between the periods of repeating texture.
+"""Decide whether a placement of a frame can be told from others.
 
-A placement is accepted only if nearly all texture that is seen fits at it. Coherent traffic, an
-overlay, water, a torn frame or ground without texture leave too much unexplained, whichever part
-the patches follow. Texture that repeats fits at several placements: the one with most inliers is
-right, if it has clearly more.
+It is refused if too large a part of the image fits at another placement instead, whichever of them
+the patches follow: coherent traffic, overlays, water, another view on a part of the screen.
 """
 
 import numpy as np
@@ -18,18 +16,15 @@ from geoaim.mapping.registration.patches import (
     align_patches,
     shrink_image,
 )
-from geoaim.mapping.registration.rivals import Overview, Rival, find_rivals, measure_fit
+from geoaim.mapping.registration.rivals import Overview, compare_placements
 
-# chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half;
-# there 0.85 of the texture was best, but it refused hover videos with dense traffic
-MIN_TEXTURED_SHARE = 0.55  # of the image
-MIN_EXPLAINED_SHARE = 0.8  # of what has texture
-MIN_DISTANCE_PX = 1.0  # between the corners of different placements
-MIN_PATCHES_OF_PART = 16
-MIN_COMMON_SHARE = 0.5  # of the smaller set of inliers, for texture that repeats
-MIN_REPEAT_STRENGTH = 0.2  # of the peak of repeating texture
-EVEN_STRENGTH = 0.5  # of a peak, with which a placement without clearly fewer inliers is as likely
-CLEAR_MAJORITY = 1.1  # ratio of inliers between placements of repeating texture
+# chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half
+MIN_TEXTURED_SHARE = 0.4  # of the image
+MAX_MOVING_SHARE = 0.13  # of the image that may fit at another placement
+# The same for a frame that does not move at all: an overlay or a frozen image would not either.
+MAX_MOVING_SHARE_AT_REST = 0.065
+REST_PX = 0.05  # largest displacement of a corner
+MAX_RIVAL_STRENGTH = 0.4  # of another peak in the phase correlation, relative to the one found
 
 
 class AmbiguousPlacementError(GeoaimError):
@@ -41,8 +36,8 @@ def choose_placement(
     template: PatchTemplate,
     overview: Overview,
     alignment: PatchAlignment,
-) -> tuple[PatchAlignment, bool]:
-    """Choose the placement of repeating texture, and check that it explains the image.
+) -> PatchAlignment:
+    """Choose the right period of repeating texture, and check that nothing speaks for others.
 
     Args:
         grey: the frame.
@@ -51,46 +46,29 @@ def choose_placement(
         alignment: the placement found.
 
     Returns:
-        The placement, usually the one found; and whether texture repeats.
+        The placement, usually the one found.
 
     Raises:
-        AmbiguousPlacementError: too little of the image fits, or another placement does as well.
+        AmbiguousPlacementError: another placement is as likely, or there is too little texture.
     """
-    small, repeats = shrink_image(grey, round(1 / overview.scale)), False
-    for rival in find_rivals(overview, small, alignment.matrix):
-        if rival.strength > MIN_REPEAT_STRENGTH:
-            repeats = True
-            alignment = _compare_repeats(grey, template, alignment, rival)
-    points = template.points[alignment.inliers]
-    textured, explained = measure_fit(overview, small, alignment.matrix, points)
-    if textured < MIN_TEXTURED_SHARE:
-        raise AmbiguousPlacementError(f"too little texture: on {textured:.0%} of the image")
-    if explained < MIN_EXPLAINED_SHARE:
+    small = shrink_image(grey, round(1 / overview.scale))
+    compared = compare_placements(overview, small, alignment.matrix)
+    if compared.rival_strength > 1:
+        other = align_patches(template, grey, compared.rival, alignment.motion.model)
+        if other is not None and other.converged:
+            alignment, compared = other, compare_placements(overview, small, other.matrix)
+    if compared.textured_share < MIN_TEXTURED_SHARE:
         raise AmbiguousPlacementError(
-            f"parts of the image do not fit: {explained:.0%} of its texture is explained"
+            f"too little texture: on {compared.textured_share:.0%} of the image"
         )
-    return alignment, repeats
-
-
-def _compare_repeats(
-    grey: UInt8[Array, "H W"], template: PatchTemplate, found: PatchAlignment, rival: Rival
-) -> PatchAlignment:
-    """The placement with clearly more inliers, when the same patches fit at both."""
-    other = align_patches(template, grey, rival.reference_from_frame, found.motion.model)
-    counts = int(found.inliers.sum()), 0
-    if other is not None and other.converged:
-        corners = image_corners(template.height, template.width)
-        shift = transform_points(other.matrix, corners) - transform_points(found.matrix, corners)
-        if np.hypot(*shift.T).mean() < MIN_DISTANCE_PX:
-            return found
-        counts = counts[0], int(other.inliers.sum())
-        common = (found.inliers & other.inliers).sum()
-        if counts[1] < MIN_PATCHES_OF_PART or common <= MIN_COMMON_SHARE * min(counts):
-            return found
-    elif rival.strength < EVEN_STRENGTH:
-        return found
-    if other is None or max(counts) < CLEAR_MAJORITY * min(counts) or not other.converged:
+    corners = image_corners(template.height, template.width)
+    is_at_rest = np.abs(transform_points(alignment.matrix, corners) - corners).max() < REST_PX
+    limit = MAX_MOVING_SHARE_AT_REST if is_at_rest else MAX_MOVING_SHARE
+    if compared.moving_share > limit:
+        share = min(compared.moving_share, 1.0)
         raise AmbiguousPlacementError(
-            f"texture repeats: {counts[0]} and {counts[1]} patches agree with two placements"
+            f"a part moves by itself: another placement fits {share:.0%} as much of the image"
         )
-    return found if counts[0] > counts[1] else other
+    if compared.rival_strength > MAX_RIVAL_STRENGTH:
+        raise AmbiguousPlacementError("texture repeats: another placement fits as well")
+    return alignment

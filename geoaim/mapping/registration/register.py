@@ -39,7 +39,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
 
-COMPARE_EVERY = 10  # frames, after which it is checked again that a placement explains the image
+COMPARE_EVERY = 10  # frames, after which a placement is compared with others again
 COMPARE_SHIFT = 1 / 240  # of the image's width, after which it is compared sooner
 PROBE_FRAMES = 5  # from which the reference and the model are chosen
 PROBE_FEATURES = 800  # of each, that are matched between them
@@ -257,7 +257,7 @@ def register_frames(
             continue
         if compare and frame.index != reference.index:
             compared = registration.reference_from_frame
-            since = COMPARE_EVERY if registration.contested else 1
+            since = 1
         prior = registration.reference_from_frame
         if compute_overlap(select_keyframe(keyframes, prior, size), prior, size) < MIN_OVERLAP:
             features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
