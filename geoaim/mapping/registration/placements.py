@@ -5,7 +5,7 @@ the patches follow: coherent traffic, overlays, water, another view on a part of
 """
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.errors import GeoaimError
@@ -21,9 +21,11 @@ from geoaim.mapping.registration.rivals import Overview, compare_placements
 # chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half
 MIN_TEXTURED_SHARE = 0.4  # of the image
 MAX_MOVING_SHARE = 0.13  # of the image that may fit at another placement
-# The same for a frame that does not move at all: an overlay or a frozen image would not either.
+# more if a camera hovers, so that the rest moves at least twice as far as the placement
+MAX_MOVING_SHARE_HOVERING = 0.2
+# less if the placement does not move at all, like overlays and frozen images
 MAX_MOVING_SHARE_AT_REST = 0.065
-REST_PX = 0.05  # largest displacement of a corner
+REST_PX = 0.05  # mean displacement of the corners
 MAX_RIVAL_STRENGTH = 0.4  # of another peak in the phase correlation, relative to the one found
 
 
@@ -61,9 +63,12 @@ def choose_placement(
         raise AmbiguousPlacementError(
             f"too little texture: on {compared.textured_share:.0%} of the image"
         )
-    corners = image_corners(template.height, template.width)
-    is_at_rest = np.abs(transform_points(alignment.matrix, corners) - corners).max() < REST_PX
-    limit = MAX_MOVING_SHARE_AT_REST if is_at_rest else MAX_MOVING_SHARE
+    travel = _measure_travel(alignment.matrix, template)
+    limit = MAX_MOVING_SHARE
+    if travel < REST_PX:
+        limit = MAX_MOVING_SHARE_AT_REST
+    elif 2 * travel < _measure_travel(compared.moving, template):
+        limit = MAX_MOVING_SHARE_HOVERING
     if compared.moving_share > limit:
         share = min(compared.moving_share, 1.0)
         raise AmbiguousPlacementError(
@@ -72,3 +77,9 @@ def choose_placement(
     if compared.rival_strength > MAX_RIVAL_STRENGTH:
         raise AmbiguousPlacementError("texture repeats: another placement fits as well")
     return alignment
+
+
+def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:
+    """Mean displacement of the image's corners, pixels."""
+    corners = image_corners(template.height, template.width)
+    return float(np.hypot(*(transform_points(reference_from_frame, corners) - corners).T).mean())

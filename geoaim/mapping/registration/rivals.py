@@ -35,12 +35,16 @@ class Overview(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """A placement of a frame compared with others; all shares are relative to what fits at it."""
+    """A placement of a frame compared with others, in area and in phase.
 
-    textured_share: float  # share of the common area that has texture
-    moving_share: float  # the largest that fits at another placement instead
-    rival_strength: float  # of the strongest other peak in the phase correlation
-    rival: Float[Array, "3 3"]  # reference_from_frame of that peak, in pixels of the full image
+    Matrices are reference_from_frame, in pixels of the full image.
+    """
+
+    textured_share: float  # of the common area
+    moving_share: float  # the largest area that fits elsewhere instead, relative to what fits here
+    moving: Float[Array, "3 3"]  # where that area fits
+    rival_strength: float  # of the strongest other peak in the phase correlation, relative
+    rival: Float[Array, "3 3"]  # placement of that peak
 
 
 def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
@@ -91,16 +95,17 @@ def compare_placements(
     energy, fit = float((moved**2).sum()), float((moved * overview.detail).sum())
     textured = min(energy, float((overview.detail**2 * seen).sum())) / max(float(seen.sum()), 1.0)
     if fit <= 0:
-        return Comparison(textured, np.inf, np.inf, reference_from_frame)
+        return Comparison(textured, np.inf, reference_from_frame, np.inf, reference_from_frame)
     spectrum = scipy.fft.rfft2(moved)
     likeness = np.abs(overview.spectrum) ** 2 / overview.energy + np.abs(spectrum) ** 2 / energy
     others = overview.spectrum * spectrum.conj() / fit - likeness / 2
-    moving, *_ = _find_peak(scipy.fft.irfft2(others, s=shape))
+    share, *moving = _find_peak(scipy.fft.irfft2(others, s=shape))
     surface = scipy.fft.irfft2(overview.phases * _whiten(spectrum).conj(), s=shape)
     main = float(surface[_index_surroundings(surface, 0, 0)].max())
-    peak, x, y = _find_peak(surface)
-    shift = translation(x / overview.scale, y / overview.scale)
-    return Comparison(textured, moving, peak / max(main, 1e-9), shift @ reference_from_frame)
+    peak, *rival = _find_peak(surface)
+    places = [translation(x / overview.scale, y / overview.scale) for x, y in (moving, rival)]
+    placements = [place @ reference_from_frame for place in places]
+    return Comparison(textured, share, placements[0], peak / max(main, 1e-9), placements[1])
 
 
 def _extract_detail(small: UInt8[Array, "h w"]) -> Float[Array, "h w"]:
