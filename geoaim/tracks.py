@@ -1,4 +1,7 @@
-"""Tracks: the states of agents over time."""
+"""Tracks: the states of agents over time.
+
+Speeds and headings that a file does not state are computed in `track_formats.motion`.
+"""
 
 from dataclasses import dataclass
 

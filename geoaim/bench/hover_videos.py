@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.stills import STILLS, cut_sprites, read_clean_still
-from geoaim.synthetic import make_sample
+from geoaim.synthetic import VIDEOS, make_sample
 from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film, render_frame
 from geoaim.synthetic.roads.layouts import PlaceKind
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
-SIZES = {"720p": (720, 1280), "1080p": (1080, 1920), "4k": (2160, 3840)}
 
 # Lanes in pixels of the 3840 x 2160 stills, in driving order, read off the pictures.
 _LANES: dict[str, list[list[tuple[int, int]]]] = {
@@ -90,7 +89,7 @@ def make_hover_video(
     Raises:
         TracksError: the folder of real data does not hold the stills.
     """
-    (height, width), hover = SIZES[size], _make_hover(size, count)
+    (height, width), hover = VIDEOS[size], _make_hover(size, count)
     generator = np.random.default_rng([seed, STILLS.index(still)])
     moving = {"cars": 300, "queue": 70}.get(kind, 60)
     queue = 10 if kind == "queue" else 5
@@ -124,7 +123,7 @@ def film_place(kind: PlaceKind, *, size: str, count: int) -> HoverVideo:
     minutes = max(count / hover.frame_rate / 60, 1 / 60) + 1e-6
     resolution = 0.1 if size == "720p" else 0.05
     sample = make_sample(
-        3, kind=kind, minutes=minutes, video=SIZES[size], hover=hover, resolution=resolution
+        3, kind=kind, minutes=minutes, video=VIDEOS[size], hover=hover, resolution=resolution
     )
     assert sample.clip is not None
     return HoverVideo(sample.clip, "plain", np.ones(count, bool))
@@ -132,7 +131,7 @@ def film_place(kind: PlaceKind, *, size: str, count: int) -> HoverVideo:
 
 def _make_hover(size: str, count: int) -> Hover:
     """The camera, whose motion in pixels grows with the width of the frames."""
-    scale = SIZES[size][1] / 1920
+    scale = VIDEOS[size][1] / 1920
     return Hover(count, drift=28 * scale, perspective=1.5 * scale, vibration=0.4 * scale)
 
 
@@ -148,7 +147,7 @@ def film_ground(ground: UInt8[Array, "H W 3"], hover: Hover, seed: int) -> Hover
         The video with its truth.
     """
     none = SpriteTracks((), np.empty((0, 2)), np.empty((hover.count, 0, 3)))
-    height, width = SIZES["720p"]
+    height, width = VIDEOS["720p"]
     generator = np.random.default_rng(seed)
     clip = film(ground, none, hover, height=height, width=width, generator=generator)
     return HoverVideo(clip, "plain", np.ones(hover.count, bool))

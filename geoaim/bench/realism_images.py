@@ -1,6 +1,5 @@
 """Statistics of images, real and synthetic ones alike, and where the real ones come from."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
@@ -9,13 +8,13 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.data import read_image
+from geoaim.bench.realism_motion import Statistics
 from geoaim.synthetic import Sample, draw_place, tracks_of
 from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 
 RESOLUTION = 0.1  # m/px at which images are compared
 OCTAVES = 2.0 ** np.arange(-7, 0)  # cycles a pixel
 WINDOW = 256  # px, side of the squares whose spectra are measured
-Statistics = Mapping[str, Float[Array, "_"]]
 
 
 def sample_statistics(image: UInt8[Array, "H W 3"]) -> Statistics:
