@@ -30,7 +30,11 @@ def summarize_aim(aim: AIM) -> Lines:
         lines["contested"] = f"{background['contested_share']:.2%} of the pixels"
     if georeference := report.get("georeference"):
         lines |= _summarize_georeference(georeference)
-    for evidence, alignment in report.get("alignment", {}).items():
+    alignments = report.get("alignment", {})
+    placed = "georeference" in report or any("checked" not in one for one in alignments.values())
+    if report.get("source") == "imagery" and not placed:
+        lines["position"] = "not aligned: as the georeference of the imagery says"
+    for evidence, alignment in alignments.items():
         if "checked" in alignment:
             lines[f"check by {evidence}"] = _summarize_check(alignment)
         else:

@@ -68,7 +68,8 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
         prior: how far off the imagery may be; its scale is taken as right.
 
     Returns:
-        The mean of the posterior, with its covariance; `evidence` has the keys poses and
+        The mean of the posterior, with its covariance; along a direction in which the tracks do not
+        tell the place the imagery stays where it is. `evidence` has the keys poses and
         rotation_sigma_degrees.
 
     Raises:
@@ -297,6 +298,7 @@ def _average_posterior(
     straight = abs(rotation) <= 2 * sigma
     mean, covariance = _compute_moments(posterior.sum(axis=0))
     shift = _compute_moments(posterior[len(rotations) // 2])[0] if straight else mean
+    shift, covariance = _keep_undetermined(shift, covariance)
     stated_from_true = make_similarity(center, 0.0 if straight else rotation, 1.0)
     stated_from_true[:2, 2] += shift
     return ImageryAlignment(
@@ -306,6 +308,17 @@ def _average_posterior(
         center=center,
         evidence={"poses": poses, "rotation_sigma_degrees": float(np.degrees(sigma))},
     )
+
+
+def _keep_undetermined(
+    shift: Float[Array, "2"], covariance: Float[Array, "2 2"]
+) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
+    """Do not move imagery along an undetermined direction; the covariance is about that place."""
+    variances, axes = np.linalg.eigh(covariance)
+    for axis in axes.T[variances > MAX_SIGMA_M**2]:
+        left_out = (shift @ axis) * axis
+        shift, covariance = shift - left_out, covariance + np.outer(left_out, left_out)
+    return shift, covariance
 
 
 def _compute_moments(weight: Float[Array, "n n"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:

@@ -155,8 +155,9 @@ def _move(imagery: AIM, evidence: _Evidence) -> AIM:
     if direction is not None:
         sigma = float(np.sqrt(np.linalg.eigvalsh(alignment.covariance)[1]))
         warn(
-            f"along {np.degrees(direction) % 180:.0f} degrees from east the place is known to "
-            f"{sigma:.1f} m only (one sigma): nothing changes along straight roads"
+            f"along {np.degrees(direction) % 180:.0f} degrees from east the place is known by the "
+            f"{evidence.name} to {sigma:.1f} m only (one sigma), as nothing changes along straight "
+            "roads: in this direction the imagery stays where its georeference says"
         )
     return _add_report(
         apply_alignment(imagery, alignment), evidence.name, _report_alignment(alignment)

@@ -52,6 +52,7 @@ def test_place_along_a_straight_road_is_undetermined():
     assert found.undetermined_direction is not None
     assert abs(np.sin(found.undetermined_direction)) < 0.05
     assert abs(found.shift[1] + 4.0) < 0.4
+    assert abs(found.shift[0]) < 0.1  # it stays where it is stated
     assert found.covariance[0, 0] > 4
     assert found.covariance[1, 1] < 0.3
 

@@ -47,6 +47,7 @@ def test_aim_corrects_the_position_of_the_sample_orthophoto(aim):
     assert said["model"] == "translation"
     assert found.world == aim.world
     assert "alignment by aim" in summarize_aim(found)
+    assert "position" not in summarize_aim(found)
 
 
 def test_tracks_check_an_alignment_by_an_aim(aim):
@@ -145,6 +146,7 @@ def test_without_evidence_imagery_keeps_its_georeference():
     found = align_tiles("samples/ortho.tif", resolution=0.5)
     assert "alignment" not in found.report
     assert found.world.crs == TRUTH["crs"]
+    assert summarize_aim(found)["position"].startswith("not aligned")
 
 
 def test_imagery_is_not_misplaced_by_a_drawn_hd_map(aim):
