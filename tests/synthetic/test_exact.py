@@ -69,7 +69,8 @@ def test_warp_is_linear_interpolation(tilt):
     wanted = cv2.warpPerspective(image, to_opencv(matrix), (40, 25), flags=flags)
     found = warp(pack(image), matrix, 25, 40)
     assert np.abs(found.astype(int) - wanted).max() <= 1
-    assert np.abs(found.astype(float) - wanted).mean() < 0.05
+    # OpenCV 4 rounds positions to 1/32 px
+    assert np.abs(found.astype(float) - wanted).mean() < 0.1
 
 
 def test_single_channel_comes_back_in_the_first():
