@@ -86,17 +86,31 @@ def lock_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
         raise ValueError(f"another process writes into {folder}; name another folder") from None
 
 
+def check_writable(path: Path) -> None:
+    """Check that a file or folder may be made in the folder in which it lies, or would lie.
+
+    Raises:
+        ValueError: that is a file, or may not be written to.
+    """
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file; a folder is needed to write {path.name} into")
+    if not os.access(folder, os.W_OK):
+        raise ValueError(f"{folder} cannot be written to; choose another folder for {path.name}")
+
+
 def check_new_folder(folder: Path) -> None:
     """Check that a folder can be written as a whole: it is missing or empty.
 
     Raises:
-        ValueError: the folder holds files, is a file, is the working folder or is mounted.
+        ValueError: the folder holds files, is a file, is the working folder or is mounted, or lies
+            in one that may not be written to.
     """
-    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not nearest.is_dir():
-        raise ValueError(f"{nearest} is a file; a folder is needed")
-    if nearest != folder:
+    check_writable(folder)
+    if not folder.exists():
         return
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is a file; a folder is needed")
     names = sorted(path.name for path in folder.iterdir())
     if names:
         raise ValueError(f"{folder} holds {', '.join(names[:3])}; name a new folder")

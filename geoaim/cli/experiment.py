@@ -26,6 +26,7 @@ def experiment(
     """
     from geoaim.experiments import EXPERIMENTS
     from geoaim.experiments.results import Workspace
+    from geoaim.files import check_writable
 
     with show_progress() as progress, report_errors():
         if name == "list":
@@ -34,5 +35,6 @@ def experiment(
             return
         if name not in EXPERIMENTS:
             raise ValueError(f"there is no experiment {name!r}; 'list' prints all names")
+        check_writable(output / name)
         written = EXPERIMENTS[name](Workspace(folder, output, progress))
     console.print(", ".join(str(path) for path in written))

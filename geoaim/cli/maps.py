@@ -61,5 +61,6 @@ def texture(
     from geoaim.mapping.texture import export_texture
 
     with report_errors():
+        check_output(folder / "texture.json", inputs=[aim])
         export_texture(read_aim(aim), folder, resolution=resolution)
     console.print(f"{folder / 'texture.png'}, {folder / 'texture.json'}")

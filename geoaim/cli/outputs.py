@@ -1,9 +1,10 @@
 """Checks of output paths before the work, so that no result is lost and no input replaced."""
 
 import glob
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+
+from geoaim.files import check_writable
 
 GEOTIFF = (".tif", ".tiff")
 TRACKS = (".csv", ".parquet")
@@ -28,11 +29,7 @@ def check_output(
         raise ValueError(f"{output} is also an input; give another name")
     if output.is_dir():
         raise ValueError(f"{output} is a folder; the name of a file is needed")
-    folder = next(parent for parent in output.absolute().parents if parent.exists())
-    if not folder.is_dir():
-        raise ValueError(f"{folder} is a file; a folder is needed to write {output.name} into")
-    if not os.access(folder, os.W_OK):
-        raise ValueError(f"{folder} cannot be written to; choose another folder for {output.name}")
+    check_writable(output)
 
 
 def check_map_output(

@@ -42,6 +42,9 @@ def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, giv
         (["render", "a.tif", "--tracks", "t", "--ego", "1", "-o", "a.avi"], "ends in .mp4"),
         (["simulate", "a.tif", "--tracks", "t", "-o", "a.txt"], "ends in .csv or .parquet"),
         (["simulate", "a.tif", "--tracks", "t.csv", "-o", "t.csv"], "is also an input"),
+        (["texture", "a.tif", "pyproject.toml/a"], "is a file; a folder is needed"),
+        (["experiment", "sind", "-o", "pyproject.toml/a"], "is a file; a folder is needed"),
+        (["sample", "pyproject.toml/a"], "is a file; a folder is needed"),
         (
             ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--video", "f.png"],
             "ends in .mp4 or .gif",
@@ -56,3 +59,11 @@ def test_wrong_suffixes_and_outputs_that_are_inputs_are_refused_before_the_work(
     result = run(app, options)
     assert result.exit_code == 1
     assert message in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("command", ["sample {}", "texture a.tif {}", "frame v.mp4 -o {}/a.png"])
+def test_folder_without_permission_is_named_before_the_work(monkeypatch, tmp_path, command):
+    monkeypatch.setattr("os.access", lambda *_: False)  # root may write everywhere
+    result = run(app, command.format(tmp_path / "new").split())
+    assert result.exit_code == 1
+    assert f"{tmp_path} cannot be written to; choose" in " ".join(result.output.split())

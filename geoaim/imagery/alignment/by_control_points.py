@@ -14,6 +14,7 @@ from geoaim.imagery.rasters import describe_raster
 from geoaim.imagery.resampling import MIN_ALPHA, estimate_stretch, resample_raster, unpremultiply
 from geoaim.mapping.georeference.control_points import ControlPointSource, read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.point_checks import warn_of_small_part
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
 from geoaim.world import World
@@ -43,6 +44,7 @@ def georeference_picture(
     points = read_control_points(gcps, crs=crs)
     image, valid = _read_picture(path)
     height, width = valid.shape
+    warn_of_small_part(points, (height, width))
     place = estimate_georeference(points, height=height, width=width, world=world)
     return AIM(
         image=image,

@@ -104,8 +104,8 @@ def _collect_points(
     stated = [row.crs or crs for row in rows]
     if None in stated:
         raise GeoreferenceError(
-            f"{rows[stated.index(None)].source}: no coordinate reference system. Pass crs="
-            "'EPSG:n', write '# crs: EPSG:n' in the file, or use 'local' for a local plane."
+            f"{rows[stated.index(None)].source}: no coordinate reference system. Write the line "
+            "'# crs: EPSG:n' into the file, or '# crs: local' for a local plane (in Python crs=)."
         )
     frames = [row.frame.strip() for row in rows]
     return ControlPoints(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoreferenceError, warn
 from geoaim.geometry import image_corners
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.normalised_plane import (
@@ -22,6 +22,8 @@ MIN_POINTS = 4
 PICKING_SIGMA_PX = 2.0  # assumed of a picked point's coordinates
 MIN_PIXEL_DISTANCE = 0.5  # px between two points
 MIN_GROUND_DISTANCE = 1e-3  # m between two points
+MIN_EXTENT = 0.1  # m; degrees that are taken for metres have less
+MAX_SMALLER = 2 / 3  # of the image's sides: where all points may be of a smaller picture
 MAX_CORNER_ERROR = 0.15  # of half the diagonal: the 95 % region of an affine fit, worst corner
 GAUSSIAN_ELLIPSE = 2.45  # standard deviations to the ellipse that holds 95 % in the plane
 RESOLUTION_RANGE = (1e-4, 100.0)  # metres per pixel of any picture of the ground
@@ -78,6 +80,7 @@ def check_layout(
     """
     _check_count(points)
     _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
+    _check_extent(points, targets)
     _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
     _check_spread(points, size)
     _check_mirroring(points, targets, size)
@@ -104,6 +107,17 @@ def _check_count(points: ControlPoints) -> None:
         raise GeoreferenceError(
             f"The control points were picked on {len(frames)} frames ({', '.join(frames[:6])}):"
             " transform their pixels to one image first."
+        )
+
+
+def _check_extent(points: ControlPoints, targets: Points) -> None:
+    extent = float(np.ptp(targets, axis=0).max())
+    if extent < MIN_EXTENT:
+        crs = points.crs or "a local plane"
+        raise GeoreferenceError(
+            f"{_list_names(points.names)} lie within {extent:.2g} m in {crs}, such as at"
+            f" {tuple(points.coordinates[0].tolist())}. If these are degrees of longitude and"
+            " latitude, write '# crs: EPSG:4326' into their file."
         )
 
 
@@ -183,6 +197,18 @@ def check_inside(points: ControlPoints, size: tuple[int, int]) -> None:
         raise GeoreferenceError(
             f"{_list_names(names)} lie outside the image of {width} x {height} pixels. Were they"
             " picked at another resolution, or are u and v swapped?"
+        )
+
+
+def warn_of_small_part(points: ControlPoints, size: tuple[int, int]) -> None:
+    """Warn where all points may have been picked on a smaller picture than (height, width)."""
+    height, width = size
+    reached = points.pixels.max(axis=0)
+    if (reached <= MAX_SMALLER * np.array([width, height])).all():
+        warn(
+            f"all control points lie in the upper left {reached[0]:.0f} x {reached[1]:.0f} of"
+            f" {width} x {height} pixels. If they were picked on a smaller picture, pick them on"
+            " one of this size (`geoaim frame`); otherwise add a point at the lower right"
         )
 
 

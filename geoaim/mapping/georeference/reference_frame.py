@@ -18,7 +18,7 @@ from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.photo_links import chain_links, choose_central_photo, link_photos
-from geoaim.mapping.georeference.point_checks import MIN_POINTS, check_inside
+from geoaim.mapping.georeference.point_checks import MIN_POINTS, check_inside, warn_of_small_part
 from geoaim.mapping.registration.register import Reference, choose_reference, register_frames
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.telemetry import Telemetry
@@ -64,6 +64,7 @@ def georeference_reference_frame(
     if points is None:
         return _georeference_by_telemetry(video, reference), None, reference
     check_inside(points, (video.height, video.width))
+    warn_of_small_part(points, (video.height, video.width))
     points, reference = _place_points(points, video, reference, detections)
     world = None
     if crs is not None and points.crs is not None:

@@ -3,10 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
-from tests.mapping.georeference.points import GRID, HEIGHT, SIZE, make_points
+from geoaim.mapping.georeference.point_checks import warn_of_small_part
+from tests.mapping.georeference.points import GRID, HEIGHT, SIZE, WIDTH, make_points
 
 
 @pytest.mark.parametrize(
@@ -51,6 +52,19 @@ def test_latitude_beyond_the_pole_is_named():
     far = np.add(points.coordinates, (80.0, -20.0))
     with pytest.raises(GeoreferenceError, match="x and y are swapped"):
         estimate_georeference(replace(points, coordinates=far[:, ::-1]), **SIZE)
+
+
+def test_degrees_taken_for_metres_are_named():
+    points = make_points(crs="EPSG:4326")
+    with pytest.raises(GeoreferenceError, match=r"within 0\.0.* m in EPSG:32635.*crs: EPSG:4326"):
+        estimate_georeference(replace(points, crs="EPSG:32635"), **SIZE)
+
+
+def test_points_of_a_smaller_picture_give_a_warning():
+    points = make_points()
+    warn_of_small_part(points, (HEIGHT, WIDTH))
+    with pytest.warns(GeoaimWarning, match=r"upper left 900 x 475 of 1920 x 1080 .* smaller pict"):
+        warn_of_small_part(replace(points, pixels=points.pixels / 2), (HEIGHT, WIDTH))
 
 
 def test_swapped_easting_and_northing_are_named():
