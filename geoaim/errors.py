@@ -9,12 +9,10 @@ MAX_START, MAX_END = 700, 300  # characters of a longer message that are kept
 
 
 class GeoaimError(Exception):
-    """Data that cannot be used: the message says what was found, what was needed, what to do.
-
-    It is one line without control characters; the middle of a very long one is left out.
-    """
+    """Data that cannot be used: the message says what was found, what was needed, what to do."""
 
     def __str__(self) -> str:
+        """One line without control characters; the middle of a very long one is left out."""
         line = super().__str__().translate(CONTROLS)
         too_long = len(line) > MAX_START + MAX_END
         return f"{line[:MAX_START]} ... {line[-MAX_END:]}" if too_long else line

@@ -10,12 +10,12 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from ctypes import c_int
 from dataclasses import dataclass
 from io import StringIO
 from multiprocessing import get_context
 from multiprocessing.context import ForkServerProcess
 from multiprocessing.queues import SimpleQueue
-from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Literal
 
@@ -99,10 +99,11 @@ def run_and_signal(
 
 def _start(
     write: Callable[[Path], None], target: Path, step: int | None, how: How
-) -> tuple[ForkServerProcess, Synchronized, SimpleQueue]:
+) -> tuple[ForkServerProcess, c_int, SimpleQueue]:
     context = get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
-    changes, printed = context.Value("i", 0), context.SimpleQueue()
+    # a child that is killed while it holds a lock would keep it for ever
+    changes, printed = context.Value("i", 0, lock=False), context.SimpleQueue()
     child = context.Process(target=_run, args=(write, target, step, how, changes, printed))
     child.start()
     return child, changes, printed
@@ -113,7 +114,7 @@ def _run(
     target: Path,
     step: int | None,
     how: How,
-    changes: Synchronized,
+    changes: c_int,
     printed: SimpleQueue,
 ) -> None:
     def interrupt(event: str, arguments: tuple[object, ...]) -> None:

@@ -3,7 +3,7 @@
 A child process gets SIGKILL or SIGTERM after a random time, up to a little more than an
 uninterrupted run takes. It has to leave all of its old files, or all of the new ones, of which a
 picture may be missing; an interrupted training has to end as an uninterrupted one when it is called
-again.
+again. A run goes on where its output stops.
 """
 
 import argparse
@@ -24,6 +24,7 @@ from tests.faults import small_sample, writers
 from tests.faults.interruption import run_and_signal, run_interrupted
 
 EXIT_CODES = {0, -signal.SIGKILL, -signal.SIGTERM, 128 + signal.SIGTERM}
+COMMAND = "python -m tests.faults.kills -o docs/bench/kills.json"
 LATEST = 1.2  # moment, of an uninterrupted run's time
 OUTCOMES = ("SIGKILL", "SIGTERM", "interrupted", "old", "new", "broken", "leftovers", "errors")
 
@@ -133,8 +134,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     parser.add_argument("-o", "--output", type=Path, help="JSON to write")
     arguments = parser.parse_args()
-    rows = []
-    for name in (*writers.WRITERS, "sample"):
+    path = arguments.output
+    rows = json.loads(path.read_text())["rows"] if path and path.exists() else []
+    for name in (*writers.WRITERS, "sample")[len(rows) :]:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             (folder / "kills").mkdir()
@@ -143,10 +145,11 @@ def main() -> None:
             counts = count_kills(case, arguments.count, folder / "kills", random)
         rows.append({"writer": name, **counts})
         print(rows[-1], flush=True)
-    if arguments.output:
-        command = f"python -m tests.faults.kills --count {arguments.count}"
-        text = json.dumps({"command": command, "rows": rows}, indent=1)
-        arguments.output.write_text(f"{text}\n", encoding="utf-8")
+        if path:
+            text = json.dumps(
+                {"command": f"{COMMAND} --count {arguments.count}", "rows": rows}, indent=1
+            )
+            path.write_text(f"{text}\n", encoding="utf-8")
     raise SystemExit(any(row["broken"] + row["leftovers"] + row["errors"] for row in rows))
 
 

@@ -76,7 +76,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         decoded = _decode(stream.codec_context, container.demux(stream))
         first = next((frame for frame in decoded if frame is not None), None)
         if first is None:
-            raise VideoError(f"{path}: no frame could be decoded; the file is damaged")
+            raise VideoError(f"{path}: no frame can be decoded; it has none, or is damaged")
         rate = float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
         count, count_is_exact = _read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
@@ -181,8 +181,10 @@ def _select_stream(container: Any, path: Path, threads: int | None) -> Any:
     cover = av.stream.Disposition.attached_pic
     streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
-        kinds = ", ".join(sorted({stream.type for stream in container.streams})) or "nothing"
-        raise VideoError(f"{path}: no video in this file, only {kinds}")
+        kinds = (
+            ", ".join(sorted({stream.type for stream in container.streams})) or "no stream at all"
+        )
+        raise VideoError(f"{path}: no video in this file, but {kinds}; give a video file")
     if streams[0].codec_context is None:
         raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
     streams[0].thread_type = "AUTO"

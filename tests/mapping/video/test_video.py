@@ -354,7 +354,7 @@ def test_files_that_are_no_video_are_refused_at_once(tmp_path: Path) -> None:
         "absent.mp4": "no such file",
         "empty.mp4": "the file is empty",
         "text.mp4": "not a video that FFmpeg can read",
-        "sound.mp4": "no video in this file, only audio",
+        "sound.mp4": "no video in this file, but audio; give a video",
         "folder": "no image found",
         "*.tif": "no image found",
         "broken.png": "not an image that can be read",
