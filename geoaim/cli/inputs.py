@@ -57,6 +57,7 @@ def read_scene(
     """
     from geoaim.aim_files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
+    from geoaim.limits import name_file
     from geoaim.simulation.scene import make_scene
     from geoaim.track_changes import resample_tracks
 
@@ -70,7 +71,9 @@ def read_scene(
     tracks = read_any_tracks(source.tracks, source.tracks_world, source.tracks_resolution)
     if rate is not None:
         tracks = resample_tracks(tracks, rate)
-    return make_scene(aim, tracks, lights), hdmap, aim.world
+    with name_file(source.tracks):
+        scene = make_scene(aim, tracks, lights)
+    return scene, hdmap, aim.world
 
 
 def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":

@@ -125,8 +125,9 @@ def _check_region(world: World | None, corners: Float[Array, "n 2"] | None) -> N
         raise ValueError(f"corners must be finite and span an area, found {corners.tolist()}")
     if world is not None and world.crs is None:
         raise ImageryError(
-            "the world has no CRS, so imagery has no place in it: georeference the world first "
-            "(control points or telemetry), or leave it out to get one that suits the imagery"
+            "the AIM, tracks or world that should place the imagery have no CRS: georeference them "
+            "first (control points or telemetry; tracks name theirs in a line '# crs: EPSG:n'), or "
+            "leave them out to get a world that suits the imagery"
         )
 
 
@@ -144,8 +145,9 @@ def _select_layers(layers: Sequence[Layer], region: Region) -> list[Layer]:
     message = f"{'; '.join(elsewhere)}; imagery is needed in {wanted}"
     if not selected:
         raise ImageryError(
-            f"{message}: check the world, the corners (metres from its origin), and crs= or tms= "
-            "of files that do not name these themselves"
+            f"{message}: do the imagery and what places it (an AIM, tracks, or a world and corners "
+            "in metres from its origin) show the same place? Else check crs= or tms= of files that "
+            "do not name these themselves"
         )
     if elsewhere:
         warn(message)

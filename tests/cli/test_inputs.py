@@ -18,7 +18,8 @@ def test_render_reads_tracks_in_other_formats(tmp_path):
     given = ["render", f"{tmp_path}/aim.tif", "--tracks", f"{tmp_path}/t.csv", "--size", "64"]
     given += ["--ego", "7", "-o", f"{tmp_path}/a.png"]
     for world, message in (
-        ([], "give both a CRS"),
+        ([], "t.csv: the tracks lie in a local plane without a CRS"),
+        (["--tracks-world", "EPSG:32635 0 0"], "t.csv: no track touches the map"),
         (["--tracks-world", "EPSG:32635 1"], "is not a CRS and two numbers"),
         (["--tracks-resolution", "0.1"], "takes no resolution"),
     ):

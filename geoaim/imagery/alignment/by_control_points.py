@@ -8,7 +8,7 @@ from jaxtyping import Bool, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.errors import ImageryError
+from geoaim.errors import ImageryError, VideoError
 from geoaim.geometry import translation
 from geoaim.imagery.rasters import describe_raster
 from geoaim.imagery.resampling import MIN_ALPHA, estimate_stretch, resample_raster, unpremultiply
@@ -60,7 +60,12 @@ def _read_picture(path: Path) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]
     """A picture, and where it is not masked."""
     if path.is_file() and path.suffix.lower() in MASKED_SUFFIXES:
         return _read_masked_picture(path)
-    image, *others = [frame.image for frame in islice(open_video(str(path)), 2)]
+    if path.is_dir():
+        raise ImageryError(f"{path} is a folder; control points refer to one picture: give that")
+    try:
+        image, *others = [frame.image for frame in islice(open_video(str(path)), 2)]
+    except VideoError as error:
+        raise ImageryError(str(error)) from error
     if others:
         raise ImageryError(f"{path} has several images; control points refer to one: give one")
     return image, np.ones(image.shape[:2], bool)

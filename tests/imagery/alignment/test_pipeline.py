@@ -165,6 +165,12 @@ def test_control_points_need_one_picture():
         align_tiles(["a.tif", "b.tif"], gcps="gcps.csv")
     with pytest.raises(GeoreferenceError):
         align_tiles("samples/background.jpg", gcps=[])
+    with pytest.raises(ImageryError, match=r"absent\.jpg: there is no such file"):
+        align_tiles("absent.jpg", gcps="samples/gcps.csv")
+    with pytest.raises(ImageryError, match="tiles is a folder; control points refer"):
+        align_tiles("samples/tiles", gcps="samples/gcps.csv")
+    with pytest.raises(GeoreferenceError, match=r"absent\.csv: cannot be read"):
+        align_tiles("samples/background.jpg", gcps="absent.csv")
 
 
 def test_control_points_respect_resolution_and_crs(picture, tmp_path):
@@ -211,7 +217,7 @@ def test_at_most_two_frames_of_a_video_are_read(tmp_path, monkeypatch):
 
     monkeypatch.setattr("geoaim.imagery.alignment.by_control_points.open_video", lambda _: frames())
     with pytest.raises(ImageryError, match="has several images"):
-        align_tiles(str(tmp_path), gcps=[((0, 0), (27.5, 53.9))])
+        align_tiles(str(tmp_path / "a.mp4"), gcps=[((0, 0), (27.5, 53.9))])
 
 
 def test_tracks_without_agents_are_refused():
