@@ -77,7 +77,7 @@ def main(
     repeats: Annotated[int, typer.Option(help="seeds of each level and base")] = 1,
     skipped: Annotated[int, typer.Option(help="seeds that earlier sweeps used")] = 0,
     rivals: Annotated[bool, typer.Option(help="other methods on the same frames")] = False,
-    every: Annotated[int, typer.Option(help="use every n-th clip")] = 1,
+    every: Annotated[int, typer.Option(help="use every n-th clip; n mod 3 = 0: one base")] = 1,
     quick: Annotated[bool, typer.Option(help="a few kinds, three levels of each")] = False,
 ) -> None:
     """Sweep, print the table of kinds, and write JSON, Markdown and charts."""
