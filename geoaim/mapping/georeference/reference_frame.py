@@ -210,7 +210,8 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
         raise GeoreferenceError(
             f"{video.source}: no control points were given and no telemetry can be read beside it "
             "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
-            "points, or a resolution for a map in a local plane"
+            "points, or for a map in a local plane the metres per pixel of the frames "
+            "(--frame-resolution)"
         )
     image = "" if video.names is None else f", {video.names[reference.index]}"
     source, time = f"{video.source}{image}", reference.time
