@@ -7,6 +7,7 @@
 - A formula between `$$` becomes a picture, so that pages need no script from another server.
 """
 
+import ast
 import inspect
 import io
 import re
@@ -87,12 +88,18 @@ def write_decisions() -> str:
 
 
 def write_packages() -> str:
-    """A list of all packages with the modules that each holds."""
-    lines = []
+    """A table of the modules of each package, with the first line of their docstrings."""
+    parts = []
     for package, modules in list_modules().items():
-        names = ", ".join(f"`{name.rpartition('.')[2]}`" for name in modules if name != package)
-        lines.append(f"| [{package}]({package}.md) | {names} |")
-    return "| package | modules |\n|---|---|\n" + "\n".join(lines)
+        rows = [f"### [{package}]({package}.md)", "", "| module | duty |", "|---|---|"]
+        for name in modules:
+            if name != package:
+                path = PACKAGE.parent / f"{name.replace('.', '/')}.py"
+                text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+                duty = _one_line(text.partition("\n")[0])
+                rows.append(f"| `{name.rpartition('.')[2]}` | {duty} |")
+        parts.append("\n".join(rows))
+    return "\n\n".join(parts)
 
 
 def write_options(command: str) -> str:

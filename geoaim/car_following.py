@@ -19,7 +19,9 @@ ArrayOrTensor = Any  # numpy.ndarray or torch.Tensor; torch must not be imported
 class DriverParameters:
     """How a driver follows others.
 
-    The values are in `simulation/policies.py` (`DRIVER`) and `synthetic/traffic/simulate.py`.
+    The simulator's values are `DRIVER` in `simulation/policies.py`. Those of synthetic traffic are
+    in `synthetic/traffic`: `MAX_ACCELERATION` and `MIN_GAP_M` in `driving.py`,
+    `COMFORTABLE_BRAKING` in `vehicles.py`; `simulate.py` draws the headway of each driver.
     """
 
     acceleration: float  # a, the maximum, m/s²

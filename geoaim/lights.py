@@ -108,13 +108,15 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
     """Read states of traffic lights from a plain table or one of SinD's.
 
     Args:
-        path: the .csv file.
+        path: a CSV file with the columns time (s), signal and state, or a table of SinD with
+            times in milliseconds.
         lines: stop lines of the signals, from `read_stop_lines` or `HDMap.stop_lines`; signals of
             the table without a line are left out.
         world: the plane of the lines.
 
     Returns:
-        The lights, in the order in which the table first names their signals.
+        The lights, in the order in which the table first names their signals. Before its first
+        row a light is `UNKNOWN`.
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -1,4 +1,4 @@
-"""What error against cost tells: the Pareto front, the knee, and choices judged in hindsight."""
+"""Error against cost: the Pareto front, the knee, and automatic choices against the best."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -86,10 +86,10 @@ def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
 
 
 def judge_choices(cases: Sequence[Row], tolerance: float) -> dict[str, Any]:
-    """Judge an automatic choice against the best choice in hindsight and against the richest.
+    """Compare an automatic choice with the best one, found afterwards, and with the most complex.
 
     Args:
-        cases: with "errors" and "sizes" of all choices, the richest last, and the "error" and
+        cases: with "errors" and "sizes" of all choices, the most complex last, and the "error" and
             "size" of the automatic one.
         tolerance: by which an error may always exceed the best, in its unit.
 
@@ -119,7 +119,11 @@ def judge_choices(cases: Sequence[Row], tolerance: float) -> dict[str, Any]:
 
 
 def average_methods(rows: pd.DataFrame, keys: list[str]) -> list[Row]:
-    """Average the rows of each method: a row with "method" and the means of `keys`."""
+    """Average columns of a table over the rows of each method.
+
+    `rows` has the column "method" and numbers in the columns `keys`. The result is a list with a
+    dictionary for each method, in the order of the table: "method", and the mean of each key.
+    """
     means = rows.groupby("method", sort=False)[keys].mean().reset_index()
     return [{str(key): value for key, value in row.items()} for row in means.to_dict("records")]
 

@@ -26,10 +26,17 @@ def find_data() -> Path | None:
 
 
 def require_data(name: str = ".") -> Path:
-    """Return the folder `name` in that of the real data.
+    """Return a folder of the real data.
+
+    Args:
+        name: its path below the folder that GEOAIM_DATA names; ".": that folder itself.
+
+    Returns:
+        The path, which is a folder.
 
     Raises:
-        TracksError: GEOAIM_DATA is not set, or its folder does not hold this one.
+        TracksError: GEOAIM_DATA is not set, or there is no such folder below it.
+        FileNotFoundError: GEOAIM_DATA is set, but names no folder.
     """
     data = find_data()
     if data is None:

@@ -3,8 +3,8 @@
 The patches of the reference are divided like a chessboard into two halves. Each half registers the
 frames by itself; half of their distance at the image's corners is the standard error of both
 together, if their errors are independent. A simple motion model scatters little and may be wrong
-all the same, hence its distance from the homography counts too. What displaces the whole frame,
-such as a part of the compression, remains unseen. Only the first frames of the video are read.
+all the same, hence its distance from the homography counts too. Errors that shift a whole frame,
+as compression sometimes does, are not measured. Only the first frames of the video are read.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -79,8 +79,9 @@ def measure_settings(
 ) -> Iterator[dict[str, Any]]:
     """Measure settings on the same frames, one of them the homography, which counts as unbiased.
 
-    The squared error is the variance, by two halves of the patches, plus the squared distance from
-    the homography, as far as the difference of the variances does not explain it: the bias.
+    The squared error is the variance plus the squared bias. The variance comes from two halves of
+    the patches. The squared bias is the squared distance from the homography minus the difference
+    of both variances, and at least 0.
 
     Args:
         frames: in order of time.

@@ -37,7 +37,7 @@ def _print_version(is_asked: bool) -> bool:
 
 @app.callback()
 def prepare(
-    debug: Annotated[bool, typer.Option("--debug", help="show where an error comes from")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="print the full traceback")] = False,
     version: Annotated[
         bool, typer.Option("--version", help="print the version", callback=_print_version)
     ] = False,

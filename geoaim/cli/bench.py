@@ -1,4 +1,4 @@
-"""The command that measures the mapping's stages beside other methods."""
+"""The command that compares the mapping's stages with other methods."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,7 +23,9 @@ def bench(
         bool, typer.Option("--quick", help="a minute a stage: few and small cases")
     ] = False,
 ) -> None:
-    """Measure error and time of a stage beside other methods, and of its settings by their size.
+    """Compare a mapping stage with other methods and its own settings, in error and time.
+
+    Each setting is measured at several values.
 
     Writes STAGE.json, STAGE.md and charts. The videos are synthetic, with exact truth; where the
     environment variable GEOAIM_DATA names the folder of real images, videos made from these are

@@ -1,4 +1,4 @@
-"""Describe the installation, for reports of problems."""
+"""Describe the installation, for bug reports."""
 
 import os
 import platform
@@ -11,7 +11,7 @@ from geoaim.cli.console import print_table, report_errors
 
 
 def doctor() -> None:
-    """Print versions, drivers, threads, GPU and folders: what a report of a problem needs.
+    """Print versions, drivers, threads, GPU and folders: what a bug report needs.
 
     Example: geoaim doctor
     """

@@ -9,6 +9,7 @@ import typer
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
+from geoaim.defaults import SAMPLES
 from geoaim.errors import warn
 from geoaim.progress import Progress
 
@@ -37,7 +38,7 @@ def evaluate(
     ] = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
-    samples: options.Samples = options.DEFAULT_SAMPLES,
+    samples: options.Samples = SAMPLES,
     val_fraction: Annotated[
         float,
         typer.Option(

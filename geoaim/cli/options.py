@@ -44,7 +44,6 @@ WeightsFile = Annotated[
     Path | None, typer.Option("--weights", help="model.pt; the pretrained model if omitted")
 ]
 Samples = Annotated[int, typer.Option(help="number of sampled futures", min=1)]
-DEFAULT_SAMPLES = 6  # as in `geoaim.prediction.predict`
 Seed = Annotated[int, typer.Option(help="random seed", min=0)]
 
 

@@ -9,6 +9,7 @@ from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
 from geoaim.cli.outputs import check_output
+from geoaim.defaults import SAMPLES
 
 
 def predict(
@@ -28,7 +29,7 @@ def predict(
             min=0.1,
         ),
     ] = None,
-    samples: options.Samples = options.DEFAULT_SAMPLES,
+    samples: options.Samples = SAMPLES,
     seed: options.Seed = 0,
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,

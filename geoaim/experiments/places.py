@@ -55,7 +55,7 @@ class PlaceRecording:
 
     tracks: Tracks  # the agents
     lights: Lights | None  # states of the traffic lights, if any
-    hdmap: HDMap  # everything that vehicles may drive on
+    hdmap: HDMap  # lanes, private roads and car parks, and also walkways
 
     @cached_property
     def rules(self) -> RoadRules:

@@ -46,13 +46,13 @@ def make_places_dataset(
 
     Args:
         places: folders of the places.
-        config: of the model.
-        map_name: one of `MAPS`.
+        config: of the model; recordings are resampled to its `dt`.
+        map_name: a key of `experiments.places.MAPS`.
         lights: whether the scenes have traffic lights.
         progress: takes stage, done and total.
 
     Returns:
-        The dataset.
+        Training and validation segments; the last 5 % of each recording are for validation.
     """
     scenes: list[Scene] = []
     for number, folder in enumerate(places):
@@ -82,7 +82,7 @@ def evaluate_place(
         predictor: a model's `sample`, or one of `BASELINES`.
         place: folder of the place.
         config: agent kind, dt and resolution.
-        map_name: one of `MAPS`.
+        map_name: a key of `experiments.places.MAPS`.
         fraction: share of each recording, at its end, to evaluate on.
         lights: whether the predictor gets the lights' states.
 

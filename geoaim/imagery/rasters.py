@@ -55,12 +55,13 @@ def describe_raster(
         path: the file.
         crs: for a raster that names no CRS.
         bands: one or three band numbers, from 1; None: by colour interpretation.
-        georeference: CRS, and the (3, 3) matrix to it from the unit square (0, 0) top-left to
-            (1, 1) bottom-right over the raster; None: the file's own, or its world file's.
+        georeference: CRS, and a (3, 3) matrix that maps the unit square, (0, 0) at the raster's
+            top left and (1, 1) at its bottom right, to coordinates in that CRS, x first. None: the
+            file's own, or that of the world file beside it.
         options: of GDAL's driver.
 
     Returns:
-        What the header says.
+        The raster: its size, bands, data type and CRS, and the map from its pixels to the CRS.
 
     Raises:
         FileNotFoundError: there is no such file.

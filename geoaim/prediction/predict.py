@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from geoaim.defaults import SAMPLES
 from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
@@ -15,7 +16,7 @@ def predict(
     model: ITRA,
     scene: Scene,
     *,
-    samples: int = 6,
+    samples: int = SAMPLES,
     horizon: int = 40,
     start: int | None = None,
     generator: torch.Generator,

@@ -76,9 +76,12 @@ def slice_scene(scene: Scene, steps: slice) -> Scene:
 def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     """Bring a map, tracks and lights into the map's world, as tensors.
 
+    Map, tracks and lights must all have a CRS, which may differ, or all lie in a local plane.
+
     Args:
-        aim: the map.
-        tracks: of the agents, in any world with a CRS if the map's has one.
+        aim: the map, at most 10 km (`MAX_ORIGIN_DISTANCE_M`) from its world's origin; one whose
+            matrix is not affine is resampled north up.
+        tracks: of the agents.
         lights: None for a scene without traffic lights.
 
     Returns:
@@ -87,7 +90,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     Raises:
         TracksError: only some of the three are georeferenced, no track or no stop line touches the
             map, or the lights' states begin after the tracks end.
-        MapError: the map lies too far from its world's origin.
+        MapError: the map lies further from its world's origin.
     """
     tracks = to_world(tracks, aim.world)
     poses = tracks.states[..., :3]

@@ -41,10 +41,11 @@ def read_tracks(
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
             folder of a SinD recording.
-        world: the CRS and origin of x and y; only for INTERACTION, SinD and geo-trax, which do not
-            state them (geo-trax takes the CRS only). None: a local plane.
-        resolution: metres per pixel; only for files in pixels: required for SDD, and for TrajNet
-            unless `scenes.csv` has it.
+        world: the CRS and origin of x and y, for formats in metres that do not state them, those
+            with "world" in their `TrackFormat.options` (geo-trax takes the CRS only). None: a
+            local plane.
+        resolution: metres per pixel, for formats in pixels, those with "resolution" in their
+            options; without it SDD raises, and TrajNet needs a `scenes.csv` that has it.
 
     Returns:
         The tracks.

@@ -1,4 +1,7 @@
-"""The image that is being drawn, and how shapes in plan metres are drawn on it."""
+"""The image that is being drawn, and how shapes are drawn on it.
+
+Plan metres are metres on the ground, x east and y north, from the middle of the drawn extent.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -144,7 +147,7 @@ def shade(
     Args:
         canvas: the canvas, changed in place.
         shape: polygons in plan metres.
-        share: share of the light that is taken, 0 to 1; for all channels or each.
+        share: fraction of the brightness to remove, 0 to 1, one number or one per channel (RGB).
         only: area to which drawing is clipped.
     """
     window, mask = rasterize_shape(canvas, shape)

@@ -33,11 +33,12 @@ def draw_tree(
         radius: pixels.
         colour: RGB of leaves in full light, 0 to 255.
         light: direction towards the sun in the image, right and down, of length 1.
-        grain: noise of variance 1, of more than 2.4 radii each way.
+        grain: noise of variance 1, with more than 2.4 radii of rows and of columns.
         generator: source of the crown's shape.
 
     Returns:
-        RGBA, about 2.4 radii each way.
+        RGBA, 0 to 255: a square with a side of 2.4 radii, the crown in its middle and the rest
+        transparent.
     """
     side = 2 * int(radius * 1.2) + 1
     axis = np.linspace(-1.2, 1.2, side)
