@@ -205,7 +205,7 @@ class Region:
 
 
 def make_region(world: World, corners: Float[Array, "n 2"]) -> Region:
-    """Make the region within the bounds of points in world metres."""
+    """Make a region of 9 x 9 points spread over the bounds of points in world metres."""
     low, high = corners.min(axis=0), corners.max(axis=0)
     shares = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9)), axis=-1)
     return Region(world, low + (high - low) * shares.reshape(-1, 2))

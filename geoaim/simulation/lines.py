@@ -24,12 +24,12 @@ def make_line_boxes(
 
     Args:
         ends: (B, N, 2, 2) both ends of each line, metres.
-        colours: (B, N, C) or (N, C).
+        colours: (B, N, C) or (N, C) of the lines, 0 to 1.
         width: of the lines, metres.
-        present: (B, N); None: all are.
+        present: (B, N) which lines exist; None: all do.
 
     Returns:
-        A box for each line.
+        (B, N) boxes, each as long as its line and centred on it.
 
     >>> ends = torch.tensor([[[[0.0, 0.0], [3.0, 4.0]]]])
     >>> make_line_boxes(ends, torch.ones(1, 3), width=0.5).sizes

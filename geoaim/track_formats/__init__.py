@@ -41,17 +41,23 @@ To add a format:
    `geoaim.geometry` brings headings beyond 2 pi into [-pi, pi). A reader of files in pixels takes
    `resolution` (metres per pixel; `read_tracks` refuses values that are not positive) and gives
    `World(None)`; `geoaim.mapping.place_tracks` then moves such tracks onto the map of their
-   video. One of files in metres without a CRS takes `world`. `map_types` takes names; look numbers
-   of classes up first, as `geotrax.py` does. A file with headings and speeds ends with
-   `make_tracks(rows, world)` of `geoaim.track_tables` instead; one with headings and velocities
-   gets speeds from `compute_signed_speed`, one with headings alone from `estimate_velocity`, both
-   in `motion.py`. `half_window` (s) averages out the noise of the positions: 0.25 for smooth
-   tracks, 0.5 for boxes of a detector; it is widened where states are further apart.
+   video. `map_types` takes names; look numbers of classes up first, as `geotrax.py` does.
+
+   A file in metres with headings and speeds ends with `make_tracks(rows, world)` of
+   `geoaim.track_tables` instead; `rows` has the columns id, type, time, x, y, heading, speed,
+   length and width. If the file states no CRS, the signature is `read_example(path, *, world:
+   World | None = None)`, and the format has `options=("world",)`. A file with headings and
+   velocities gets speeds from `compute_signed_speed`, one with headings alone from
+   `estimate_velocity`, both in `motion.py`. `half_window` (s) averages out the noise of the
+   positions: 0.25 for smooth tracks, 0.5 for boxes of a detector; it is widened where states are
+   further apart.
 2. Add the value to `FORMATS` in `formats.py`. The first format that matches is used: a format
    whose columns include all those of another one comes before it.
-3. Export the reader below. Test it in `tests/track_formats/test_<name>.py`, and add a first line
-   of the format to the cases of `tests/track_formats/test_formats.py`, and a valid file to
-   `tests/faults/seeds.py` with its reader in `tests/faults/readers.py`, which then damage it.
+3. Export the reader below, and name the format in the docstring of `read_tracks` where an option
+   means something particular for it. Test it in `tests/track_formats/test_<name>.py`, and add a
+   first line of the format to the cases of `tests/track_formats/test_formats.py`, and a valid
+   file to `tests/faults/seeds.py` with its reader in `tests/faults/readers.py`, which then damage
+   it.
 4. Add a row to the table of `docs/formats/tracks.md` and a line to `CHANGELOG.md`.
 '''
 

@@ -58,7 +58,7 @@ def build_pyramid(imagery: AIM, aim: AIM, prior: Prior) -> list[Level]:
         prior: how far off the imagery may be.
 
     Returns:
-        Two levels or more, each with half the resolution of the one before.
+        Two levels or more, each with half the metres per pixel of the one before.
 
     Raises:
         AlignmentError: both share too little ground.

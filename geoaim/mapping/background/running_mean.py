@@ -182,7 +182,7 @@ def add_to_mean(
 
 
 def finish_mean(mean: RunningMean) -> Background:
-    """Compute the image of a mean, which cannot be used afterwards.
+    """Compute the background from a running mean; the mean cannot be used afterwards.
 
     Raises:
         BackgroundError: no frame was added.

@@ -40,7 +40,8 @@ def fit_similarity(
         mirrored: mirror the points first, y to -y.
 
     Returns:
-        The similarity, targets from points, and its sum of squared residuals without that point.
+        The (3, 3) matrix that maps points to targets, and the sum of squared residuals without the
+        point that was left out.
     """
     z = points[:, 0] + 1j * points[:, 1]
     z = z.conj() if mirrored else z
