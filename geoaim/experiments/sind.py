@@ -83,7 +83,8 @@ def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
         TracksError: the data are missing.
     """
     folder = require_data(DATA) / name
-    hdmap = read_hdmap(folder / JUNCTIONS[name][0])
+    hdmap_name, _ = JUNCTIONS[name]
+    hdmap = read_hdmap(folder / hdmap_name)
     image = read_image(folder / "frame_4k.jpg")
     points = read_control_points(Path(__file__).with_name(f"sind_{name.lower()}.csv"), crs="local")
     height, width = image.shape[:2]
@@ -92,7 +93,8 @@ def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
 
 
 def _make_scene(name: str, aim: AIM) -> Scene:
-    tracks = read_tracks(require_data(DATA) / name / JUNCTIONS[name][1], world=aim.world)
+    _, tracks_name = JUNCTIONS[name]
+    tracks = read_tracks(require_data(DATA) / name / tracks_name, world=aim.world)
     return make_scene(aim, resample_tracks(tracks, 1 / PEDESTRIANS.dt))
 
 

@@ -77,10 +77,13 @@ def main(
     repeats: Annotated[int, typer.Option(help="seeds of each level and base")] = 1,
     skipped: Annotated[int, typer.Option(help="seeds that earlier sweeps used")] = 0,
     rivals: Annotated[bool, typer.Option(help="other methods on the same frames")] = False,
-    every: Annotated[int, typer.Option(help="use every n-th clip; n mod 3 = 0: one base")] = 1,
+    every: Annotated[int, typer.Option(help="use every n-th clip")] = 1,
     quick: Annotated[bool, typer.Option(help="a few kinds, three levels of each")] = False,
 ) -> None:
-    """Sweep, print the table of kinds, and write JSON, Markdown and charts."""
+    """Sweep, print the table of kinds, and write JSON, Markdown and charts.
+
+    The bases take turns from clip to clip: of three, every third clip has the same one.
+    """
     cv2.setNumThreads(1)
     chosen = QUICK_KINDS if quick else [kind for kind in kinds.split(";") if kind] or list(KINDS)
     available = list_methods() if rivals else {}

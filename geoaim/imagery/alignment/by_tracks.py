@@ -298,7 +298,7 @@ def _average_posterior(
     straight = abs(rotation) <= 2 * sigma
     mean, covariance = _compute_moments(posterior.sum(axis=0))
     shift = _compute_moments(posterior[len(rotations) // 2])[0] if straight else mean
-    shift, covariance = _keep_undetermined(shift, covariance)
+    shift, covariance = _remove_undetermined_shift(shift, covariance)
     stated_from_true = make_similarity(center, 0.0 if straight else rotation, 1.0)
     stated_from_true[:2, 2] += shift
     return ImageryAlignment(
@@ -310,14 +310,14 @@ def _average_posterior(
     )
 
 
-def _keep_undetermined(
+def _remove_undetermined_shift(
     shift: Float[Array, "2"], covariance: Float[Array, "2 2"]
 ) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
-    """Do not move imagery along an undetermined direction; the covariance is about that place."""
+    """Remove the shift along undetermined directions; the covariance is about what is left."""
     variances, axes = np.linalg.eigh(covariance)
     for axis in axes.T[variances > MAX_SIGMA_M**2]:
-        left_out = (shift @ axis) * axis
-        shift, covariance = shift - left_out, covariance + np.outer(left_out, left_out)
+        removed = (shift @ axis) * axis
+        shift, covariance = shift - removed, covariance + np.outer(removed, removed)
     return shift, covariance
 
 

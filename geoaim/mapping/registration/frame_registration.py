@@ -113,9 +113,8 @@ def register_frame(
         if result.valid and result.inlier_share > SUFFICIENT_INLIER_SHARE:
             break
     registration, alignment = best
-    compare = compare or registration.inlier_share < UNDOUBTED_INLIER_SHARE
-    compare = compare or chosen.overview.repeats
-    if not compare or alignment is None or not registration.valid:
+    is_doubtful = registration.inlier_share < UNDOUBTED_INLIER_SHARE or chosen.overview.repeats
+    if not (compare or is_doubtful) or alignment is None or not registration.valid:
         return best
     try:
         alignment = choose_placement(grey, chosen.fine, chosen.overview, alignment)

@@ -18,7 +18,7 @@ from geoaim.mapping.registration.patches import (
 )
 from geoaim.mapping.registration.rivals import Overview, compare_placements
 
-# chosen on half of the validation part of `geoaim.bench.stability` and checked on the other half
+# chosen on the validation part of `geoaim.bench.stability`
 MIN_TEXTURED_SHARE = 0.4  # of the image
 MAX_MOVING_SHARE = 0.13  # of the image that may fit at another placement
 # more if a camera hovers, so that the rest moves at least twice as far as the placement

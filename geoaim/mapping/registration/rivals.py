@@ -29,7 +29,7 @@ class Overview(NamedTuple):
     detail: Float[Array, "h w"]  # of even contrast, see `_extract_detail`
     spectrum: Complex[Array, "h k"]  # the Fourier transform of `detail`
     phases: Complex[Array, "h k"]  # the same, whitened and low-pass filtered
-    energy: float  # sum of the squares of `detail`
+    power: Float[Array, "h k"]  # of `spectrum`, relative to the energy of `detail`
     repeats: bool  # whether the texture repeats
     scale: float  # pixels of the small image per pixel of the full image
 
@@ -63,10 +63,9 @@ def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
     rows, columns = scipy.fft.fftfreq(height)[:, None], scipy.fft.rfftfreq(width)
     smoothing = np.exp(-2 * (np.pi * SMOOTHING_PX) ** 2 * (rows**2 + columns**2))
     phases = (_whiten(spectrum) * smoothing).astype(np.complex64)
-    energy = float((detail**2).sum())
-    likeness = scipy.fft.irfft2(np.abs(spectrum) ** 2, s=(height, width))
-    repeats = _find_peak(likeness)[0] > REPEATING_SHARE * energy
-    return Overview(detail, spectrum, phases, energy, repeats, scale)
+    power = np.abs(spectrum) ** 2 / max(float((detail**2).sum()), 1e-9)
+    repeats = _find_peak(scipy.fft.irfft2(power, s=(height, width)))[0] > REPEATING_SHARE
+    return Overview(detail, spectrum, phases, power, repeats, scale)
 
 
 def compare_placements(
@@ -97,8 +96,8 @@ def compare_placements(
     if fit <= 0:
         return Comparison(textured, np.inf, reference_from_frame, np.inf, reference_from_frame)
     spectrum = scipy.fft.rfft2(moved)
-    likeness = np.abs(overview.spectrum) ** 2 / overview.energy + np.abs(spectrum) ** 2 / energy
-    others = overview.spectrum * spectrum.conj() / fit - likeness / 2
+    likeness = (overview.power + np.abs(spectrum) ** 2 / energy) / 2
+    others = overview.spectrum * spectrum.conj() / fit - likeness
     share, *moving = _find_peak(scipy.fft.irfft2(others, s=shape))
     surface = scipy.fft.irfft2(overview.phases * _whiten(spectrum).conj(), s=shape)
     main = float(surface[_index_surroundings(surface, 0, 0)].max())
