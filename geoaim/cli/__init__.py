@@ -1,5 +1,6 @@
 """The command line: each command reads files, calls the library and writes files."""
 
+import sys
 from typing import Annotated
 
 import typer
@@ -25,7 +26,13 @@ COMMANDS = (
     *(predict, evaluate, train, experiment, sample, bench, doctor),
 )
 
-app = typer.Typer(name="geoaim", no_args_is_help=True, pretty_exceptions_enable=False)
+app = typer.Typer(
+    name="geoaim",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    # without a terminal, wrong usage is one plain line instead of a box of 80 columns
+    rich_markup_mode="rich" if sys.stderr.isatty() else None,
+)
 
 
 def _print_version(is_asked: bool) -> bool:

@@ -7,7 +7,7 @@ import numpy as np
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import print_table, report_errors
+from geoaim.cli.console import print_result, report_errors
 from geoaim.cli.inputs import read_any_tracks
 from geoaim.cli.outputs import check_map_output
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
@@ -39,6 +39,7 @@ def align(
     max_scaling: Annotated[
         float, typer.Option(help="largest expected change of scale, percent", min=0, max=30)
     ] = 100 * DEFAULT_PRIOR.max_scaling,
+    as_json: options.AsJson = False,
 ) -> None:
     """Correct the position of orthophotos or map tiles, and write them as an AIM.
 
@@ -75,4 +76,4 @@ def align(
         with atomic_files(output, look) as (map_part, look_part):
             write_aim(aligned, map_part)
             write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look_part)
-    print_table(f"{output} and {look}", summarize_aim(aligned))
+    print_result([output, look], summarize_aim(aligned), as_json, report=aligned.report)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import print_table, report_errors, show_progress
+from geoaim.cli.console import print_result, report_errors, show_progress
 from geoaim.cli.outputs import check_map_output
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def build(
         float | None,
         typer.Option(help="compass heading of the image's top, degrees, if telemetry lacks it"),
     ] = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video.
 
@@ -85,7 +86,7 @@ def build(
             write_aim(aim, map_part)
             write_figure(draw_quicklook(aim), look_part)
         progress("write", 1, 1)
-    print_table(f"{output} and {look}", summarize_aim(aim))
+    print_result([output, look], summarize_aim(aim), as_json, report=aim.report)
 
 
 def _parse_frames(text: str) -> int | Literal["auto", "all"]:

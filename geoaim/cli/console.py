@@ -1,12 +1,15 @@
 """Progress bars, errors and tables on the terminal."""
 
+import json
 import signal
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from pathlib import Path
 from threading import Event
+from typing import Any
 
 import rich.progress
 import typer
@@ -17,7 +20,9 @@ from rich.text import Text
 from geoaim.errors import GeoaimError, GeoaimWarning
 from geoaim.progress import Progress
 
-console = Console(stderr=True, markup=False)  # file names may have brackets
+LINE_CHARS = 10_000  # where the output is no terminal: each message stays on one line
+# without markup, as file names may have brackets
+console = Console(stderr=True, markup=False, width=None if sys.stderr.isatty() else LINE_CHARS)
 TERMINATED = 143  # exit code
 stopping = Event()  # set once SIGTERM has arrived
 DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback
@@ -91,8 +96,28 @@ def _print_stopped() -> None:
 
 
 def print_table(title: str, lines: Mapping[str, str]) -> None:
-    """Print names and values in two columns."""
-    table = Table(title=Text(title), show_header=False)
+    """Print names and values in two columns, below a title."""
+    table = Table(show_header=False)
     for name, value in lines.items():
         table.add_row(name, value)
+    if title:
+        console.print(Text(title))
     console.print(table)
+
+
+def print_result(
+    files: Sequence[Path], lines: Mapping[str, str], as_json: bool, **more: Any
+) -> None:
+    """Print what was written, on standard error; or as JSON on standard output.
+
+    Args:
+        files: those written, or the one that is described.
+        lines: of the table.
+        as_json: whether to print JSON: the files, the table as "summary", and `more`.
+        more: what only the JSON has.
+    """
+    if as_json:
+        content = {"files": [str(path) for path in files], "summary": dict(lines), **more}
+        print(json.dumps(content, indent=1))
+    else:
+        print_table(" and ".join(map(str, files)), lines)

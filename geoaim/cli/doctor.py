@@ -7,10 +7,11 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
 from geoaim import __version__
-from geoaim.cli.console import print_table, report_errors
+from geoaim.cli import options
+from geoaim.cli.console import print_result, report_errors
 
 
-def doctor() -> None:
+def doctor(as_json: options.AsJson = False) -> None:
     """Print versions, drivers, threads, GPU and folders: what a bug report needs.
 
     Example: geoaim doctor
@@ -37,7 +38,7 @@ def doctor() -> None:
             "GEOAIM_DATA": "not set" if data is None else _describe_folder(Path(data)),
             "working folder": _describe_folder(folder),
         }
-    print_table("geoaim doctor", lines)
+    print_result([], lines, as_json)
 
 
 def _find_version(name: str) -> str:

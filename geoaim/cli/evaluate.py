@@ -53,7 +53,7 @@ def evaluate(
     stop_lines: options.StopLinesFile = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
-    as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of a table")] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Evaluate a prediction model and compare it with constant-velocity and -turn-rate baselines.
 

@@ -26,9 +26,12 @@ def frame(
 
     with report_errors():
         check_output(output, (".png",), [Path(video)])
-        found = next(open_video(video).frames_at([time]), None)
-        if found is None:
-            raise ValueError(f"{video} has no frame at {time:g} s")
+        opened = open_video(video)
+        found = next(opened.frames_at([time]), None)
+        if found is None or time >= opened.duration:
+            raise ValueError(
+                f"{video} has no frame at {time:g} s: it lasts {opened.duration:.2f} s"
+            )
         with atomic_write(output) as temporary:
             Image.fromarray(found.image).save(temporary, format="png")
     height, width = found.image.shape[:2]

@@ -45,6 +45,7 @@ WeightsFile = Annotated[
 ]
 Samples = Annotated[int, typer.Option(help="number of sampled futures", min=1)]
 Seed = Annotated[int, typer.Option(help="random seed", min=0)]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
 
 
 def output(help: str) -> Any:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import print_table, report_errors, show_progress
+from geoaim.cli.console import print_result, report_errors, show_progress
 from geoaim.cli.outputs import TRACKS, check_output
 
 
@@ -18,6 +18,7 @@ def register(
         float | None,
         typer.Option(help="time of the reference frame, s; chosen automatically if omitted"),
     ] = None,
+    as_json: options.AsJson = False,
 ) -> None:
     """Register the frames of a video to a reference frame.
 
@@ -43,4 +44,4 @@ def register(
     }
     for reason, count in count_reasons(result.reason).items():
         lines[f"rejected: {reason}"] = str(count)
-    print_table(str(output), lines)
+    print_result([output], lines, as_json)

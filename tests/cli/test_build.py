@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 import rasterio
@@ -38,10 +40,25 @@ def test_frame_saves_a_frame_of_the_video(frames_folder, tmp_path):
     np.testing.assert_array_equal(saved, list(open_video(frames_folder))[2].image)
 
 
+def test_frame_after_the_end_is_refused_with_the_length_of_the_video(tmp_path):
+    result = run(app, ["frame", "samples/hover.mp4", "--time", "99", "-o", f"{tmp_path}/a.png"])
+    assert result.exit_code == 1
+    assert "has no frame at 99 s: it lasts 12.00 s" in result.output
+    assert not list(tmp_path.iterdir())
+
+
 def test_register_writes_a_row_for_each_frame(frames_folder, tmp_path):
     output = tmp_path / "registration.csv"
     assert run(app, ["register", str(frames_folder), "-o", str(output)]).exit_code == 0
     assert len(np.loadtxt(output, delimiter=",", skiprows=1, usecols=(0, 1))) == 6
+
+
+def test_json_has_the_files_and_the_table(frames_folder, tmp_path):
+    output = tmp_path / "registration.csv"
+    result = run(app, ["register", str(frames_folder), "-o", str(output), "--json"])
+    content = json.loads(result.stdout)
+    assert content["files"] == [str(output)]
+    assert content["summary"]["registered frames"] == "6 of 6"
 
 
 def test_texture_and_info_read_what_build_wrote(frames_folder, tmp_path):

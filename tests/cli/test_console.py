@@ -17,6 +17,14 @@ def test_names_in_square_brackets_are_not_read_as_markup(tmp_path):
     assert "no[b]where[/b].tif" in result.output.replace("\n", "")
 
 
+def test_messages_are_not_wrapped_in_a_file(tmp_path):
+    name = "very_long_" * 20 + ".mp4"
+    result = run(app, ["frame", name, "-o", str(tmp_path / "a.png")])
+    assert result.stderr.strip().splitlines() == [
+        f"VideoError: {name}: there is no such file or folder"
+    ]
+
+
 def test_any_failure_is_one_line_and_has_a_traceback_with_debug(tmp_path, monkeypatch):
     def fail(path):
         raise KeyError("of\nsome library")
