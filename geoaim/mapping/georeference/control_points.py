@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoreferenceError, warn
 from geoaim.mapping.georeference import point_files
 from geoaim.world import LONLAT, parse_crs
 
@@ -52,7 +52,8 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
             plane. Where both state it, they must agree.
 
     Returns:
-        The points; those without a name are called "point 1", ...
+        The points; those without a name are called "point 1", ... A row whose pixel or place is
+        empty is left out, with a warning.
 
     Raises:
         GeoreferenceError: there is no such file, a line cannot be read, is not finite, or the CRS
@@ -99,8 +100,7 @@ def _read_objects(items: Iterable[Any], crs: str | None) -> list[point_files.Poi
 def _collect_points(
     rows: list[point_files.PointRow], crs: str | None, source: str
 ) -> ControlPoints:
-    if not rows:
-        raise GeoreferenceError(f"{source}: holds no control points.")
+    rows = _leave_out_incomplete(rows, source)
     stated = [row.crs or crs for row in rows]
     if None in stated:
         raise GeoreferenceError(
@@ -115,6 +115,20 @@ def _collect_points(
         names=tuple(row.name or f"point {number}" for number, row in enumerate(rows, 1)),
         frames=tuple(int(text) if text.isdecimal() else text or None for text in frames),
     )
+
+
+def _leave_out_incomplete(
+    rows: list[point_files.PointRow], source: str
+) -> list[point_files.PointRow]:
+    """The rows that state both a pixel and a place; a warning names the others."""
+    complete = [row for row in rows if np.isfinite([row.pixel, row.coordinates]).all()]
+    left_out = [row.name or row.source for row in rows if row not in complete]
+    if not complete:
+        found = f" with both a pixel and a place: {', '.join(left_out)}" if left_out else ""
+        raise GeoreferenceError(f"{source}: holds no control points{found}.")
+    if left_out:
+        warn(f"{source}: without a pixel or a place, and left out: {', '.join(left_out)}")
+    return complete
 
 
 def _merge_crs(stated: Sequence[Any]) -> str | None:

@@ -65,7 +65,7 @@ def estimate_georeference(
             image, at an impossible scale, or one is wrong and it cannot be told which.
     """
     size = (height, width)
-    world, targets = _project_points(points, world)
+    world, targets = project_points(points, world)
     point_checks.check_layout(points, targets, size, outside=outside)
     plane = normalised_plane.normalise_pixels(points.pixels, size)
     world_from_plane = normalised_plane.fit_similarity(plane, targets)[0]
@@ -103,10 +103,14 @@ def estimate_georeference(
     )
 
 
-def _project_points(
+def project_points(
     points: ControlPoints, world: World | None
 ) -> tuple[World, normalised_plane.Points]:
-    """Choose the world where none is given, and transform the coordinates to its metres."""
+    """Choose the world where none is given, and transform the coordinates to its metres.
+
+    Raises:
+        GeoreferenceError: the coordinates lie outside their CRS's area, or in a plane of their own.
+    """
     point_checks.check_coordinates(points)
     if points.crs is None:
         if world is not None and world.crs is not None:

@@ -79,9 +79,7 @@ def check_layout(
             together, mirrored, outside the image, or at an impossible scale.
     """
     _check_count(points)
-    _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
-    _check_extent(points, targets)
-    _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
+    check_distinctness(points, targets)
     _check_spread(points, size)
     _check_mirroring(points, targets, size)
     if not outside:
@@ -94,6 +92,17 @@ def check_layout(
             f"The control points give {resolution:.3g} metres per pixel; {low:g} to {high:g} is"
             " possible. Are the coordinates in the CRS and the units that they state?"
         )
+
+
+def check_distinctness(points: ControlPoints, targets: Points) -> None:
+    """Check that no two control points have the same pixel or place; targets are in metres.
+
+    Raises:
+        GeoreferenceError: two do, or all places lie together as degrees taken for metres do.
+    """
+    _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
+    _check_extent(points, targets)
+    _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
 
 
 def _check_count(points: ControlPoints) -> None:

@@ -1,6 +1,7 @@
 """Read rows of control points from CSV, OpenDroneMap and QGIS files."""
 
 import csv
+import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -33,8 +34,9 @@ Lines = list[tuple[int, str]]  # with their numbers in the file
 class PointRow:
     """One control point as a file states it."""
 
-    pixel: tuple[float, float]  # u, v with the origin at the image's corner
-    coordinates: tuple[float, float]  # x, y in `crs`
+    # u, v with the origin at the image's corner; NaN where both fields are empty
+    pixel: tuple[float, float]
+    coordinates: tuple[float, float]  # x, y in `crs`; NaN where both fields are empty
     source: str  # file and line, for messages
     crs: str | None = None  # None where the file does not state it
     name: str = ""
@@ -140,10 +142,14 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
 def make_row(values: Mapping[str, Any], source: str) -> PointRow:
     """Make a row of the values u, v, x, y and, where they are stated, name, frame and crs.
 
+    A pixel or a place whose two fields are both empty becomes NaN: it was not picked yet.
+
     Raises:
-        GeoreferenceError: one of the first four is no finite number; the message names `source`.
+        GeoreferenceError: another of the first four is no finite number; the message names
+            `source`.
     """
-    u, v, x, y = (_parse_number(values[key], source) for key in "uvxy")
+    u, v = _parse_pair(values["u"], values["v"], source)
+    x, y = _parse_pair(values["x"], values["y"], source)
     name, frame = str(values.get("name") or ""), values.get("frame")
     frame = "" if frame is None else str(frame)
     return PointRow((u, v), (x, y), source, values.get("crs"), name, frame)
@@ -171,6 +177,12 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
             " OpenDroneMap lists start with their CRS, QGIS files with mapX."
         )
     return columns
+
+
+def _parse_pair(first: Any, second: Any, source: str) -> tuple[float, float]:
+    if first == second == "":
+        return math.nan, math.nan
+    return _parse_number(first, source), _parse_number(second, source)
 
 
 def _parse_number(value: Any, source: str) -> float:

@@ -1,5 +1,6 @@
 """Uncertainty of a georeference: at any pixel, and as a map with its worst corner."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -39,20 +40,14 @@ def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
         a grid over the image, in its middle and worst corner, and with a control point there.
     """
     rows, columns = GRID_SHAPE
-    v, u = np.linspace(0, georeference.height, rows), np.linspace(0, georeference.width, columns)
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    design, dof = _design_errors(georeference, pixels), georeference.posterior.dof
+    design, dof = (
+        _design_errors(georeference, _list_places(georeference)),
+        georeference.posterior.dof,
+    )
     grid = _measure_sigma(design) * ellipse_factor(dof)
     corners = [0, columns - 1, rows * columns - 1, (rows - 1) * columns]
     worst = int(np.argmax(grid[corners]))
-    at_corner = design[corners[worst]]
-    picking = np.nan_to_num(georeference.noise) ** 2 * np.eye(2)
-    gain = at_corner.T @ np.linalg.pinv(at_corner @ at_corner.T + picking)
-    remaining = np.eye(design.shape[2]) - gain @ at_corner  # covariance given a point there
-    factor = ellipse_factor(dof + 2.0)
-    with_point = factor * np.sqrt(
-        np.linalg.eigvalsh(design @ remaining @ design.transpose(0, 2, 1))[:, -1].clip(0.0)
-    )
+    with_point = _predict_with_points(georeference, design, [corners[worst]])[0]
     return {
         "map_m": grid.reshape(GRID_SHAPE).round(4),
         "middle_m": float(grid[rows * columns // 2]),
@@ -62,6 +57,59 @@ def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
         "median_with_point_there_m": float(np.median(with_point)),
         "worst_corner_with_point_there_m": float(with_point[corners[worst]]),
     }
+
+
+def predict_ellipses(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 2"]:
+    """Predict the ellipses that hold the true places of pixels in 95 % of cases.
+
+    Returns:
+        Semi-axes (M, 2, 2) as rows, in metres east and north, the longer one first. Points of an
+        ellipse are its centre + cos(t) first + sin(t) second.
+    """
+    factor = ellipse_factor(georeference.posterior.dof)
+    directions, lengths, _ = np.linalg.svd(
+        _design_errors(georeference, pixels), full_matrices=False
+    )
+    return np.asarray(factor * (directions * lengths[:, None, :]).transpose(0, 2, 1))
+
+
+def suggest_point(georeference: Georeference) -> tuple[Float[Array, "2"], float, float]:
+    """Find where one more control point would lower the largest uncertainty in the image most.
+
+    Returns:
+        Its pixel, and the largest radius that holds the true place in 95 % of cases, metres, now
+        and with that point.
+    """
+    places = _list_places(georeference)
+    design = _design_errors(georeference, places)
+    now = _measure_sigma(design).max() * ellipse_factor(georeference.posterior.dof)
+    largest = _predict_with_points(georeference, design, range(len(places))).max(axis=1)
+    best = int(np.argmin(largest))
+    return places[best], float(now), float(largest[best])
+
+
+def _list_places(georeference: Georeference) -> Points:
+    """Pixels on a grid over the image, row by row."""
+    rows, columns = GRID_SHAPE
+    v, u = np.linspace(0, georeference.height, rows), np.linspace(0, georeference.width, columns)
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+
+def _predict_with_points(
+    georeference: Georeference, design: Float[Array, "m 2 10"], added: Sequence[int]
+) -> Float[Array, "n m"]:
+    """Radii of 95 % at each place, with one further control point at each of the places added."""
+    points = design[added]
+    transposed = points.transpose(0, 2, 1)
+    picking = np.nan_to_num(georeference.noise) ** 2 * np.eye(2)
+    gain = transposed @ np.linalg.pinv(points @ transposed + picking)
+    remaining = np.eye(design.shape[2]) - gain @ points  # covariance of the unknowns afterwards
+    x, y = design[:, 0], design[:, 1]
+    xx, xy = ((x @ remaining * other).sum(axis=2) for other in (x, y))
+    yy = (y @ remaining * y).sum(axis=2)
+    largest = (xx + yy) / 2.0 + np.hypot((xx - yy) / 2.0, xy)  # eigenvalue of [[xx, xy], [xy, yy]]
+    factor = ellipse_factor(georeference.posterior.dof + 2.0)
+    return np.asarray(factor * np.sqrt(largest.clip(0.0)))
 
 
 def _design_errors(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 10"]:

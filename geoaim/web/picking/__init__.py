@@ -1,0 +1,1 @@
+"""Control points picked by hand: feedback while picking, snapping, proposals, and saving."""
