@@ -21,7 +21,6 @@ from geoaim.mapping import build_aim, open_video, read_detections, transform_box
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_pretrained
-from geoaim.prediction.pictures import draw_futures
 from geoaim.quicklook import draw_alignment, draw_quicklook
 from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import render_agent_video
@@ -119,7 +118,7 @@ def _draw_futures(aim: AIM, samples: Path, path: Path) -> None:
             model, scene, horizon=steps, start=start, generator=torch.Generator().manual_seed(0)
         )
         title = f"{kind}s, {steps * model.config.dt:g} s"
-        _show(shown, draw_futures(scene, futures, start), title)
+        futures.plot(shown).set_title(title)
     figure.savefig(path, dpi=80)
 
 

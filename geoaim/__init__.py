@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from geoaim.aim import AIM as AIM
     from geoaim.aim_files import read_aim as read_aim
     from geoaim.aim_files import write_aim as write_aim
-    from geoaim.aim_summary import summarize_aim as summarize_aim
     from geoaim.errors import GeoaimError as GeoaimError
     from geoaim.errors import GeoaimWarning as GeoaimWarning
     from geoaim.hdmap.lanelet2 import HDMap as HDMap
@@ -107,7 +106,6 @@ _MODULE_OF_NAME = {
     "read_tracks": "geoaim.track_formats.formats",
     "rectify": "geoaim.rectification",
     "register": "geoaim.mapping.registration.register",
-    "summarize_aim": "geoaim.aim_summary",
     "write_aim": "geoaim.aim_files",
     "write_tracks": "geoaim.track_files",
 }

@@ -7,13 +7,23 @@ from jaxtyping import Bool
 from numpy import ndarray as Array
 
 # types by group: models control groups, and `make_layers` draws them; the colours of pictures are
-# by type (`layers.TYPE_COLOURS`). All other types, motorcycles too, are OTHER
+# by type (`TYPE_COLOURS`). All other types, motorcycles too, are OTHER
 AGENT_GROUPS: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("car", "van", "truck", "bus"),
     "pedestrian": ("pedestrian",),
     "cyclist": ("cyclist",),
 }
 OTHER = "other"
+# red, green and blue, 0 to 1; unlike those of lights and of markings, which are yellow and white
+TYPE_COLOURS: Mapping[str, tuple[float, float, float]] = {
+    "car": (0.1, 0.35, 0.9),
+    "van": (0.3, 0.6, 1.0),
+    "truck": (0.05, 0.2, 0.6),
+    "bus": (0.0, 0.45, 0.5),
+    "pedestrian": (1.0, 0.1, 0.6),
+    "cyclist": (0.0, 0.85, 0.85),
+}
+OTHER_COLOUR = (0.55, 0.2, 0.75)
 
 
 def find_group(agent_type: str) -> str:
@@ -24,6 +34,11 @@ def find_group(agent_type: str) -> str:
     """
     groups = (group for group, types in AGENT_GROUPS.items() if agent_type in types)
     return next(groups, OTHER)
+
+
+def get_colour(agent_type: str) -> tuple[float, float, float]:
+    """Get the colour in which agents of a type are drawn: red, green and blue, 0 to 1."""
+    return TYPE_COLOURS.get(agent_type, OTHER_COLOUR)
 
 
 def select_group(agent_types: Sequence[str], group: str) -> Bool[Array, "N"]:

@@ -3,21 +3,26 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 from numpy import ndarray as Array
 
+from geoaim.aim_summary import summarize_report
+from geoaim.displays import Display
 from geoaim.errors import AimError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.grid import Grid
 from geoaim.limits import MAX_POSITION_M
-from geoaim.world import World
+from geoaim.world import World, describe_world
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True, eq=False)
-class AIM:
+@dataclass(frozen=True, eq=False, repr=False)
+class AIM(Display):
     """Aerial image-based map.
 
     Attributes:
@@ -96,6 +101,20 @@ class AIM:
     def is_affine(self) -> bool:
         """Whether the transform is free of perspective, as a GeoTIFF or a texture needs."""
         return bool(np.array_equal(self.world_from_image[2], [0.0, 0.0, 1.0]))
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize its size, its world, how it was made and how accurate it is."""
+        height, width = self.image.shape[:2]
+        edges = np.roll(self.corners, -1, axis=0) - self.corners
+        across, down = np.linalg.norm(edges, axis=1).reshape(2, 2).mean(axis=0)
+        size = f"{width} x {height} px, {across:.0f} x {down:.0f} m"
+        lines = {"image": size, "world": describe_world(self.world)}
+        return lines | summarize_report(self.report)
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_image
+
+        draw_image(axes, self.image, self.grid, self.coverage > 0)
 
 
 def _check_array(name: str, value: Any, dtype: type, shape: tuple[int, ...]) -> None:

@@ -6,21 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.aim import AIM
-
 MAX_REASON_CHARS = 70
 Lines = dict[str, str]
 
 
-def summarize_aim(aim: AIM) -> Lines:
-    """Summarize an AIM: its size, position, how it was made and how accurate it is.
+def summarize_report(report: Mapping[str, Any]) -> Lines:
+    """Summarize the report of an AIM: how it was made and how accurate it is.
 
     Returns:
-        Text of a value with its unit, by its name, such as "image": "640 x 360 px, 32 x 18 m"; in
-        the order of the stages. Stages that the report lacks are left out.
+        Text of a value with its unit, by its name, such as "worst corner": "top left of the frame,
+        0.40 m"; in the order of the stages. Stages that the report lacks are left out.
     """
-    report: Any = aim.report
-    lines = _summarize_image(aim)
+    lines: Lines = {}
     if registration := report.get("registration"):
         lines["motion model"] = registration["model"]
         lines["registered frames"] = f"{registration['valid']} of {registration['frames']}"
@@ -40,16 +37,6 @@ def summarize_aim(aim: AIM) -> Lines:
         else:
             lines |= _summarize_alignment(evidence, alignment)
     return lines
-
-
-def _summarize_image(aim: AIM) -> Lines:
-    height, width = aim.image.shape[:2]
-    top, right, bottom, left = np.linalg.norm(np.roll(aim.corners, -1, 0) - aim.corners, axis=1)
-    east, north = aim.world.origin
-    return {
-        "image": f"{width} x {height} px, {(top + bottom) / 2:.0f} x {(right + left) / 2:.0f} m",
-        "world": f"{aim.world.crs or 'local plane'}, origin {east:.0f}, {north:.0f}",
-    }
 
 
 def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:

@@ -15,20 +15,26 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
+from geoaim.displays import Display
 from geoaim.errors import MapError, TracksError
 from geoaim.geojson import read_features
 from geoaim.limits import MAX_TIME_S, name_file
-from geoaim.world import World
+from geoaim.world import World, describe_world
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 GREEN, YELLOW, RED = 0, 1, 2
 STATES = ("green", "yellow", "red")
 UNKNOWN = -1
+STOP_LINE_COLOUR = "#d00000"
 COLUMNS = ["time", "signal", "state"]
 MIN_STOP_LINE_M = 0.1  # degrees mistaken for metres are shorter
 SIND_TIME = "timestamp(ms)"
@@ -44,8 +50,8 @@ class StopLine:
     ends: Float[Array, "2 2"]  # both ends, metres in the world
 
 
-@dataclass(frozen=True, eq=False)
-class Lights:
+@dataclass(frozen=True, eq=False, repr=False)
+class Lights(Display):
     """Traffic lights: L stop lines and their states over time.
 
     Attributes:
@@ -62,6 +68,24 @@ class Lights:
     times: Float[Array, "K"]
     states: Int8[Array, "K L"]
     world: World
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the signals, the times of their changes and the world."""
+        return {
+            "signals": ", ".join(dict.fromkeys(self.names)),
+            "stop lines": str(len(self.lines)),
+            "states": f"{len(self.times)} changes, {self.times[0]:g} to {self.times[-1]:g} s",
+            "world": describe_world(self.world),
+        }
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_lines, label_place, move_to_axes
+
+        axes.margins(0.1)
+        lines = move_to_axes(axes, self.lines, self.world)
+        draw_lines(axes, lines, STOP_LINE_COLOUR, width=2.5, label="stop lines of lights")
+        for name, line in zip(self.names, lines, strict=True):
+            label_place(axes, name, line.mean(axis=0))
 
 
 def find_light_states(lights: Lights, times: Float[Array, "T"]) -> Int8[Array, "T L"]:

@@ -1,6 +1,6 @@
 """Pictures of an AIM: with its report at a glance, and before and after its alignment."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,14 +12,16 @@ from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
-from geoaim.aim_summary import summarize_aim
-from geoaim.geometry import transform_points
 from geoaim.grid import Grid, make_north_up_grid
+from geoaim.labels import label_points
+from geoaim.map_axes import draw_lines
+from geoaim.mapping.registration.drift import draw_drift
 from geoaim.rectification import sample_nearest
 from geoaim.tracks import Tracks
 
+MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands beside it
 RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
-LONGEST_RESIDUAL = 0.2  # of the image's width, as drawn
+LONGEST_RESIDUAL = 0.2  # of the map's width, as drawn
 RASTER_STRIDE = 4  # of the pixels of the coverage that are drawn
 USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # of control points
 LONGER_SIDE_PX = 900
@@ -29,55 +31,56 @@ Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
 
 
 def draw_quicklook(aim: AIM) -> Figure:
-    """Draw an AIM: its image with control points, drift, coverage, uncertainty and summary."""
-    figure = Figure(figsize=(14, 6.4), layout="constrained")
-    grid = figure.add_gridspec(4, 2, width_ratios=[2.4, 1])
-    _draw_points(figure.add_subplot(grid[:, 0]), aim)
-    _draw_drift(figure.add_subplot(grid[0, 1]), aim.report.get("registration", {}))
-    _draw_coverage(figure.add_subplot(grid[1, 1]), aim)
-    _draw_uncertainty(figure.add_subplot(grid[2, 1]), aim.report.get("georeference", {}))
-    _draw_summary(figure.add_subplot(grid[3, 1]), aim)
+    """Draw an AIM: its map with control points, drift, coverage, uncertainty and summary."""
+    width, height = np.ptp(aim.corners, axis=0)
+    shown = float(np.clip(MAP_INCHES * width / height, 4.0, 12.0))
+    figure = Figure(figsize=(shown + PANEL_INCHES, MAP_INCHES + 0.6), layout="constrained")
+    parts = figure.add_gridspec(1, 2, width_ratios=[shown, PANEL_INCHES])
+    left, right = (figure.add_subfigure(parts[0, column]) for column in (0, 1))
+    grid = right.add_gridspec(3, 2, height_ratios=[1.2, 1, 1])
+    main = left.add_subplot()
+    aim.plot(main)
+    _draw_coverage(right.add_subplot(grid[0, 0]), aim)
+    _draw_uncertainty(right.add_subplot(grid[0, 1]), aim.report.get("georeference", {}))
+    _draw_path(right.add_subplot(grid[1, :]), aim.report.get("registration", {}))
+    _draw_summary(right.add_subplot(grid[2, :]), aim)
+    figure.draw_without_rendering()  # labels are placed in the final layout
+    _draw_points(main, aim.report.get("georeference", {}).get("points", []))
     return figure
 
 
-def _draw_points(axes: Axes, aim: AIM) -> None:
-    """Draw the image, and control points with their residuals."""
-    height, width = aim.image.shape[:2]
-    axes.imshow(aim.image, extent=(0, width, height, 0))
-    points = aim.report.get("georeference", {}).get("points", [])
-    image_from_world = np.linalg.inv(aim.world_from_image)
-    ends = np.array(
-        [[[p["x"], p["y"]], [p["x"] + p["residual_x"], p["y"] + p["residual_y"]]] for p in points]
-    )
-    ends = transform_points(image_from_world, ends.reshape(-1, 2)).reshape(-1, 2, 2)
-    longest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).max(initial=0.0)
-    scale = next((n for n in RESIDUAL_SCALES if n * longest <= LONGEST_RESIDUAL * width), 1)
-    residuals = f"background, control points, residuals x {scale}"
-    axes.set(title=residuals if points else "background", xlabel="u, px", ylabel="v, px")
-    shade = {"facecolor": "black", "alpha": 0.5, "pad": 1}
-    for point, (start, end) in zip(points, ends, strict=True):
-        colour = USED_COLOUR if point["used"] else UNUSED_COLOUR
-        axes.plot(*start, "o", color=colour, markersize=7, fillstyle="none", markeredgewidth=2)
-        axes.arrow(*start, *(scale * (end - start)), color=colour, width=width / 600)
-        label = axes.text(
-            start[0] + 8, start[1] + 8, point["name"], color="white", fontsize=8, bbox=shade
-        )
-        label.set_clip_on(True)
-    axes.set(xlim=(0, width), ylim=(height, 0))
+def _draw_points(axes: Axes, points: Sequence[Mapping[str, Any]]) -> None:
+    """Draw control points with their residuals on the map, which has its layout."""
+    axes.set_title("background", loc="left")
+    if not points:
+        return
+    starts = np.array([[p["x"], p["y"]] for p in points])
+    residuals = np.array([[p["residual_x"], p["residual_y"]] for p in points])
+    longest = np.linalg.norm(residuals, axis=1).max()
+    extent = abs(float(np.subtract(*axes.get_xlim())))
+    scale = next((n for n in RESIDUAL_SCALES if n * longest <= LONGEST_RESIDUAL * extent), 1)
+    axes.set_title(f"background, control points, and residuals {scale} times longer", loc="left")
+    limits = {"xlim": axes.get_xlim(), "ylim": axes.get_ylim()}
+    used = np.array([bool(p["used"]) for p in points])
+    for chosen, colour, name in ((used, USED_COLOUR, "used"), (~used, UNUSED_COLOUR, "not used")):
+        if chosen.any():
+            [marks] = axes.plot(*starts[chosen].T, "o", color=colour, markersize=7)
+            marks.set(fillstyle="none", markeredgewidth=2, label=f"control points, {name}")
+            ends = starts[chosen] + scale * residuals[chosen]
+            lines = np.stack([starts[chosen], ends], axis=1)
+            draw_lines(axes, lines, colour, width=1.5, label=f"residual x {scale}, {name}")
+    label_points(axes, starts, [p["name"] for p in points])
+    axes.legend(loc="upper left", fontsize=8)
+    axes.set(**limits)
 
 
-def _draw_drift(axes: Axes, registration: Mapping[str, Any]) -> None:
-    """Draw where the frames' centres lie in the reference."""
-    axes.set_title("drift of the frame centre, px", fontsize=9, loc="left")
+def _draw_path(axes: Axes, registration: Mapping[str, Any]) -> None:
+    """Draw where the frames' centres lie, from that of the first one."""
+    axes.set_title("no drift in the report", fontsize=9, loc="left")
     path = np.array(sorted(registration.get("path", [])), float).reshape(-1, 3)
     if len(path):
-        axes.plot(path[:, 1], path[:, 2], "-", color="0.7", linewidth=0.8)
-        drawn = axes.scatter(path[:, 1], path[:, 2], c=path[:, 0], s=12, cmap="viridis")
-        _add_scale(axes, drawn, "time, s")
-        axes.set_aspect("equal", "datalim")
+        draw_drift(axes, path[:, 0], path[:, 1:] - path[0, 1:], "first frame")
         axes.tick_params(labelsize=7)
-        axes.ticklabel_format(useOffset=False)
-        axes.invert_yaxis()
 
 
 def _draw_coverage(axes: Axes, aim: AIM) -> None:
@@ -87,13 +90,15 @@ def _draw_coverage(axes: Axes, aim: AIM) -> None:
     _add_scale(axes, drawn, "frames")
     contested = np.where(aim.contested[step, step], 1.0, np.nan)
     axes.imshow(contested, extent=extent, cmap="cool", vmin=0, vmax=1)
-    axes.set_title("frames per pixel (magenta: contested)", fontsize=9, loc="left")
+    axes.set_title("frames per pixel\n(magenta: contested)", fontsize=9, loc="left")
     axes.set(xticks=[], yticks=[])
 
 
 def _draw_uncertainty(axes: Axes, georeference: Mapping[str, Any]) -> None:
     """Draw the 95 % radius over the image of the video, before any resampling."""
-    axes.set_title("95 % uncertainty of the place over the frame", fontsize=9, loc="left")
+    axes.set_title(
+        "uncertainty of the place (95 %)\nover the frame of the video", fontsize=9, loc="left"
+    )
     axes.set(xticks=[], yticks=[])
     if uncertainty := georeference.get("uncertainty"):
         drawn = axes.imshow(uncertainty["map_m"], vmin=0, cmap="viridis", interpolation="bilinear")
@@ -108,7 +113,7 @@ def _add_scale(axes: Axes, drawn: ScalarMappable, label: str) -> None:
 
 def _draw_summary(axes: Axes, aim: AIM) -> None:
     axes.axis("off")
-    lines = summarize_aim(aim)
+    lines = aim.summarize()
     width = max(map(len, lines))
     text = "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
     axes.text(0, 1, text, family="monospace", fontsize=8, va="top", transform=axes.transAxes)

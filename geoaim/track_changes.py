@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.tracks import MAX_STATES, TICKS_PER_S, Tracks
-from geoaim.world import World, crs_from_world, world_from_crs
+from geoaim.world import World, change_world
 
 
 def to_world(tracks: Tracks, world: World) -> Tracks:
@@ -28,10 +28,7 @@ def to_world(tracks: Tracks, world: World) -> Tracks:
     states, present = tracks.states.copy(), tracks.present
     position, heading = states[present, :2], states[present, 2]
     ahead = position + np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    position, ahead = (
-        world_from_crs(world, crs_from_world(tracks.world, points), tracks.world.crs)
-        for points in (position, ahead)
-    )
+    position, ahead = (change_world(tracks.world, world, points) for points in (position, ahead))
     states[present, :2] = position
     states[present, 2] = np.arctan2(*(ahead - position).T[::-1])
     return replace(tracks, states=states, world=world)

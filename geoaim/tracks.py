@@ -3,14 +3,22 @@
 Speeds and headings that a file does not state are computed in `track_formats.motion`.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.world import World
+from geoaim.agent_types import get_colour
+from geoaim.displays import Display
+from geoaim.world import World, describe_world
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width")
 TICKS_PER_S = 1e6  # times that fall on the same tick are one time
@@ -18,8 +26,8 @@ MIN_HEADING_SPEED = 0.3  # m/s; slower motion has no usable direction
 MAX_STATES = 200_000_000  # agents times steps; more is a broken file, or one that must be cut
 
 
-@dataclass(frozen=True, eq=False)
-class Tracks:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Display):
     """The states of agents over time, as arrays with a mask of presence.
 
     Attributes:
@@ -77,6 +85,49 @@ class Tracks:
         frame.insert(0, "id", np.array(self.ids, object)[agent])
         frame.insert(1, "type", np.array(self.types, object)[agent])
         return frame
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the agents by type, the times, the extent and the world."""
+        positions = self.states[self.present, :2]
+        extent = "none present"
+        if len(positions):
+            extent = "{:.0f} x {:.0f} m".format(*np.ptp(positions, axis=0))
+        return {
+            "agents": count_agents(self.types),
+            "time": describe_times(self.times),
+            "extent": extent,
+            "world": describe_world(self.world),
+        }
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_lines, move_to_axes
+
+        for kind in dict.fromkeys(self.types):
+            rows = [row for row, other in enumerate(self.types) if other == kind]
+            lines = [move_to_axes(axes, self.states[row, :, :2], self.world) for row in rows]
+            draw_lines(axes, lines, get_colour(kind), label=f"{len(rows)} {kind}")
+
+
+def count_agents(types: Sequence[str]) -> str:
+    """Count agents by type, the most frequent first.
+
+    >>> count_agents(("car", "bus", "car"))
+    '3: 2 car, 1 bus'
+    """
+    counts = Counter(types).most_common()
+    return f"{len(types)}: {', '.join(f'{count} {kind}' for kind, count in counts)}"
+
+
+def describe_times(times: Float[Array, "T"]) -> str:
+    """Describe times (s): the first, the last, how many, and how many in a second.
+
+    >>> describe_times(np.arange(0.0, 1.05, 0.1))
+    '0 to 1 s, 11 steps, 10 Hz'
+    """
+    if len(times) < 2:
+        return f"{len(times)} steps"
+    rate = 1 / float(np.median(np.diff(times)))
+    return f"{times[0]:g} to {times[-1]:g} s, {len(times)} steps, {rate:.3g} Hz"
 
 
 def estimate_heading(

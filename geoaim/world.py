@@ -248,6 +248,40 @@ def lonlat_from_world(world: World, points: Float[Array, "m 2"]) -> Float[Array,
     return crs_from_world(world, points, LONLAT)
 
 
+def change_world(
+    source: World, destination: World, points: Float[Array, "m 2"]
+) -> Float[Array, "m 2"]:
+    """Convert metres of one world to metres of another.
+
+    Args:
+        source: the world of the points.
+        destination: the world to convert to.
+        points: (M, 2) metres from the origin of `source`.
+
+    Returns:
+        (M, 2) metres from the origin of `destination`.
+
+    Raises:
+        GeoreferenceError: only one of the two has a CRS, or a point cannot be expressed there.
+    """
+    if source == destination:
+        return points
+    if (source.crs is None) != (destination.crs is None):
+        there, here = (
+            world.crs or "a local plane without a CRS" for world in (source, destination)
+        )
+        raise GeoreferenceError(
+            f"Points lie in {there}, and are needed in {here}; give both a CRS."
+        )
+    return world_from_crs(destination, crs_from_world(source, points), source.crs)
+
+
+def describe_world(world: World) -> str:
+    """Describe a world in a few words, such as "EPSG:32635, origin 583000, 6062000"."""
+    east, north = world.origin
+    return f"{world.crs or 'local plane'}, origin {east:.0f}, {north:.0f}"
+
+
 def _require_crs(world: World) -> str:
     if world.crs is None:
         raise GeoreferenceError(

@@ -29,7 +29,6 @@ FUNCTIONS = [
     "read_tracks",
     "rectify",
     "register",
-    "summarize_aim",
     "write_aim",
     "write_tracks",
 ]

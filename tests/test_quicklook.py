@@ -1,6 +1,6 @@
 import numpy as np
 
-from geoaim.aim_summary import summarize_aim
+from geoaim.aim_summary import summarize_report
 from geoaim.files import write_figure
 from geoaim.geometry import translation
 from geoaim.quicklook import draw_alignment, draw_quicklook
@@ -33,7 +33,7 @@ REPORT = {
 
 
 def test_summary_has_a_line_for_each_stage():
-    lines = summarize_aim(make_aim(report=REPORT))
+    lines = make_aim(report=REPORT).summarize()
     assert lines["registered frames"] == "9 of 10"
     assert lines["uncertainty (95 %)"] == "0.10 m in the middle, median 0.20 m"
     assert lines["worst corner"] == "top left of the frame, 0.40 m; with a point there 0.10 m"
@@ -42,9 +42,8 @@ def test_summary_has_a_line_for_each_stage():
 
 def test_summary_of_a_map_of_version_0_1_has_its_corner_uncertainty():
     report = {"model": "affine", "approximate": False, "points": []}
-    lines = summarize_aim(
-        make_aim(report={"georeference": report | {"corner_uncertainty_m": [0.1, 0.4]}})
-    )
+    bounds = {"corner_uncertainty_m": [0.1, 0.4]}
+    lines = summarize_report({"georeference": report | bounds})
     assert lines["corner uncertainty"] == "0.40 m (95 %)"
 
 

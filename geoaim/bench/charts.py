@@ -1,23 +1,18 @@
 """Charts of benchmarks: error against time with the Pareto front, error and cost against sizes."""
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-from matplotlib.transforms import Bbox
-from numpy import ndarray as Array
 
 from geoaim.bench.curves import find_best_size, find_pareto_front
 from geoaim.bench.report import Row
+from geoaim.labels import label_points
 
 # of Okabe and Ito, told apart by colour-blind readers; the marks differ as well
 OURS, OTHERS, KNEE = "#D55E00", "#0072B2", "#009E73"
-DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
-LABEL_PX = (7.0, 14.0, 28.0)  # tried between a mark and its label
 
 
 def draw_fronts(
@@ -54,7 +49,8 @@ def draw_fronts(
     figure.draw_without_rendering()  # so that the axes have their sizes
     for axes, rows in zip(figure.axes, panels.values(), strict=True):
         points = np.array([[row[cost], row[error]] for row in rows], float)
-        label_points(axes, points, [row["method"] for row in rows])
+        for text in label_points(axes, points, [row["method"] for row in rows]):
+            text.set_color(OURS if text.get_text().startswith("geoaim") else "0.2")
     return figure
 
 
@@ -110,39 +106,3 @@ def _scale_axes(axes: Axes) -> None:
         axis.set_major_locator(LogLocator(subs=subs))
         axis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axis.set_minor_formatter(NullFormatter())
-
-
-def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) -> None:
-    """Write each point's name beside it, where it covers no point and no other name.
-
-    Args:
-        axes: whose figure has its layout.
-        points: in the axes' data.
-        names: of the points.
-    """
-    shown, frame = np.isfinite(points).all(1), axes.bbox.frozen()
-    places = axes.transData.transform(points[shown])
-    taken = [Bbox.from_extents(*(place - 4), *(place + 4)) for place in places]
-    for place, point, name in zip(places, points[shown], np.array(names)[shown], strict=True):
-        text = axes.annotate(str(name), point, xytext=(0, 0), textcoords="offset points")
-        text.set(fontsize=8, color=OURS if name.startswith("geoaim") else "0.2")
-        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})
-        size = np.array(text.get_window_extent().size)
-        boxes = [
-            Bbox.from_bounds(*(place + gap * np.array(way) + (np.array(way) - 1) / 2 * size), *size)
-            for gap, way in product(LABEL_PX, DIRECTIONS)
-        ]
-        others = places[(places != place).any(1)]
-        best = min(boxes, key=lambda box: _count_conflicts(box, taken, frame, (place, others)))
-        text.xyann = tuple((best.min - place) * 72 / text.figure.dpi)
-        taken.append(best)
-
-
-def _count_conflicts(
-    box: Bbox, taken: list[Bbox], frame: Bbox, places: tuple[Float[Array, "2"], Float[Array, "m 2"]]
-) -> int:
-    """Count boxes that a name overlaps, sides of the frame that it crosses, and points that are
-    as near to it as its own."""
-    crossed = sum([box.x0 < frame.x0, box.x1 > frame.x1, box.y0 < frame.y0, box.y1 > frame.y1])
-    own, others = (np.linalg.norm(p - p.clip(box.min, box.max), axis=-1) for p in places)
-    return int(2 * box.count_overlaps(taken) + 4 * crossed + (others < own + 3).sum())

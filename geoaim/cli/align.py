@@ -50,7 +50,6 @@ def align(
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
     from geoaim.aim_files import read_aim, write_aim
-    from geoaim.aim_summary import summarize_aim
     from geoaim.files import atomic_files, write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.quicklook import draw_alignment
@@ -76,4 +75,4 @@ def align(
         with atomic_files(output, look) as (map_part, look_part):
             write_aim(aligned, map_part)
             write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look_part)
-    print_result([output, look], summarize_aim(aligned), as_json, report=aligned.report)
+    print_result([output, look], aligned.summarize(), as_json, report=aligned.report)

@@ -48,7 +48,6 @@ def build(
     Example: geoaim build samples/hover.mp4 --gcps samples/gcps.csv -o map.tif
     """
     from geoaim.aim_files import write_aim
-    from geoaim.aim_summary import summarize_aim
     from geoaim.files import atomic_files, write_figure
     from geoaim.mapping.georeference.from_telemetry import make_local_georeference
     from geoaim.mapping.georeference.reference_frame import override_telemetry
@@ -86,7 +85,7 @@ def build(
             write_aim(aim, map_part)
             write_figure(draw_quicklook(aim), look_part)
         progress("write", 1, 1)
-    print_result([output, look], summarize_aim(aim), as_json, report=aim.report)
+    print_result([output, look], aim.summarize(), as_json, report=aim.report)
 
 
 def _parse_frames(text: str) -> int | Literal["auto", "all"]:

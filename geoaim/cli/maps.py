@@ -41,10 +41,9 @@ def info(aim: options.AimFile) -> None:
     Example: geoaim info map.tif
     """
     from geoaim.aim_files import read_aim
-    from geoaim.aim_summary import summarize_aim
 
     with report_errors():
-        lines = summarize_aim(read_aim(aim))
+        lines = read_aim(aim).summarize()
     print_table(str(aim), lines)
 
 

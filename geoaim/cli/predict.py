@@ -47,6 +47,7 @@ def predict(
     """
     import torch
 
+    from geoaim.files import write_figure
     from geoaim.prediction.cutting import select_kind
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
@@ -73,11 +74,11 @@ def predict(
         )
         progress("predict", 1, 1)
         if output.suffix.lower() == ".csv":
-            write_futures(scene, futures, start, output, world=world, dt=model.config.dt)
+            write_futures(futures, output, world=world)
         elif output.suffix.lower() == ".png":
-            write_pictures([draw_futures(scene, futures, start)], output, frame_rate=1.0)
+            write_figure(draw_futures(futures), output)
         else:
-            write_pictures(film_futures(scene, futures, start), output, frame_rate=1 / scene.dt)
+            write_pictures(film_futures(futures), output, frame_rate=1 / scene.dt)
     predicted = int((select_kind(scene, model.config.kind) & scene.present[:, start]).sum())
     console.print(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "

@@ -11,7 +11,6 @@ from geoaim.experiments.places import make_place_scene, read_map, read_recording
 from geoaim.experiments.protocol import SAMPLES
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.pictures import draw_futures, fit_camera
 from geoaim.prediction.predict import predict
 from geoaim.simulation.scene import find_step
 
@@ -29,9 +28,12 @@ def draw_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float) -
     Returns:
         The figure.
     """
-    recording, camera = read_recordings(place)[0], None
-    panels = []
-    for name, model in models.items():
+    recording, limits = read_recordings(place)[0], dict[str, tuple[float, float]]()
+    figure = Figure(
+        figsize=(HEIGHT_INCHES * 1.4 * len(models), HEIGHT_INCHES), layout="constrained"
+    )
+    panels = figure.subplots(1, len(models), squeeze=False).flat
+    for axes, (name, model) in zip(panels, models.items(), strict=True):
         spec, kind = MODELS[name], model.config.kind
         aim = read_map(place, spec.map_name)
         scene = make_place_scene(recording, aim, dt=model.config.dt, lights=spec.lights)
@@ -44,14 +46,7 @@ def draw_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float) -
             start=start,
             generator=torch.Generator().manual_seed(0),
         )
-        camera = camera or fit_camera(scene, futures, start)
-        title = f"{kind}s, {spec.map_name.upper()}, {place.name}"
-        panels.append((title, draw_futures(scene, futures, start, camera)))
-    aspect = sum(picture.shape[1] / picture.shape[0] for _, picture in panels)
-    figure = Figure(figsize=(HEIGHT_INCHES * aspect, HEIGHT_INCHES), layout="constrained")
-    axes_row = figure.subplots(1, len(panels), squeeze=False)
-    for axes, (title, picture) in zip(axes_row.flat, panels, strict=True):
-        axes.imshow(picture)
-        axes.axis("off")
-        axes.set_title(title)
+        futures.plot(axes).set_title(f"{kind}s, {spec.map_name.upper()}, {place.name}")
+        limits = limits or {"xlim": axes.get_xlim(), "ylim": axes.get_ylim()}
+        axes.set(**limits)
     return figure

@@ -6,9 +6,11 @@ without a CRS.
 """
 
 import os
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 import numpy as np
@@ -18,12 +20,24 @@ from shapely import LineString, union_all
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import polygonize
 
+from geoaim.displays import Display
 from geoaim.errors import MapError
-from geoaim.lights import StopLine
+from geoaim.lights import STOP_LINE_COLOUR, StopLine
 from geoaim.limits import name_file, refuse_damaged
-from geoaim.world import LONLAT, World, choose_world, transform_crs, world_from_lonlat
+from geoaim.world import (
+    LONLAT,
+    World,
+    choose_world,
+    describe_world,
+    transform_crs,
+    world_from_lonlat,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MAX_LOCAL_DEGREES = 0.1  # about (0, 0), within which degrees stand for local metres
+WALKING = ("crosswalk", "walkway", "stairs")  # lanelets of pedestrians
 LOCAL_CRS = "EPSG:32631"  # to which lanelet2's projector maps such degrees
 XML_DECLARATIONS = (b"<!DOCTYPE", b"<!ENTITY")  # maps need none; entity expansion attacks do
 
@@ -57,8 +71,8 @@ class Area:
     shape: BaseGeometry  # polygons without their holes, metres in the world
 
 
-@dataclass(frozen=True, eq=False)
-class HDMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class HDMap(Display):
     """An HD map.
 
     Attributes:
@@ -74,6 +88,36 @@ class HDMap:
     areas: tuple[Area, ...]
     stop_lines: tuple[StopLine, ...]
     world: World
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the lanelets by subtype, the lights, the extent and the world."""
+        kinds = Counter(lanelet.subtype for lanelet in self.lanelets).most_common()
+        points = np.concatenate([lanelet.left for lanelet in self.lanelets])
+        return {
+            "lanelets": ", ".join(f"{count} {kind}" for kind, count in kinds),
+            "stop lines of lights": str(len(self.stop_lines)),
+            "extent": "{:.0f} x {:.0f} m".format(*np.ptp(points, axis=0)),
+            "world": describe_world(self.world),
+        }
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_lines, move_to_axes
+
+        groups = {
+            "lanes": [x for x in self.lanelets if x.subtype not in WALKING],
+            "crossings and footpaths": [x for x in self.lanelets if x.subtype in WALKING],
+        }
+        lines = {
+            name: [side for lanelet in found for side in (lanelet.left, lanelet.right)]
+            for name, found in groups.items()
+        }
+        lines["stop lines of lights"] = [line.ends for line in self.stop_lines]
+        colours = ("0.35", "#e69f00", STOP_LINE_COLOUR)
+        for (name, found), colour in zip(lines.items(), colours, strict=True):
+            moved = [move_to_axes(axes, points, self.world) for points in found]
+            width = 2.5 if colour == STOP_LINE_COLOUR else 0.8
+            if moved:
+                draw_lines(axes, moved, colour, width=width, label=name)
 
 
 def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMap:

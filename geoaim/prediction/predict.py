@@ -1,13 +1,12 @@
 """Predicting the future of a scene."""
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from geoaim.defaults import SAMPLES
 from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
+from geoaim.prediction.futures import Futures
 from geoaim.prediction.itra import DT_TOLERANCE_S, ITRA
 from geoaim.simulation.scene import Scene
 
@@ -20,7 +19,7 @@ def predict(
     horizon: int = 40,
     start: int | None = None,
     generator: torch.Generator,
-) -> Float[Tensor, "K N T 4"]:
+) -> Futures:
     """Sample joint futures of all agents of the model's kind.
 
     Args:
@@ -32,9 +31,9 @@ def predict(
         generator: source of the noise, on the scene's device.
 
     Returns:
-        x, y, heading and speed of all agents at the T steps after `start`; NaN where absent. Agents
-        of other kinds replay, and go straight on beyond the scene's end; lights then stay as they
-        are.
+        The futures: `states` (K, N, T, 4) holds x, y, heading and speed of all agents at the T
+        steps after `start`; NaN where absent. Agents of other kinds replay, and go straight on
+        beyond the scene's end; lights then stay as they are.
 
     Raises:
         TracksError: no agent of the kind is present at that step.
@@ -59,7 +58,8 @@ def predict(
         segment, scene.ground, history=history, samples=samples, generator=generator
     )[0, :, history:]  # (K, T, N, 4)
     present = segment.present[0, history:, :, None]
-    return torch.where(present, futures, torch.nan).transpose(1, 2)
+    states = torch.where(present, futures, torch.nan).transpose(1, 2)
+    return Futures(states, scene, start, config.dt)
 
 
 def _check_size(samples: int, agents: int, steps: int) -> None:

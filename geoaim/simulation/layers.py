@@ -1,13 +1,12 @@
 """A scene's agents, trails and lights at some steps, as boxes that the renderer paints."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.agent_types import AGENT_GROUPS, OTHER, find_group
+from geoaim.agent_types import AGENT_GROUPS, OTHER, find_group, get_colour
 from geoaim.lights import STATES
 from geoaim.simulation.birdview import OrientedBoxes
 from geoaim.simulation.lines import make_path_boxes, make_stop_line_boxes, make_stop_line_layers
@@ -15,15 +14,6 @@ from geoaim.simulation.scene import Scene
 
 EGO_COLOUR = (1.0, 0.35, 0.0)
 HEADING_COLOUR = (1.0, 1.0, 1.0)
-OTHER_COLOUR = (0.55, 0.2, 0.75)
-TYPE_COLOURS: Mapping[str, tuple[float, float, float]] = {
-    "car": (0.1, 0.35, 0.9),
-    "van": (0.1, 0.35, 0.9),
-    "truck": (0.05, 0.2, 0.6),
-    "bus": (0.05, 0.2, 0.6),
-    "pedestrian": (1.0, 0.85, 0.0),
-    "cyclist": (0.0, 0.85, 0.85),
-}
 TRAIL_WIDTH_M = 0.4
 
 
@@ -103,7 +93,7 @@ def make_layers(
 
 def get_agent_colours(scene: Scene) -> Float[Tensor, "N 3"]:
     """Get the colour (RGB, 0 to 1) of each agent's type."""
-    return scene.sizes.new_tensor([TYPE_COLOURS.get(kind, OTHER_COLOUR) for kind in scene.types])
+    return scene.sizes.new_tensor([get_colour(kind) for kind in scene.types])
 
 
 def _get_poses(

@@ -1,6 +1,8 @@
 """A scene: a map, its agents and its lights as tensors, made of an AIM, tracks and lights."""
 
+from collections import Counter
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -8,22 +10,28 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
+from geoaim.agent_types import get_colour
 from geoaim.aim import AIM
+from geoaim.displays import Display
 from geoaim.errors import MapError, TracksError
-from geoaim.lights import UNKNOWN, Lights, find_light_states
+from geoaim.grid import Grid
+from geoaim.lights import STOP_LINE_COLOUR, UNKNOWN, Lights, find_light_states
 from geoaim.rectification import rectify
 from geoaim.simulation.ground import Ground, make_ground
 from geoaim.track_changes import to_world
-from geoaim.tracks import Tracks
-from geoaim.world import World, crs_from_world, world_from_crs
+from geoaim.tracks import Tracks, count_agents, describe_times
+from geoaim.world import World, change_world
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MAX_ORIGIN_DISTANCE_M = 10_000.0  # from the world's origin; float32 still resolves millimetres
 MAX_TIME_OFFSET_S = 1.0  # between a wanted time and the nearest one at which an agent is present
 MAX_LISTED_AGENTS = 8
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene(Display):
     """A map, and the agents and lights on it (N agents, T steps, L lights).
 
     Attributes:
@@ -59,6 +67,37 @@ class Scene:
     def dt(self) -> float:
         """Median time between two steps, seconds; 1 in a scene of one step."""
         return float(self.times.diff().median()) if len(self.times) > 1 else 1.0
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the agents by type, the times, the lights and the size of the map."""
+        low, high = self.ground.bounds
+        return {
+            "agents": count_agents(self.types),
+            "time": describe_times(self.times.double().cpu().numpy()),
+            "stop lines of lights": str(len(self.stop_lines)),
+            "map": "{:.0f} x {:.0f} m".format(*(high - low).tolist()),
+        }
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_lines
+
+        self.draw_ground(axes)
+        points = self.poses[..., :2].cpu().numpy()
+        for kind, count in Counter(self.types).most_common():
+            rows = [row for row, other in enumerate(self.types) if other == kind]
+            draw_lines(axes, points[rows], get_colour(kind), label=f"{count} {kind}")
+        if len(self.stop_lines):
+            lines = self.stop_lines.cpu().numpy()
+            draw_lines(axes, lines, STOP_LINE_COLOUR, width=2.5, label="stop lines of lights")
+
+    def draw_ground(self, axes: "Axes", bounds: Float[Array, "2 2"] | None = None) -> None:
+        """Draw the map alone, or its part in bounds, in axes in metres of the map's world."""
+        from geoaim.map_axes import draw_image
+
+        image = (self.ground.image[:3] * 255).round().byte().permute(1, 2, 0).cpu().numpy()
+        image_from_world = np.vstack([self.ground.image_from_world.double().cpu(), [0.0, 0.0, 1.0]])
+        grid = Grid(image.shape[:2], np.linalg.inv(image_from_world))
+        draw_image(axes, image, grid, self.ground.coverage[0].cpu().numpy() > 0, bounds)
 
 
 def slice_scene(scene: Scene, steps: slice) -> Scene:
@@ -241,8 +280,7 @@ def _transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]
             f"the map lies in {world.crs or 'a local plane'} and the lights in "
             f"{lights.world.crs or 'a local plane'}; georeference both"
         )
-    points = crs_from_world(lights.world, lights.lines.reshape(-1, 2))
-    return world_from_crs(world, points, lights.world.crs).reshape(-1, 2, 2)
+    return change_world(lights.world, world, lights.lines.reshape(-1, 2)).reshape(-1, 2, 2)
 
 
 def _sample_light_states(lights: Lights, tracks: Tracks) -> Int[Array, "T L"]:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.bench.charts import draw_fronts, draw_sizes, label_points
+from geoaim.bench.charts import draw_fronts, draw_sizes
 from geoaim.bench.curves import (
     find_knee,
     find_pareto_front,
@@ -10,6 +10,7 @@ from geoaim.bench.curves import (
     summarise_sizes,
 )
 from geoaim.bench.report import Results, write_results
+from geoaim.labels import label_points
 
 
 def array(*values):

@@ -54,6 +54,7 @@ def test_pretrained_models_are_small_and_control_their_kind(hdmap, kind):
     model = read_pretrained(kind)
     scene = sample_scene(hdmap, 1 / model.config.dt)
     futures = predict(model, scene, samples=3, horizon=10, start=12, generator=noise())
+    futures = futures.states
     assert futures.shape == (3, len(scene.ids), 10, 4)
     there = scene.present[:, 12]
     mine = torch.tensor([(kind == "pedestrian") == (k == "pedestrian") for k in scene.types])
@@ -96,7 +97,7 @@ def test_pretrained_models_beat_constant_velocity_on_the_sample(hdmap, kind):
 def test_predictions_extend_beyond_the_recording(scene):
     torch.manual_seed(0)
     model = ITRA(TINY).eval()
-    futures = predict(model, scene, samples=2, horizon=15, generator=noise())
+    futures = predict(model, scene, samples=2, horizon=15, generator=noise()).states
     there = scene.present[:, -1]
     assert torch.isfinite(futures[:, there]).all()
     pedestrians = there & torch.tensor([k == "pedestrian" for k in scene.types])
@@ -108,7 +109,8 @@ def test_predictions_extend_beyond_the_recording(scene):
 
 def test_one_step_is_enough_to_predict_from(scene):
     model = read_pretrained("vehicle")
-    one = predict(model, slice_scene(scene, slice(12, 13)), samples=1, horizon=4, generator=noise())
+    now = slice_scene(scene, slice(12, 13))
+    one = predict(model, now, samples=1, horizon=4, generator=noise()).states
     here = scene.present[:, 12]
     way = (one[0, :, 0, :2] - scene.poses[:, 12, :2]).norm(dim=1)[here]
     assert way.max() < 2.5  # of a tenth of a second, not of a second
@@ -128,18 +130,24 @@ def test_scenes_that_cannot_be_predicted_are_rejected(scene):
 
 def test_pictures_show_the_futures(scene, hdmap, tmp_path):
     futures = predict(ITRA(TINY).eval(), scene, samples=2, horizon=6, start=20, generator=noise())
-    picture = draw_futures(scene, futures, 20)
-    assert max(picture.shape) == pytest.approx(1280, abs=4)
-    orange = (picture[..., 0] > 200) & (picture[..., 2] < 80) & (picture[..., 1] < 160)
+    [axes] = draw_futures(futures).axes
+    assert "2 futures of 0.6 s" in axes.get_title()
+    assert {"recorded", "2 futures of each", "car"} <= {t.get_text() for t in axes.legend_.texts}
+    ids = {scene.ids[row] for row in futures.predicted.nonzero()[:, 0].tolist()}
+    assert ids
+    assert ids <= {text.get_text() for text in axes.texts}
+    film = list(film_futures(futures))
+    assert len(film) == 6
+    orange = (film[-1][..., 0] > 200) & (film[-1][..., 2] < 80) & (film[-1][..., 1] < 160)
     assert orange.sum() > 20
-    assert len(list(film_futures(scene, futures, 20))) == 6
-    write_futures(scene, futures, 20, tmp_path / "f.csv", world=hdmap.world, dt=0.1)
+    assert all(side % 2 == 0 for side in film[0].shape[:2])
+    write_futures(futures, tmp_path / "f.csv", world=hdmap.world)
     lines = (tmp_path / "f.csv").read_text().splitlines()
     assert lines[0].startswith("# crs: EPSG:")
     rows = list(csv.DictReader(lines[2:]))
     assert {row["sample"] for row in rows} == {"0", "1"}
     assert float(rows[0]["time"]) == pytest.approx(float(scene.times[20]) + 0.1, abs=1e-6)
-    assert len(rows) == int(torch.isfinite(futures[..., 0]).sum())
+    assert len(rows) == int(torch.isfinite(futures.states[..., 0]).sum())
 
 
 def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):

@@ -2,18 +2,24 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
+import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.geometry import transform_points
+from geoaim.displays import Display
+from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.normalised_plane import Points, undistort_points
 from geoaim.mapping.georeference.transform_models import Posterior
-from geoaim.world import World
+from geoaim.world import World, describe_world
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
-@dataclass(frozen=True)
-class Georeference:
+@dataclass(frozen=True, repr=False)
+class Georeference(Display):
     """Where an image lies in the world."""
 
     # pixels to world metres; where `radial` is not 0, pixels without lens distortion
@@ -37,6 +43,27 @@ class Georeference:
     world_from_plane: Float[Array, "3 3"] = field(repr=False)
     # True when it comes from telemetry or an assumed resolution, not from points
     approximate: bool = False
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the model, its errors at the control points and the size of the image."""
+        errors = self.leave_one_out[self.used]
+        lines = {"model": ("approximate, " if self.approximate else "") + self.model}
+        if errors.size:
+            rms = np.sqrt(np.mean(np.square(errors)))
+            lines["leave-one-out error"] = f"{rms:.4f} m (RMS of {errors.size} points)"
+        lines["control points"] = f"{self.used.sum()} of {len(self.used)} used"
+        lines["image"] = f"{self.width} x {self.height} px"
+        return lines | {"world": describe_world(self.world)}
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_lines, label_place, move_to_axes
+
+        corners = image_corners(self.height, self.width)
+        outline = move_to_axes(axes, world_from_pixels(self, corners[[0, 1, 2, 3, 0]]), self.world)
+        draw_lines(axes, [outline], "#d00000", width=1.5, label="outline of the image")
+        names = ("top left", "top right", "bottom right", "bottom left")
+        for name, corner in zip(names, outline[:4], strict=True):
+            label_place(axes, name, corner)
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:

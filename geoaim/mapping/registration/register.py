@@ -11,15 +11,18 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
+from geoaim.displays import Display
 from geoaim.errors import RegistrationError
 from geoaim.files import atomic_write
 from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.registration.drift import draw_drift
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
     MIN_OVERLAP,
@@ -38,6 +41,9 @@ from geoaim.mapping.video.detections import Detections, DetectionSource, read_de
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, no_progress
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COMPARE_EVERY = 10  # frames, after which a placement is compared with others again
 COMPARE_SHIFT = 1 / 240  # of the image's width, after which it is compared sooner
@@ -64,10 +70,11 @@ class Reference:
     width: int  # of the frames, pixels
 
 
-@dataclass(frozen=True, eq=False)
-class Registration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration(Display):
     """The transform of each frame to the reference."""
 
+    is_map: ClassVar[bool] = False  # it is drawn in pixels of the reference
     reference_from_frame: Float[Array, "T 3 3"]  # in pixels; NaN where `valid` is False
     index: Int[Array, " T"]  # number of each frame in the video
     time: Float[Array, " T"]  # seconds
@@ -90,6 +97,26 @@ class Registration:
             self.reference_from_frame.reshape(-1, 9)
         )
         return table
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the motion model, the reference, the valid frames and their uncertainty."""
+        reference, valid = self.reference, self.valid
+        lines = {
+            "motion model": reference.model,
+            "reference": f"frame {reference.index}, {reference.time:.2f} s",
+            "registered frames": f"{valid.sum()} of {len(valid)}",
+        }
+        if valid.any():
+            lines["uncertainty"] = f"{np.median(self.uncertainty[valid]):.3f} px (1 sigma, median)"
+        return lines | {
+            f"rejected: {reason}": str(count)
+            for reason, count in count_reasons(self.reason).items()
+        }
+
+    def _draw(self, axes: "Axes") -> None:
+        middle = np.array([[self.reference.width / 2, self.reference.height / 2]])
+        moved = transform_points(self.reference_from_frame[self.valid], middle)[:, 0] - middle
+        draw_drift(axes, self.time[self.valid], moved, "reference")
 
 
 def register(

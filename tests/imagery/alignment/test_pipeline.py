@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 import geoaim
-from geoaim.aim_summary import summarize_aim
 from geoaim.errors import (
     AlignmentError,
     GeoaimWarning,
@@ -46,8 +45,8 @@ def test_aim_corrects_the_position_of_the_sample_orthophoto(aim):
     np.testing.assert_allclose(said["shift_m"], -OFFSET, atol=0.1)
     assert said["model"] == "translation"
     assert found.world == aim.world
-    assert "alignment by aim" in summarize_aim(found)
-    assert "position" not in summarize_aim(found)
+    assert "alignment by aim" in found.summarize()
+    assert "position" not in found.summarize()
 
 
 def test_tracks_check_an_alignment_by_an_aim(aim):
@@ -97,13 +96,13 @@ def test_control_points_place_a_picture_and_an_aim_checks_them(picture, aim, tmp
     found = align_tiles(str(path), gcps=gcps, aim=aim)
     np.testing.assert_allclose(found.corners, aligned.corners, atol=0.1)
     assert found.report["alignment"]["aim"]["agrees"]
-    assert summarize_aim(found)["check by aim"].startswith("agrees: corners 0.0")
+    assert found.summarize()["check by aim"].startswith("agrees: corners 0.0")
     assert found.report["georeference"]["points"]
     wrong = _picked(tmp_path, aligned.world_from_image, aligned.world, wrong=6.0)
     with pytest.warns(GeoaimWarning, match="its middle -6.0. m east"):
         found = align_tiles(str(path), gcps=wrong, aim=aim)
     assert not found.report["alignment"]["aim"]["agrees"]
-    assert summarize_aim(found)["check by aim"].startswith("DISAGREES: corners 6.")
+    assert found.summarize()["check by aim"].startswith("DISAGREES: corners 6.")
     np.testing.assert_allclose(found.corners, aligned.corners + np.array([6.0, 0.0]), atol=0.1)
 
 
@@ -139,14 +138,14 @@ def test_failed_check_is_reported(picture, aim, tmp_path):
     with pytest.warns(GeoaimWarning, match="could not check the place"):
         found = align_tiles(str(path), gcps=gcps, aim=replace(aim, image=noise))
     assert not found.report["alignment"]["aim"]["checked"]
-    assert summarize_aim(found)["check by aim"].startswith("not possible: ")
+    assert found.summarize()["check by aim"].startswith("not possible: ")
 
 
 def test_without_evidence_imagery_keeps_its_georeference():
     found = align_tiles("samples/ortho.tif", resolution=0.5)
     assert "alignment" not in found.report
     assert found.world.crs == TRUTH["crs"]
-    assert summarize_aim(found)["position"].startswith("not aligned")
+    assert found.summarize()["position"].startswith("not aligned")
 
 
 def test_imagery_is_not_misplaced_by_a_drawn_hd_map(aim):

@@ -1,0 +1,129 @@
+"""Sampled futures of a scene, and how they are drawn on its map."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from torch import Tensor
+
+from geoaim.agent_types import get_colour
+from geoaim.displays import Display
+from geoaim.simulation.lines import LIGHT_COLOURS
+from geoaim.simulation.scene import Scene
+from geoaim.tracks import count_agents
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FUTURE_COLOUR, TRUTH_COLOUR = (1.0, 0.45, 0.0), (0.95, 0.95, 0.95)
+MARGIN_M = 15.0  # of a picture around all paths
+LIGHT_NAMES = ("green light", "amber light", "red light")  # by state
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Futures(Display):
+    """K sampled joint futures of the N agents of a scene over T steps."""
+
+    # (K, N, T, 4) x, y (metres in the map's world), heading, speed; NaN where absent
+    states: Float[Tensor, "K N T 4"]
+    scene: Scene  # map, agents and lights
+    start: int  # index of the scene's last observed step
+    dt: float  # between steps, s
+
+    @property
+    def time(self) -> float:
+        """Time of the last observed step, s."""
+        return float(self.scene.times[self.start])
+
+    @property
+    def predicted(self) -> Bool[Tensor, "N"]:
+        """Agents whose samples differ; the others replay. With one sample: all that are present."""
+        positions = self.states[..., :2]
+        known = torch.isfinite(positions).flatten(2).any(dim=2).any(dim=0)
+        same = ((positions - positions[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
+        return known if len(positions) == 1 else known & ~same
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the samples, their time and the predicted agents."""
+        samples, _, steps, _ = self.states.shape
+        types = self.scene.types
+        chosen = [types[row] for row in self.predicted.nonzero()[:, 0].tolist()]
+        return {
+            "samples": str(samples),
+            "time": f"{steps * self.dt:g} s after {self.time:g} s, {steps} steps",
+            "predicted": count_agents(chosen) if chosen else "no agent",
+        }
+
+    def fit_limits(self) -> Float[Tensor, "2 2"]:
+        """Lowest and highest x and y of a picture with all futures, as far as the map reaches."""
+        scene = self.scene
+        positions = torch.cat([self.states[..., :2].flatten(0, 2), scene.poses[:, self.start, :2]])
+        positions = positions[torch.isfinite(positions).all(dim=1)]
+        first, last = scene.ground.bounds.to(positions)
+        low = (positions.amin(dim=0) - MARGIN_M).clamp(first, last - MARGIN_M)
+        high = (positions.amax(dim=0) + MARGIN_M).clamp(low + MARGIN_M, last)
+        return torch.stack([low, high])
+
+    def _draw(self, axes: "Axes") -> None:
+        self.scene.draw_ground(axes, self.fit_limits().double().numpy())
+        self.draw_step(axes, None)
+        seconds = self.states.shape[2] * self.dt
+        axes.set_title(f"{len(self.states)} futures of {seconds:g} s after {self.time:g} s")
+
+    def draw_step(self, axes: "Axes", step: int | None) -> None:
+        """Draw agents and lights without the map; paths are those of predicted agents.
+
+        Args:
+            axes: in metres of the map's world.
+            step: of the futures, up to which paths reach; None: agents at the start with their
+                ids, whole paths, and in white what was recorded.
+        """
+        from geoaim.map_axes import draw_lines, label_place
+
+        rows, end = self.predicted.cpu(), self.states.shape[2] if step is None else step + 1
+        now, states = self.scene.poses[:, self.start].cpu(), self.states.cpu()
+        if step is None:
+            recorded = self.scene.poses[:, self.start : self.start + 1 + end].cpu()
+            lines = recorded[rows][..., :2].numpy()
+            draw_lines(axes, lines, TRUTH_COLOUR, width=3.0, label="recorded")
+        first = now[None, rows, None, :2].expand(len(states), -1, -1, -1)
+        paths = torch.cat([first, states[:, rows, :end, :2]], dim=2).flatten(0, 1)
+        draw_lines(axes, paths.numpy(), FUTURE_COLOUR, label=f"{len(states)} futures of each")
+        self._draw_lights(axes)
+        for poses in [now] if step is None else states[:, :, step, :3]:
+            self._draw_boxes(axes, poses.double().numpy())
+        if step is None:
+            for row in rows.nonzero()[:, 0].tolist():
+                label_place(axes, self.scene.ids[row], now[row, :2].numpy())
+        (left, bottom), (right, top) = self.fit_limits().tolist()
+        axes.set(xlim=(left, right), ylim=(bottom, top))
+
+    def _draw_lights(self, axes: "Axes") -> None:
+        from geoaim.map_axes import draw_lines
+
+        states = self.scene.light_states[self.start].cpu().numpy()
+        for state, name in enumerate(LIGHT_NAMES):
+            lines = self.scene.stop_lines.cpu().numpy()[states == state]
+            if len(lines):
+                draw_lines(axes, lines, LIGHT_COLOURS[state], width=3.5, label=name)
+
+    def _draw_boxes(self, axes: "Axes", poses: Float[Array, "N 3"]) -> None:
+        """Draw the agents at x, y and heading, with one entry in the legend for each type."""
+        from matplotlib.collections import PolyCollection
+
+        unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        sizes, named = self.scene.sizes.cpu().numpy(), axes.get_legend_handles_labels()[1]
+        for kind in dict.fromkeys(self.scene.types):
+            rows = [row for row, other in enumerate(self.scene.types) if other == kind]
+            rows = [row for row in rows if np.isfinite(poses[row]).all()]
+            cosine, sine = np.cos(poses[rows, 2]), np.sin(poses[rows, 2])
+            axis = np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
+            boxes = poses[rows, None, :2] + (unit * sizes[rows, None]) @ axis
+            drawn = PolyCollection(list(boxes), facecolor=get_colour(kind), zorder=3)
+            drawn.set(edgecolor="white", linewidth=0.4)
+            if rows and kind not in named:
+                drawn.set_label(kind)
+            axes.add_collection(drawn)
