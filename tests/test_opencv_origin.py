@@ -28,11 +28,12 @@ from geoaim.mapping.registration.patches import align_patches, make_template, sh
 from geoaim.mapping.video.frames import Frame
 from geoaim.rectification import rectify
 from geoaim.synthetic import exact
+from geoaim.web.picking.snap import snap_to_corner
 from geoaim.world import World
 from tests.conftest import textured
 
 PACKAGE = Path(geoaim.__file__).parent
-CALLS = r"cv2\.(warp\w+|remap|findHomography|estimateAffine\w*|calcOpticalFlow\w*|ORB)\b"
+CALLS = r"cv2\.(warp\w+|remap|findHomography|estimateAffine\w*|calcOptical\w*|ORB|cornerSubPix)\b"
 PROBED = {  # files that warp or match, and the tests here that would see a bias
     "imagery/alignment/by_tracks.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
     "imagery/alignment/template_matching.py": ["test_grey_of_a_grid_lies_where_the_grid_says"],
@@ -42,6 +43,7 @@ PROBED = {  # files that warp or match, and the tests here that would see a bias
     "mapping/registration/features.py": ["test_features_of_a_turned_image_match_without_bias"],
     "mapping/registration/patches.py": ["test_patches_find_a_known_transform_without_bias"],
     "rectification.py": ["test_rectified_pixels_lie_where_the_grid_says"],
+    "web/picking/snap.py": ["test_a_click_moves_to_the_corner_of_drawn_squares"],
 }
 EXEMPT = {  # measurements, whose results their own checks would show
     "bench/alignment.py": "peers, as their users call them",
@@ -222,6 +224,13 @@ RESIZED_BY = ("INTER_AREA", "INTER_LINEAR", "INTER_LINEAR_EXACT", "INTER_CUBIC",
 def test_opencv_resizes_by_a_pure_scale(name, size):
     image = cv2.resize(ramp(), size, interpolation=getattr(cv2, name))
     assert bias(image, coordinates(*size[::-1]) * [120 / size[0], 100 / size[1]]) < MAX_BIAS_PX
+
+
+def test_a_click_moves_to_the_corner_of_drawn_squares():
+    image = np.full((100, 120), 100, np.uint8)
+    image[40:, 70:] = image[:40, :70] = 180
+    corner = snap_to_corner(image, (73.0, 38.0))
+    assert np.abs(np.subtract(corner, (70, 40))).max() < MAX_BIAS_PX
 
 
 def test_images_are_resized_only_in_these_ways():

@@ -87,6 +87,43 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
         AlignmentError: both overlap too little, have too little in common, or fit in two ways.
         ValueError: they lie in different worlds.
     """
+    best, finest, false_alarms = _find_place(imagery, aim, prior)
+    return _fit_alignment(best, finest, false_alarms)
+
+
+class MatchedWindows(NamedTuple):
+    """Windows of an AIM that were found in imagery and agree with one place of it."""
+
+    true: Float[Array, "M 2"]  # centres of the windows on the AIM, world metres
+    stated: Float[Array, "M 2"]  # where the imagery places the same ground, world metres
+    residuals: Float[Array, "M 2"]  # to the motion model that fits them, metres
+
+
+def match_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> MatchedWindows:
+    """Find windows of an AIM in imagery of the same place, as `align_image` does.
+
+    Args:
+        imagery: georeferenced roughly.
+        aim: in the same world.
+        prior: how far off the imagery may be.
+
+    Returns:
+        The windows that agree.
+
+    Raises:
+        AlignmentError: see `align_image`.
+        ValueError: they lie in different worlds.
+    """
+    best, finest, _ = _find_place(imagery, aim, prior)
+    grid, (source, target, _) = finest.grid, best.matches
+    motion = _fit_motion(best, finest)
+    near = np.linalg.norm(motion.residuals, axis=1) < AGREEMENT_PX
+    true, stated = (transform_points(grid.world_from_grid, x[near]) for x in (source, target))
+    return MatchedWindows(true, stated, motion.residuals[near] * grid.resolution)
+
+
+def _find_place(imagery: AIM, aim: AIM, prior: Prior) -> tuple[_Candidate, Level, float]:
+    """The best candidate, the level of its windows, and log10 of its false alarms."""
     if imagery.world != aim.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
     coarsest, *between, finest = build_pyramid(imagery, aim, prior)
@@ -100,7 +137,7 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
         candidates += [_count_agreements(finest, x) for x in _refine_candidates(finest, others)]
     candidates.sort(key=lambda candidate: -candidate.agreeing)
     false_alarms = _verify_candidates(candidates, finest, prior)
-    return _fit_alignment(candidates[0], finest, false_alarms)
+    return candidates[0], finest, false_alarms
 
 
 def _search_grid(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
@@ -298,23 +335,27 @@ def _refuse_beyond_prior(
         )
 
 
-def _fit_alignment(best: _Candidate, level: Level, false_alarms: float) -> ImageryAlignment:
-    """The simplest motion model that the windows support, and its covariance."""
-    grid = level.grid
+def _fit_motion(best: _Candidate, level: Level) -> Motion:
+    """The simplest motion model that the windows support."""
     in_a_row = np.ptp(best.matches.source, axis=0).min() < WINDOW_PX
     model = choose_model(
         [best.matches],
-        size=grid.shape,
+        size=level.grid.shape,
         models=MODELS[:3] if in_a_row else MODELS,
         redundancy=level.overlap,
         min_gain=MIN_MODEL_GAIN_PX,
     ).model
-    motion = fit_matches(best.matches, model, size=grid.shape)
+    return fit_matches(best.matches, model, size=level.grid.shape)
+
+
+def _fit_alignment(best: _Candidate, level: Level, false_alarms: float) -> ImageryAlignment:
+    """The alignment by the windows' motion, with its covariance."""
+    grid, motion = level.grid, _fit_motion(best, level)
     stated_from_true = grid.world_from_grid @ motion.matrix @ grid.grid_from_world
     variance = _average_covariance(motion, grid.shape) * CORRELATED_WINDOWS * level.overlap
     return ImageryAlignment(
         true_from_stated=np.linalg.inv(stated_from_true),
-        model=model,
+        model=motion.model,
         covariance=(variance + MIN_SIGMA_PX**2 * np.eye(2)) * grid.resolution**2,
         center=grid.corners.mean(axis=0),
         evidence={

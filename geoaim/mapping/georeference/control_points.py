@@ -41,7 +41,9 @@ ControlPointSource = (
 )
 
 
-def read_control_points(source: ControlPointSource, *, crs: str | None = None) -> ControlPoints:
+def read_control_points(
+    source: ControlPointSource, *, crs: str | None = None, keep_incomplete: bool = False
+) -> ControlPoints:
     """Read control points from a file or from Python objects; the format follows from the content.
 
     Args:
@@ -50,10 +52,11 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
             columns of a file as keys (u, v, x, y, name, frame, crs).
         crs: CRS of the coordinates where the source does not state it; "local" for a local
             plane. Where both state it, they must agree.
+        keep_incomplete: keep points whose pixel or place is empty, as NaN; else they are left out
+            with a warning.
 
     Returns:
-        The points; those without a name are called "point 1", ... A row whose pixel or place is
-        empty is left out, with a warning.
+        The points; those without a name are called "point 1", ...
 
     Raises:
         GeoreferenceError: there is no such file, a line cannot be read, is not finite, or the CRS
@@ -66,7 +69,9 @@ def read_control_points(source: ControlPointSource, *, crs: str | None = None) -
     if isinstance(source, ControlPoints):
         return source if crs is None else replace(source, crs=_merge_crs([source.crs, crs]))
     if isinstance(source, str | Path):
-        return _collect_points(point_files.read_point_file(Path(source)), crs, str(source))
+        rows = point_files.read_point_file(Path(source))
+        rows = rows if keep_incomplete else _leave_out_incomplete(rows, str(source))
+        return _collect_points(rows, crs, str(source))
     if isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], CRS | None):
         source, dataset_crs = source
         crs = crs or (dataset_crs.to_string() if dataset_crs else None)
@@ -100,7 +105,8 @@ def _read_objects(items: Iterable[Any], crs: str | None) -> list[point_files.Poi
 def _collect_points(
     rows: list[point_files.PointRow], crs: str | None, source: str
 ) -> ControlPoints:
-    rows = _leave_out_incomplete(rows, source)
+    if not rows:
+        raise GeoreferenceError(f"{source}: holds no control points.")
     stated = [row.crs or crs for row in rows]
     if None in stated:
         raise GeoreferenceError(
@@ -123,9 +129,10 @@ def _leave_out_incomplete(
     """The rows that state both a pixel and a place; a warning names the others."""
     complete = [row for row in rows if np.isfinite([row.pixel, row.coordinates]).all()]
     left_out = [row.name or row.source for row in rows if row not in complete]
-    if not complete:
-        found = f" with both a pixel and a place: {', '.join(left_out)}" if left_out else ""
-        raise GeoreferenceError(f"{source}: holds no control points{found}.")
+    if left_out and not complete:
+        raise GeoreferenceError(
+            f"{source}: no control point has both a pixel and a place: {', '.join(left_out)}"
+        )
     if left_out:
         warn(f"{source}: without a pixel or a place, and left out: {', '.join(left_out)}")
     return complete

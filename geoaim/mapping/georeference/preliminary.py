@@ -16,11 +16,14 @@ from geoaim.mapping.georeference.transform_models import (
     compose_world_from_image,
     fit_terms,
 )
+from geoaim.world import World
 
 MIN_PRELIMINARY_POINTS = 2
 
 
-def estimate_preliminary(points: ControlPoints, *, height: int, width: int) -> Georeference:
+def estimate_preliminary(
+    points: ControlPoints, *, height: int, width: int, world: World | None = None
+) -> Georeference:
     """Estimate a similarity from control points that do not suffice for `estimate_georeference`.
 
     No point is tested for mistakes. Tilt, stretch and lens enter the uncertainty at their expected
@@ -30,6 +33,7 @@ def estimate_preliminary(points: ControlPoints, *, height: int, width: int) -> G
         points: two or more on one image.
         height: of the image, pixels.
         width: of the image, pixels.
+        world: the target plane; None: see `estimate_georeference`.
 
     Returns:
         The georeference, marked approximate; leave-one-out errors are NaN.
@@ -43,7 +47,7 @@ def estimate_preliminary(points: ControlPoints, *, height: int, width: int) -> G
             " for a first georeference"
         )
     size = (height, width)
-    world, targets = project_points(points, None)
+    world, targets = project_points(points, world)
     point_checks.check_distinctness(points, targets)
     plane = normalised_plane.normalise_pixels(points.pixels, size)
     world_from_plane = normalised_plane.fit_similarity(plane, targets)[0]

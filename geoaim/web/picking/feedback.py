@@ -18,6 +18,7 @@ from geoaim.web.picking.point_residuals import (
     measure_residuals,
     predict_places,
 )
+from geoaim.world import World
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class PointFeedback:
     next_point: NextPoint | None
 
 
-def assess_points(points: ControlPoints, size: tuple[int, int]) -> PointFeedback:
+def assess_points(
+    points: ControlPoints, size: tuple[int, int], world: World | None = None
+) -> PointFeedback:
     """Assess control points while they are picked; a bad layout is feedback, no error.
 
     Warnings are caught (`warnings.catch_warnings`): call it from one thread at a time.
@@ -61,15 +64,16 @@ def assess_points(points: ControlPoints, size: tuple[int, int]) -> PointFeedback
     Args:
         points: picked on one image of (height, width) pixels, each with pixel and place.
         size: of that image.
+        world: the plane of the georeference; None: see `estimate_georeference`.
 
     Returns:
         The feedback.
     """
     missing = max(MIN_POINTS - len(points.names), 0)
-    georeference, problem, caught = _estimate(points, size) if not missing else (None, None, [])
+    georeference, problem, caught = _estimate(points, size, world)
     if georeference is None and len(points.names) >= MIN_PRELIMINARY_POINTS:
         try:
-            georeference = estimate_preliminary(points, height=size[0], width=size[1])
+            georeference = estimate_preliminary(points, height=size[0], width=size[1], world=world)
         except GeoreferenceError as error:
             problem = problem or str(error)
     feedback = PointFeedback(
@@ -85,15 +89,17 @@ def assess_points(points: ControlPoints, size: tuple[int, int]) -> PointFeedback
 
 
 def _estimate(
-    points: ControlPoints, size: tuple[int, int]
+    points: ControlPoints, size: tuple[int, int], world: World | None
 ) -> tuple[Georeference | None, str | None, list[str]]:
     """The georeference or the reason why there is none, and the warnings."""
     georeference, problem = None, None
+    if len(points.names) < MIN_POINTS:
+        return None, None, []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", GeoaimWarning)
         warn_of_small_part(points, size)
         try:
-            georeference = estimate_georeference(points, height=size[0], width=size[1])
+            georeference = estimate_georeference(points, height=size[0], width=size[1], world=world)
         except GeoreferenceError as error:
             problem = str(error)
     return georeference, problem, [str(warning.message) for warning in caught]

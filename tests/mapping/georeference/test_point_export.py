@@ -96,11 +96,14 @@ def test_csv_has_empty_fields_for_what_is_not_picked_and_reading_says_so(tmp_pat
     ]
     with pytest.warns(GeoaimWarning, match="left out: place only, pixel only"):
         assert read_control_points(tmp_path / "points.csv").names == ("both",)
+    kept = read_control_points(tmp_path / "points.csv", keep_incomplete=True)
+    assert kept.names == ("both", "place only", "pixel only")
+    np.testing.assert_array_equal(np.isnan(kept.pixels[:, 0]), [False, True, False])
 
 
 def test_a_file_without_a_complete_point_is_refused(tmp_path):
     write_control_points(make_points(INCOMPLETE[1:]), tmp_path / "points.csv")
-    with pytest.raises(GeoreferenceError, match="place only, pixel only"):
+    with pytest.raises(GeoreferenceError, match="both a pixel and a place: place only, pixel only"):
         read_control_points(tmp_path / "points.csv")
 
 

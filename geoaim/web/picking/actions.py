@@ -1,0 +1,155 @@
+"""What a page of picking asks for, as plain JSON: `handle` changes a session and replies.
+
+An action is {"action": NAME, ...}:
+
+- "state" changes nothing;
+- "add" with what is known: u and v (pixel), x and y or lon and lat (place; with "side": "imagery" u
+  and v are a pixel of the imagery), and a name; "move" is the same with the id of a point;
+- "rename" (id, name), "delete" (id), "undo", "redo";
+- "snap" (u, v, side "frame" or "imagery") tells the corner beside a click in "snapped";
+- "candidates" proposes pairs; "accept" (candidate: its index) makes one of them a point;
+- "export" (format "csv", "txt" or "points") gives the "text" of a file to save.
+
+Every reply has the whole state (`describe_session`) and "notes", warnings of the action; one to a
+bad action has only "error", in one line. Warnings are caught: handle one action at a time.
+"""
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from geoaim.errors import GeoaimError, GeoaimWarning
+from geoaim.mapping.georeference.point_export import format_points
+from geoaim.web.picking.candidates import propose_pairs
+from geoaim.web.picking.positions import read_pair, read_position, require_imagery
+from geoaim.web.picking.session import (
+    PickedPoint,
+    PickingSession,
+    change_points,
+    choose_name,
+    collect_points,
+    redo,
+    undo,
+)
+from geoaim.web.picking.snap import snap_to_corner
+from geoaim.web.picking.state import assess_session, describe_session
+from geoaim.world import crs_from_world
+
+Action = Mapping[str, Any]
+Outcome = tuple[PickingSession, dict[str, Any]]
+
+
+def handle(session: PickingSession, action: Any) -> Outcome:
+    """Carry out an action of a page.
+
+    Args:
+        session: before it.
+        action: plain JSON, as the module's description lists it.
+
+    Returns:
+        The session after it, and the reply as plain JSON.
+    """
+    try:
+        if not isinstance(action, Mapping) or str(action.get("action")) not in ACTIONS:
+            raise ValueError(
+                f"{str(action)[:80]!r}: one of the actions {', '.join(ACTIONS)} is needed"
+            )
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", GeoaimWarning)
+            session, extra = ACTIONS[str(action["action"])](session, action)
+    except (GeoaimError, ValueError, OSError) as error:
+        return session, {"error": " ".join(str(error).split())}
+    notes = [str(warning.message) for warning in caught]
+    return session, {**describe_session(session), "notes": notes, **extra}
+
+
+def _add(session: PickingSession, action: Action) -> Outcome:
+    values = read_position(session.task, action)
+    states = (session.points, *session.past, *session.future)
+    number = 1 + max((point.id for points in states for point in points), default=0)
+    name = choose_name(session.points, str(action.get("name", "")))
+    point = PickedPoint(number, name, frame=session.task.frame_name)
+    return change_points(session, [*session.points, replace(point, **values)]), {"added": number}
+
+
+def _move(session: PickingSession, action: Action) -> Outcome:
+    values = read_position(session.task, action)
+    moved = _find_point(session, action)
+    frame = session.task.frame_name if "pixel" in values else moved.frame
+    return _replace_point(session, moved, replace(moved, frame=frame, **values)), {}
+
+
+def _rename(session: PickingSession, action: Action) -> Outcome:
+    point = _find_point(session, action)
+    others = [other for other in session.points if other is not point]
+    name = choose_name(others, str(action.get("name", "")))
+    return _replace_point(session, point, replace(point, name=name)), {}
+
+
+def _delete(session: PickingSession, action: Action) -> Outcome:
+    point = _find_point(session, action)
+    return change_points(session, [other for other in session.points if other is not point]), {}
+
+
+def _snap(session: PickingSession, action: Action) -> Outcome:
+    image = session.task.frame
+    if action.get("side") == "imagery":
+        image = require_imagery(session.task).image
+    corner = snap_to_corner(image, read_pair(action, "u", "v"))
+    return session, {"snapped": None if corner is None else dict(zip("uv", corner, strict=True))}
+
+
+def _propose(session: PickingSession, action: Action) -> Outcome:
+    georeference = assess_session(session).georeference or session.task.rough
+    if georeference is None:
+        raise ValueError("pairs are proposed from the second point on; pick two first")
+    imagery = require_imagery(session.task)
+    return replace(session, candidates=propose_pairs(session.task.frame, imagery, georeference)), {}
+
+
+def _accept(session: PickingSession, action: Action) -> Outcome:
+    index, candidates = action.get("candidate"), session.candidates
+    if type(index) is not int or not 0 <= index < len(candidates):
+        raise ValueError(f"there is no candidate {index!r}; {len(candidates)} are left")
+    world = require_imagery(session.task).world
+    x, y = crs_from_world(world, np.array([candidates[index].place]), session.task.crs)[0].tolist()
+    left = candidates[:index] + candidates[index + 1 :]
+    u, v = candidates[index].pixel
+    pair = {"u": u, "v": v, "x": x, "y": y}
+    session, extra = _add(session, {**action, **pair})
+    return replace(session, candidates=left), extra
+
+
+def _export(session: PickingSession, action: Action) -> Outcome:
+    if action.get("format") not in ("csv", "txt", "points"):
+        raise ValueError(f"format {action.get('format')!r}: csv, txt or points is needed")
+    return session, {"text": format_points(collect_points(session), f".{action['format']}")}
+
+
+def _find_point(session: PickingSession, action: Action) -> PickedPoint:
+    for point in session.points:
+        if point.id == action.get("id"):
+            return point
+    raise ValueError(f"there is no point with id {str(action.get('id'))[:40]!r}")
+
+
+def _replace_point(session: PickingSession, old: PickedPoint, new: PickedPoint) -> PickingSession:
+    return change_points(session, [new if point is old else point for point in session.points])
+
+
+ACTIONS: Mapping[str, Callable[[PickingSession, Action], Outcome]] = {
+    "state": lambda session, action: (session, {}),
+    "add": _add,
+    "move": _move,
+    "rename": _rename,
+    "delete": _delete,
+    "undo": lambda session, action: (undo(session), {}),
+    "redo": lambda session, action: (redo(session), {}),
+    "snap": _snap,
+    "candidates": _propose,
+    "accept": _accept,
+    "export": _export,
+}

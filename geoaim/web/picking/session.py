@@ -1,0 +1,143 @@
+"""A session of picking control points: its points, their changes undone and redone, and saving."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM
+from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
+from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.georeference.point_export import clean_text, write_control_points
+from geoaim.mapping.georeference.point_files import read_point_file
+from geoaim.mapping.georeference.reference_frame import FrameName
+from geoaim.web.picking.candidates import PairCandidate
+from geoaim.world import LONLAT
+
+Vector = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class PickingTask:
+    """What control points are picked on."""
+
+    frame: UInt8[Array, "H W 3"]
+    frame_name: FrameName = None  # of a video's frame; None is its first, or a single picture
+    imagery: AIM | None = None  # on which the same places are picked; None: coordinates are typed
+    crs: str | None = LONLAT  # of the coordinates; None for a local metric plane
+    path: Path | None = None  # the .csv that is written after each change
+    rough: Georeference | None = None  # of the frame, as by telemetry, in the imagery's world
+
+
+@dataclass(frozen=True)
+class PickedPoint:
+    """A control point of which the pixel or the place may be missing yet."""
+
+    id: int  # stays the same when the point is moved or renamed
+    name: str
+    pixel: Vector | None = None  # u, v
+    place: Vector | None = None  # x, y (or longitude, latitude) in the task's CRS
+    frame: FrameName = None  # on which the pixel was picked
+
+
+@dataclass(frozen=True, eq=False)
+class PickingSession:
+    """The points picked so far, and the changes that can be undone and redone."""
+
+    task: PickingTask
+    points: tuple[PickedPoint, ...] = ()
+    past: tuple[tuple[PickedPoint, ...], ...] = ()  # earlier points, the last ones at the end
+    future: tuple[tuple[PickedPoint, ...], ...] = ()  # points that were undone, the next at the end
+    candidates: tuple[PairCandidate, ...] = ()  # proposed, and not accepted yet
+
+
+def open_session(task: PickingTask) -> PickingSession:
+    """Start a session; where the task's file exists, with its points and in its CRS.
+
+    Raises:
+        GeoreferenceError: the file cannot be read.
+        ValueError: its name does not end in .csv.
+    """
+    if task.path is None or not task.path.exists():
+        if task.path is not None and task.path.suffix != ".csv":
+            raise ValueError(f"{task.path}: points are saved as .csv; other formats are exported")
+        return PickingSession(task)
+    if task.path.suffix == ".csv" and not read_point_file(task.path):
+        return PickingSession(task)
+    saved = read_control_points(task.path, keep_incomplete=True)
+    rows = zip(saved.names, saved.pixels, saved.coordinates, saved.frames, strict=True)
+    points = tuple(
+        PickedPoint(i, name, _read_pair(pixel), _read_pair(place), frame)
+        for i, (name, pixel, place, frame) in enumerate(rows, 1)
+    )
+    return PickingSession(replace(task, crs=saved.crs), points)
+
+
+def change_points(session: PickingSession, points: Sequence[PickedPoint]) -> PickingSession:
+    """Replace the points, remember the old ones for undo, and save."""
+    past = (*session.past, session.points)
+    return save_points(replace(session, points=tuple(points), past=past, future=()))
+
+
+def undo(session: PickingSession) -> PickingSession:
+    """Undo the last change, where there is one, and save."""
+    if not session.past:
+        return session
+    *past, points = session.past
+    future = (*session.future, session.points)
+    return save_points(replace(session, points=points, past=tuple(past), future=future))
+
+
+def redo(session: PickingSession) -> PickingSession:
+    """Redo the change that was undone last, where there is one, and save."""
+    if not session.future:
+        return session
+    *future, points = session.future
+    past = (*session.past, session.points)
+    return save_points(replace(session, points=points, past=past, future=tuple(future)))
+
+
+def save_points(session: PickingSession) -> PickingSession:
+    """Write all points to the task's file, whole or not at all; incomplete ones have empty fields.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    if session.task.path is not None:
+        write_control_points(collect_points(session), session.task.path)
+    return session
+
+
+def collect_points(session: PickingSession) -> ControlPoints:
+    """All points of a session; NaN where a pixel or a place is missing."""
+    nothing = (math.nan, math.nan)
+    points = session.points
+    return ControlPoints(
+        pixels=np.array([p.pixel or nothing for p in points]).reshape(-1, 2),
+        coordinates=np.array([p.place or nothing for p in points]).reshape(-1, 2),
+        crs=session.task.crs,
+        names=tuple(point.name for point in points),
+        frames=tuple(point.frame for point in points),
+    )
+
+
+def choose_name(points: Sequence[PickedPoint], name: str = "") -> str:
+    """A name on one line that no point has: the given one, or "point 1", "point 2", ...
+
+    Raises:
+        ValueError: another point has the given name.
+    """
+    names = {point.name for point in points}
+    if (name := clean_text(name)) in names:
+        raise ValueError(f"another point is called {name!r}; choose another name")
+    free = (f"point {number}" for number in range(1, len(names) + 2))
+    return name or next(other for other in free if other not in names)
+
+
+def _read_pair(values: Float[Array, "2"]) -> Vector | None:
+    first, second = values.tolist()
+    return None if math.isnan(first) else (first, second)

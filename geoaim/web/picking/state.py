@@ -1,0 +1,88 @@
+"""The state of a picking session as plain JSON, for its page."""
+
+from typing import Any
+
+import numpy as np
+
+from geoaim.errors import GeoreferenceError
+from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.control_points import select_points
+from geoaim.mapping.georeference.normalised_plane import Points
+from geoaim.web.picking.feedback import PointFeedback, assess_points, describe_feedback
+from geoaim.web.picking.session import PickingSession, PickingTask, collect_points
+from geoaim.world import LONLAT, transform_crs, world_from_crs
+
+
+def assess_session(session: PickingSession) -> PointFeedback:
+    """Assess the complete points of a session that were picked on its frame."""
+    task, points = session.task, collect_points(session)
+    complete = np.isfinite(np.hstack([points.pixels, points.coordinates])).all(axis=1)
+    here = np.array([(frame or 0) == (task.frame_name or 0) for frame in points.frames], bool)
+    chosen = select_points(points, np.flatnonzero(complete & here).tolist())
+    world = None if task.imagery is None else task.imagery.world
+    return assess_points(chosen, task.frame.shape[:2], world)
+
+
+def describe_session(session: PickingSession) -> dict[str, Any]:
+    """Describe a session: its points, what they give, and what can be done.
+
+    Each point has id, name, frame, u, v, x, y (null where missing), lon and lat unless the plane is
+    local, and with imagery image_u and image_v, its place as a pixel of that. `imagery_from_frame`
+    is the homography for an overlay, from the frame without lens distortion.
+    """
+    task, feedback = session.task, assess_session(session)
+    points = collect_points(session)
+    columns = {
+        ("u", "v"): points.pixels,
+        ("x", "y"): points.coordinates,
+        ("lon", "lat"): _convert(task, points.coordinates, "lonlat"),
+        ("image_u", "image_v"): _convert(task, points.coordinates, "imagery"),
+    }
+    rows: list[dict[str, Any]] = [
+        {"id": point.id, "name": point.name, "frame": point.frame} for point in session.points
+    ]
+    for keys, values in columns.items():
+        for row, pair in zip(rows, values.tolist(), strict=True):
+            row |= {k: v if np.isfinite(v) else None for k, v in zip(keys, pair, strict=True)}
+    return {
+        "points": rows,
+        "feedback": describe_feedback(feedback),
+        "imagery_from_frame": _compose_overlay(task, feedback),
+        "candidates": _describe_candidates(session),
+        "crs": task.crs,
+        "can_undo": bool(session.past),
+        "can_redo": bool(session.future),
+        "saved": None if task.path is None else task.path.name,
+    }
+
+
+def _convert(task: PickingTask, places: Points, target: str) -> Points:
+    """Places in degrees or in pixels of the imagery; NaN where they cannot be expressed."""
+    try:
+        if target == "lonlat" and task.crs is not None:
+            return transform_crs(task.crs, LONLAT, places)
+        if target == "imagery" and task.imagery is not None:
+            metres = world_from_crs(task.imagery.world, places, task.crs)
+            return transform_points(np.linalg.inv(task.imagery.world_from_image), metres)
+    except GeoreferenceError:
+        pass  # the feedback says what is wrong with them
+    return np.full(places.shape, np.nan)
+
+
+def _compose_overlay(task: PickingTask, feedback: PointFeedback) -> list[list[float]] | None:
+    georeference = feedback.georeference or task.rough
+    if task.imagery is None or georeference is None:
+        return None
+    imagery_from_world = np.linalg.inv(task.imagery.world_from_image)
+    return (imagery_from_world @ georeference.world_from_image).tolist()
+
+
+def _describe_candidates(session: PickingSession) -> list[dict[str, float]]:
+    if session.task.imagery is None or not session.candidates:
+        return []
+    places = np.array([candidate.place for candidate in session.candidates])
+    pixels = transform_points(np.linalg.inv(session.task.imagery.world_from_image), places)
+    return [
+        {"u": c.pixel[0], "v": c.pixel[1], "image_u": u, "image_v": v, "sigma_m": c.sigma_m}
+        for c, (u, v) in zip(session.candidates, pixels.tolist(), strict=True)
+    ]
