@@ -147,10 +147,7 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
         TracksError: the file is not such a table, a state is not one of `STATES`, a signal has
             two states at one time, or no signal has a stop line.
     """
-    path = Path(path)
-    with name_file(path):
-        rows = _read_rows(path)
-    _check_rows(path, rows)
+    rows = read_light_changes(path)
     signals = list(dict.fromkeys(rows["signal"]))
     used = [line for signal in signals for line in lines if line.signal == signal]
     if not used:
@@ -170,6 +167,20 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
         states=states[list(names)].to_numpy(np.int8),
         world=world,
     )
+
+
+def read_light_changes(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """Read the changes of lights, without their places: the columns time (s), signal and state.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: as of `read_lights`.
+    """
+    path = Path(path)
+    with name_file(path):
+        rows = _read_rows(path)
+    _check_rows(path, rows)
+    return rows
 
 
 def _check_rows(path: Path, rows: pd.DataFrame) -> None:

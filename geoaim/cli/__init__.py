@@ -14,7 +14,8 @@ from geoaim.cli.doctor import doctor
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.experiment import experiment
 from geoaim.cli.frame import frame
-from geoaim.cli.maps import draw, info, texture
+from geoaim.cli.info import info
+from geoaim.cli.maps import draw, texture
 from geoaim.cli.predict import predict
 from geoaim.cli.register import register
 from geoaim.cli.sample import sample

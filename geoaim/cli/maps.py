@@ -1,4 +1,4 @@
-"""Commands that draw, describe and export maps."""
+"""Commands that draw and export maps."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import console, print_table, report_errors
+from geoaim.cli.console import console, report_errors
 from geoaim.cli.outputs import GEOTIFF, check_output
 
 
@@ -33,18 +33,6 @@ def draw(
         write_aim(drawn, output)
     height, width = drawn.image.shape[:2]
     console.print(f"{output}: {width} x {height} px, {resolution} m per pixel")
-
-
-def info(aim: options.AimFile) -> None:
-    """Print the size, position and accuracy of an AIM.
-
-    Example: geoaim info map.tif
-    """
-    from geoaim.aim_files import read_aim
-
-    with report_errors():
-        lines = read_aim(aim).summarize()
-    print_table(str(aim), lines)
 
 
 def texture(

@@ -1,0 +1,279 @@
+"""The kinds of files that geoaim reads: how each is recognised, described and used.
+
+A describer takes a path and gives the kind, facts (value by name) and commands, in which FILE
+stands for the path. `describe_file` chooses it by the suffix or the columns of a table, never by
+reading a large file whole to see whether that works.
+"""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from geoaim.errors import GeoaimError
+
+Facts = dict[str, str]
+Description = tuple[str, Facts, tuple[str, ...]]
+
+IMAGES = {".png", ".jpg", ".jpeg"}
+ON_A_MAP = "render map.tif --tracks tracks.csv --ego ID"
+MAP_COMMANDS = (
+    "texture FILE texture",
+    "render FILE --tracks tracks.csv --ego ID -o view.mp4",
+    "simulate FILE --tracks tracks.csv -o simulated.csv",
+    "predict FILE --tracks tracks.csv -o futures.png",
+    "train FILE --tracks tracks.csv -o model",
+)
+VIDEO_COMMANDS = (
+    "frame FILE -o frame.png",
+    "register FILE -o registration.csv",
+    "build FILE --gcps points.csv -o map.tif",
+)
+IMAGERY_COMMANDS = (
+    "align FILE --aim map.tif -o aligned.tif",
+    "align FILE --tracks tracks.csv -o aligned.tif",
+)
+TRACK_COMMANDS = (
+    "render map.tif --tracks FILE --ego ID -o view.mp4",
+    "simulate map.tif --tracks FILE -o simulated.csv",
+    "predict map.tif --tracks FILE -o futures.png",
+    "align ortho.tif --tracks FILE -o map.tif",
+)
+LIGHT_COMMANDS = (f"{ON_A_MAP} --lights FILE --hdmap map.osm -o view.mp4",)
+LINE_COMMANDS = (f"{ON_A_MAP} --lights lights.csv --stop-lines FILE -o view.mp4",)
+AREA_COMMANDS = ("simulate map.tif --tracks tracks.csv --drivable FILE -o simulated.csv",)
+
+
+def describe_file(source: str) -> Description:
+    """Describe a file, folder, pattern or address.
+
+    Returns:
+        Its kind; facts: text of a value with its unit, by its name; and the commands that use it,
+        without the word geoaim.
+
+    Raises:
+        FileNotFoundError: there is no such file or folder.
+        GeoaimError: it is damaged, or nothing that geoaim reads.
+    """
+    path = Path(source)
+    if "://" in source:
+        return "tile service", {}, IMAGERY_COMMANDS[:1]
+    if not path.exists() and not any(sign in source for sign in "*?["):
+        raise FileNotFoundError(f"{source}: no such file or folder")
+    if path.is_dir():
+        return _describe_folder(path)
+    return DESCRIBERS.get(path.suffix.lower(), _describe_video)(source)
+
+
+def _describe_folder(folder: Path) -> Description:
+    if (folder / "texture.json").exists():
+        return _describe_json(str(folder / "texture.json"))
+    if (folder / "model.pt").exists():
+        kind, facts, commands = _describe_model(str(folder / "model.pt"))
+        inside = tuple(command.replace("FILE", "FILE/model.pt") for command in commands)
+        return f"folder of a {kind}", facts, inside
+    for describe in (_describe_tracks, _describe_imagery, _describe_video):
+        try:
+            return describe(str(folder))
+        except (GeoaimError, FileNotFoundError):
+            continue
+    if texts := list(folder.glob("*.txt")):
+        facts = {"frames": str(len(texts))}
+        command = "build video.mp4 --gcps points.csv --detections FILE -o map.tif"
+        return "detections (YOLO)", facts, (command,)
+    raise GeoaimError(
+        f"{folder} holds nothing that geoaim reads as a folder: images, tiles, a SinD recording, "
+        "detections (.txt), a texture or a model; name a single file in it"
+    )
+
+
+def _describe_raster(source: str) -> Description:
+    """An AIM, imagery, or an image without a place."""
+    from geoaim.aim_files import read_aim
+    from geoaim.limits import refuse_damaged
+    from geoaim.raster_files import open_raster_file
+
+    with (
+        refuse_damaged(source, GeoaimError, "a readable GeoTIFF"),
+        open_raster_file(source) as file,
+    ):
+        is_aim, is_placed = "GEOAIM" in file.tags(), file.crs is not None
+    if is_aim:
+        return "AIM: a map", read_aim(source).summarize(), MAP_COMMANDS
+    return _describe_imagery(source) if is_placed else _describe_video(source)
+
+
+def _describe_image(source: str) -> Description:
+    """An image, which has a place where a world file lies beside it."""
+    path = Path(source)
+    world_files = (path.with_suffix(f"{path.suffix}w"), *path.parent.glob(f"{path.stem}.?[gn]w"))
+    placed = any(file.exists() for file in world_files)
+    return _describe_imagery(source) if placed else _describe_video(source)
+
+
+def _describe_imagery(source: str) -> Description:
+    from geoaim.imagery.sources import describe_source
+
+    layer = describe_source(source, None)
+    first = layer.rasters[0]
+    height, width = first.grid.shape
+    facts = {"files": str(len(layer.rasters)), "first": f"{width} x {height} px, {first.crs}"}
+    if layer.zoom is not None:
+        facts["zoom"] = str(layer.zoom)
+    return "imagery", facts, IMAGERY_COMMANDS
+
+
+def _describe_video(source: str) -> Description:
+    from geoaim.mapping.video.video import open_video
+
+    try:
+        video = open_video(source)
+    except GeoaimError as error:
+        if Path(source).suffix.lower() in VIDEOS:
+            raise
+        raise GeoaimError(f"{source} is no file that geoaim reads: {error}") from error
+    facts = {"size": f"{video.width} x {video.height} px"}
+    if video.names is None:
+        facts["length"] = f"{video.duration:.2f} s, {video.rate:.4g} frames/s"
+        facts["telemetry"] = "yes" if video.telemetry is not None else "none beside it"
+        return "video", facts, VIDEO_COMMANDS
+    if video.frame_count == 1:
+        return "image", facts, VIDEO_COMMANDS[2:]
+    return "images", {"number": str(video.frame_count), **facts}, VIDEO_COMMANDS
+
+
+def _describe_table(source: str) -> Description:
+    """A table, recognised by its columns; what has no known ones is tried as tracks."""
+    columns = _read_columns(source)
+    if {"m00", "m22"} <= columns:
+        return "registration of the frames of a video", {}, ()
+    if {"sample", "id", "time"} <= columns:
+        return "futures that predict wrote", {}, ()
+    if {"signal", "state"} <= columns or any("traffic light" in name for name in columns):
+        return _describe_lights(source)
+    if _has_point_columns(columns) or Path(source).suffix.lower() in (".txt", ".points"):
+        return _describe_points(source)
+    return _describe_tracks(source)
+
+
+def _has_point_columns(columns: set[str]) -> bool:
+    from geoaim.mapping.georeference.point_files import COLUMN_NAMES
+
+    return all(columns & set(COLUMN_NAMES[key]) for key in "uvxy")
+
+
+def _read_columns(source: str) -> set[str]:
+    """Read the names in a table's header, in lower case; empty where it has none."""
+    from geoaim.limits import refuse_damaged
+
+    with refuse_damaged(source, GeoaimError, "a readable table"):
+        if source.lower().endswith(".parquet"):
+            from pyarrow.parquet import read_schema
+
+            return {name.lower() for name in read_schema(source).names}
+        if source.lower().endswith(".gz"):
+            return set()
+        with open(source, encoding="utf-8-sig", errors="replace") as file:
+            header = next((line for line in file if line.strip() and line[0] != "#"), "")
+    return {name.strip(' "\n').lower() for name in re.split("[,;\t]", header)}
+
+
+def _describe_tracks(source: str) -> Description:
+    from geoaim.track_formats.formats import detect_format, read_tracks
+
+    found = detect_format(source)
+    name = f"tracks ({found.name} format)"
+    if "resolution" not in found.required:
+        return name, read_tracks(source).summarize(), TRACK_COMMANDS
+    needs = {"units": "pixels: commands need --tracks-resolution, metres per pixel"}
+    commands = (f"{command} --tracks-resolution 0.04" for command in TRACK_COMMANDS)
+    return name, needs, tuple(commands)
+
+
+def _describe_lights(source: str) -> Description:
+    from geoaim.lights import read_light_changes
+
+    rows = read_light_changes(source)
+    signals = ", ".join(dict.fromkeys(rows["signal"]))
+    times = f"{len(rows)} changes, {rows['time'].min():g} to {rows['time'].max():g} s"
+    return "traffic lights", {"signals": signals, "states": times}, LIGHT_COMMANDS
+
+
+def _describe_points(source: str) -> Description:
+    from geoaim.mapping.georeference.point_files import read_point_file
+
+    rows = read_point_file(Path(source))
+    frames = ", ".join(dict.fromkeys(row.frame for row in rows if row.frame)) or "the first"
+    crs = ", ".join(dict.fromkeys(row.crs for row in rows if row.crs)) or "not stated: give --crs"
+    facts = {"points": str(len(rows)), "picked on frame": frames, "CRS": crs}
+    return "control points", facts, ("build video.mp4 --gcps FILE -o map.tif",)
+
+
+def _describe_hdmap(source: str) -> Description:
+    from geoaim.hdmap.lanelet2 import read_hdmap
+
+    commands = ("draw FILE -o map.tif", f"{ON_A_MAP} --lights lights.csv --hdmap FILE -o view.mp4")
+    return "HD map (lanelet2)", read_hdmap(source).summarize(), commands
+
+
+def _describe_model(source: str) -> Description:
+    from geoaim.prediction.checkpoints import read_state
+
+    state = read_state(source)
+    config = state.get("config", {})
+    facts = {"predicts": f"{config['kind']}s, {config['dt']:g} s a step"} if config else {}
+    if "optimiser" in state:
+        return "training checkpoint", facts, ()
+    commands = (
+        "predict map.tif --tracks tracks.csv --weights FILE -o futures.png",
+        "evaluate map.tif --tracks tracks.csv --weights FILE",
+    )
+    return "prediction model", facts, commands
+
+
+def _describe_json(source: str) -> Description:
+    from geoaim.limits import refuse_damaged
+
+    with refuse_damaged(source, GeoaimError, "a corner frame or GeoJSON"):
+        content = json.loads(Path(source).read_text(encoding="utf-8-sig"))
+        if "type" in content:
+            return _describe_shapes(source)
+        size = f"{content['width']} x {content['height']} px"
+        crs = content["world"]["crs"] or "local plane"
+        facts = {"image": f"{content['image']}, {size}", "CRS": crs}
+    return "corner frame of a texture", facts, ()
+
+
+def _describe_shapes(source: str) -> Description:
+    from collections import Counter
+
+    from geoaim.geojson import read_features
+    from geoaim.world import World
+
+    kinds = Counter(shape.geometry.geom_type for shape in read_features(source, World(None)))
+    facts = {"shapes": ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())}
+    lines = LINE_COMMANDS if any("Line" in kind for kind in kinds) else ()
+    areas = AREA_COMMANDS if any("Polygon" in kind for kind in kinds) else ()
+    return "hand-drawn shapes (GeoJSON)", facts, (*lines, *areas)
+
+
+def _describe_telemetry(source: str) -> Description:
+    from geoaim.mapping.video.srt import read_srt
+
+    telemetry = read_srt(source)
+    facts = {"entries": str(len(telemetry.time)), "used for": "the video of the same name"}
+    return "telemetry of a drone", facts, ()
+
+
+VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".ts"}
+DESCRIBERS: dict[str, Callable[[str], Description]] = {
+    **dict.fromkeys((".tif", ".tiff"), _describe_raster),
+    **dict.fromkeys(IMAGES, _describe_image),
+    **dict.fromkeys((".csv", ".parquet", ".gz", ".txt", ".points"), _describe_table),
+    **dict.fromkeys((".mbtiles", ".webp", ".vrt", ".jp2"), _describe_imagery),
+    ".osm": _describe_hdmap,
+    ".pt": _describe_model,
+    ".json": _describe_json,
+    ".geojson": _describe_shapes,
+    ".srt": _describe_telemetry,
+}
