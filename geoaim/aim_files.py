@@ -22,6 +22,7 @@ from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_chec
 from geoaim.errors import AimError
 from geoaim.files import atomic_write
 from geoaim.geometry import translation
+from geoaim.grid import Grid
 from geoaim.limits import check_memory, refuse_damaged
 from geoaim.raster_files import create_raster_file, open_raster_file
 from geoaim.rectification import rectify
@@ -84,6 +85,35 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
         FileNotFoundError: there is no such file.
         AimError: the file is not an AIM, is damaged, or needs too much memory.
     """
+    with open_aim(path) as (dataset, grid, report):
+        assert grid.world is not None
+        claim = f"{dataset.height} x {dataset.width} pixels"
+        needed = BYTES_PER_PIXEL * dataset.height * dataset.width
+        check_memory(path, needed, os.path.getsize(path), AimError, claim)
+        return AIM(
+            image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
+            world_from_image=grid.world_from_grid,
+            world=grid.world,
+            coverage=dataset.read(6) + dataset.read(7).astype(np.uint16) * 256,
+            contested=dataset.read(5) > 0,
+            report=report,
+        )
+
+
+@contextmanager
+def open_aim(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Grid, dict[str, Any]]]:
+    """Open a file that `write_aim` wrote, without reading its pixels.
+
+    Args:
+        path: the file.
+
+    Yields:
+        The open rasterio dataset with the bands `BANDS`; its grid, with the world; the report.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        AimError: the file is not an AIM, or is damaged.
+    """
     if not Path(path).exists():
         raise FileNotFoundError(f"{path}: no such file")
     has_checksum = verify_checksum(path, FORMAT)
@@ -93,17 +123,9 @@ def read_aim(path: str | os.PathLike[str]) -> AIM:
     ):
         frame = _read_frame(dataset, path, has_checksum)
         world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
-        claim = f"{dataset.height} x {dataset.width} pixels"
-        needed = BYTES_PER_PIXEL * dataset.height * dataset.width
-        check_memory(path, needed, os.path.getsize(path), AimError, claim)
-        return AIM(
-            image=np.ascontiguousarray(np.moveaxis(dataset.read([1, 2, 3]), 0, -1)),
-            world_from_image=_read_transform(dataset, world, frame, path),
-            world=world,
-            coverage=dataset.read(6) + dataset.read(7).astype(np.uint16) * 256,
-            contested=dataset.read(5) > 0,
-            report=dict(json.loads(dataset.tags().get("GEOAIM_REPORT", "{}"))),
-        )
+        transform = _read_transform(dataset, world, frame, path)
+        report = dict(json.loads(dataset.tags().get("GEOAIM_REPORT", "{}")))
+        yield dataset, Grid((dataset.height, dataset.width), transform, world), report
 
 
 @contextmanager

@@ -17,6 +17,7 @@ FUNCTIONS = [
     "draw_alignment",
     "draw_hdmap",
     "draw_quicklook",
+    "explore",
     "export_texture",
     "make_scene",
     "open_video",

@@ -21,9 +21,10 @@ from geoaim.cli.register import register
 from geoaim.cli.sample import sample
 from geoaim.cli.simulate import render, simulate
 from geoaim.cli.train import train
+from geoaim.cli.view import view
 
 COMMANDS = (
-    *(frame, build, align, draw, register, info, texture, render, simulate),
+    *(frame, build, align, draw, register, info, view, texture, render, simulate),
     *(predict, evaluate, train, experiment, sample, bench, doctor),
 )
 

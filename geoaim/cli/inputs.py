@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA
     from geoaim.simulation.scene import Scene
     from geoaim.tracks import Tracks
+    from geoaim.web.explore import Contents
     from geoaim.world import World
 
 DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0}  # that are predicted
@@ -22,7 +23,7 @@ class SceneSource:
     """The files of a scene, by options; hand-drawn stop lines replace those of the HD map."""
 
     aim: Path
-    tracks: Path
+    tracks: Path | None
     tracks_world: str | None = None
     tracks_resolution: float | None = None
     lights: Path | None = None
@@ -61,10 +62,9 @@ def read_scene(
     from geoaim.simulation.scene import make_scene
     from geoaim.track_changes import resample_tracks
 
-    if source.lights is not None and source.hdmap is None and source.stop_lines is None:
-        raise ValueError("--lights needs --hdmap or --stop-lines, for the places of the lights")
-    if source.stop_lines is not None and source.lights is None:
-        raise ValueError("--stop-lines needs --lights, for the states of the lights")
+    _check_lights(source)
+    if source.tracks is None:
+        raise ValueError("a scene needs --tracks")
     aim = read_aim(source.aim)
     hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, aim.world)
     lights = _read_lights(source, hdmap, aim.world)
@@ -74,6 +74,25 @@ def read_scene(
     with name_file(source.tracks):
         scene = make_scene(aim, tracks, lights)
     return scene, hdmap, aim.world
+
+
+def read_contents(source: SceneSource, world: "World", drivable: Path | None = None) -> "Contents":
+    """Read what the viewer shows on a map in a world; all but the map is optional."""
+    from geoaim.hdmap.drivable import read_drivable_area
+    from geoaim.hdmap.lanelet2 import read_hdmap
+    from geoaim.web.explore import Contents
+
+    _check_lights(source)
+    hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, world)
+    tracks = None
+    if source.tracks is not None:
+        tracks = read_any_tracks(source.tracks, source.tracks_world, source.tracks_resolution)
+    return Contents(
+        tracks=tracks,
+        lights=_read_lights(source, hdmap, world),
+        hdmap=hdmap,
+        drivable=None if drivable is None else read_drivable_area(drivable, world),
+    )
 
 
 def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
@@ -103,6 +122,13 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
         return config.horizon
     duration = DEFAULT_DURATIONS_S[config.kind] if duration is None else duration
     return max(1, round(duration / config.dt))
+
+
+def _check_lights(source: SceneSource) -> None:
+    if source.lights is not None and source.hdmap is None and source.stop_lines is None:
+        raise ValueError("--lights needs --hdmap or --stop-lines, for the places of the lights")
+    if source.stop_lines is not None and source.lights is None:
+        raise ValueError("--stop-lines needs --lights, for the states of the lights")
 
 
 def _read_lights(source: SceneSource, hdmap: "HDMap | None", world: "World") -> "Lights | None":

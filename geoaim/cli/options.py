@@ -37,6 +37,9 @@ StopLinesFile = Annotated[
     Path | None,
     typer.Option(help="hand-drawn stop lines: GeoJSON lines with the property 'signal'"),
 ]
+DrivableFile = Annotated[
+    Path | None, typer.Option(help="hand-drawn drivable area: GeoJSON polygons")
+]
 
 AgentKind = Literal["vehicles", "pedestrians"]
 Kind = Annotated[AgentKind, typer.Option(help="agents that the model predicts")]

@@ -87,9 +87,7 @@ def simulate(
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,
     stop_lines: options.StopLinesFile = None,
-    drivable: Annotated[
-        Path | None, typer.Option(help="hand-drawn drivable area: GeoJSON polygons")
-    ] = None,
+    drivable: options.DrivableFile = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
 ) -> None:

@@ -137,17 +137,39 @@ def _count_infractions(
     scene: Scene, controlled: Bool[Tensor, "A"], rules: RoadRules
 ) -> dict[str, float]:
     """Compute rates of collisions of all controlled agents, and of infractions of the vehicles."""
-    poses = scene.poses.transpose(0, 1)[HISTORY_STEPS - 1 :]  # (1 + S, A, 3)
-    present = scene.present.t()[HISTORY_STEPS - 1 :]
+    found = detect_infractions(scene, controlled, rules, first=HISTORY_STEPS)
+    return {
+        name: float((infractions & chances).sum() / chances.sum())
+        for name, (infractions, chances) in found.items()
+        if chances.any()
+    }
+
+
+def detect_infractions(
+    scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules, *, first: int = 1
+) -> dict[str, tuple[Bool[Tensor, "S A"], Bool[Tensor, "S A"]]]:
+    """Detect collisions of agents, and infractions of those that are vehicles.
+
+    Args:
+        scene: what happened.
+        agents: (A,) which are looked at; they collide with all.
+        rules: of the road; infractions of missing rules are not looked for.
+        first: index of the first step, at least 1; the S steps are those from it on.
+
+    Returns:
+        (S, A) infractions of the agents, and (S, A) their chances to commit one, for each of
+        "collision", "red light", "off road" and "wrong way" that can be looked for.
+    """
+    poses = scene.poses.transpose(0, 1)[first - 1 :]  # (1 + S, A, 3)
+    present = scene.present.t()[first - 1 :]
     last_poses, poses = poses[:-1], poses[1:]
     last_present, present = present[:-1], present[1:]
     sizes = scene.sizes.expand(len(poses), -1, -1)
-    counted = present & controlled  # (S, A)
+    counted = present & agents  # (S, A)
     vehicles = counted & torch.from_numpy(select_group(scene.types, "vehicle")).to(counted.device)
-    # by name, (S, A) infractions and (S, A) chances to commit them
     collides = (box_iou(poses, sizes, present) > 0).any(dim=-1)
-    found = {"collision": (collides, counted)}
-    states = scene.light_states[HISTORY_STEPS:]
+    found = {"collision": (collides & counted, counted)}
+    states = scene.light_states[first:]
     lit = (states != UNKNOWN).any(dim=1, keepdim=True)
     if lit.any():
         moved = last_present & vehicles
@@ -160,8 +182,4 @@ def _count_infractions(
         wrong, on_lane = detect_wrong_way(rules.lanes, poses, vehicles)
         if on_lane.any():
             found["wrong way"] = wrong, vehicles
-    return {
-        name: float((infractions & chances).sum() / chances.sum())
-        for name, (infractions, chances) in found.items()
-        if chances.any()
-    }
+    return found

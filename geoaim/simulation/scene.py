@@ -140,7 +140,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     check_touches_map("track", poses[tracks.present][:, :2], bounds)
     lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
     if lights is not None:
-        lines = _transform_stop_lines(lights, aim.world)
+        lines = transform_stop_lines(lights, aim.world)
         check_touches_map("stop line", lines.reshape(-1, 2), bounds)
         states = _sample_light_states(lights, tracks)
     return Scene(
@@ -274,7 +274,12 @@ def check_near_origin(name: str, points: Float[Array, "n 2"]) -> None:
         )
 
 
-def _transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]:
+def transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]:
+    """Transform stop lines (both ends of each) to metres of a world.
+
+    Raises:
+        TracksError: only one of the two is georeferenced.
+    """
     if (lights.world.crs is None) != (world.crs is None):
         raise TracksError(
             f"the map lies in {world.crs or 'a local plane'} and the lights in "

@@ -1,0 +1,170 @@
+"""Views of a map and of what moves on it."""
+
+import os
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from shapely import MultiPolygon
+
+from geoaim.aim import AIM
+from geoaim.aim_files import open_aim, read_aim
+from geoaim.errors import AimError
+from geoaim.grid import Grid
+from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.lights import Lights
+from geoaim.simulation.road_rules import make_road_rules
+from geoaim.simulation.scene import Scene, make_scene
+from geoaim.track_changes import to_world
+from geoaim.tracks import Tracks
+from geoaim.web import map_layers, moving_layers
+from geoaim.web.map_view import MapView
+from geoaim.web.tiles import TiledRaster
+from geoaim.world import World
+
+MapSource = AIM | str | os.PathLike[str]
+ImagerySource = AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
+FuturesSource = pd.DataFrame | str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What is shown on a map.
+
+    Attributes:
+        tracks: agents, in any world that can be brought into the map's.
+        lights: traffic lights.
+        hdmap: lanes, borders and markings, in the map's world.
+        drivable: area that counts as road; None: that of the HD map.
+        imagery: shown beneath the map, with a swipe between the two: an AIM, or what
+            `geoaim.read_imagery` reads.
+        futures: a table as `geoaim predict -o futures.csv` writes it, or such a file; in the map's
+            world.
+    """
+
+    tracks: Tracks | None = None
+    lights: Lights | None = None
+    hdmap: HDMap | None = None
+    drivable: MultiPolygon | None = None
+    imagery: ImagerySource | None = None
+    futures: FuturesSource | None = None
+
+
+def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapView:
+    """Make the view of a map.
+
+    Args:
+        aim: the map; a file is read by its overviews, as far as it is looked at.
+        contents: what is shown on it.
+        stack: keeps the file open.
+
+    Returns:
+        What the viewer shows.
+
+    Raises:
+        GeoaimError: something cannot be read, or lies elsewhere.
+    """
+    grid, rasters, title = _open_map(aim, stack)
+    world = grid.world
+    assert world is not None
+    items = _describe_aim(rasters)
+    if contents.imagery is not None:
+        beneath = _read_beneath(contents.imagery, grid)
+        rasters["imagery"] = map_layers.tile_aim(beneath)["image"]
+        items[0]["swipe"] = True
+        items.insert(0, map_layers.describe_raster("imagery", "imagery", rasters["imagery"]))
+    shapes = [] if contents.hdmap is None else map_layers.describe_hdmap(contents.hdmap)
+    if contents.drivable is not None:
+        shapes = [map_layers.describe_area(contents.drivable), *shapes[1:]]
+    view = MapView(
+        description={
+            "kind": "view",
+            "title": title,
+            "extent": map_layers.find_extent([grid.corners]),
+            "lonlat": map_layers.describe_lonlat(world, grid.corners),
+            "pixels_from_world": grid.grid_from_world.tolist(),
+            "rasters": items,
+            "shapes": shapes,
+            "moving": {},
+        },
+        rasters=rasters,
+    )
+    return _add_moving(view, aim, contents, grid)
+
+
+def read_map_world(path: str | os.PathLike[str]) -> World:
+    """Read the world of an AIM file."""
+    with open_aim(path) as (_, grid, _):
+        assert grid.world is not None
+        return grid.world
+
+
+def _open_map(aim: MapSource, stack: ExitStack) -> tuple[Grid, dict[str, TiledRaster], str]:
+    """Open a map: its grid, its tiles by path, and a title."""
+    if isinstance(aim, AIM):
+        return aim.grid, map_layers.name_layers(map_layers.tile_aim(aim)), "AIM"
+    dataset, grid, report = stack.enter_context(open_aim(aim))
+    if not map_layers.is_north_up(grid):
+        stack.close()
+        return _open_map(read_aim(aim), stack)
+    most = report.get("background", {}).get("frames_used", 1)
+    layers = map_layers.tile_aim_file(dataset, grid, most)
+    return grid, map_layers.name_layers(layers), Path(aim).name
+
+
+def _describe_aim(rasters: dict[str, TiledRaster]) -> list[dict[str, Any]]:
+    shown = map_layers.describe_raster("AIM", "aim_image", rasters["aim_image"])
+    others = [
+        map_layers.describe_raster(name, path, rasters[path], visible=False)
+        for name, path in (("frames per pixel", "aim_coverage"), ("contested", "aim_contested"))
+    ]
+    return [shown, *others]
+
+
+def _read_beneath(imagery: ImagerySource, grid: Grid) -> AIM:
+    if isinstance(imagery, AIM):
+        if imagery.world != grid.world:
+            raise AimError(
+                f"the map's world is {grid.world} and that of the imagery {imagery.world}; read "
+                "the imagery with world=aim.world"
+            )
+        return imagery
+    return read_imagery(imagery, world=grid.world, corners=grid.corners)
+
+
+def _add_moving(view: MapView, aim: MapSource, contents: Contents, grid: Grid) -> MapView:
+    """Add tracks, lights, futures, infractions and the views of agents."""
+    moving: dict[str, Any] = {}
+    description = dict(view.description, moving=moving)
+    world = grid.world
+    assert world is not None
+    if contents.lights is not None:
+        moving["lights"] = moving_layers.describe_lights(contents.lights, world)
+    if contents.futures is not None:
+        table = contents.futures
+        if not isinstance(table, pd.DataFrame):
+            table = pd.read_csv(table, comment="#", dtype={"id": str})
+        moving["futures"] = moving_layers.describe_futures(table)
+    if contents.tracks is None:
+        return replace(view, description=description)
+    tracks = to_world(contents.tracks, world)
+    moving["tracks"], data = moving_layers.describe_tracks(tracks)
+
+    @cache
+    def get_scene() -> Scene:
+        whole = aim if isinstance(aim, AIM) else read_aim(aim)
+        return make_scene(whole, tracks, contents.lights)
+
+    rules = make_road_rules(contents.hdmap, contents.drivable)
+    description |= {"marks": "marks.json", "agent_views": True}
+    return replace(
+        view,
+        description=description,
+        data={**data, "marks.json": moving_layers.encode_infractions(get_scene, rules)},
+        agent_view=lambda agent, step: moving_layers.render_model_view(get_scene(), agent, step),
+    )

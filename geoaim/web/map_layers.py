@@ -1,0 +1,160 @@
+"""Maps as layers of the viewer: an AIM, imagery, HD map, and places of points."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from shapely import MultiPolygon
+
+from geoaim.aim import AIM
+from geoaim.grid import Grid
+from geoaim.hdmap.drivable import find_drivable_area
+from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.rectification import rectify
+from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
+from geoaim.world import World, lonlat_from_world
+
+CONTESTED_COLOUR = (255, 0, 200, 170)
+COVERAGE_ALPHA = 200
+COVERAGE_COLOURS = (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).astype(np.uint8)
+LINE_COLOURS = {  # by lanelet2's kind of line
+    "curbstone": "#7c4a03",
+    "stop_line": "#c1121f",
+    "zebra_marking": "#f5f5f5",
+    "virtual": "#8888aa",
+}
+MARKING_COLOUR = "#ffffff"
+MAX_FITTED_POINTS = 9  # on a side, where longitude and latitude are fitted
+Description = dict[str, Any]
+
+
+def colour_image(bands: Array, most: float) -> dict[str, Colours]:
+    """Colour the bands of an AIM's file (`geoaim.aim_files.BANDS`) for each layer of it.
+
+    Args:
+        bands: (7, h, w) uint8 red, green, blue, alpha, contested, coverage's low and high byte.
+        most: the coverage of the brightest colour.
+
+    Returns:
+        (h, w, 4) colours of "image", "contested" and "coverage".
+    """
+    coverage = bands[5] + bands[6].astype(np.uint16) * 256
+    contested = np.zeros((*coverage.shape, 4), np.uint8)
+    contested[bands[4] > 127] = CONTESTED_COLOUR
+    shade = COVERAGE_COLOURS[np.clip(coverage * (255 / max(most, 1)), 0, 255).astype(np.uint8)]
+    alpha = np.where(coverage > 0, COVERAGE_ALPHA, 0).astype(np.uint8)
+    return {
+        "image": np.ascontiguousarray(np.moveaxis(bands[:4], 0, -1)),
+        "contested": contested,
+        "coverage": np.dstack([shade, alpha]),
+    }
+
+
+def is_north_up(grid: Grid) -> bool:
+    """Whether pixels are squares whose sides go east and south."""
+    matrix = grid.world_from_grid
+    expected = np.array([[matrix[0, 0], 0.0], [0.0, -matrix[0, 0]], [0.0, 0.0]])
+    return matrix[0, 0] > 0 and bool(np.array_equal(matrix[:, :2], expected))
+
+
+def tile_aim(aim: AIM) -> dict[str, TiledRaster]:
+    """Make tiles of an AIM in memory: "image", "contested" and "coverage"."""
+    if not is_north_up(aim.grid):
+        aim = rectify(aim)
+    low, high = (aim.coverage & 255).astype(np.uint8), (aim.coverage >> 8).astype(np.uint8)
+    flags = [(mask * 255).astype(np.uint8) for mask in (aim.coverage > 0, aim.contested)]
+    bands = np.stack([*np.moveaxis(aim.image, -1, 0), *flags, low, high])
+    layers = colour_image(bands, float(aim.coverage.max()))
+    return {name: tile_array(colours, aim.grid) for name, colours in layers.items()}
+
+
+def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaster]:
+    """Make the same tiles of an open AIM file.
+
+    Args:
+        dataset: stays open as long as the tiles are read.
+        grid: of its pixels, north up.
+        most: the coverage of the brightest colour.
+
+    Returns:
+        "image", "contested" and "coverage".
+    """
+
+    def select(name: str) -> TiledRaster:
+        return tile_dataset(dataset, grid, lambda bands: colour_image(bands, most)[name])
+
+    return {name: select(name) for name in ("image", "contested", "coverage")}
+
+
+def describe_raster(name: str, path: str, raster: TiledRaster, **options: object) -> Description:
+    """Describe tiles for the viewer.
+
+    Args:
+        name: what the panel of layers calls it.
+        path: of its tiles.
+        raster: the tiles.
+        **options: `visible`, `opacity` and `swipe`.
+
+    Returns:
+        The description.
+    """
+    shown: Description = {"name": name, "path": path, "visible": True, "opacity": 1.0}
+    return shown | raster.describe() | options
+
+
+def describe_hdmap(hdmap: HDMap) -> list[Description]:
+    """Describe the lines of an HD map by their kind, and the drivable area; in its world."""
+    kinds: dict[str, list[list[list[float]]]] = {}
+    for line in hdmap.lines:
+        kinds.setdefault(line.kind, []).append(_round(line.points))
+    shapes = [describe_area(find_drivable_area(hdmap))]
+    for kind, lines in sorted(kinds.items()):
+        colour = LINE_COLOURS.get(kind, MARKING_COLOUR)
+        dash = [4, 4] if kind == "virtual" else None
+        name = kind.replace("_", " ") or "line"
+        shown = {"name": name, "lines": lines, "colour": colour, "dash": dash, "visible": True}
+        shapes.append(shown)
+    return shapes
+
+
+def describe_area(area: MultiPolygon) -> Description:
+    """Describe a drivable area."""
+    polygons = [
+        [_round(np.array(ring.coords)) for ring in (polygon.exterior, *polygon.interiors)]
+        for polygon in area.geoms
+    ]
+    colours = {"colour": "#1f6feb", "fill": "rgba(31, 111, 235, 0.22)"}
+    return {"name": "drivable area", "polygons": polygons, "visible": False, **colours}
+
+
+def describe_lonlat(world: World, points: Float[Array, "n 2"]) -> Description | None:
+    """Fit longitude and latitude over the bounds of points by quadratics; None without a CRS."""
+    if world.crs is None:
+        return None
+    low, high = points.min(axis=0), points.max(axis=0)
+    center, scale = (low + high) / 2, float(max(high - low) / 2)
+    line = np.linspace(-1.0, 1.0, MAX_FITTED_POINTS)
+    u, v = (axis.ravel() for axis in np.meshgrid(line, line))
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+    lonlat = lonlat_from_world(world, center + scale * np.stack([u, v], axis=1))
+    coefficients = np.linalg.lstsq(terms, lonlat, rcond=None)[0].T
+    return {"center": center.tolist(), "scale": scale, "coefficients": coefficients.tolist()}
+
+
+def find_extent(corners: Iterable[Float[Array, "n 2"]]) -> list[float]:
+    """Find the least rectangle around points: left, bottom, right, top."""
+    points = np.concatenate(list(corners))
+    return [*points.min(axis=0).tolist(), *points.max(axis=0).tolist()]
+
+
+def _round(points: Float[Array, "n 2"]) -> list[list[float]]:
+    rounded: list[list[float]] = np.round(points, 3).tolist()
+    return rounded
+
+
+def name_layers(rasters: Mapping[str, TiledRaster]) -> dict[str, TiledRaster]:
+    """Name the layers of an AIM by the paths of their tiles."""
+    return {f"aim_{name}": raster for name, raster in rasters.items()}

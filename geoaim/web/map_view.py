@@ -1,0 +1,71 @@
+"""What the viewer shows: a description, and the data that it names."""
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from urllib.parse import unquote
+
+from geoaim.web.tiles import TiledRaster
+
+MAX_EMBEDDED_PIXELS = 16e6  # of a raster in an HTML file
+Reply = dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class MapView:
+    """What the viewer shows.
+
+    Attributes:
+        description: JSON as `geoaim/web/src/view.js` reads it; paths name what `read` gives.
+        rasters: tiles by the first part of their path.
+        data: functions that make the bytes at a path.
+        agent_view: PNG or JPEG of what surrounds an agent, from its id and the index of a time;
+            None: there is none.
+        call: answers an action of the page; None: the page only shows.
+    """
+
+    description: Mapping[str, Any]
+    rasters: Mapping[str, TiledRaster] = field(default_factory=dict)
+    data: Mapping[str, Callable[[], bytes]] = field(default_factory=dict)
+    agent_view: Callable[[str, int], bytes] | None = None
+    call: Callable[[Mapping[str, Any]], Reply] | None = None
+
+    def read(self, path: str) -> bytes:
+        """Read what the description names, or "description.json" itself.
+
+        Raises:
+            KeyError: nothing is at that path.
+        """
+        first, *rest = path.split("/")
+        if path == "description.json":
+            return json.dumps(self.description).encode()
+        if path in self.data:
+            return self.data[path]()
+        if first in self.rasters and len(rest) == 3 and all(map(str.isdecimal, rest)):
+            level, column, row = map(int, rest)
+            return self.rasters[first].encode_tile(level, column, row)
+        if first == "agent_views" and self.agent_view and len(rest) == 2 and rest[1].isdecimal():
+            return self.agent_view(unquote(rest[0]), int(rest[1]))
+        raise KeyError(f"there is nothing at {path}")
+
+
+def read_embedded(view: MapView) -> dict[str, bytes]:
+    """Read all that an HTML file holds: without views of agents, and with coarser tiles.
+
+    Returns:
+        Bytes by path; the description names what is there alone.
+    """
+    shown: dict[str, Any] = dict(view.description, agent_views=False)
+    files = {path: make() for path, make in view.data.items()}
+    shown["rasters"] = []
+    for item in view.description["rasters"]:
+        tiles = view.rasters[item["path"]].list_tiles(MAX_EMBEDDED_PIXELS)
+        levels = 1 + max(level for level, _, _ in tiles)
+        shown["rasters"].append(dict(item, resolutions=item["resolutions"][:levels]))
+        files |= _read_all(view, (f"{item['path']}/{z}/{x}/{y}" for z, x, y in tiles))
+    return {"description.json": json.dumps(shown).encode(), **files}
+
+
+def _read_all(view: MapView, paths: Iterable[str]) -> dict[str, bytes]:
+    return {path: view.read(path) for path in paths}

@@ -1,0 +1,138 @@
+"""What moves as layers of the viewer: tracks, traffic lights, futures and infractions."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+
+from geoaim.lights import Lights
+from geoaim.prediction.config import DEFAULT_CONFIGS
+from geoaim.simulation.episodes import detect_infractions
+from geoaim.simulation.ground import View
+from geoaim.simulation.pictures import render_agent_video
+from geoaim.simulation.road_rules import RoadRules
+from geoaim.simulation.scene import Scene, find_agent, slice_scene, transform_stop_lines
+from geoaim.tracks import Tracks
+from geoaim.web.tiles import encode_picture
+from geoaim.world import World
+
+SHOWN_INFRACTIONS = ("collision", "off road", "red light")
+STEPS_AT_ONCE = 500  # that are searched for infractions
+Description = dict[str, Any]
+
+
+def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[], bytes]]]:
+    """Describe tracks, with their data: float64 times, and float32 x, y, heading of each agent.
+
+    An agent's states go from its first to its last step, one agent after the other, in metres from
+    a point in the middle; NaN while it is absent.
+    """
+    places = tracks.states[..., :2][tracks.present]
+    origin = places.mean(axis=0).round() if len(places) else np.zeros(2)
+    agents, parts = [], []
+    for row, present in enumerate(tracks.present):
+        steps = np.flatnonzero(present)
+        if not len(steps):
+            continue
+        first, stop = int(steps[0]), int(steps[-1]) + 1
+        states = np.where(present[:, None], tracks.states[row, :, :3], np.nan)[first:stop]
+        parts.append((states - [*origin, 0.0]).astype("<f4"))
+        length, width = np.round(tracks.sizes[row], 2).tolist()
+        agents.append(
+            {
+                "id": tracks.ids[row],
+                "type": tracks.types[row],
+                "length": length,
+                "width": width,
+                "first": first,
+                "steps": stop - first,
+            }
+        )
+    data: dict[str, Callable[[], bytes]] = {
+        "tracks": np.concatenate(parts or [np.empty((0, 3), "<f4")]).tobytes,
+        "times": tracks.times.astype("<f8").tobytes,
+    }
+    return {"path": "tracks", "times": "times", "origin": origin.tolist(), "agents": agents}, data
+
+
+def describe_lights(lights: Lights, world: World) -> Description:
+    """Describe lights: ends of the stop lines in metres of a world, times and states."""
+    return {
+        "names": list(lights.names),
+        "lines": np.round(transform_stop_lines(lights, world), 3).tolist(),
+        "times": lights.times.tolist(),
+        "states": lights.states.tolist(),
+    }
+
+
+def describe_futures(futures: pd.DataFrame) -> Description:
+    """Describe futures: the points of each sample of each agent.
+
+    Args:
+        futures: a row for each sample, agent and time, as `geoaim predict -o futures.csv` writes
+            them; x and y in the world of the map.
+
+    Returns:
+        The description.
+    """
+    agents = []
+    for name, rows in futures.groupby("id", sort=False):
+        samples = [
+            sample.sort_values("time")[["x", "y"]].round(2).to_numpy().tolist()
+            for _, sample in rows.groupby("sample")
+        ]
+        agents.append({"id": str(name), "samples": samples})
+    return {"start": float(futures["time"].min()), "agents": agents}
+
+
+def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
+    """List the begin of each infraction in a scene: time (s), agent and kind."""
+    everyone = torch.ones(len(scene.ids), dtype=torch.bool)
+    marks = []
+    last = {kind: torch.zeros_like(everyone)[None] for kind in SHOWN_INFRACTIONS}
+    for start in range(0, len(scene.times) - 1, STEPS_AT_ONCE):
+        part = slice_scene(scene, slice(start, start + STEPS_AT_ONCE + 1))
+        if len(part.times) < 2:
+            continue
+        found = detect_infractions(part, everyone, rules)
+        for kind in SHOWN_INFRACTIONS:
+            if kind not in found:
+                continue
+            now = found[kind][0]
+            begins = now & ~torch.cat([last[kind], now[:-1]])
+            last[kind] = now[-1:]
+            for step, agent in begins.nonzero().tolist():
+                time = round(float(part.times[step + 1]), 3)
+                marks.append({"time": time, "agent": scene.ids[agent], "kind": kind})
+    return sorted(marks, key=lambda mark: float(mark["time"]))
+
+
+def encode_infractions(scene: Callable[[], Scene], rules: RoadRules) -> Callable[[], bytes]:
+    """Make the function that searches for infractions, and gives them as JSON."""
+    return lambda: json.dumps(list_infractions(scene(), rules)).encode()
+
+
+def render_model_view(scene: Scene, agent_id: str, step: int) -> bytes:
+    """Render an agent's surroundings in the extent and at the resolution that models see.
+
+    Args:
+        scene: with its map and lights.
+        agent_id: of the agent in the centre, heading up.
+        step: index of the time.
+
+    Returns:
+        A JPEG.
+
+    Raises:
+        KeyError: there is no such agent then.
+    """
+    agent = find_agent(scene, agent_id)
+    if step >= len(scene.times) or not bool(scene.present[agent, step]):
+        raise KeyError(f"agent {agent_id} is absent then")
+    kind = "pedestrian" if scene.types[agent] == "pedestrian" else "vehicle"
+    config = DEFAULT_CONFIGS[kind]
+    view = View(config.view_size, config.view_size, config.resolution)
+    return encode_picture(next(render_agent_video(scene, agent, view, torch.tensor([step]))))

@@ -1,0 +1,111 @@
+/** A layer that draws what moves: agents, traffic lights and predicted futures. */
+import Layer from "ol/layer/Layer.js";
+import { findStep, getBox, getPose } from "./tracks.js";
+
+export const TYPE_COLOURS = {
+  car: "#2f7ed8",
+  van: "#2f7ed8",
+  truck: "#12408a",
+  bus: "#0b9aa6",
+  motorcycle: "#8a3fc0",
+  cyclist: "#1d9a4b",
+  pedestrian: "#e0338c",
+};
+export const OTHER_COLOUR = "#7a5c3e";
+export const SELECTED_COLOUR = "#ff6a00";
+export const LIGHT_COLOURS = ["#17b33a", "#ffb000", "#e01b24"]; // by the state: green, yellow, red
+const UNKNOWN_COLOUR = "#9a9a9a";
+const FUTURE_COLOUR = "rgba(255, 106, 0, 0.55)";
+const LIGHT_WIDTH_M = 0.8;
+const TRAIL_S = 2;
+
+/** Draws a state: {tracks, lights, futures, time, selected, shown}; call `changed()` after a change. */
+export class AgentsLayer extends Layer {
+  constructor(state) {
+    super({ zIndex: 10 });
+    this.state = state;
+    this.canvas = document.createElement("canvas");
+    this.canvas.style.cssText = "position:absolute;inset:0;width:100%;height:100%";
+    this.framesDrawn = 0;
+  }
+
+  render(frame) {
+    const { canvas } = this;
+    const [width, height] = frame.size.map((side) => Math.round(side * frame.pixelRatio));
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const context = canvas.getContext("2d");
+    context.setTransform(1, 0, 0, 1, 0, 0);
+    context.clearRect(0, 0, width, height);
+    // from here on in metres of the world
+    context.setTransform(...frame.coordinateToPixelTransform.map((value) => value * frame.pixelRatio));
+    const pixel = frame.viewState.resolution;
+    const { lights, tracks, futures, shown } = this.state;
+    if (lights && shown("lights")) this.drawLights(context, lights);
+    if (futures && shown("futures")) this.drawFutures(context, futures, pixel);
+    if (tracks && shown("tracks")) this.drawAgents(context, tracks, pixel);
+    this.framesDrawn++;
+    return canvas;
+  }
+
+  drawLights(context, lights) {
+    const step = findStep(lights.times, this.state.time);
+    const known = this.state.time >= lights.times[0];
+    context.lineWidth = LIGHT_WIDTH_M;
+    lights.lines.forEach(([start, end], index) => {
+      const light = known ? lights.states[step][index] : -1;
+      context.strokeStyle = LIGHT_COLOURS[light] ?? UNKNOWN_COLOUR;
+      context.beginPath();
+      context.moveTo(...start);
+      context.lineTo(...end);
+      context.stroke();
+    });
+  }
+
+  drawFutures(context, futures, pixel) {
+    context.lineWidth = Math.max(0.25, 1.2 * pixel);
+    context.strokeStyle = FUTURE_COLOUR;
+    for (const { samples } of futures.agents) {
+      context.beginPath();
+      for (const points of samples) {
+        points.forEach((point, index) => (index ? context.lineTo(...point) : context.moveTo(...point)));
+      }
+      context.stroke();
+    }
+  }
+
+  drawAgents(context, tracks, pixel) {
+    const { time, selected } = this.state;
+    const boxes = new Map();
+    for (const agent of tracks.agents) {
+      const pose = getPose(tracks, agent, time);
+      if (!pose) continue;
+      const own = agent === selected;
+      const colour = own ? SELECTED_COLOUR : (TYPE_COLOURS[agent.type] ?? OTHER_COLOUR);
+      if (!boxes.has(colour)) boxes.set(colour, new Path2D());
+      const path = boxes.get(colour);
+      getBox(pose, agent.length, agent.width).forEach((corner, index) =>
+        index ? path.lineTo(...corner) : path.moveTo(...corner),
+      );
+      path.closePath();
+      if (own) this.drawTrail(context, tracks, agent, pixel);
+    }
+    context.strokeStyle = "white";
+    context.lineWidth = Math.min(0.15, pixel);
+    for (const [colour, path] of boxes) {
+      context.fillStyle = colour;
+      context.fill(path);
+      context.stroke(path);
+    }
+  }
+
+  drawTrail(context, tracks, agent, pixel) {
+    context.lineWidth = Math.max(0.3, 2 * pixel);
+    context.strokeStyle = SELECTED_COLOUR;
+    context.beginPath();
+    for (let back = TRAIL_S; back >= 0; back -= 0.1) {
+      const pose = getPose(tracks, agent, this.state.time - back);
+      if (pose) context.lineTo(pose[0], pose[1]);
+    }
+    context.stroke();
+  }
+}

@@ -1,0 +1,30 @@
+/** The address of the page restores the view: place, zoom, turn, time, agent and layers. */
+
+/** Write the view into the address. */
+export function writeLink({ view, timeline, state }, hidden) {
+  const values = new URLSearchParams();
+  const [x, y] = view.getCenter();
+  values.set("x", x.toFixed(2));
+  values.set("y", y.toFixed(2));
+  values.set("resolution", view.getResolution().toPrecision(5));
+  if (view.getRotation()) values.set("rotation", view.getRotation().toFixed(4));
+  if (timeline) values.set("time", timeline.time.toFixed(2));
+  if (state.selected) values.set("agent", state.selected.id);
+  if (state.follow) values.set("follow", "1");
+  if (hidden.size) values.set("hidden", [...hidden].join(","));
+  history.replaceState(null, "", `#${values}`);
+}
+
+/** Restore the view from the address. */
+export function readLink(app) {
+  const values = new URLSearchParams(location.hash.slice(1));
+  if (!values.has("x")) return;
+  const { view, timeline } = app;
+  for (const name of values.get("hidden")?.split(",") ?? []) app.layers[name]?.(false);
+  if (timeline && values.has("time")) timeline.set(Number(values.get("time")));
+  if (values.has("agent")) app.select(values.get("agent"));
+  view.setCenter([Number(values.get("x")), Number(values.get("y"))]);
+  view.setResolution(Number(values.get("resolution")));
+  view.setRotation(Number(values.get("rotation") ?? 0));
+  if (values.has("follow")) app.follow(true);
+}

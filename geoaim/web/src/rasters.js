@@ -1,0 +1,48 @@
+/** Rasters as layers of tiles. */
+import TileLayer from "ol/layer/Tile.js";
+import TileImage from "ol/source/TileImage.js";
+import TileGrid from "ol/tilegrid/TileGrid.js";
+import { getRenderPixel } from "ol/render.js";
+
+const TILE_ERROR = 3; // ol/TileState.ERROR
+
+/** Make the layer of a raster (an item of `rasters` in the description). */
+export function makeRasterLayer(raster, transport, projection) {
+  const { path, extent, resolutions, tile_px: tileSize } = raster;
+  const tileGrid = new TileGrid({ extent, origin: [extent[0], extent[3]], resolutions, tileSize });
+  const source = new TileImage({
+    projection,
+    tileGrid,
+    transition: 0,
+    tileUrlFunction: ([level, column, row]) => `${path}/${level}/${column}/${row}`,
+    tileLoadFunction: async (tile, address) => {
+      const image = tile.getImage();
+      try {
+        const url = URL.createObjectURL(new Blob([await transport.read(address)]));
+        image.addEventListener("load", () => URL.revokeObjectURL(url), { once: true });
+        image.src = url;
+      } catch {
+        tile.setState(TILE_ERROR);
+      }
+    },
+  });
+  return new TileLayer({ source, visible: raster.visible, opacity: raster.opacity, extent });
+}
+
+/** Show a layer only right of a place (0 left, 1 right) of the map; `get` returns it or null. */
+export function addSwipe(layer, map, get) {
+  layer.on("prerender", ({ context, ...event }) => {
+    const share = get();
+    if (share === null) return;
+    const [width, height] = map.getSize();
+    const corners = [[width * share, 0], [width, 0], [width, height], [width * share, height]];
+    context.save();
+    context.beginPath();
+    for (const corner of corners) context.lineTo(...getRenderPixel({ context, ...event }, corner));
+    context.closePath();
+    context.clip();
+  });
+  layer.on("postrender", ({ context }) => {
+    if (get() !== null) context.restore();
+  });
+}

@@ -1,0 +1,66 @@
+/** The time line: play, seek, speed, and marks of infractions. */
+import { make } from "./dom.js";
+
+const SPEEDS = [0.25, 0.5, 1, 2, 5, 10];
+const MARK_COLOURS = { "off road": "#8d5a00", collision: "#c1121f", "red light": "#e000a4" };
+
+/** Make a time line from `begin` to `end` (s) that calls `seek(time)`. */
+export class Timeline {
+  constructor(begin, end, seek) {
+    Object.assign(this, { begin, end, seek, time: begin, speed: 1, playing: false });
+    this.play = make("button", { className: "play", title: "Play or pause (space)" }, "▶");
+    this.slider = make("input", { type: "range", min: begin, max: end, step: "any", value: begin });
+    this.slider.setAttribute("aria-label", "time");
+    this.label = make("output", { className: "time" });
+    const options = SPEEDS.map((speed) => make("option", { value: speed, selected: speed === 1 }, `${speed} ×`));
+    this.speeds = make("select", { title: "Playback speed" }, ...options);
+    this.marks = make("div", { className: "marks" });
+    const track = make("div", { className: "track" }, this.marks, this.slider);
+    this.element = make("div", { className: "timeline" }, this.play, track, this.label, this.speeds);
+    this.play.addEventListener("click", () => this.toggle());
+    this.slider.addEventListener("input", () => this.set(Number(this.slider.value)));
+    this.speeds.addEventListener("change", () => (this.speed = Number(this.speeds.value)));
+    this.set(begin);
+  }
+
+  /** Go to a time, within the tracks. */
+  set(time) {
+    this.time = Math.min(Math.max(time, this.begin), this.end);
+    this.slider.value = this.time;
+    this.label.value = `${this.time.toFixed(2)} s`;
+    this.seek(this.time);
+  }
+
+  toggle(playing = !this.playing) {
+    this.playing = playing;
+    this.play.textContent = playing ? "❚❚" : "▶";
+    if (!playing) return;
+    if (this.time >= this.end) this.set(this.begin);
+    let last = null;
+    const advance = (now) => {
+      if (!this.playing) return;
+      if (last !== null) this.set(this.time + ((now - last) / 1000) * this.speed);
+      last = now;
+      if (this.time >= this.end) return this.toggle(false);
+      requestAnimationFrame(advance);
+    };
+    requestAnimationFrame(advance);
+  }
+
+  /** Show marks {time, agent, kind}; a click on one calls `select(mark)`. */
+  showMarks(marks, select) {
+    for (const mark of marks) {
+      const place = (100 * (mark.time - this.begin)) / (this.end - this.begin || 1);
+      const style = `left:${place}%;background:${MARK_COLOURS[mark.kind] ?? "#555"}`;
+      const title = `${mark.kind}: agent ${mark.agent} at ${mark.time.toFixed(1)} s`;
+      const tick = make("button", { className: "mark", style, title });
+      tick.addEventListener("click", () => select(mark));
+      this.marks.append(tick);
+    }
+  }
+}
+
+/** The kinds of marks and their colours, for a legend. */
+export function listMarkKinds(marks) {
+  return Object.entries(MARK_COLOURS).filter(([kind]) => marks.some((mark) => mark.kind === kind));
+}

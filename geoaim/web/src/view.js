@@ -1,0 +1,192 @@
+/** The viewer of maps, tracks and what happens on them. */
+import ScaleLine from "ol/control/ScaleLine.js";
+import { defaults as defaultInteractions } from "ol/interaction/defaults.js";
+import Map from "ol/Map.js";
+import Projection from "ol/proj/Projection.js";
+import View from "ol/View.js";
+import { AgentsLayer, OTHER_COLOUR, TYPE_COLOURS } from "./agents_layer.js";
+import { describePoint } from "./coordinates.js";
+import { make, makeCheckbox } from "./dom.js";
+import { readLink, writeLink } from "./link.js";
+import { addMeasure } from "./measure.js";
+import { addSwipe, makeRasterLayer } from "./rasters.js";
+import { listMarkKinds, Timeline } from "./timeline.js";
+import { readJson } from "./transport.js";
+import { findAgent, findStep, getPose, readTracks } from "./tracks.js";
+import { makeShapesLayer } from "./vectors.js";
+
+const PICK_MARGIN_PX = 8;
+const FIT_PADDING_PX = 30;
+
+/** Make the map's view and projection: metres of the world, x east and y north. */
+export function makeMapView(extent) {
+  const projection = new Projection({ code: "geoaim", units: "m", extent, getPointResolution: (r) => r });
+  return new View({ projection, center: [0, 0], resolution: 1, constrainRotation: false, showFullExtent: true });
+}
+
+/** Show a description (of `kind` "view") in an element; returns what tests and pages drive. */
+export async function showView(element, description, transport, { link = false } = {}) {
+  const view = makeMapView(description.extent);
+  const mapElement = make("div", { className: "map" });
+  const status = make("div", { className: "status" });
+  const panel = make("details", { className: "panel", open: true }, make("summary", {}, "Layers"));
+  const agentView = make("img", { className: "agent-view", hidden: true, alt: "the view of the selected agent" });
+  const selection = make("div", { className: "selection", hidden: true });
+  element.replaceChildren(
+    make("div", { className: "stage" }, mapElement, panel, make("div", { className: "inset" }, selection, agentView), status),
+  );
+  const map = new Map({
+    target: mapElement,
+    view,
+    controls: [new ScaleLine({ minWidth: 90 })],
+    interactions: defaultInteractions({ altShiftDragRotate: true, pinchRotate: true }),
+  });
+  const hidden = new Set();
+  const state = { time: 0, selected: null, follow: false, shown: (name) => !hidden.has(name), ...description.moving };
+  const agentsLayer = new AgentsLayer(state);
+  const app = { map, view, state, agentsLayer, timeline: null, layers: {} };
+
+  const toggles = {};
+  const addToggle = (name, layer, visible, swatch = null) => {
+    const change = (on) => {
+      toggles[name].firstChild.checked = on;
+      if (on) hidden.delete(name);
+      else hidden.add(name);
+      layer?.setVisible(on);
+      agentsLayer.changed();
+      save();
+    };
+    toggles[name] = makeCheckbox(name, visible, change, swatch);
+    app.layers[name] = change;
+    if (!visible) hidden.add(name);
+    panel.append(toggles[name]);
+  };
+  let swipe = null;
+  for (const raster of description.rasters) {
+    const layer = makeRasterLayer(raster, transport, view.getProjection());
+    map.addLayer(layer);
+    addToggle(raster.name, layer, raster.visible);
+    if (raster.swipe) {
+      const slider = make("input", { type: "range", min: 0, max: 1, step: 0.005, value: 0.5, className: "swipe" });
+      slider.setAttribute("aria-label", "swipe");
+      slider.hidden = true;
+      slider.addEventListener("input", () => ((swipe = Number(slider.value)), map.render()));
+      mapElement.append(slider);
+      addSwipe(layer, map, () => swipe);
+      const change = (on) => ((slider.hidden = !on), (swipe = on ? Number(slider.value) : null), map.render());
+      panel.append(makeCheckbox("swipe between the two", false, change));
+    }
+  }
+  for (const shapes of description.shapes) {
+    const layer = makeShapesLayer(shapes);
+    map.addLayer(layer);
+    addToggle(shapes.name, layer, shapes.visible, shapes.colour);
+  }
+  map.addLayer(agentsLayer);
+  for (const name of ["lights", "futures"]) if (state[name]) addToggle(name, null, true);
+  const setMeasure = addMeasure(map, (length) => (status.textContent = `${length.toFixed(2)} m`));
+  let measuring = false;
+  panel.append(makeCheckbox("measure", false, (on) => setMeasure((measuring = on))));
+
+  let loadingView = null;
+  const showAgentView = async () => {
+    const wanted = state.selected && `${state.selected.id}/${findStep(state.tracks.times, state.time)}`;
+    agentView.hidden = !wanted || !description.agent_views;
+    if (agentView.hidden || loadingView || agentView.dataset.shown === wanted) return;
+    loadingView = wanted;
+    try {
+      const bytes = await transport.read(`agent_views/${encodeURIComponent(state.selected.id)}/${wanted.split("/").pop()}`);
+      URL.revokeObjectURL(agentView.src);
+      agentView.src = URL.createObjectURL(new Blob([bytes]));
+      agentView.style.visibility = "visible";
+    } catch {
+      agentView.style.visibility = "hidden"; // the agent is absent then
+    }
+    agentView.dataset.shown = wanted;
+    loadingView = null;
+    if (state.selected) showAgentView();
+  };
+  const followAgent = () => {
+    const pose = state.follow && state.selected && getPose(state.tracks, state.selected, state.time);
+    if (!pose) return;
+    view.setCenter(pose.slice(0, 2));
+    view.setRotation(pose[2] - Math.PI / 2); // heading up
+  };
+  const seek = (time) => {
+    state.time = time;
+    followAgent();
+    agentsLayer.changed();
+    showAgentView();
+    save();
+  };
+  const select = (agent) => {
+    state.selected = agent;
+    selection.hidden = !agent;
+    if (agent) {
+      const follow = makeCheckbox("follow, heading up (f)", state.follow, app.follow);
+      selection.replaceChildren(make("b", {}, `${agent.type} ${agent.id}`), follow);
+    }
+    app.follow(Boolean(agent) && state.follow);
+  };
+  app.follow = (on) => {
+    state.follow = on;
+    const box = selection.querySelector("input");
+    if (box) box.checked = on;
+    if (!on) view.setRotation(0);
+    seek(state.time);
+  };
+  app.select = (id) => select(state.tracks?.agents.find((agent) => agent.id === id) ?? null);
+
+  let pending = null;
+  const save = () => {
+    if (!link || pending) return;
+    pending = setTimeout(() => ((pending = null), writeLink(app, hidden)), 300);
+  };
+  map.on("moveend", save);
+  map.on("pointermove", ({ coordinate }) => {
+    if (!measuring) status.textContent = describePoint(description, coordinate);
+  });
+  map.on("click", ({ coordinate }) => {
+    if (measuring || !state.tracks) return;
+    select(findAgent(state.tracks, state.time, coordinate, PICK_MARGIN_PX * view.getResolution()));
+  });
+  element.tabIndex = 0;
+  element.addEventListener("keydown", (event) => {
+    if (event.target.matches("input, select, button")) return;
+    if (event.key === " ") app.timeline?.toggle();
+    else if (event.key === "f") app.follow(!state.follow);
+    else if (event.key === "Escape") select(null);
+    else return;
+    event.preventDefault();
+  });
+
+  const padding = Array(4).fill(FIT_PADDING_PX);
+  map.updateSize();
+  view.fit(description.extent, { padding });
+  map.once("rendercomplete", () => performance.mark("geoaim-painted"));
+  if (state.tracks) {
+    state.tracks = null;
+    state.tracks = await readTracks(description.moving.tracks, transport);
+    const { times, agents } = state.tracks;
+    app.timeline = new Timeline(times[0], times[times.length - 1], seek);
+    element.append(app.timeline.element);
+    map.updateSize();
+    addToggle("tracks", null, true);
+    const types = new Set(agents.map((agent) => agent.type));
+    for (const type of types) {
+      const swatch = make("i", { className: "swatch", style: `background:${TYPE_COLOURS[type] ?? OTHER_COLOUR}` });
+      panel.append(make("small", {}, swatch, type));
+    }
+  }
+  if (link) readLink(app);
+  if (description.marks && app.timeline) {
+    readJson(transport, description.marks).then((marks) => {
+      app.timeline.showMarks(marks, (mark) => (app.timeline.set(mark.time), app.select(mark.agent)));
+      for (const [kind, colour] of listMarkKinds(marks)) {
+        const count = marks.filter((mark) => mark.kind === kind).length;
+        panel.append(make("small", {}, make("i", { className: "swatch", style: `background:${colour}` }), `${kind} (${count})`));
+      }
+    });
+  }
+  return app;
+}

@@ -1,0 +1,86 @@
+"""The viewer as a widget in notebooks: JupyterLab, VS Code, Colab, marimo."""
+
+from contextlib import ExitStack
+from typing import Any
+
+from geoaim.errors import GeoaimError
+from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.lights import Lights
+from geoaim.tracks import Tracks
+from geoaim.web.explore import Contents, FuturesSource, ImagerySource, MapSource, make_map_view
+from geoaim.web.html_file import read_module
+from geoaim.web.map_view import MapView
+
+
+def explore(
+    aim: MapSource,
+    *,
+    tracks: Tracks | None = None,
+    lights: Lights | None = None,
+    hdmap: HDMap | None = None,
+    imagery: ImagerySource | None = None,
+    futures: FuturesSource | None = None,
+) -> Any:
+    """Show a map and what moves on it in a notebook, as a widget to play and to look around in.
+
+    Args:
+        aim: the map, or its file, of which only what is looked at is read.
+        tracks: agents, in any world that can be brought into the map's.
+        lights: traffic lights.
+        hdmap: lanes, borders and markings, in the map's world.
+        imagery: shown beneath the map, with a swipe between the two: an AIM in its world, or what
+            `read_imagery` reads.
+        futures: a table as `geoaim predict -o futures.csv` writes it, or such a file.
+
+    Returns:
+        The widget (anywidget), which JupyterLab, VS Code, Colab and marimo show.
+
+    Raises:
+        ImportError: anywidget is not installed (`pip install 'geoaim[jupyter]'`).
+        GeoaimError: something cannot be read, or lies elsewhere.
+
+    Example:
+        geoaim.explore(aim, tracks=geoaim.read_tracks("tracks.csv"))
+    """
+    contents = Contents(tracks, lights, hdmap, None, imagery, futures)
+    stack = ExitStack()  # the file of the map is open as long as the widget lives
+    return make_widget(make_map_view(aim, contents, stack), stack)
+
+
+def make_widget(view: MapView, resources: object) -> Any:
+    """Make the widget of a view; `resources` live as long as it does."""
+    try:
+        import anywidget
+    except ImportError as error:
+        raise ImportError(
+            "the widget needs anywidget: pip install 'geoaim[jupyter]'; `geoaim view` shows the "
+            "same in a browser without it"
+        ) from error
+
+    class ViewWidget(anywidget.AnyWidget):
+        _esm = read_module()
+
+    widget = ViewWidget()
+    widget.resources = resources
+    widget.on_msg(lambda sender, message, _: answer_message(view, sender.send, message))
+    return widget
+
+
+def answer_message(view: MapView, send: Any, message: dict[str, Any]) -> None:
+    """Answer a message of the widget: {id, path} with bytes, {id, action} with a reply.
+
+    Args:
+        view: what is shown.
+        send: takes a message and a list of buffers.
+        message: of the widget's page.
+    """
+    number = message.get("id")
+    try:
+        if "path" in message:
+            send({"id": number}, [view.read(str(message["path"]))])
+        elif view.call is not None:
+            send({"id": number, "reply": view.call(message["action"])})
+    except KeyError as error:
+        send({"id": number, "error": str(error.args[0])})
+    except (GeoaimError, ValueError) as error:
+        send({"id": number, "error": str(error)})

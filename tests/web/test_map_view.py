@@ -1,0 +1,83 @@
+import json
+
+import numpy as np
+import pytest
+
+from geoaim.errors import TracksError
+from geoaim.web.map_layers import describe_hdmap, describe_lonlat
+from geoaim.web.map_view import read_embedded
+from geoaim.web.moving_layers import describe_futures, describe_tracks
+from geoaim.world import World, lonlat_from_world
+
+
+def test_the_description_names_only_what_can_be_read(view):
+    shown = json.loads(view.read("description.json"))
+    for raster in shown["rasters"]:
+        assert len(view.read(f"{raster['path']}/0/0/0")) > 100
+    tracks = shown["moving"]["tracks"]
+    states = np.frombuffer(view.read(tracks["path"]), "<f4")
+    assert len(states) == 3 * sum(agent["steps"] for agent in tracks["agents"])
+    assert len(view.read(tracks["times"])) == 8 * 601
+    for path in ("nothing", "aim_image/9/0/0", "aim_image/0/0", "agent_views/none/0", "../aim"):
+        with pytest.raises((KeyError, TracksError)):
+            view.read(path)
+
+
+def test_packed_tracks_are_those_given(contents):
+    described, data = describe_tracks(contents.tracks)
+    states = np.frombuffer(data["tracks"](), "<f4").reshape(-1, 3)
+    begin = 0
+    for row, agent in enumerate(described["agents"]):
+        origin = np.array([*described["origin"], 0.0])
+        part = states[begin : begin + agent["steps"]] + origin
+        begin += agent["steps"]
+        true = contents.tracks.states[row, agent["first"] : agent["first"] + agent["steps"], :3]
+        np.testing.assert_allclose(part, true, atol=1e-4)
+
+
+def test_infractions_are_marked_where_they_begin(view):
+    marks = json.loads(view.read("marks.json"))
+    assert {mark["kind"] for mark in marks} <= {"collision", "off road", "red light"}
+    assert marks == sorted(marks, key=lambda mark: mark["time"])
+    keys = [(mark["time"], mark["agent"], mark["kind"]) for mark in marks]
+    assert len(set(keys)) == len(keys) > 0
+
+
+def test_longitude_and_latitude_are_fitted_to_a_millimetre():
+    world = World("EPSG:32635", (583000.0, 6062000.0))
+    corners = np.array([[-500.0, -300.0], [1500.0, 900.0]])
+    fitted = describe_lonlat(world, corners)
+    points = np.array([[-400.0, 800.0], [0.0, 0.0], [1400.0, 850.0]])
+    u, v = ((points - fitted["center"]) / fitted["scale"]).T
+    terms = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v])
+    degrees = (np.array(fitted["coefficients"]) @ terms).T
+    assert np.abs(degrees - lonlat_from_world(world, points)).max() < 1e-8  # 1 mm
+    assert describe_lonlat(World(None), corners) is None
+
+
+def test_a_map_is_described_by_its_kinds_of_lines(contents):
+    shapes = describe_hdmap(contents.hdmap)
+    assert shapes[0]["name"] == "drivable area"
+    assert sum(len(item.get("lines", [])) for item in shapes) == len(contents.hdmap.lines)
+
+
+def test_futures_are_the_rows_of_the_table():
+    pd = pytest.importorskip("pandas")
+    rows = [(k, "7", t, t + k, -t) for k in range(2) for t in (2.0, 1.0, 3.0)]
+    table = pd.DataFrame(rows, columns=["sample", "id", "time", "x", "y"])
+    (agent,) = describe_futures(table)["agents"]
+    assert agent["samples"][1] == [[2.0, -1.0], [3.0, -2.0], [4.0, -3.0]]
+
+
+def test_a_file_holds_what_its_description_names(view):
+    files = read_embedded(view)
+    shown = json.loads(files["description.json"])
+    assert not shown["agent_views"]
+    for raster in shown["rasters"]:
+        assert f"{raster['path']}/{len(raster['resolutions']) - 1}/0/0" in files
+    assert shown["moving"]["tracks"]["path"] in files
+
+
+def test_the_view_of_an_agent_is_a_picture(view, contents):
+    step = int(np.flatnonzero(contents.tracks.present[0])[5])
+    assert view.read(f"agent_views/{contents.tracks.ids[0]}/{step}")[:2] == b"\xff\xd8"

@@ -1,0 +1,114 @@
+import http.client
+import json
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+
+from geoaim.web import server as served
+from geoaim.web.map_view import MapView
+from geoaim.web.server import ViewServer
+
+SECRET = {"kind": "view", "title": "a <b> & c", "rasters": []}
+
+
+def refuse(action):
+    if action.get("bad"):
+        raise ValueError("a point needs u and v")
+    return {"got": action}
+
+
+@pytest.fixture
+def server():
+    with ViewServer(MapView(SECRET, call=refuse)) as started:
+        threading.Thread(target=started.serve_forever, daemon=True).start()
+        yield started
+        started.shutdown()
+
+
+def ask(server, path, method="GET", body=None, **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
+    connection.putrequest(method, path, skip_host="Host" in headers)
+    names = {name.replace("_", "-"): value for name, value in headers.items()}
+    if body is not None:
+        names.setdefault("Content-Length", str(len(body)))
+    for name, value in names.items():
+        connection.putheader(name, value)
+    connection.endheaders(body)
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content, answer.headers
+
+
+def test_its_own_page_gets_everything(server):
+    status, page, headers = ask(server, f"/{server.token}/")
+    assert status == 200
+    assert b"a &lt;b&gt; &amp; c" in page
+    assert "default-src 'none'" in headers["Content-Security-Policy"]
+    assert ask(server, f"/{server.token}/geoaim.js")[0] == 200
+    status, content, _ = ask(server, f"/{server.token}/description.json")
+    assert json.loads(content) == SECRET
+
+
+def test_it_listens_on_this_machine_alone(server):
+    assert server.server_address[0] == "127.0.0.1"
+
+
+@pytest.mark.parametrize("path", ["/", "/wrong/", "/description.json", "//", "/%00/"])
+def test_without_the_token_nothing_is_told(server, path):
+    status, content, _ = ask(server, path)
+    assert status == 403
+    assert b"title" not in content
+
+
+def test_other_origins_and_hosts_are_refused(server):
+    path = f"/{server.token}/description.json"
+    own = f"127.0.0.1:{server.server_port}"
+    for headers in (
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Host": "evil.example"},
+        {"Host": f"localhost.evil.example:{server.server_port}"},
+    ):
+        assert ask(server, path, **headers)[0] == 403
+    assert ask(server, path, Host=own, Origin=f"http://{own}")[0] == 200
+
+
+@pytest.mark.parametrize("path", ["../../etc/passwd", "%2e%2e/%2e%2e/etc/passwd", "/etc/passwd"])
+def test_no_path_leads_outside(server, path):
+    assert ask(server, f"/{server.token}/{path}")[0] == 404
+
+
+def test_calls_are_answered_or_refused_by_one_line(server):
+    path, kind = f"/{server.token}/call", {"Content_Type": "application/json"}
+    status, content, _ = ask(server, path, "POST", b'{"u": 1}', **kind)
+    assert (status, json.loads(content)) == (200, {"got": {"u": 1}})
+    status, content, _ = ask(server, path, "POST", b'{"bad": 1}', **kind)
+    assert (status, content) == (422, b"a point needs u and v")
+    assert ask(server, path, "POST", b"{", **kind)[0] == 422
+    assert ask(server, path, "POST", b"{}", Content_Type="text/plain")[0] == 415
+    assert ask(server, path, "POST", None, Content_Length="9999999999", **kind)[0] == 413
+    assert ask(server, "/wrong/call", "POST", b"{}", **kind)[0] == 403
+    server.view = replace(server.view, call=None)
+    assert ask(server, path, "POST", b"{}", **kind)[0] == 404
+
+
+def test_it_stops_when_its_last_page_is_closed(monkeypatch):
+    monkeypatch.setattr(served, "CLOSED_S", 0.2)
+    monkeypatch.setattr(served, "ALIVE_PERIOD_S", 0.05)
+    with ViewServer(MapView(SECRET)) as started:
+        waiting = threading.Thread(target=started.serve_until_closed)
+        waiting.start()
+        time.sleep(0.4)
+        assert waiting.is_alive()  # the page was not opened yet
+        connection = http.client.HTTPConnection("127.0.0.1", started.server_port)
+        connection.request("GET", f"/{started.token}/alive")
+        answer = connection.getresponse()
+        time.sleep(0.4)
+        assert waiting.is_alive()
+        answer.close()
+        connection.close()
+        waiting.join(timeout=5)
+        assert not waiting.is_alive()

@@ -1,0 +1,29 @@
+import pytest
+
+from geoaim.web.map_view import MapView
+from geoaim.web.widget import answer_message, explore
+
+
+@pytest.fixture
+def sent():
+    return []
+
+
+def test_messages_are_answered_with_bytes_replies_or_errors(view, sent):
+    def send(*message):
+        sent.append(message)
+
+    answer_message(view, send, {"id": 1, "path": "description.json"})
+    answer_message(view, send, {"id": 2, "path": "nothing"})
+    calling = MapView({}, call=lambda action: {"twice": 2 * action["value"]})
+    answer_message(calling, send, {"id": 3, "action": {"value": 4}})
+    assert sent[0][0] == {"id": 1}
+    assert sent[0][1][0].startswith(b"{")
+    assert sent[1][0] == {"id": 2, "error": "there is nothing at nothing"}
+    assert sent[2][0] == {"id": 3, "reply": {"twice": 8}}
+
+
+def test_the_widget_carries_the_viewer(aim, contents):
+    pytest.importorskip("anywidget")
+    widget = explore(aim, tracks=contents.tracks)
+    assert "geoaim-painted" in widget._esm
