@@ -67,7 +67,7 @@ class AIM(Display):
         world: World,
         source: str,
     ) -> "AIM":
-        """Make an AIM from one image; its coverage is 1, and no pixel is contested.
+        """Make an AIM from one image: each pixel was seen in one frame, and none is contested.
 
         Args:
             image: (H, W, 3) RGB.

@@ -37,8 +37,8 @@ def to_world(tracks: Tracks, world: World) -> Tracks:
 def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tracks:
     """Resample tracks at an even rate, from their first time on.
 
-    Positions and speeds are interpolated linearly in time, headings along the shorter turn; a
-    recorded time keeps its recorded state. Nothing is extrapolated.
+    Positions and speeds are interpolated linearly in time, headings along the shorter turn; at a
+    recorded time, the recorded state is kept. Nothing is extrapolated.
 
     Args:
         tracks: at any times.
@@ -46,12 +46,13 @@ def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tra
         max_gap: seconds; an agent is absent between recorded states that are further apart.
 
     Returns:
-        The same agents, even those that are absent at all of the new times.
+        Tracks at the new times, with all agents. An agent without a state at any new time is kept,
+        as absent.
 
     Raises:
         ValueError: the rate is not positive.
-        TracksError: there would be too many states, or the recorded ones are mostly further apart
-            than the gap.
+        TracksError: there would be too many states, or more than half of all recorded states are
+            further than `max_gap` from the agent's next one.
     """
     if not 0 < rate < np.inf:
         raise ValueError(f"rate is {rate}; a positive number of Hz is needed")

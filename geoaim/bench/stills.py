@@ -15,11 +15,11 @@ from numpy import ndarray as Array
 from geoaim.bench.data import read_image, require_data
 from geoaim.files import atomic_write
 
-STILLS = ("00003", "00972")
+STILLS = ("00003", "00972")  # names of the two images of Songdo Vision
 
 
 def cut_sprites(still: str) -> list[UInt8[Array, "_ _ 4"]]:
-    """Cut the cars out of the still "00003" or "00972": RGBA, heading right, padded by 2 px."""
+    """Cut the cars out of a still of `STILLS`: RGBA, heading right, padded by 2 px."""
     image, boxes = _read_still(still)
     sprites = []
     for left, top, right, bottom in boxes.tolist():
@@ -44,7 +44,10 @@ def cut_car(body: UInt8[Array, "h w 3"], size: float) -> UInt8[Array, "_ _ 4"]:
 
 
 def read_clean_still(still: str) -> UInt8[Array, "2160 3840 3"]:
-    """Read the still "00003" or "00972" with road in place of its vehicles; cached on disk."""
+    """Read one of the two real drone stills (`STILLS`), its vehicles painted over with road.
+
+    The result is kept in a cache on disk.
+    """
     cached = _find_cache_folder() / f"clean-{still}.png"
     if not cached.exists():
         image, boxes = _read_still(still)

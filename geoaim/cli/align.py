@@ -44,8 +44,9 @@ def align(
     """Correct the position of orthophotos or map tiles, and write them as an AIM.
 
     The position comes from control points, else from an AIM of the same place, else from tracks
-    of vehicles; the others of these check it. Without any of them the imagery stays at its stated
-    position. A .png beside the map shows the imagery before and after.
+    of vehicles; whichever of these are given besides check that position. Without any of them the
+    imagery stays at its stated position. A .png beside the output shows the imagery before and
+    after.
 
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """

@@ -37,7 +37,8 @@ Batch = tuple[Segments, Ground, int, torch.Generator]
 def join_processes(device: torch.device) -> Iterator[Process]:
     """Join the processes of `torchrun`, if any, and yield this one.
 
-    `device` is where to train when it is alone or on a CPU; else each process has its own GPU.
+    `device` is used if there is one process or if it is a CPU; otherwise each process takes the GPU
+    of its local rank.
     """
     world_size, rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
     if world_size == 1:

@@ -1,4 +1,7 @@
-"""Hyperparameters of models and trainings, with the defaults of each agent kind."""
+"""Hyperparameters of models and trainings, with the defaults of each agent kind.
+
+What is the same for all trainings, such as the limit of the gradient norm, is in `training.py`.
+"""
 
 from dataclasses import dataclass, replace
 

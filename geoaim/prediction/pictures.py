@@ -63,9 +63,10 @@ def _make_figure(futures: Futures) -> Figure:
 
 
 def write_futures(futures: Futures, path: str | os.PathLike[str], *, world: World) -> None:
-    """Write a CSV with a row for each sample, agent and step, below the header of tracks.
+    """Write a CSV with a row for each sample, step and agent that is present in it.
 
-    Columns are sample, id, type, time, x, y, heading, speed, in the units of tracks.
+    It begins with the comment lines of the tracks format (`# crs`, `# origin`). Columns are sample,
+    id, type, time (s), x, y (metres from that origin), heading (rad), speed (m/s).
 
     Args:
         futures: from `predict`.

@@ -16,9 +16,9 @@ def composite(
     """Paint fragments over pictures, one after the other.
 
     Args:
-        pixels: (C, P) of all pictures, from `sample_ground`; painted in place without planes.
-        fragments: in paint order, of C channels; with planes of one channel, and `fragments.pixel`
-            counts on from plane to plane.
+        pixels: (C, P) of all pictures, from `sample_ground`; changed in place if `planes` is 0.
+        fragments: in paint order. Without planes their colours have C channels. With planes they
+            have one, and pixel p of plane k has the index k P + p.
         planes: number of empty planes that are painted instead of the C channels.
 
     Returns:

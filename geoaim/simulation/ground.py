@@ -65,16 +65,18 @@ def make_ground(
     """Make a ground of a texture.
 
     Args:
-        image: (C, H, W) a map's image, 0 to 1, or a plain colour (C, 1, 1) for no map.
+        image: (C, h, w) a map's image, 0 to 1, in float32 or float64. For no map: (C, 1, 1) of one
+            colour, with `outside` the same colour.
         image_from_world: (2, 3) metres to its pixels (corner origin, v down).
-        coverage: (H, W) where the image shows the ground; None: everywhere.
+        coverage: (h, w) where the image shows the ground; None: everywhere.
         outside: (C,) colour where it does not, and beyond the image; None: mid-grey.
 
     Returns:
         The ground, of the image's dtype and on its device.
 
     Raises:
-        ValueError: the transform is singular, a number is not finite, or shapes do not match.
+        ValueError: the transform is singular, the image has another dtype or a number that is not
+            finite, or shapes do not match.
     """
     if coverage is None:
         coverage = torch.ones_like(image[0], dtype=torch.bool)

@@ -2,7 +2,8 @@
 
 A state is x, y (metres), heading (radians) and speed (m/s, negative in reverse) of the centre of an
 agent's box, as in `geoaim.Tracks`. Acceleration and curvature are constant within a step: the
-centre follows a circular arc, and the step is exact for any `dt`.
+centre follows a circular arc, and the step is exact for any `dt`. Actions are not limited here; the
+drivers' limits are in `policies.py`.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,7 @@
-"""Policies without training: constant velocity, constant turn rate, replay, intelligent driver."""
+"""Policies without training: constant velocity, constant turn rate, replay, intelligent driver.
+
+The constants below limit the intelligent driver's steering and braking.
+"""
 
 import torch
 from jaxtyping import Float, Int

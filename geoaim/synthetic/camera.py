@@ -138,9 +138,9 @@ def render_frames(clip: HoverClip) -> Iterator[UInt8[Array, "H W 3"]]:
 
 
 def render_frame(clip: HoverClip, index: int) -> UInt8[Array, "H W 3"]:
-    """Render a frame as RGB: ground and agents through the lens, with gain and noise."""
+    """Render frame `index` as RGB, 0 to 255: ground and agents, with blur, gain and noise."""
     image = render_background(clip, index)
-    for patch in _render_vehicles(clip, index, clip.frame_from_background[index]):
+    for patch in _render_agents(clip, index, clip.frame_from_background[index]):
         blend_patch(image, patch)
     row, column = clip.noise_starts[index]
     noise = clip.noise[row : row + clip.height, column : column + clip.width]
@@ -189,7 +189,7 @@ def measure_traffic_share(clip: HoverClip) -> Float32[Array, "H W"]:
     pose = clip.frame_from_background[0]
     for index in range(len(clip.times)):
         windows = []
-        for window, _, alpha in _render_vehicles(clip, index, pose):
+        for window, _, alpha in _render_agents(clip, index, pose):
             np.maximum(covered[window], alpha > 5, out=covered[window])
             windows.append(window)
         for window in windows:  # cleared at once, so that a pixel counts once where windows overlap
@@ -250,10 +250,10 @@ def _expose(
     return exposed
 
 
-def _render_vehicles(
+def _render_agents(
     clip: HoverClip, index: int, frame_from_background: Float[Array, "3 3"]
 ) -> Iterator[SpritePatch]:
-    """Windows of a frame, and premultiply colour and alpha over each; shadows come first."""
+    """Yield windows of a frame with premultiplied colour and alpha; shadows come first."""
     poses = clip.traffic.poses[index]
     present = np.flatnonzero(np.isfinite(poses).all(axis=-1))
     background_from_sprite = compute_background_from_sprite(poses)

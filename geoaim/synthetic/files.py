@@ -32,7 +32,7 @@ def write_sample(
     Args:
         sample: what is written.
         folder: a new or empty folder.
-        progress: called with the stage, the steps done and in all.
+        progress: called with the stage, the number of steps done, and their total.
 
     Raises:
         ValueError: the folder holds files.

@@ -60,7 +60,7 @@ def photograph(
     sensor_resolution: float = SENSOR_RESOLUTION,
     resolution: float = RESOLUTION,
 ) -> UInt8[Array, "_ _ 3"]:
-    """Photograph a place, with the traffic of the tracks' first time.
+    """Photograph a place, with the agents where they are at the first time of the tracks.
 
     Args:
         place: the place.
@@ -70,7 +70,7 @@ def photograph(
         resolution: metres per pixel at which the place is drawn before the sensor reduces it.
 
     Returns:
-        RGB, the extent of the drawn place at the sensor's resolution.
+        RGB image of the whole drawn place, at `sensor_resolution`.
     """
     generator = _make_generator(place, day.number)
     still = draw_place(place, day, resolution=resolution)

@@ -10,7 +10,7 @@ from geoaim.errors import TracksError
 from geoaim.limits import MAX_POSITION_M
 from geoaim.track_files import read_table
 from geoaim.track_formats.motion import make_tracks_from_positions
-from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns
+from geoaim.track_formats.shared import TrackFormat, check_columns, has_columns, map_types
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
@@ -22,7 +22,8 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
     """Read a geo-trax .csv: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, Local_Y, ...`.
 
     Headings and speeds are derived from the positions over half a second; a size that was not
-    measured is the median of its class. `crs` is that of Local_X (east) and Local_Y (north), None
+    measured is the median of its class; a class number N other than those of `VEHICLE_CLASSES` is
+    the type "class N", with a warning. `crs` is that of Local_X (east) and Local_Y (north), None
     for a local plane without a CRS; the world's origin is near the mean position. Times begin at 0.
 
     Raises:
@@ -35,13 +36,15 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
     for name in SIZES:
         median = table.groupby("Vehicle_Class")[name].transform("median")
         table[name] = table[name].fillna(median).fillna(table[name].median())
+    classes = table["Vehicle_Class"]
+    types = classes.map(VEHICLE_CLASSES).fillna(classes.map("class {:g}".format))
     time = _parse_times(path, table["Timestamp"])
     means = table[["Local_X", "Local_Y"]].mean().clip(-MAX_POSITION_M, MAX_POSITION_M)
     origin = (round(float(means.iloc[0]), -2), round(float(means.iloc[1]), -2))
     rows = pd.DataFrame(
         {
             "id": table["Vehicle_ID"],
-            "type": [VEHICLE_CLASSES.get(number, "other") for number in table["Vehicle_Class"]],
+            "type": map_types(path, types),
             "time": time - time.min(),
             "x": table["Local_X"] - origin[0],
             "y": table["Local_Y"] - origin[1],

@@ -67,9 +67,9 @@ def read_ind(path: str | os.PathLike[str]) -> Tracks:
 def read_highd(path: str | os.PathLike[str]) -> Tracks:
     """Read `XX_tracks.csv` of highD, and the two tables beside it.
 
-    In the file y points down and (x, y) is a corner of the box; in the tracks y points up and
-    (x, y) is the middle, in a local plane without a CRS. The heading is that of the
-    motion, or that of the carriageway for an agent that hardly moves.
+    In the file y points down and (x, y) is the top-left corner of the box; in the tracks y points
+    up and (x, y) is the middle of the box, in a local plane without a CRS. The heading is that of
+    the motion, or that of the carriageway for an agent that hardly moves.
 
     Raises:
         FileNotFoundError: there is no such file.

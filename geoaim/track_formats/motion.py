@@ -15,15 +15,26 @@ from geoaim.world import World
 def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
     """Replace headings and speeds by those of the positions over `half_window` seconds either side.
 
-    The window reaches the neighbouring states where most of these are further apart. A state
-    without another one in it has speed 0. An agent that stands keeps the direction of its last
-    motion; no agent drives in reverse.
+    The velocities are those of `estimate_velocity`, 0 where it gives none. An agent that stands
+    keeps the direction of its last motion; no agent drives in reverse.
     """
-    half_window = widen_half_window(tracks, half_window)
     velocity = np.nan_to_num(estimate_velocity(tracks, half_window))
     states = tracks.states.copy()
     states[..., 2] = np.where(tracks.present, estimate_heading(velocity), np.nan)
     states[..., 3] = np.where(tracks.present, np.hypot(velocity[..., 0], velocity[..., 1]), np.nan)
+    return replace(tracks, states=states)
+
+
+def derive_speeds(tracks: Tracks, *, half_window: float) -> Tracks:
+    """Replace speeds by those of the positions over `half_window` seconds either side.
+
+    As `derive_motion`, but headings stay: an agent that moves against its own drives in reverse,
+    and has a negative speed.
+    """
+    velocity = np.nan_to_num(estimate_velocity(tracks, half_window))
+    states = tracks.states.copy()
+    speed = compute_signed_speed(velocity, states[..., 2])
+    states[..., 3] = np.where(tracks.present, speed, np.nan)
     return replace(tracks, states=states)
 
 
@@ -45,18 +56,16 @@ def make_tracks_from_positions(rows: pd.DataFrame, world: World, *, half_window:
     return derive_motion(tracks, half_window=half_window)
 
 
-def widen_half_window(tracks: Tracks, half_window: float) -> float:
-    """Widen a window, if needed, to the median time between an agent's states, in seconds."""
-    agent, step = np.nonzero(tracks.present)
-    dt = np.diff(tracks.times[step])[np.diff(agent) == 0]
-    return max(half_window, 1.01 * float(np.median(dt)) if len(dt) else 0.0)
-
-
 def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2"]:
     """Estimate velocities (m/s) by differences of positions over `half_window` seconds either side.
 
-    One-sided where a track begins or ends; NaN where the window holds no other state.
+    A window that is shorter than the median time between an agent's states is widened to it.
+    Differences are one-sided where a track begins or ends; NaN where the window holds no other
+    state.
     """
+    present_agent, present_step = np.nonzero(tracks.present)
+    gaps = np.diff(tracks.times[present_step])[np.diff(present_agent) == 0]
+    half_window = max(half_window, 1.01 * float(np.median(gaps)) if len(gaps) else 0.0)
     velocity = np.full((*tracks.present.shape, 2), np.nan)
     for agent in range(len(tracks.ids)):
         steps = np.flatnonzero(tracks.present[agent])

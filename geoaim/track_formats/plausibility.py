@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from geoaim.errors import TracksError, warn
 from geoaim.geometry import wrap_angle
-from geoaim.track_formats.motion import estimate_velocity, widen_half_window
+from geoaim.track_formats.motion import estimate_velocity
 from geoaim.tracks import Tracks
 
 # By type: greatest length and width in metres, and speed in m/s.
@@ -86,8 +86,7 @@ def _check_sizes(tracks: Tracks) -> list[_Check]:
 
 def _check_motion(tracks: Tracks) -> list[_Check]:
     max_speed = _list_limits(tracks)[:, 2, None]
-    half_window = widen_half_window(tracks, HALF_WINDOW_S)
-    velocity = estimate_velocity(tracks, half_window)
+    velocity = estimate_velocity(tracks, HALF_WINDOW_S)
     known = np.isfinite(velocity[..., 0])
     velocity = np.nan_to_num(velocity)
     measured = np.hypot(velocity[..., 0], velocity[..., 1])
@@ -100,7 +99,7 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
     moving = known & (np.minimum(measured, stated) > MIN_MOVING_SPEED)
     direction = np.arctan2(velocity[..., 1], velocity[..., 0]) + np.pi * (signed < 0)
     off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
-    acceleration = _measure_acceleration(tracks, velocity, half_window)
+    acceleration = _measure_acceleration(tracks, velocity)
     return [
         _Check(
             "are faster than their type can be (is the speed in m/s?)", highest > max_speed, active
@@ -127,13 +126,11 @@ def _check_motion(tracks: Tracks) -> list[_Check]:
     ]
 
 
-def _measure_acceleration(
-    tracks: Tracks, velocity: Float[Array, "N T 2"], half_window: float
-) -> Float[Array, "N T"]:
+def _measure_acceleration(tracks: Tracks, velocity: Float[Array, "N T 2"]) -> Float[Array, "N T"]:
     """Acceleration in m/s2 by differences of velocities; 0 where it is not known."""
     states = np.where(tracks.present[..., None], tracks.states, np.nan)
     states[tracks.present, :2] = velocity[tracks.present]
-    change = np.nan_to_num(estimate_velocity(replace(tracks, states=states), half_window))
+    change = np.nan_to_num(estimate_velocity(replace(tracks, states=states), HALF_WINDOW_S))
     return np.hypot(change[..., 0], change[..., 1])
 
 

@@ -71,7 +71,7 @@ def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Seri
         warn(
             f"{Path(path)}: unknown agent types {', '.join(map(repr, unknown))}; they are kept as "
             "types of their own, which count neither as vehicles nor as pedestrians or cyclists, "
-            f"and have {OTHER_SIZE[0]} x {OTHER_SIZE[1]} m where no size is given. If one is "
+            f"and have {OTHER_SIZE[0]} x {OTHER_SIZE[1]} m where the file has no sizes. If one is "
             "another name of a known type, rename it: dataclasses.replace(tracks, types=...)"
         )
     return types

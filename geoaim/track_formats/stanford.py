@@ -35,9 +35,9 @@ AGENT_TYPES = {"Biker": "cyclist"}
 def read_sdd(path: str | os.PathLike[str], *, resolution: float) -> Tracks:
     """Read `annotations.txt` or `annotations.txt.gz` of the Stanford Drone Dataset.
 
-    x points to the right and y up, in metres from the top-left corner of the image, at
-    `resolution` metres per pixel. Headings and speeds are derived from the positions over a
-    second. Rows that are marked as lost are left out.
+    x points to the right and y up, in metres from the top-left corner of the image, so that y is
+    negative inside it, at `resolution` metres per pixel. Headings and speeds are derived from the
+    positions over a second. Rows that are marked as lost are left out.
 
     Raises:
         FileNotFoundError: there is no such file.

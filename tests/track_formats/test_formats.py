@@ -3,9 +3,10 @@ import pandas as pd
 import pytest
 
 from geoaim.errors import GeoaimWarning, TracksError
-from geoaim.track_formats import derive_motion, read_tracks, read_trajnet
+from geoaim.track_formats import derive_motion, derive_speeds, read_tracks, read_trajnet
 from geoaim.track_formats.formats import detect_format
 from geoaim.track_formats.motion import make_tracks_from_positions
+from geoaim.track_tables import make_tracks
 from geoaim.world import World
 from tests.track_formats import test_interaction, test_levelx, test_readers
 
@@ -125,6 +126,15 @@ def test_a_window_shorter_than_the_time_between_states_reaches_the_neighbours():
     rows = pd.DataFrame({**columns, "length": 4.5, "width": 1.8})
     tracks = make_tracks_from_positions(rows, World(None), half_window=0.25)
     assert tracks.states[0, :, 3].tolist() == [4.0, 4.0, 4.0]
+
+
+def test_derived_speeds_keep_headings_and_are_negative_against_them():
+    columns = {"id": ["1", "1", "2"], "type": "car", "time": [0.0, 1.0, 0.0], "x": [0.0, 4.0, 9.0]}
+    rows = pd.DataFrame({**columns, "y": 0.0, "heading": [-3.0, -3.0, 1.0], "speed": 7.0})
+    rows = rows.assign(length=4.5, width=1.8)
+    tracks = derive_speeds(make_tracks(rows, World(None)), half_window=0.25)
+    np.testing.assert_array_equal(tracks.states[..., 2], [[-3, -3], [1, np.nan]])
+    np.testing.assert_array_equal(tracks.states[..., 3], [[-4, -4], [0, np.nan]])
 
 
 def test_a_real_file_with_reversed_headings_warns_and_derive_motion_corrects_it(data_folder):

@@ -51,6 +51,14 @@ def test_unknown_agent_types_are_kept_and_one_warning_names_them(tmp_path):
     assert "0.5 x 0.5 m" in message
 
 
+def test_geotrax_names_unknown_classes_by_their_numbers_and_warns(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = [f"{k},0,0,0,0,{k},0,37,126,4.9,1.9,{k}" for k in (1, 9)]
+    path.write_text(GEOTRAX + "\n".join(rows))
+    with pytest.warns(GeoaimWarning, match="unknown agent types 'class 9'"):
+        assert read_geotrax(path).types == ("bus", "class 9")
+
+
 def test_sdd_turns_boxes_into_metres_and_motion_into_headings(tmp_path):
     lines = [f'0 {10 * k} 100 {10 * k + 20} 140 {6 * k} 0 0 0 "Biker"' for k in range(10)]
     lines.append('1 0 0 10 10 0 1 0 0 "Pedestrian"')  # lost

@@ -30,9 +30,9 @@ def judge_frames(
 ) -> list[dict[str, Any]]:
     """Judge each frame but the reference.
 
-    The truth is the ground's own map on a grid of 5 x 5 points. Where no homography can be exact
-    (lens, rolling shutter, torn frames) the error therefore counts what a user would see on the
-    map, and `floor` tells how small the best homography could make it.
+    The truth is where 5 x 5 points of a frame really lie in the reference. Where no homography can
+    be exact (lens, rolling shutter, torn frames), the error is still what a user would see on the
+    map, and `floor` is the error of the homography that fits the truth best.
 
     Args:
         clip: the clip.
@@ -41,7 +41,8 @@ def judge_frames(
         uncertainty: (T,) stated standard deviation of the corners, px; None where not stated.
 
     Returns:
-        A row for each frame: index; error, rms, floor and stated in px; verdict.
+        A row for each frame: index; error and floor (largest over the points), rms (over the
+        corners) and stated (the method's own uncertainty), px; verdict, one of `VERDICTS`.
     """
     grid, rows = make_grid(clip.size), []
     for index, matrix in enumerate(matrices):

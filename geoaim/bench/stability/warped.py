@@ -74,7 +74,7 @@ class WarpedScene:
         return np.stack([x, y], axis=-1)
 
     def render(self, index: int) -> UInt8[Array, "H W"]:
-        """Render a grey frame."""
+        """Render frame `index` of the clip in grey, 0 to 255."""
         height, width = self.size
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         x, y = self._find_ground(index, columns, rows, is_image=True)

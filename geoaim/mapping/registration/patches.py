@@ -308,9 +308,10 @@ def _subtract_mean(patches: Float[Array, "M P"]) -> Float[Array, "M P"]:
 
 
 def estimate_noise(grey: UInt8[Array, "H W"], *, least: float = 0.5) -> float:
-    """Standard deviation of the image noise, at least that given, grey levels (Immerkaer 1996).
+    """Estimate the standard deviation of the noise, grey levels; not below `least`.
 
-    The median replaces his mean, to reduce the influence of texture; a quarter of the pixels do.
+    As Immerkaer (1996), with the median instead of the mean, on which texture has less influence.
+    Every second row and column is used, which is enough.
     """
     mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = cv2.filter2D(grey, cv2.CV_32F, mask)[::2, ::2]

@@ -77,12 +77,18 @@ def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, fl
 
 
 def locate_inbound_lane(approach: Approach, index: int) -> float:
-    """Locate the centreline of an inbound lane, in metres t; lanes count from the divider."""
+    """Locate the centreline of an inbound lane: metres to the left of the reference line.
+
+    Lanes count from the divider.
+    """
     return approach.divider + approach.median / 2 + (index + 0.5) * approach.lane_width
 
 
 def locate_outbound_lane(approach: Approach, index: int) -> float:
-    """Locate the centreline of an outbound lane, in metres t; lanes count from the divider."""
+    """Locate the centreline of an outbound lane: metres to the left of the reference line.
+
+    Lanes count from the divider.
+    """
     return approach.divider - approach.median / 2 - (index + 0.5) * approach.lane_width
 
 

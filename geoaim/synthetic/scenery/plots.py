@@ -34,7 +34,11 @@ Made = tuple[Geometry, Additions]  # on a parcel; with the ground that is left f
 
 
 def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:
-    """Place buildings, trees and all else of a `Scenery` on the plots and along the roads."""
+    """Place buildings, trees and the other objects of `Scenery` at random.
+
+    They stand along the roads and on the plots, which are the areas between roads, divided into
+    parcels.
+    """
     no_area, verges, lamps = Polygon(), _make_verges(roads), _make_lamps(roads)
     areas = verges, no_area, no_area, no_area, no_area
     trees = _make_street_trees(roads, verges, generator)

@@ -33,7 +33,7 @@ def draw_tree(
         radius: pixels.
         colour: RGB of leaves in full light, 0 to 255.
         light: direction towards the sun in the image, right and down, of length 1.
-        grain: noise of variance 1, with more than 2.4 radii of rows and of columns.
+        grain: noise of variance 1; each side is longer than 2.4 x radius, pixels.
         generator: source of the crown's shape.
 
     Returns:

@@ -38,9 +38,9 @@ class Pedestrians:
     """The pedestrians and cyclists at one time (n of them)."""
 
     trip: Int[Array, "n"]  # index of the pedestrian's trip
-    position: Float[Array, "n 2"]  # plan metres
+    position: Float[Array, "n 2"]  # metres in the plan of the place
     velocity: Float[Array, "n 2"]  # m/s in x and y
-    path: Float[Array, "n K 2"]  # equally spaced points; the last one is repeated
+    path: Float[Array, "n K 2"]  # equally spaced points; shorter paths repeat their last one
     crossing: Int[Array, "n K"]  # index of the crossing at each point of the path; -1: none
     last: Int[Array, "n"]  # index of the path's last point
     s: Float[Array, "n"]  # metres of the path walked so far

@@ -48,7 +48,7 @@ class PedestrianTrip:
 
 @dataclass(frozen=True)
 class Agents:
-    """All vehicles and pedestrians at one time."""
+    """All vehicles, pedestrians and cyclists at one time."""
 
     vehicles: Vehicles
     pedestrians: Pedestrians
