@@ -1,4 +1,4 @@
-"""Refuse files that are damaged or would need too much memory, by an error of one line."""
+"""Refuse files that are damaged or would need too much memory, with a one-line error."""
 
 import os
 from collections.abc import Iterator

@@ -27,8 +27,8 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
 
     The columns are those of `COLUMNS`: id, type, time (s), x, y (m), heading (rad, at most 2 pi
     either way), speed (m/s), length, width (m). An agent's type and size are those of its first
-    row, and agents are in the order of their first rows. Messages name a row by its label in the
-    table's index, for which `read_table` gives its number in the file.
+    row, and agents are in the order of their first rows. Error messages name a row by its label in
+    the table's index, which in tables from `read_table` is the row's number in the file.
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in

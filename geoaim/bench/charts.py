@@ -55,11 +55,11 @@ def draw_fronts(
 
 
 def draw_sizes(rows: Sequence[Row], labels: Mapping[str, str]) -> Figure:
-    """Draw error and time against each size, with the default and the knee.
+    """Draw the error and the time of each setting against its size; mark default and knee.
 
     Args:
-        rows: as `summarise_sizes` takes them, with "ms".
-        labels: of the error, by setting.
+        rows: those that `summarise_sizes` takes, with their times as "ms".
+        labels: of the error axis, by the name of the setting.
 
     Returns:
         The chart: a column for each setting, error above time.

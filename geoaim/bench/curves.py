@@ -48,7 +48,7 @@ def find_knee(cost: Float[Array, " n"], error: Float[Array, " n"]) -> int:
 
 
 def find_best_size(rows: Sequence[Row]) -> Row:
-    """Find the row of one setting at the knee; "automatic" ones are no size of their own."""
+    """Find the row of one setting at the knee; rows marked "automatic" are left out."""
     sizes = [row for row in rows if not row.get("automatic")]
     cost, error = (np.array([row[key] for row in sizes], float) for key in ("cost", "error"))
     return sizes[find_knee(cost, error)]
@@ -59,7 +59,7 @@ def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
 
     Args:
         rows: with "setting", "size", "error", "cost" and "default" (whether it is the default);
-            "automatic" ones are no size of their own.
+            those marked "automatic" are not compared as sizes.
 
     Returns:
         A row for each setting.

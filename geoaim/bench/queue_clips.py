@@ -16,22 +16,24 @@ class QueueClip:
 
     frames: UInt8[Array, "K h w 3"]  # RGB, spread over the clip
     ground: UInt8[Array, "h w 3"]  # without traffic
-    share: Float32[Array, "h w"]  # of the time that traffic covers a pixel; NaN: does not count
+    share: Float32[Array, "h w"]  # of the time in which traffic covers a pixel; NaN: not judged
     transforms: Float[Array, "K 3 3"] | None = None  # image_from_frame; None for a still camera
     boxes: tuple[Float[Array, "_ 4"], ...] | None = None  # of the traffic in each frame, if known
 
 
 def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> QueueClip:
-    """Paste cars cut from a hovering camera's frames on the place that these frames show.
+    """Make a clip of queues: real cars, pasted on a picture of the place where they were filmed.
 
     Args:
-        place: a folder of `hover` with a box file for each frame, such as "minsk_junction".
-        standing: share of the time that the queues stand.
+        place: a folder of the data folder's `hover` with a box file for each frame, such as
+            "minsk_junction".
+        standing: share of the time, from the start, in which the queues stand.
         seed: random seed.
         count: number of frames.
 
     Returns:
-        The clip. Two queues stand in rows, a third in a column; other cars pass.
+        The clip. Two queues stand across the image, a third from its top to its bottom; other cars
+        pass.
     """
     generator = np.random.default_rng([seed, 1])
     ground, sprites = cut_place(place)

@@ -101,7 +101,7 @@ def _shrink(frame: Frame, reduction: int) -> Frame:
 
 
 def measure_error(placed: Placements, video: HoverVideo) -> float:
-    """Mean error of the corners in all frames but the first, px; infinite if one is refused."""
+    """Mean error of the corners in all frames but the first, px; infinite if a frame is refused."""
     corners = image_corners(video.clip.height, video.clip.width)
     truth = transform_points(reference_from_frames(video.clip), corners)
     error = np.linalg.norm(transform_points(placed.matrices, corners) - truth, axis=-1)[1:]

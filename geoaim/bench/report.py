@@ -117,12 +117,12 @@ def print_rows(measured: Iterable[Row]) -> list[Row]:
 def collect(
     measured: Iterable[Row], stage: str, progress: Progress, total: int | None = None
 ) -> list[Row]:
-    """Collect the rows of a table as they are measured.
+    """Collect the rows of a table, and report progress after each.
 
     Args:
         measured: the rows.
-        stage: what one row measures, in the plural.
-        progress: called with the stage, the rows done and all rows.
+        stage: the name that the progress shows, such as "settings".
+        progress: called with the stage, the number of rows done, and their total.
         total: number of rows, if it is known.
 
     Returns:

@@ -66,16 +66,16 @@ def sample_pinhole_camera(generator: np.random.Generator) -> Camera:
 def make_pinhole_camera(
     tilt: float, lens: Array, aspect: float, generator: np.random.Generator
 ) -> Camera:
-    """Make a pinhole camera at a random height, in a random direction.
+    """Make a pinhole camera of random focal length, height, heading and direction of tilt.
 
     Args:
-        tilt: degrees.
-        lens: OpenCV's two radial terms.
-        aspect: of a pixel.
+        tilt: angle between the optical axis and the vertical, degrees.
+        lens: radial distortion, OpenCV's k1 and k2.
+        aspect: focal length in pixel heights over that in pixel widths.
         generator: source of randomness.
 
     Returns:
-        The transform of pixels to the ground, and metres per pixel.
+        The transform of pixels to metres on the ground, and the metres per pixel without tilt.
     """
     focal = WIDTH / 2.0 / np.tan(np.radians(generator.uniform(25.0, 42.0)))
     distortion = np.array([*lens, 0.0, 0.0])

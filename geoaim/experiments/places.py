@@ -118,10 +118,10 @@ def read_map(place: Path, name: str) -> AIM:
 
 
 def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:
-    """Degrade an image by blur and noise as the paper does, which does not tell the scale.
+    """Degrade an image (0 to 1) by blur and noise, as the paper does.
 
-    The image is in 0 to 1. `size` in pixels is the standard deviation of the Gaussian blur, and the
-    side of the squares that share one draw of Gaussian noise.
+    `size`, which the paper does not state, is the standard deviation of the Gaussian blur, and the
+    side of the squares that share one draw of Gaussian noise, in pixels.
     """
     blurred = cv2.GaussianBlur(image, (0, 0), size)
     height, width = image.shape[:2]

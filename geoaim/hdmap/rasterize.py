@@ -51,8 +51,8 @@ MAX_DRAWN_PIXELS = 400_000_000  # for more, the map should be cut, or the resolu
 def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:
     """Draw an HD map as a north-up image in the map's world, `resolution` metres per pixel.
 
-    Surfaces are below lines, lines below stop lines; arrows show the direction of one-way lanes.
-    The colours are the constants of this module. Coverage is 1 everywhere.
+    Surfaces are painted first, then lines, then stop lines; arrows show the direction of one-way
+    lanes. The colours are the constants of this module. Each pixel has a coverage of 1.
 
     Raises:
         ValueError: the resolution is not positive.

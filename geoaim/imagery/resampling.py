@@ -72,19 +72,20 @@ def resample_raster(
 ) -> tuple[slice, slice, Float32[Array, "4 h w"]] | None:
     """Resample a raster to a block of the image by cubic convolution over its valid pixels.
 
-    The sums are not normalised, so that those of adjacent rasters add up to what one raster would
-    have given. A raster that is finer than the block is first read as means over whole cells,
-    through its overviews.
+    Colours are weighted sums that are not divided by the sum of the weights, which is alpha. Those
+    of adjacent rasters therefore add up to what one raster of both would have given. A raster that
+    is finer than the block is first averaged over cells of whole pixels, from its overviews if it
+    has any.
 
     Args:
         raster: what to resample.
         raster_from_block: (3, 3) pixels of the block to pixels of the raster.
         shape: height and width of the block.
-        stretch: to 8 bits; None for a raster of 8 bits.
+        stretch: maps the raster's values to 8 bits; None for a raster of 8 bits.
 
     Returns:
-        Rows and columns of the block that the raster reaches, and there (4, H, W) colours in
-        [0, 255] times alpha, and alpha in [0, 1]; None when it does not reach the block.
+        The rows and the columns of the block that the raster covers, and for these (4, h, w) red,
+        green and blue in [0, 255] times alpha, and alpha in [0, 1]; None if it covers none.
 
     Raises:
         ImageryError: the raster cannot be read.

@@ -74,13 +74,12 @@ def describe_source(
 
     Args:
         source: a file, folder, pattern, address of a service, or `Tiles`.
-        region: where imagery is wanted; everywhere when None, which a service refuses.
-        resolution: wanted metres per pixel, which chooses the zoom level of tiles; None: the
-            finest there is. A service needs a resolution, or `Tiles` with a zoom. Without a region
-            it has no effect.
-        crs: for rasters that name no CRS; None refuses them.
-        bands: numbers, from 1, of a grey band or of the red, green and blue ones; None chooses by
-            colour interpretation.
+        region: where imagery is wanted; None: everywhere, which a tile service refuses.
+        resolution: wanted metres per pixel, which chooses the zoom level of tiles if a region is
+            given; None: the finest there is. A tile service needs it, or `Tiles` with a zoom.
+        crs: of rasters that state none; None: such rasters are refused.
+        bands: numbers, from 1, of a grey band or of the red, green and blue bands; None: by the
+            file's colour interpretation.
 
     Returns:
         The rasters; of tiles, only those that show the region.

@@ -97,7 +97,7 @@ class TrainConfig:
     scale_jitter: float = 0.0  # largest share by which a batch is scaled up or down
     # largest share by which a batch's map is made brighter or darker, by channel
     colour_jitter: float = 0.0
-    seed: int = 0  # of all noise
+    seed: int = 0  # random seed
     checkpoint_interval: int = 250  # steps from one checkpoint to the next
     log_start: bool = False  # whether the log begins with minADE before the first step
 
@@ -109,7 +109,7 @@ def configure_training(kind: str, *, steps: int, batch_size: int, seed: int = 0)
         kind: "vehicle" or "pedestrian".
         steps: of the optimiser.
         batch_size: segments of a step.
-        seed: of all noise.
+        seed: random seed.
 
     Returns:
         The hyperparameters.
@@ -125,7 +125,7 @@ def configure_fine_tuning(kind: str, *, steps: int, batch_size: int, seed: int =
         kind: "vehicle" or "pedestrian".
         steps: of the optimiser.
         batch_size: segments of a step.
-        seed: of all noise.
+        seed: random seed.
 
     Returns:
         The hyperparameters.

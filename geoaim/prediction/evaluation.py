@@ -42,11 +42,11 @@ def evaluate(
     Args:
         predictor: a model's `sample`, or one of `BASELINES`.
         segments: the ground truth.
-        ground: the map; `prefilter_ground` it first to save time, since predictors that render it
-            do so for each batch otherwise.
+        ground: the map. Give the result of `prefilter_ground`, or predictors that render views
+            compute it for each batch.
         config: options.
         rules: where vehicles may drive, for infractions.
-        progress: takes stage, done and total.
+        progress: called with "evaluate", the number of segments done, and their total.
 
     Returns:
         Metrics by name; see `compute_metrics`.

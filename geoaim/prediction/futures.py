@@ -47,7 +47,7 @@ class Futures(Display):
         return known if len(positions) == 1 else known & ~same
 
     def summarize(self) -> dict[str, str]:
-        """Summarize the samples, their time and the predicted agents."""
+        """Summarize the number of samples, the predicted time and the predicted agents."""
         samples, _, steps, _ = self.states.shape
         types = self.scene.types
         chosen = [types[row] for row in self.predicted.nonzero()[:, 0].tolist()]

@@ -34,7 +34,7 @@ class Controlled:
 
 
 def index_controlled(segments: Segments) -> Controlled:
-    """Index all controlled agents, segment by segment."""
+    """List the segment and the column of every controlled agent, segment by segment."""
     return Controlled(*segments.controlled.nonzero().unbind(1))
 
 

@@ -26,14 +26,14 @@ def predict(
         model: from `read_model` or `train`.
         scene: map, agents and lights, at the model's dt.
         samples: K futures to draw.
-        horizon: T steps to predict; of a model with proposals, that of its config.
+        horizon: T steps to predict; a model with proposals takes only that of its config.
         start: index of the last observed step; None: the scene's last step.
         generator: source of the noise, on the scene's device.
 
     Returns:
         The futures: `states` (K, N, T, 4) holds x, y, heading and speed of all agents at the T
-        steps after `start`; NaN where absent. Agents of other kinds replay, and go straight on
-        beyond the scene's end; lights then stay as they are.
+        steps after `start`; NaN where absent. Agents of other kinds move as recorded and, beyond
+        the scene's end, straight on; there, lights keep their last states.
 
     Raises:
         TracksError: no agent of the kind is present at that step.

@@ -24,8 +24,8 @@ class OrientedBoxes:
     poses: Float[Tensor, "B A 3"]  # x and y of the centre, metres, and heading, radians
     sizes: Float[Tensor, "... A 2"]  # (B, A, 2) or (A, 2) length and width, metres
     colours: Float[Tensor, "... A C"]  # (B, A, C) or (A, C)
-    present: Bool[Tensor, "B A"] | None = None  # (B, A); None: all are
-    # (B, A, C) or (A, C) of triangles that show the heading; None: no triangles
+    present: Bool[Tensor, "B A"] | None = None  # (B, A); None: all are present
+    # (B, A, C) or (A, C) of the triangle on each box that shows its heading; None: no triangles
     heading_colours: Float[Tensor, "... A C"] | None = None
 
 

@@ -81,7 +81,10 @@ def detect_offroad(
 
 
 def sample_distance(drivable: Drivable, points: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
-    """Interpolate signed distances, metres; outside the raster, its edge's plus the way to it."""
+    """Interpolate signed distances to the edge of the drivable area, metres.
+
+    Beyond the raster it is the distance at the raster's nearest point, plus that to this point.
+    """
     height, width = drivable.distance.shape
     matrix = drivable.grid_from_world
     pixels = apply_matrix(matrix[:, :2].to(points), points) + matrix[:, 2].to(points)

@@ -60,7 +60,7 @@ class Scene(Display):
 
     @property
     def states(self) -> Float[Tensor, "N T 4"]:
-        """x, y, heading, speed."""
+        """x, y (metres), heading (radians) and speed (m/s) of all agents."""
         return torch.cat([self.poses, self.speeds[..., None]], dim=-1)
 
     @property

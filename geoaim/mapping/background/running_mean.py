@@ -215,9 +215,9 @@ def is_time_to_check(count: int, bands: int = 1) -> bool:
 
 
 def measure_change(accumulation: Accumulation, blocks: Float32[Array, "h w c"]) -> None:
-    """Set `change` to the 99.9 % quantile of how much block means differ from the last ones given.
+    """Set `change` to the 99.9 % quantile of the differences of block means from the last call's.
 
-    NaN in the blocks, for no data, is left out; without a common block the change is NaN.
+    Blocks without data in either (NaN) are left out; without any other the change is NaN.
     """
     if accumulation.blocks is not None:
         change = np.abs(blocks - accumulation.blocks)

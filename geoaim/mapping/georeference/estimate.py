@@ -109,7 +109,8 @@ def project_points(
     """Choose the world where none is given, and transform the coordinates to its metres.
 
     Raises:
-        GeoreferenceError: the coordinates lie outside their CRS's area, or in a plane of their own.
+        GeoreferenceError: the coordinates lie outside their CRS's area, or have no CRS although the
+            world has one.
     """
     point_checks.check_coordinates(points)
     if points.crs is None:

@@ -26,7 +26,7 @@ def compute_headings(line: Polyline) -> Float[Array, "L"]:
 
 
 def compute_arc_lengths(line: Polyline) -> Float[Array, "L"]:
-    """Compute the metres along a polyline at each of its points, from 0."""
+    """Compute the length of a polyline up to each of its points, metres; 0 at the first."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 

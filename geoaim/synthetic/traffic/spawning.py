@@ -112,9 +112,9 @@ def make_vehicle(
     Args:
         trip: of the vehicle.
         number: index of the trip.
-        s: metres of its rear axle along the path.
+        s: position of its rear axle along the path, metres.
         speed: m/s.
-        parked_until: when it leaves its bay, seconds.
+        parked_until: when it leaves its parking bay, seconds; infinite if it is not parked.
 
     Returns:
         The state.

@@ -41,15 +41,15 @@ class NextPoint:
 
 @dataclass(frozen=True)
 class PointFeedback:
-    """What the control points picked so far give."""
+    """What follows from the control points picked so far."""
 
     missing: int  # points with pixel and place that a georeference still needs
     problem: Message | None  # why the points give no georeference
     warnings: tuple[Message, ...]
-    # by the points; a similarity without any check (`approximate`) where they are too few or have a
-    # problem; None where they give not even that
+    # fitted to the points; a similarity that is not checked (`approximate`) if they are too few or
+    # have a problem; None if even that cannot be fitted
     georeference: Georeference | None
-    residuals: tuple[PointResidual, ...]  # from the third point on, of each
+    residuals: tuple[PointResidual, ...]  # of each point; empty for fewer than three points
     places: tuple[PlaceUncertainty, ...]  # the uncertainty at the corners and in the middle
     next_point: NextPoint | None
 
