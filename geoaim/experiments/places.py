@@ -16,7 +16,7 @@ from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.lights import Lights, read_lights
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.road_rules import RoadRules, make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
@@ -63,7 +63,9 @@ class PlaceRecording:
         return make_road_rules(self.hdmap)
 
 
-def make_places(folder: Path, places: Places, *, progress: Progress = no_progress) -> list[Path]:
+def make_places(
+    folder: Path, places: Places, *, progress: Progress = notebook_progress
+) -> list[Path]:
     """Make places that are missing in a folder.
 
     Args:

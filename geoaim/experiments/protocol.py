@@ -19,7 +19,7 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import VAL_FRACTION, Dataset, make_dataset, split_scene
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.metrics import Metric
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import prefilter_ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 from geoaim.simulation.scene import Scene
@@ -40,7 +40,7 @@ def make_places_dataset(
     map_name: str,
     *,
     lights: bool = True,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> Dataset:
     """Make a dataset of all recordings of synthetic places, on one of their maps.
 

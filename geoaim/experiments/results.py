@@ -9,7 +9,7 @@ from geoaim.bench.report import describe_machine, write_json
 from geoaim.files import atomic_files, write_figure
 from geoaim.prediction.metrics import Metric, bootstrap_interval, summarise
 from geoaim.prediction.report import format_markdown
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,7 +23,7 @@ class Workspace:
 
     folder: Path  # keeps synthetic places and trained models between runs
     results: Path = Path("docs/experiments")  # folder of tables and figures
-    progress: Progress = no_progress  # takes stage, done and total
+    progress: Progress = notebook_progress  # takes stage, done and total
 
     @property
     def places(self) -> Path:

@@ -40,7 +40,7 @@ from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sampl
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.progress import Progress, no_progress, report_each
+from geoaim.progress import Progress, notebook_progress, report_each
 
 MIN_USED_SHARE = 0.5  # of the frames, below which the build warns
 MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # of the registration, above which the build warns
@@ -56,7 +56,7 @@ def build_aim(
     detections: DetectionSource | None = None,
     frames: FrameCount = "auto",
     crs: str | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> AIM:
     """Build an aerial image-based map from a hovering camera's video and control points.
 

@@ -8,7 +8,7 @@ from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.segments import Segments, concat, shift
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.scene import Scene, slice_scene
 
@@ -29,7 +29,7 @@ def make_dataset(
     config: Config,
     *,
     val_fraction: float = VAL_FRACTION,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> Dataset:
     """Cut scenes of any places into a dataset; no segment lies in both of its parts.
 

@@ -12,7 +12,7 @@ from geoaim.prediction.metrics import Metric, compute_metrics, concat
 from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 
@@ -35,7 +35,7 @@ def evaluate(
     config: EvalConfig,
     *,
     rules: RoadRules = NO_ROAD_RULES,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> dict[str, Metric]:
     """Compute all metrics of a predictor on segments of one place.
 
@@ -75,7 +75,7 @@ def evaluate_windows(
     samples: int,
     *,
     seed: int = 0,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> dict[str, Metric]:
     """Compute minADE and minFDE of windows, in pixels of their images and in metres.
 

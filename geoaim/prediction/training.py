@@ -25,7 +25,7 @@ from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.itra import ITRA, Losses
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.segments import Segments, move_to, pick
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import Ground, move_ground
 
 MAX_VAL_SEGMENTS = 256  # that are predicted for the log
@@ -57,7 +57,7 @@ def train(
     dataset: Dataset,
     folder: str | os.PathLike[str],
     *,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> ITRA:
     """Train a model on the device of the dataset's ground, or resume the folder's training.
 

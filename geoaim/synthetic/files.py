@@ -11,7 +11,7 @@ import numpy as np
 from geoaim.files import atomic_folder
 from geoaim.geometry import transform_points
 from geoaim.lights import STATES
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 from geoaim.synthetic.imagery import make_other_day
 from geoaim.synthetic.map_files import ZOOM, write_imagery, write_maps
 from geoaim.synthetic.place import RESOLUTION
@@ -23,7 +23,7 @@ from geoaim.track_files import write_tracks
 
 
 def write_sample(
-    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress = no_progress
+    sample: Sample, folder: str | os.PathLike[str], *, progress: Progress = notebook_progress
 ) -> None:
     """Write the files of a sample and their truth; the folder's `README.md` explains each file.
 

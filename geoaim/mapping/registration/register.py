@@ -40,7 +40,7 @@ from geoaim.mapping.registration.patches import PatchAlignment
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.progress import Progress, no_progress
+from geoaim.progress import Progress, notebook_progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -125,7 +125,7 @@ def register(
     detections: DetectionSource | None = None,
     model: Model | None = None,
     reference_time: float | None = None,
-    progress: Progress = no_progress,
+    progress: Progress = notebook_progress,
 ) -> Registration:
     """Register every frame of a video to one reference frame.
 
