@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.grid import Grid, make_north_up_grid
 from geoaim.labels import label_points
-from geoaim.map_axes import draw_lines
+from geoaim.map_axes import add_scale_bar, draw_lines
 from geoaim.mapping.registration.drift import draw_drift
 from geoaim.rectification import sample_nearest
 from geoaim.tracks import Tracks
@@ -139,9 +139,10 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
         picture, extent = _draw_checkerboard(shown, aim, corners)
         axes.imshow(picture, extent=extent)
         if tracks is not None:
-            for states, present in zip(tracks.states, tracks.present, strict=True):
-                axes.plot(*states[present, :2].T, "-", color=TRACK_COLOUR, linewidth=0.7, alpha=0.8)
-        axes.set(title=title, xlabel="x, m", ylabel="y, m", xlim=extent[:2], ylim=extent[2:])
+            draw_lines(axes, tracks.states[..., :2], TRACK_COLOUR, width=0.7, label="tracks")
+            axes.legend(loc="upper right", fontsize=8)
+        axes.set(title=title, xlim=extent[:2], ylim=extent[2:])
+        add_scale_bar(axes)
     return figure
 
 
