@@ -16,6 +16,7 @@ from geoaim.cli.experiment import experiment
 from geoaim.cli.frame import frame
 from geoaim.cli.info import info
 from geoaim.cli.maps import draw, texture
+from geoaim.cli.pick import pick
 from geoaim.cli.predict import predict
 from geoaim.cli.register import register
 from geoaim.cli.sample import sample
@@ -24,7 +25,7 @@ from geoaim.cli.train import train
 from geoaim.cli.view import view
 
 COMMANDS = (
-    *(frame, build, align, draw, register, info, view, texture, render, simulate),
+    *(frame, pick, build, align, draw, register, info, view, texture, render, simulate),
     *(predict, evaluate, train, experiment, sample, bench, doctor),
 )
 

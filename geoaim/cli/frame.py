@@ -22,16 +22,11 @@ def frame(
     from PIL import Image
 
     from geoaim.files import atomic_write
-    from geoaim.mapping.video.video import open_video
+    from geoaim.mapping.video.video import open_video, read_frame
 
     with report_errors():
         check_output(output, (".png",), [Path(video)])
-        opened = open_video(video)
-        found = next(opened.frames_at([time]), None)
-        if found is None or time >= opened.duration:
-            raise ValueError(
-                f"{video} has no frame at {time:g} s: it lasts {opened.duration:.2f} s"
-            )
+        found = read_frame(open_video(video), time)
         with atomic_write(output) as temporary:
             Image.fromarray(found.image).save(temporary, format="png")
     height, width = found.image.shape[:2]

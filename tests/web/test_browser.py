@@ -1,44 +1,17 @@
 """The viewer in a real browser."""
 
-import threading
-import time
-from contextlib import contextmanager
+import io
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from geoaim.web.html_file import write_html
-from geoaim.web.server import ViewServer
-
-
-@contextmanager
-def serve(view):
-    with ViewServer(view) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield server.address
-        server.shutdown()
-
-
-def wait_for(page, condition, seconds=20):
-    """Wait for a JavaScript condition; the page's policy forbids Playwright's own way."""
-    end = time.monotonic() + seconds
-    while not page.evaluate(condition):
-        assert time.monotonic() < end, f"still not: {condition}"
-        time.sleep(0.05)
-
-
-def open_view(page, address):
-    page.goto(address)
-    wait_for(page, "Boolean(window.geoaim)")
-    wait_for(page, "performance.getEntriesByName('geoaim-painted').length > 0")
+from tests.web.browser import open_view, serve, wait_for
 
 
 def read_colour(page, x, y):
     """Mean colour of a few pixels of a screenshot."""
-    import io
-
-    from PIL import Image
-
     picture = np.array(Image.open(io.BytesIO(page.screenshot())).convert("RGB"), float)
     return picture[y - 3 : y + 4, x - 3 : x + 4].mean(axis=(0, 1))
 

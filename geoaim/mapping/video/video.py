@@ -104,6 +104,20 @@ class Video:
 VideoSource = str | Path | Video | Sequence[str | Path] | Iterable[Array]
 
 
+def read_frame(video: Video, time: float) -> Frame:
+    """Read the frame that a video shows at a time, seconds.
+
+    Raises:
+        ValueError: the video is shorter.
+    """
+    found = next(video.frames_at([time]), None)
+    if found is None or time >= video.duration:
+        raise ValueError(
+            f"{video.source} has no frame at {time:g} s: it lasts {video.duration:.2f} s"
+        )
+    return found
+
+
 def open_video(source: VideoSource, *, rate: float = 1.0, threads: int | None = None) -> Video:
     """Open a video file, a folder or glob of images, a list of image paths, or arrays.
 

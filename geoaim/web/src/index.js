@@ -3,9 +3,10 @@ import olStyle from "ol/ol.css";
 import style from "./style.css";
 import { make } from "./dom.js";
 import { embeddedTransport, readJson, serverTransport, widgetTransport } from "./transport.js";
+import { showPicking } from "./pick.js";
 import { showView } from "./view.js";
 
-const APPS = { view: showView };
+const APPS = { view: showView, pick: showPicking };
 
 /** Show what a transport describes in an element. */
 export async function mount(element, transport, options = {}) {

@@ -1,0 +1,87 @@
+"""The page on which control points are picked: its pictures as tiles, its actions, the overlay."""
+
+from base64 import b64encode
+from collections.abc import Mapping
+from threading import Lock
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+from numpy import ndarray as Array
+
+from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.grid import Grid
+from geoaim.web.map_view import MapView
+from geoaim.web.picking.actions import handle
+from geoaim.web.picking.session import PickingSession, PickingTask, open_session
+from geoaim.web.picking.state import describe_session
+from geoaim.web.tiles import TiledRaster, encode_picture, tile_array
+
+MAX_OVERLAY_PX = 1600  # longer side of the frame as it is laid over the imagery
+
+
+def make_picking_view(task: PickingTask, title: str) -> MapView:
+    """Make the page of a task; its session lives in the returned view.
+
+    Raises:
+        GeoreferenceError: the file of points exists and cannot be read.
+        ValueError: its name does not end in .csv.
+    """
+    session, lock = open_session(task), Lock()
+    rasters = {"frame": _tile_pixels(task.frame, None)}
+    if task.imagery is not None:
+        rasters["imagery"] = _tile_pixels(task.imagery.image, task.imagery.coverage > 0)
+
+    def call(action: Mapping[str, Any]) -> dict[str, Any]:
+        nonlocal session
+        with lock:
+            if action.get("action") == "overlay":
+                return draw_overlay(session)
+            session, reply = handle(session, action)
+            return reply
+
+    shown = {
+        name: {"path": name, "visible": True, "opacity": 1.0} | raster.describe()
+        for name, raster in rasters.items()
+    }
+    description = {"kind": "pick", "title": title, "imagery": None, **shown}
+    return MapView(description, rasters, call=call)
+
+
+def draw_overlay(session: PickingSession) -> dict[str, Any]:
+    """Draw the frame as it lies on the imagery by the points picked so far.
+
+    Returns:
+        A data address of the picture, and its extent (left, top, right, bottom) in pixels of the
+        imagery; or nothing, where the points do not tell.
+    """
+    matrix, imagery = describe_session(session)["imagery_from_frame"], session.task.imagery
+    if matrix is None or imagery is None:
+        return {}
+    frame = session.task.frame
+    corners = transform_points(np.array(matrix), image_corners(*frame.shape[:2]))
+    limits = np.array(imagery.coverage.shape[::-1], float)
+    low = np.clip(np.floor(corners.min(axis=0)), 0, limits)
+    high = np.clip(np.ceil(corners.max(axis=0)), 0, limits)
+    if not (high - low > 1).all():
+        return {}
+    scale = min(1.0, MAX_OVERLAY_PX / float(max(high - low)))
+    width, height = (int(side) for side in np.ceil((high - low) * scale))
+    picture_from_imagery = np.array(
+        [[scale, 0.0, -scale * low[0]], [0.0, scale, -scale * low[1]], [0.0, 0.0, 1.0]]
+    )
+    opaque = np.dstack([frame, np.full(frame.shape[:2], 255, np.uint8)])
+    matrix_cv = to_opencv(picture_from_imagery @ np.array(matrix))
+    picture = cv2.warpPerspective(opaque, matrix_cv, (width, height), flags=cv2.INTER_LINEAR)
+    content = b64encode(encode_picture(picture)).decode()
+    return {"url": f"data:image/*;base64,{content}", "extent": [*low.tolist(), *high.tolist()]}
+
+
+def _tile_pixels(image: UInt8[Array, "H W 3"], covered: Array | None) -> TiledRaster:
+    """Make tiles of an image in its own pixels: x is u, and y is -v."""
+    height, width = image.shape[:2]
+    alpha = np.full((height, width), 255, np.uint8)
+    if covered is not None:
+        alpha[~covered] = 0
+    return tile_array(np.dstack([image, alpha]), Grid((height, width), np.diag([1.0, -1.0, 1.0])))

@@ -1,0 +1,201 @@
+/** Picking of control points: pixels of a frame, and their places on imagery or typed. */
+import { make, makeCheckbox } from "./dom.js";
+import { PixelMap } from "./pixel_map.js";
+
+const EXPORTS = { csv: "points.csv", txt: "gcp_list.txt", points: "frame.points" };
+const ELLIPSE_STEPS = 40;
+const format = (value, digits) => (value === null || value === undefined ? "" : value.toFixed(digits));
+
+/** The points of an ellipse {u, v, axes}: axes are two vectors in pixels. */
+function makeRing({ u, v, axes_px: axes }) {
+  return Array.from({ length: ELLIPSE_STEPS + 1 }, (_, index) => {
+    const angle = (2 * Math.PI * index) / ELLIPSE_STEPS;
+    const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+    return [u + cos * axes[0][0] + sin * axes[1][0], v + cos * axes[0][1] + sin * axes[1][1]];
+  });
+}
+
+/** Show a description (of `kind` "pick") in an element; returns what tests drive. */
+export async function showPicking(element, description, transport) {
+  const frameElement = make("div", { className: "map", title: "frame" });
+  const imageryElement = make("div", { className: "map", title: "imagery" });
+  const table = make("table", { className: "points" });
+  const message = make("div", { className: "message" });
+  const bar = make("div", { className: "bar" });
+  const sides = make("div", { className: "sides" }, make("div", { className: "stage" }, frameElement));
+  if (description.imagery) sides.append(make("div", { className: "stage" }, imageryElement));
+  element.replaceChildren(bar, sides, message, make("div", { className: "scroll" }, table));
+
+  const app = { state: null, selected: null, frame: null, imagery: null, busy: Promise.resolve() };
+  let snapping = true;
+  let opacity = 0;
+  const ask = (action) => {
+    app.busy = app.busy.then(async () => {
+      const reply = await transport.call(action);
+      if (reply.error) message.textContent = reply.error;
+      else if (reply.points) show(reply);
+      return reply;
+    });
+    return app.busy;
+  };
+  const snap = async (side, [u, v]) => {
+    if (!snapping) return { u, v };
+    return (await ask({ action: "snap", side, u, v })).snapped ?? { u, v };
+  };
+  // a click joins a point that lacks this side, the selected one first; else it begins a new point
+  const place = async (side, pixel) => {
+    const lacking = side === "imagery" ? (point) => point.x === null : (point) => point.u === null;
+    const open = app.state.points.filter(lacking);
+    const joined = open.find((point) => point.id === app.selected) ?? open.at(-1);
+    const where = { side, ...(await snap(side, pixel)) };
+    if (joined) return ask({ action: "move", id: joined.id, ...where });
+    const reply = await ask({ action: "add", ...where });
+    return select(reply.added);
+  };
+  const events = (side) => ({
+    click: (pixel) => place(side, pixel),
+    drag: async (id, pixel) => ask({ action: "move", id, side, ...(await snap(side, pixel)) }),
+    accept: (candidate) => ask({ action: "accept", candidate }),
+    select: (id) => select(id),
+  });
+  app.frame = new PixelMap(frameElement, description.frame, transport, events("frame"));
+  if (description.imagery) {
+    app.imagery = new PixelMap(imageryElement, description.imagery, transport, events("imagery"));
+  }
+  app.frame.map.once("rendercomplete", () => performance.mark("geoaim-painted"));
+
+  const select = (id) => {
+    app.selected = id;
+    show(app.state);
+  };
+  const button = (label, title, act) => {
+    const made = make("button", { title }, label);
+    made.addEventListener("click", act);
+    bar.append(made);
+    return made;
+  };
+  const undo = button("Undo", "Ctrl+Z", () => ask({ action: "undo" }));
+  const redo = button("Redo", "Ctrl+Shift+Z", () => ask({ action: "redo" }));
+  if (app.imagery) {
+    button("Propose pairs", "from the second point on; a click on a grey one accepts it", () => ask({ action: "candidates" }));
+    const slider = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0 });
+    slider.addEventListener("input", () => setOpacity(Number(slider.value)));
+    bar.append(make("label", {}, "frame over imagery ", slider));
+  }
+  bar.append(makeCheckbox("snap to corners", true, (on) => (snapping = on)));
+  for (const [kind, name] of Object.entries(EXPORTS)) {
+    button(`Save ${name}`, "download", async () => {
+      const { text } = await ask({ action: "export", format: kind });
+      if (text === undefined) return;
+      const link = make("a", { href: URL.createObjectURL(new Blob([text])), download: name });
+      link.click();
+      URL.revokeObjectURL(link.href);
+    });
+  }
+
+  const setOpacity = async (value) => {
+    const begins = value > 0 && opacity === 0;
+    opacity = value;
+    app.imagery.overlay.setOpacity(value);
+    if (begins) await showOverlay();
+  };
+  const showOverlay = async () => {
+    if (!app.imagery || opacity === 0) return;
+    const reply = await transport.call({ action: "overlay" });
+    if (reply.url) app.imagery.setOverlay(reply);
+  };
+
+  const describe = ({ feedback, notes, saved }) => {
+    const parts = [];
+    const { georeference, next_point: next } = feedback;
+    if (feedback.problem) parts.push(feedback.problem.text);
+    else if (feedback.missing) parts.push(`${feedback.missing} more complete points are needed.`);
+    if (georeference) {
+      const kind = georeference.preliminary ? "preliminary " : "";
+      const { middle_m: middle, worst_corner: corner, worst_corner_m: worst } = georeference.uncertainty;
+      parts.push(`${kind}${georeference.model}: 95 % within ${format(middle, 2)} m in the middle, ${format(worst, 2)} m at the ${corner}.`);
+    }
+    if (next) parts.push(`A point at the dashed circle lowers the largest uncertainty from ${format(next.largest_m, 2)} to ${format(next.largest_with_point_m, 2)} m.`);
+    parts.push(...feedback.warnings.map((warning) => warning.text), ...(notes ?? []));
+    if (saved) parts.push(`Saved in ${saved}.`);
+    return parts.join(" ");
+  };
+
+  const edit = (value, change) => {
+    const input = make("input", { value, size: 12 });
+    input.addEventListener("change", () => change(input.value));
+    return input;
+  };
+  const makeRow = (point, residual) => {
+    const typed = (key) => (text) => {
+      const numbers = { x: point.x, y: point.y, [key]: Number(text) };
+      app.typed = { ...(app.typed?.id === point.id ? app.typed : {}), id: point.id, [key]: Number(text) };
+      const { x = numbers.x, y = numbers.y } = app.typed;
+      if (Number.isFinite(x) && Number.isFinite(y) && x !== null && y !== null) ask({ action: "move", id: point.id, x, y });
+    };
+    const remove = make("button", { title: "Delete" }, "✕");
+    remove.addEventListener("click", () => ask({ action: "delete", id: point.id }));
+    const digits = app.state.crs === "EPSG:4326" ? 8 : 3;
+    const cells = [
+      edit(point.name, (name) => ask({ action: "rename", id: point.id, name })),
+      format(point.u, 2),
+      format(point.v, 2),
+      edit(format(point.x, digits), typed("x")),
+      edit(format(point.y, digits), typed("y")),
+      format(residual?.distance_m, 3),
+      format(residual && Math.hypot(...residual.residual_px), 2),
+      format(residual?.leave_one_out_m, 3),
+      remove,
+    ];
+    const row = make("tr", {}, ...cells.map((cell) => make("td", {}, cell)));
+    row.classList.toggle("selected", point.id === app.selected);
+    row.classList.toggle("wrong", residual?.used === false);
+    row.addEventListener("click", (event) => {
+      if (!event.target.matches("input, button")) select(point.id);
+    });
+    return row;
+  };
+
+  function show(state) {
+    app.state = state;
+    const { points, candidates, feedback } = state;
+    if (!points.some((point) => point.id === app.selected)) app.selected = null;
+    const residuals = new Map(feedback.residuals.map((residual) => [residual.name, residual]));
+    const kindOf = (point) => {
+      if (point.u === null || point.x === null) return "incomplete";
+      return residuals.get(point.name)?.used === false ? "wrong" : "used";
+    };
+    const mark = (u, v) => (point) => ({
+      pixel: [point[u], point[v]],
+      ...{ kind: kindOf(point), name: point.name, id: point.id, selected: point.id === app.selected },
+    });
+    const grey = (u, v) => candidates.map((pair, candidate) => ({ pixel: [pair[u], pair[v]], kind: "candidate", candidate }));
+    const next = feedback.next_point ? [{ pixel: [feedback.next_point.u, feedback.next_point.v], kind: "next" }] : [];
+    const onFrame = points.filter((point) => point.u !== null).map(mark("u", "v"));
+    app.frame.show([...next, ...grey("u", "v"), ...onFrame], feedback.places.filter((x) => x.axes_px).map(makeRing));
+    const known = points.filter((point) => point.image_u !== undefined && point.image_u !== null);
+    app.imagery?.show([...grey("image_u", "image_v"), ...known.map(mark("image_u", "image_v"))]);
+    const [x, y] = state.crs === "EPSG:4326" ? ["lon", "lat"] : ["x, m", "y, m"];
+    const titles = ["name", "u", "v", x, y, "residual, m", "px", "leave-one-out, m", ""];
+    const head = make("tr", {}, ...titles.map((title) => make("th", {}, title)));
+    table.replaceChildren(head, ...points.map((point) => makeRow(point, residuals.get(point.name))));
+    undo.disabled = !state.can_undo;
+    redo.disabled = !state.can_redo;
+    message.textContent = describe(state);
+    showOverlay();
+  }
+
+  element.tabIndex = 0;
+  element.addEventListener("keydown", (event) => {
+    if (event.target.matches("input")) return;
+    const control = event.ctrlKey || event.metaKey;
+    if (control && event.key.toLowerCase() === "z") ask({ action: event.shiftKey ? "redo" : "undo" });
+    else if (event.key === "Delete" && app.selected) ask({ action: "delete", id: app.selected });
+    else if (event.key === "Escape") select(null);
+    else return;
+    event.preventDefault();
+  });
+  app.ask = ask;
+  await ask({ action: "state" });
+  return app;
+}

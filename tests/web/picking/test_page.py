@@ -1,0 +1,134 @@
+"""Picking by real clicks and drags in a browser."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import geoaim
+from geoaim.geometry import transform_points
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.mapping.georeference.control_points import select_points
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.georeference import world_from_pixels
+from geoaim.mapping.video.video import open_video, read_frame
+from geoaim.web.picking.page import draw_overlay, make_picking_view
+from geoaim.web.picking.session import PickingTask, open_session
+from geoaim.world import world_from_lonlat
+from tests.web.browser import open_view, serve, wait_for
+
+SAMPLES = Path(__file__).parents[3] / "samples"
+CHOSEN = [0, 2, 5, 8, 11, 14]  # of the sample's control points
+
+
+@pytest.fixture(scope="module")
+def task():
+    frame = read_frame(open_video(SAMPLES / "hover.mp4"), 0.0).image
+    return PickingTask(frame, imagery=read_imagery(SAMPLES / "ortho.tif"))
+
+
+@pytest.fixture(scope="module")
+def truth(task):
+    """The chosen control points, and their pixels on the imagery."""
+    points = select_points(geoaim.read_control_points(SAMPLES / "gcps.csv"), CHOSEN)
+    places = world_from_lonlat(task.imagery.world, points.coordinates)
+    return points, transform_points(np.linalg.inv(task.imagery.world_from_image), places)
+
+
+def aim_at(page, side, pixel):
+    """Bring a pixel of a side to the middle, at 100 screen pixels each; its place on the screen."""
+    u, v = pixel
+    view = f"geoaim.{side}.map.getView()"
+    page.evaluate(f"{view}.setCenter([{u}, {-v}]); {view}.setResolution(0.01)")
+    page.evaluate(f"geoaim.{side}.map.renderSync()")
+    box = page.locator(".sides .map").nth(("frame", "imagery").index(side)).bounding_box()
+    x, y = page.evaluate(f"geoaim.{side}.map.getPixelFromCoordinate([{u}, {-v}])")
+    return box["x"] + x, box["y"] + y
+
+
+def pick_pairs(page, truth, indices):
+    points, on_imagery = truth
+    for index in indices:
+        page.mouse.click(*aim_at(page, "frame", points.pixels[index]))
+        wait_for(page, f"geoaim.state.points.filter((p) => p.u !== null).length === {index + 1}")
+        page.mouse.click(*aim_at(page, "imagery", on_imagery[index]))
+        wait_for(page, f"geoaim.state.points.filter((p) => p.x !== null).length === {index + 1}")
+
+
+def test_six_pairs_by_clicks_give_the_georeference_of_the_csv(page, task, truth, tmp_path):
+    path = tmp_path / "points.csv"
+    with serve(make_picking_view(replace(task, path=path), "sample")) as address:
+        open_view(page, address)
+        page.get_by_label("snap to corners").uncheck()
+        pick_pairs(page, truth, range(6))
+        assert page.locator("table.points tr").count() == 7
+    size, world = task.frame.shape[:2], task.imagery.world
+    given, picked = (
+        estimate_georeference(points, height=size[0], width=size[1], world=world)
+        for points in (truth[0], geoaim.read_control_points(path))
+    )
+    corners = np.array([[0.0, 0.0], [size[1], 0.0], [size[1], size[0]], [0.0, size[0]]])
+    metres = world_from_pixels(picked, corners) - world_from_pixels(given, corners)
+    scale = np.sqrt(abs(np.linalg.det(given.world_from_image[:2, :2])))
+    assert np.linalg.norm(metres, axis=1).max() / scale < 0.1
+
+
+def test_points_are_dragged_undone_deleted_saved_and_loaded_again(page, task, truth, tmp_path):
+    path = tmp_path / "points.csv"
+    saved = replace(task, path=path)
+    with serve(make_picking_view(saved, "sample")) as address:
+        open_view(page, address)
+        page.get_by_label("snap to corners").uncheck()
+        pick_pairs(page, truth, range(2))
+        u, v = truth[0].pixels[0]
+        x, y = aim_at(page, "frame", (u, v))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 200, y, steps=4)
+        page.mouse.up()
+        wait_for(page, f"Math.abs(geoaim.state.points[0].u - {u} - 2) < 0.2")
+        page.locator(".geoaim").first.evaluate("element => element.focus()")
+        page.keyboard.press("Control+z")
+        wait_for(page, f"Math.abs(geoaim.state.points[0].u - {u}) < 0.2")
+        name = page.locator("table.points input").first
+        name.fill("kerb, east")
+        name.press("Enter")
+        wait_for(page, "geoaim.state.points[0].name === 'kerb, east'")
+        page.get_by_title("Delete").nth(1).click()
+        wait_for(page, "geoaim.state.points.length === 1")
+    assert [point.name for point in open_session(saved).points] == ["kerb, east"]
+    with serve(make_picking_view(saved, "sample")) as address:
+        open_view(page, address)
+        assert page.evaluate("geoaim.state.points.map((point) => point.name)") == ["kerb, east"]
+
+
+def test_proposed_pairs_are_accepted_by_a_click(page, task, truth):
+    with serve(make_picking_view(task, "sample")) as address:
+        open_view(page, address)
+        page.get_by_label("snap to corners").uncheck()
+        pick_pairs(page, truth, range(3))
+        page.get_by_role("button", name="Propose pairs").click()
+        wait_for(page, "geoaim.state.candidates.length > 3")
+        first = page.evaluate("geoaim.state.candidates[0]")
+        page.mouse.click(*aim_at(page, "imagery", (first["image_u"], first["image_v"])))
+        wait_for(page, "geoaim.state.points.length === 4")
+        added = page.evaluate("geoaim.state.points[3]")
+        assert added["u"] == pytest.approx(first["u"])
+
+
+def test_the_overlay_lies_where_the_points_say(task, truth):
+    from geoaim.web.picking.actions import handle
+
+    session = open_session(replace(task, path=None))
+    assert draw_overlay(session) == {}
+    points, on_imagery = truth
+    pairs = zip(points.pixels.tolist(), points.coordinates.tolist(), strict=True)
+    for (u, v), (lon, lat) in pairs:
+        action = {"action": "add", "u": u, "v": v, "lon": lon, "lat": lat}
+        session, reply = handle(session, action)
+        assert "error" not in reply
+    left, top, right, bottom = draw_overlay(session)["extent"]
+    inside = (on_imagery > [left, top]) & (on_imagery < [right, bottom])
+    assert inside.all()
+    assert draw_overlay(session)["url"].startswith("data:image")
