@@ -5,20 +5,20 @@ from collections.abc import Mapping
 from threading import Lock
 from typing import Any
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.geometry import image_corners, transform_points
 from geoaim.grid import Grid
+from geoaim.rectification import sample_nearest
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.session import PickingSession, PickingTask, open_session
 from geoaim.web.picking.state import describe_session
 from geoaim.web.tiles import TiledRaster, encode_picture, tile_array
 
-MAX_OVERLAY_PX = 1600  # longer side of the frame as it is laid over the imagery
+MAX_OVERLAY_PX = 1600  # longer side of the overlay
 
 
 def make_picking_view(task: PickingTask, title: str) -> MapView:
@@ -72,8 +72,8 @@ def draw_overlay(session: PickingSession) -> dict[str, Any]:
         [[scale, 0.0, -scale * low[0]], [0.0, scale, -scale * low[1]], [0.0, 0.0, 1.0]]
     )
     opaque = np.dstack([frame, np.full(frame.shape[:2], 255, np.uint8)])
-    matrix_cv = to_opencv(picture_from_imagery @ np.array(matrix))
-    picture = cv2.warpPerspective(opaque, matrix_cv, (width, height), flags=cv2.INTER_LINEAR)
+    frame_from_picture = np.linalg.inv(picture_from_imagery @ np.array(matrix))
+    picture = sample_nearest(opaque, frame_from_picture, (height, width))
     content = b64encode(encode_picture(picture)).decode()
     return {"url": f"data:image/*;base64,{content}", "extent": [*low.tolist(), *high.tolist()]}
 
