@@ -16,6 +16,8 @@ from geoaim.geometry import translation
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.labels import label_points
 from geoaim.map_axes import draw_lines, move_to_axes
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.registration.drift import draw_drift
 from geoaim.mapping.registration.register import register
 from geoaim.world import World, change_world
@@ -53,6 +55,17 @@ def test_repr_is_a_line_and_html_has_a_picture_and_all_facts(shown, kind):
     assert picture.startswith(b"\x89PNG")
     assert int.from_bytes(picture[16:20]) < 600
     assert all(f"{name}</td>" in html for name in display.summarize())
+
+
+def test_georeference_shows_the_outline_of_its_image_and_its_errors():
+    points = geoaim.read_control_points("samples/gcps.csv")
+    georeference = estimate_georeference(points, height=720, width=1280)
+    assert "control points 16 of 16 used" in repr(georeference)
+    axes = georeference.plot(Figure().add_subplot())
+    [lines] = axes.collections
+    np.testing.assert_allclose(
+        lines.get_paths()[0].vertices[0], world_from_pixels(georeference, np.zeros((1, 2)))[0]
+    )
 
 
 def test_facts_are_escaped_in_html():

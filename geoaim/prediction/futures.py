@@ -1,7 +1,7 @@
 """Sampled futures of a scene, and how they are drawn on its map."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -68,20 +68,29 @@ class Futures(Display):
         return torch.stack([low, high])
 
     def _draw(self, axes: "Axes") -> None:
+        from geoaim.labels import label_points
+
         self.scene.draw_ground(axes, self.fit_limits().double().numpy())
         self.draw_step(axes, None)
         seconds = self.states.shape[2] * self.dt
         axes.set_title(f"{len(self.states)} futures of {seconds:g} s after {self.time:g} s")
+        axes.set_aspect("equal")
+        part: Any = axes.figure
+        part.figure.draw_without_rendering()  # of the whole figure: names are placed in a layout
+        rows = self.predicted.nonzero()[:, 0].tolist()
+        places = self.scene.poses[rows, self.start, :2].double().cpu().numpy()
+        for text in label_points(axes, places, [self.scene.ids[row] for row in rows]):
+            text.set(fontsize=7, clip_on=True)
 
     def draw_step(self, axes: "Axes", step: int | None) -> None:
         """Draw agents and lights without the map; paths are those of predicted agents.
 
         Args:
             axes: in metres of the map's world.
-            step: of the futures, up to which paths reach; None: agents at the start with their
-                ids, whole paths, and in white what was recorded.
+            step: of the futures, up to which paths reach; None: agents at the start, whole
+                paths, and in white what was recorded.
         """
-        from geoaim.map_axes import draw_lines, label_place
+        from geoaim.map_axes import draw_lines
 
         rows, end = self.predicted.cpu(), self.states.shape[2] if step is None else step + 1
         now, states = self.scene.poses[:, self.start].cpu(), self.states.cpu()
@@ -91,13 +100,10 @@ class Futures(Display):
             draw_lines(axes, lines, TRUTH_COLOUR, width=3.0, label="recorded")
         first = now[None, rows, None, :2].expand(len(states), -1, -1, -1)
         paths = torch.cat([first, states[:, rows, :end, :2]], dim=2).flatten(0, 1)
-        draw_lines(axes, paths.numpy(), FUTURE_COLOUR, label=f"{len(states)} futures of each")
+        draw_lines(axes, paths.numpy(), FUTURE_COLOUR, label=f"{len(states)} futures")
         self._draw_lights(axes)
         for poses in [now] if step is None else states[:, :, step, :3]:
             self._draw_boxes(axes, poses.double().numpy())
-        if step is None:
-            for row in rows.nonzero()[:, 0].tolist():
-                label_place(axes, self.scene.ids[row], now[row, :2].numpy())
         (left, bottom), (right, top) = self.fit_limits().tolist()
         axes.set(xlim=(left, right), ylim=(bottom, top))
 
