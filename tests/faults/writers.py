@@ -151,7 +151,7 @@ def write(name: str, inputs: Path, target: Path) -> None:
     with (
         patch.object(quicklook, "draw_quicklook", lambda *_, **__: figure),
         patch.object(quicklook, "draw_alignment", lambda *_, **__: figure),
-        patch.object(pictures, "PICTURE_SIZE_PX", 64),
+        patch.object(pictures, "draw_futures", lambda _: figure),
         patch.object(report, "plot_training", lambda _, path: write_figure(figure, path)),
     ):
         command(inputs, target.with_suffix(suffix))
