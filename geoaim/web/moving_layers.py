@@ -2,6 +2,8 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import torch
 from geoaim.lights import Lights
 from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.simulation.episodes import detect_infractions
-from geoaim.simulation.ground import View
+from geoaim.simulation.ground import View, prefilter_ground
 from geoaim.simulation.pictures import render_agent_video
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.simulation.scene import Scene, find_agent, slice_scene, transform_stop_lines
@@ -135,4 +137,10 @@ def render_model_view(scene: Scene, agent_id: str, step: int) -> bytes:
     kind = "pedestrian" if scene.types[agent] == "pedestrian" else "vehicle"
     config = DEFAULT_CONFIGS[kind]
     view = View(config.view_size, config.view_size, config.resolution)
-    return encode_picture(next(render_agent_video(scene, agent, view, torch.tensor([step]))))
+    averaged = _average_ground(scene, config.resolution)
+    return encode_picture(next(render_agent_video(averaged, agent, view, torch.tensor([step]))))
+
+
+@lru_cache(maxsize=2)  # of the two kinds of models
+def _average_ground(scene: Scene, resolution: float) -> Scene:
+    return replace(scene, ground=prefilter_ground(scene.ground, resolution))

@@ -4,6 +4,7 @@ import json
 import secrets
 import threading
 import time
+from collections.abc import Callable
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -39,7 +40,7 @@ class ViewServer(ThreadingHTTPServer):
         super().__init__((HOST, port), _Handler)
         self.view = view
         self.token = secrets.token_urlsafe(16)
-        self.open_pages = 0
+        self.open_pages = self.answers_in_work = 0
         self.last_seen = float("inf")  # no page was open yet
         self.lock = threading.Lock()
 
@@ -59,6 +60,15 @@ class ViewServer(ThreadingHTTPServer):
         finally:
             self.shutdown()
             self.server_close()
+
+    def server_close(self) -> None:
+        """Close, after the answers in work: torch aborts the process if it ends within them."""
+        super().server_close()
+        while self.answers_in_work:
+            time.sleep(ALIVE_PERIOD_S / 10)
+
+    def handle_error(self, *_: Any) -> None:
+        """Write nothing: the browser may leave before an answer is sent."""
 
     def count_page(self, change: int) -> None:
         """Count a page that was opened (1) or closed (-1)."""
@@ -112,7 +122,9 @@ class _Handler(BaseHTTPRequestHandler):
             return rest[0]
         return None
 
-    def _answer(self, make: Any, content_type: str) -> None:
+    def _answer(self, make: Callable[[], bytes], content_type: str) -> None:
+        with self.server.lock:
+            self.server.answers_in_work += 1
         try:
             content = make()
         except KeyError as error:
@@ -121,6 +133,9 @@ class _Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.UNPROCESSABLE_ENTITY, str(error))
         else:
             self._send(content, content_type)
+        finally:
+            with self.server.lock:
+                self.server.answers_in_work -= 1
 
     def _send(self, content: bytes, content_type: str, status: int = HTTPStatus.OK) -> None:
         self.send_response(status)

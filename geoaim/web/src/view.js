@@ -17,6 +17,7 @@ import { makeShapesLayer } from "./vectors.js";
 
 const PICK_MARGIN_PX = 8;
 const FIT_PADDING_PX = 30;
+const AGENT_VIEW_PERIOD_MS = 200; // so that drawing them leaves the page smooth
 
 /** Make the map's view and projection: metres of the world, x east and y north. */
 export function makeMapView(extent) {
@@ -89,11 +90,15 @@ export async function showView(element, description, transport, { link = false }
   panel.append(makeCheckbox("measure", false, (on) => setMeasure((measuring = on))));
 
   let loadingView = null;
+  let lastAsked = -Infinity;
   const showAgentView = async () => {
     const wanted = state.selected && `${state.selected.id}/${findStep(state.tracks.times, state.time)}`;
     agentView.hidden = !wanted || !description.agent_views;
     if (agentView.hidden || loadingView || agentView.dataset.shown === wanted) return;
+    const wait = lastAsked + AGENT_VIEW_PERIOD_MS - performance.now();
     loadingView = wanted;
+    if (wait > 0) await new Promise((resolve) => setTimeout(resolve, wait));
+    lastAsked = performance.now();
     try {
       const bytes = await transport.read(`agent_views/${encodeURIComponent(state.selected.id)}/${wanted.split("/").pop()}`);
       URL.revokeObjectURL(agentView.src);
@@ -181,6 +186,7 @@ export async function showView(element, description, transport, { link = false }
   if (link) readLink(app);
   if (description.marks && app.timeline) {
     readJson(transport, description.marks).then((marks) => {
+      app.marks = marks;
       app.timeline.showMarks(marks, (mark) => (app.timeline.set(mark.time), app.select(mark.agent)));
       for (const [kind, colour] of listMarkKinds(marks)) {
         const count = marks.filter((mark) => mark.kind === kind).length;
