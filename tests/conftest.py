@@ -1,5 +1,7 @@
 """Fixtures for all tests. The jaxtyping hook that checks shapes is set in pyproject.toml."""
 
+import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -65,3 +67,13 @@ def clip() -> HoverClip:
     hover = Hover(count=12, drift=8, perspective=1.0, noise=2.0, blur=0.6)
     still = textured(generator, 500, 800)
     return film(still, no_traffic(12), hover, height=360, width=640, generator=generator)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Path of a browser that Playwright can drive."""
+    pytest.importorskip("playwright", reason="Playwright is not installed")
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium")
+    if path is None:
+        pytest.skip("no browser: install chromium, or name one by CHROMIUM")
+    return path

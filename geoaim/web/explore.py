@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 from shapely import MultiPolygon
 
 from geoaim.aim import AIM
@@ -18,6 +17,7 @@ from geoaim.grid import Grid
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.lights import Lights
+from geoaim.prediction.futures import Futures
 from geoaim.simulation.road_rules import make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import to_world
@@ -29,7 +29,7 @@ from geoaim.world import World
 
 MapSource = AIM | str | os.PathLike[str]
 ImagerySource = AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
-FuturesSource = pd.DataFrame | str | os.PathLike[str]
+FuturesSource = Futures | str | os.PathLike[str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Contents:
         drivable: area that counts as road; None: that of the HD map.
         imagery: shown beneath the map, with a swipe between the two: an AIM, or what
             `geoaim.read_imagery` reads.
-        futures: a table as `geoaim predict -o futures.csv` writes it, or such a file; in the map's
+        futures: of `predict`, or a file that `geoaim predict -o futures.csv` wrote; in the map's
             world.
     """
 
@@ -146,10 +146,12 @@ def _add_moving(view: MapView, aim: MapSource, contents: Contents, grid: Grid) -
     if contents.lights is not None:
         moving["lights"] = moving_layers.describe_lights(contents.lights, world)
     if contents.futures is not None:
-        table = contents.futures
-        if not isinstance(table, pd.DataFrame):
-            table = pd.read_csv(table, comment="#", dtype={"id": str})
-        moving["futures"] = moving_layers.describe_futures(table)
+        given = contents.futures
+        moving["futures"] = (
+            moving_layers.describe_futures(given)
+            if isinstance(given, Futures)
+            else moving_layers.describe_futures_file(given)
+        )
     if contents.tracks is None:
         return replace(view, description=description)
     tracks = to_world(contents.tracks, world)

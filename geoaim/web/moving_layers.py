@@ -1,6 +1,7 @@
 """What moves as layers of the viewer: tracks, traffic lights, futures and infractions."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
@@ -10,8 +11,11 @@ import numpy as np
 import pandas as pd
 import torch
 
+from geoaim.errors import TracksError
 from geoaim.lights import Lights
+from geoaim.limits import refuse_damaged
 from geoaim.prediction.config import DEFAULT_CONFIGS
+from geoaim.prediction.futures import Futures
 from geoaim.simulation.episodes import detect_infractions
 from geoaim.simulation.ground import View, prefilter_ground
 from geoaim.simulation.pictures import render_agent_video
@@ -70,24 +74,39 @@ def describe_lights(lights: Lights, world: World) -> Description:
     }
 
 
-def describe_futures(futures: pd.DataFrame) -> Description:
-    """Describe futures: the points of each sample of each agent.
+def describe_futures(futures: Futures) -> Description:
+    """Describe futures: the points of each sample of each predicted agent."""
+    positions = futures.states[..., :2].double().cpu().numpy().round(2)
+    agents = [
+        {
+            "id": futures.scene.ids[agent],
+            "samples": [path[np.isfinite(path).all(axis=1)].tolist() for path in paths],
+        }
+        for agent, paths in enumerate(positions.swapaxes(0, 1))
+        if futures.predicted[agent]
+    ]
+    return {"start": futures.time, "agents": agents}
 
-    Args:
-        futures: a row for each sample, agent and time, as `geoaim predict -o futures.csv` writes
-            them; x and y in the world of the map.
 
-    Returns:
-        The description.
+def describe_futures_file(path: str | os.PathLike[str]) -> Description:
+    """Describe the futures that `geoaim predict -o futures.csv` wrote, all agents of them.
+
+    Raises:
+        TracksError: it is another file.
     """
-    agents = []
-    for name, rows in futures.groupby("id", sort=False):
-        samples = [
-            sample.sort_values("time")[["x", "y"]].round(2).to_numpy().tolist()
-            for _, sample in rows.groupby("sample")
+    with refuse_damaged(path, TracksError, "a .csv that `geoaim predict` wrote"):
+        table = pd.read_csv(path, comment="#", dtype={"id": str})
+        agents = [
+            {
+                "id": str(name),
+                "samples": [
+                    sample[["x", "y"]].to_numpy(float).round(2).tolist()
+                    for _, sample in rows.groupby("sample")
+                ],
+            }
+            for name, rows in table.groupby("id", sort=False)
         ]
-        agents.append({"id": str(name), "samples": samples})
-    return {"start": float(futures["time"].min()), "agents": agents}
+        return {"start": float(table["time"].min()), "agents": agents}
 
 
 def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:

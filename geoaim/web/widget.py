@@ -30,7 +30,7 @@ def explore(
         hdmap: lanes, borders and markings, in the map's world.
         imagery: shown beneath the map, with a swipe between the two: an AIM in its world, or what
             `read_imagery` reads.
-        futures: a table as `geoaim predict -o futures.csv` writes it, or such a file.
+        futures: of `predict`, or a file that `geoaim predict -o futures.csv` wrote.
 
     Returns:
         The widget (anywidget), which JupyterLab, VS Code, Colab and marimo show.

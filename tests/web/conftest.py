@@ -1,5 +1,3 @@
-import os
-import shutil
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -42,16 +40,6 @@ def contents(aim):
 @pytest.fixture(scope="session")
 def view(aim, contents):
     return make_map_view(aim, contents, ExitStack())
-
-
-@pytest.fixture(scope="session")
-def chromium():
-    """Path of a browser that Playwright can drive."""
-    pytest.importorskip("playwright", reason="Playwright is not installed")
-    path = os.environ.get("CHROMIUM") or shutil.which("chromium")
-    if path is None:
-        pytest.skip("no browser: install chromium, or name one by CHROMIUM")
-    return path
 
 
 @pytest.fixture

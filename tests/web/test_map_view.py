@@ -3,10 +3,13 @@ import json
 import numpy as np
 import pytest
 
+import geoaim
 from geoaim.errors import TracksError
+from geoaim.prediction.futures import Futures
+from geoaim.prediction.pictures import write_futures
 from geoaim.web.map_layers import describe_hdmap, describe_lonlat
 from geoaim.web.map_view import read_embedded
-from geoaim.web.moving_layers import describe_futures, describe_tracks
+from geoaim.web.moving_layers import describe_futures, describe_futures_file, describe_tracks
 from geoaim.world import World, lonlat_from_world
 
 
@@ -61,12 +64,23 @@ def test_a_map_is_described_by_its_kinds_of_lines(contents):
     assert sum(len(item.get("lines", [])) for item in shapes) == len(contents.hdmap.lines)
 
 
-def test_futures_are_the_rows_of_the_table():
-    pd = pytest.importorskip("pandas")
-    rows = [(k, "7", t, t + k, -t) for k in range(2) for t in (2.0, 1.0, 3.0)]
-    table = pd.DataFrame(rows, columns=["sample", "id", "time", "x", "y"])
-    (agent,) = describe_futures(table)["agents"]
-    assert agent["samples"][1] == [[2.0, -1.0], [3.0, -2.0], [4.0, -3.0]]
+def test_futures_are_described_alike_from_memory_and_from_a_file(aim, contents, tmp_path):
+    scene = geoaim.make_scene(aim, contents.tracks)
+    states = scene.states[None, :, 91:95].repeat(2, 1, 1, 1)
+    states[1, :, :, 0] += 1.0
+    futures = Futures(states, scene, start=90, dt=0.1)
+    described = describe_futures(futures)
+    assert described["start"] == 9.0
+    first = described["agents"][0]
+    row = scene.ids.index(first["id"])
+    np.testing.assert_allclose(first["samples"][1], states[1, row, :, :2], atol=0.01)
+    write_futures(futures, tmp_path / "futures.csv", world=aim.world)
+    filed = describe_futures_file(tmp_path / "futures.csv")
+    assert [agent["id"] for agent in filed["agents"]] == [a["id"] for a in described["agents"]]
+    np.testing.assert_allclose(filed["agents"][0]["samples"], first["samples"], atol=0.011)
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(TracksError, match=r"other\.csv"):
+        describe_futures_file(tmp_path / "other.csv")
 
 
 def test_a_file_holds_what_its_description_names(view):

@@ -2,6 +2,7 @@
 import { make } from "./dom.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 5, 10];
+const MARK_PLACES = 300; // along the time line
 const MARK_COLOURS = { "off road": "#8d5a00", collision: "#c1121f", "red light": "#e000a4" };
 
 /** Make a time line from `begin` to `end` (s) that calls `seek(time)`. */
@@ -47,14 +48,22 @@ export class Timeline {
     requestAnimationFrame(advance);
   }
 
-  /** Show marks {time, agent, kind}; a click on one calls `select(mark)`. */
+  /** Show marks {time, agent, kind}, those of a kind at about one time as one; a click calls `select(mark)`. */
   showMarks(marks, select) {
+    const groups = new Map();
     for (const mark of marks) {
-      const place = (100 * (mark.time - this.begin)) / (this.end - this.begin || 1);
-      const style = `left:${place}%;background:${MARK_COLOURS[mark.kind] ?? "#555"}`;
-      const title = `${mark.kind}: agent ${mark.agent} at ${mark.time.toFixed(1)} s`;
+      const place = Math.round((MARK_PLACES * (mark.time - this.begin)) / (this.end - this.begin || 1));
+      const key = `${place} ${mark.kind}`;
+      if (!groups.has(key)) groups.set(key, { place, group: [] });
+      groups.get(key).group.push(mark);
+    }
+    for (const { place, group } of groups.values()) {
+      const { kind, agent, time } = group[0];
+      const style = `left:${(100 * place) / MARK_PLACES}%;background:${MARK_COLOURS[kind] ?? "#555"}`;
+      const others = group.length > 1 ? ` and ${group.length - 1} more` : "";
+      const title = `${kind}: agent ${agent} at ${time.toFixed(1)} s${others}`;
       const tick = make("button", { className: "mark", style, title });
-      tick.addEventListener("click", () => select(mark));
+      tick.addEventListener("click", () => select(group[0]));
       this.marks.append(tick);
     }
   }
