@@ -1,4 +1,4 @@
-// sources: f3fe3a2fd752c323569416610934e2010d35395124429e98e0d784ca8f6e083e; licences: LICENCES.txt
+// sources: a84d728be2f28ebd40f4e09c4a2436b8c86f148cfe7e1796e5b3c8e2140c53e3; licences: LICENCES.txt
 var tu=`:root,
 :host {
   --ol-background-color: white;
@@ -364,7 +364,7 @@ var tu=`:root,
 .geoaim .panel summary { cursor: pointer; font-weight: 600; }
 .geoaim .panel label, .geoaim .panel small { display: flex; align-items: center; gap: 6px; margin-top: 3px; }
 .geoaim .panel small { padding-left: 20px; color: #444; }
-.geoaim .swatch { width: 11px; height: 11px; border-radius: 2px; display: inline-block; }
+.geoaim .swatch { width: 11px; height: 11px; border: 1px solid #999; border-radius: 2px; display: inline-block; }
 .geoaim .inset { position: absolute; top: 10px; left: 10px; display: flex; flex-direction: column; gap: 6px; }
 .geoaim .selection label { display: block; }
 .geoaim .agent-view { width: 220px; border: 2px solid white; border-radius: 6px; box-shadow: 0 1px 4px rgb(0 0 0 / 0.4);

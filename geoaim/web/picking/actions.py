@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.errors import GeoaimError, GeoaimWarning
+from geoaim.errors import AlignmentError, GeoaimError, GeoaimWarning
 from geoaim.mapping.georeference.point_export import format_points
 from geoaim.web.picking.candidates import propose_pairs
 from geoaim.web.picking.positions import read_pair, read_position, require_imagery
@@ -107,7 +107,13 @@ def _propose(session: PickingSession, action: Action) -> Outcome:
     if georeference is None:
         raise ValueError("pairs are proposed from the second point on; pick two first")
     imagery = require_imagery(session.task)
-    return replace(session, candidates=propose_pairs(session.task.frame, imagery, georeference)), {}
+    try:
+        pairs = propose_pairs(session.task.frame, imagery, georeference)
+    except AlignmentError as error:
+        raise AlignmentError(
+            f"no pairs: the imagery does not show the frame where the points place it ({error})"
+        ) from error
+    return replace(session, candidates=pairs), {}
 
 
 def _accept(session: PickingSession, action: Action) -> Outcome:

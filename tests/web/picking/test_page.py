@@ -13,6 +13,7 @@ from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.video.video import open_video, read_frame
+from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import draw_overlay, make_picking_view
 from geoaim.web.picking.session import PickingTask, open_session
 from geoaim.world import world_from_lonlat
@@ -118,8 +119,6 @@ def test_proposed_pairs_are_accepted_by_a_click(page, task, truth):
 
 
 def test_the_overlay_lies_where_the_points_say(task, truth):
-    from geoaim.web.picking.actions import handle
-
     session = open_session(replace(task, path=None))
     assert draw_overlay(session) == {}
     points, on_imagery = truth
@@ -132,3 +131,12 @@ def test_the_overlay_lies_where_the_points_say(task, truth):
     inside = (on_imagery > [left, top]) & (on_imagery < [right, bottom])
     assert inside.all()
     assert draw_overlay(session)["url"].startswith("data:image")
+
+
+def test_pairs_are_not_proposed_where_imagery_and_points_disagree(task, truth):
+    session, moved = open_session(task), truth[0].coordinates + np.array([2e-4, 0.0])  # 13 m
+    for (u, v), (lon, lat) in zip(truth[0].pixels.tolist(), moved.tolist(), strict=True):
+        session, _ = handle(session, {"action": "add", "u": u, "v": v, "lon": lon, "lat": lat})
+    session, reply = handle(session, {"action": "candidates"})
+    assert reply["error"].startswith("no pairs: the imagery does not show the frame where")
+    assert not session.candidates

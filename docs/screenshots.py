@@ -1,0 +1,98 @@
+"""Pictures of the viewer's pages, of the bundled sample; needs Playwright and chromium.
+
+python docs/screenshots.py AIM.tif docs/images
+"""
+
+import io
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+import geoaim
+from geoaim.geometry import transform_points
+from geoaim.mapping.video.video import read_frame
+from geoaim.web.explore import Contents, make_map_view
+from geoaim.web.map_view import MapView
+from geoaim.web.picking.page import make_picking_view
+from geoaim.web.picking.session import PickingTask
+from geoaim.web.server import ViewServer
+from geoaim.world import world_from_lonlat
+
+SIZE = (1200, 760)
+SAMPLES = Path("samples")
+TIME_S = 14.0
+PICKED = (0, 3, 5, 8, 12)  # of the sample's control points
+
+
+@contextmanager
+def open_page(view: MapView) -> Iterator[Any]:
+    """Open a view in a browser."""
+    with ViewServer(view) as server, sync_playwright() as playwright:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        path = shutil.which("chromium")
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+        page.goto(server.address)
+        page.wait_for_timeout(3000)
+        yield page
+        browser.close()
+        server.shutdown()
+
+
+def save(page: Any, path: Path) -> None:
+    """Save what a page shows as a JPEG."""
+    page.wait_for_timeout(2000)
+    Image.open(io.BytesIO(page.screenshot())).convert("RGB").save(path, quality=85)
+
+
+def show_view(aim: Path, folder: Path) -> None:
+    """Save the viewer's page with a car selected."""
+    world = geoaim.read_aim(aim).world
+    hdmap = geoaim.read_hdmap(SAMPLES / "map.osm", world)
+    lights = geoaim.read_lights(SAMPLES / "lights.csv", hdmap.stop_lines, world)
+    tracks = geoaim.read_tracks(SAMPLES / "tracks.csv")
+    contents = Contents(tracks, lights, hdmap)
+    with ExitStack() as stack, open_page(make_map_view(aim, contents, stack)) as page:
+        step = int(np.searchsorted(tracks.times, TIME_S))
+        ego = tracks.ids[
+            np.nanargmax(np.where(tracks.present[:, step], tracks.states[:, step, 3], 0))
+        ]
+        page.evaluate(f"geoaim.timeline.set({TIME_S}); geoaim.select('{ego}')")
+        page.evaluate("geoaim.view.setResolution(geoaim.view.getResolution() * 0.6)")
+        save(page, folder / "view.jpg")
+
+
+def show_picking(folder: Path) -> None:
+    """Save the page of picking with some points."""
+    imagery = geoaim.read_imagery(SAMPLES / "ortho.tif")
+    frame = read_frame(geoaim.open_video(SAMPLES / "hover.mp4"), 0.0).image
+    points = geoaim.read_control_points(SAMPLES / "gcps.csv")
+    places = world_from_lonlat(imagery.world, points.coordinates)
+    pixels = transform_points(np.linalg.inv(imagery.world_from_image), places)
+    view = make_picking_view(PickingTask(frame, imagery=imagery), "control points")
+    with open_page(view) as page:
+        for index in PICKED:
+            (u, v), (east, north) = points.pixels[index], pixels[index]
+            ask = f"geoaim.ask({{action: 'add', name: '{points.names[index]}', u: {u}, v: {v}}})"
+            move = f"{{action: 'move', id: reply.added, side: 'imagery', u: {east}, v: {north}}}"
+            page.evaluate(f"{ask}.then((reply) => geoaim.ask({move}))")
+        page.mouse.move(330, 300)
+        save(page, folder / "pick.jpg")
+
+
+def main(aim: Path, folder: Path) -> None:
+    """Save pictures of the pages."""
+    show_view(aim, folder)
+    show_picking(folder)
+
+
+if __name__ == "__main__":
+    typer.run(main)
