@@ -4,47 +4,26 @@ python docs/screenshots.py AIM.tif docs/images
 """
 
 import io
-import shutil
-import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import typer
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
 import geoaim
+from geoaim.bench.viewer import open_page
 from geoaim.geometry import transform_points
 from geoaim.mapping.video.video import read_frame
 from geoaim.web.explore import Contents, make_map_view
-from geoaim.web.map_view import MapView
 from geoaim.web.picking.page import make_picking_view
 from geoaim.web.picking.session import PickingTask
-from geoaim.web.server import ViewServer
 from geoaim.world import world_from_lonlat
 
-SIZE = (1200, 760)
 SAMPLES = Path("samples")
 TIME_S = 14.0
 PICKED = (0, 3, 5, 8, 12)  # of the sample's control points
-
-
-@contextmanager
-def open_page(view: MapView) -> Iterator[Any]:
-    """Open a view in a browser."""
-    with ViewServer(view) as server, sync_playwright() as playwright:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        path = shutil.which("chromium")
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
-        page.goto(server.address)
-        page.wait_for_timeout(3000)
-        yield page
-        browser.close()
-        server.shutdown()
 
 
 def save(page: Any, path: Path) -> None:

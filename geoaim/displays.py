@@ -2,6 +2,7 @@
 
 import base64
 import io
+from abc import ABC, abstractmethod
 from html import escape
 from typing import TYPE_CHECKING, ClassVar
 
@@ -12,18 +13,18 @@ REPR_FACTS = 4  # in a repr
 THUMBNAIL_INCHES, THUMBNAIL_DPI = (5.6, 3.6), 80
 
 
-class Display:
+class Display(ABC):
     """A class of data that shows its facts in one line, and beside a picture in Jupyter."""
 
     is_map: ClassVar[bool] = True  # whether it is drawn in metres of a world
 
+    @abstractmethod
     def summarize(self) -> dict[str, str]:
         """Summarize it: text of a value with its unit, by its name."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _draw(self, axes: "Axes") -> None:
         """Draw it in axes; maps in metres of the axes' world (`move_to_axes`)."""
-        raise NotImplementedError
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw it in matplotlib axes; maps in metres, x east and y north.

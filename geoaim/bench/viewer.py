@@ -80,8 +80,8 @@ def _make_tracks(side_m: float) -> Tracks:
 
 
 @contextmanager
-def _open_page(view: MapView) -> Iterator[Any]:
-    """Open a view in a browser; the page has been painted once."""
+def open_page(view: MapView) -> Iterator[Any]:
+    """Open a view in a browser; the page (of Playwright) has been painted once."""
     from playwright.sync_api import sync_playwright
 
     path = os.environ.get("CHROMIUM") or shutil.which("chromium")
@@ -112,7 +112,7 @@ def _time_painting(case: str, make: Callable[[ExitStack], MapView], repeats: int
             begin = time.perf_counter()
             view = make(stack)
             opened.append(time.perf_counter() - begin)
-            with _open_page(view) as page:
+            with open_page(view) as page:
                 painted.append(float(page.evaluate(PAINTED)) / 1e3)
     total = median(a + b for a, b in zip(opened, painted, strict=True))
     return {"case": case, "open_s": median(opened), "paint_s": median(painted), "total_s": total}
@@ -124,7 +124,7 @@ def _count_pictures(view: MapView) -> Row:
     The search for infractions, whose time is in the row too, is over by then.
     """
     rates: dict[str, float] = {}
-    with _open_page(view) as page:
+    with open_page(view) as page:
         begin = time.perf_counter()
         _wait(lambda: bool(page.evaluate("Boolean(geoaim.marks)")))
         rates["infractions_s"] = time.perf_counter() - begin

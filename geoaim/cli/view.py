@@ -73,4 +73,4 @@ def serve_page(shown: "MapView", *, browser: bool) -> None:
         console.print(f"{server.address}  (Ctrl-C or closing the page stops)")
         if browser:
             webbrowser.open(server.address)
-        server.serve_until_closed()
+        server.serve()

@@ -38,9 +38,8 @@ class Futures(Display):
         """Time of the last observed step, s."""
         return float(self.scene.times[self.start])
 
-    @property
-    def predicted(self) -> Bool[Tensor, "N"]:
-        """Agents whose samples differ; the others replay. With one sample: all that are present."""
+    def mark_predicted(self) -> Bool[Tensor, "N"]:
+        """Mark agents whose samples differ; others replay. Of one sample: all that are present."""
         positions = self.states[..., :2]
         known = torch.isfinite(positions).flatten(2).any(dim=2).any(dim=0)
         same = ((positions - positions[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
@@ -50,7 +49,7 @@ class Futures(Display):
         """Summarize the number of samples, the predicted time and the predicted agents."""
         samples, _, steps, _ = self.states.shape
         types = self.scene.types
-        chosen = [types[row] for row in self.predicted.nonzero()[:, 0].tolist()]
+        chosen = [types[row] for row in self.mark_predicted().nonzero()[:, 0].tolist()]
         return {
             "samples": str(samples),
             "time": f"{steps * self.dt:g} s after {self.time:g} s, {steps} steps",
@@ -77,7 +76,7 @@ class Futures(Display):
         axes.set_aspect("equal")
         part: Any = axes.figure
         part.figure.draw_without_rendering()  # of the whole figure: names are placed in a layout
-        rows = self.predicted.nonzero()[:, 0].tolist()
+        rows = self.mark_predicted().nonzero()[:, 0].tolist()
         places = self.scene.poses[rows, self.start, :2].double().cpu().numpy()
         for text in label_points(axes, places, [self.scene.ids[row] for row in rows]):
             text.set(fontsize=7, clip_on=True)
@@ -92,7 +91,7 @@ class Futures(Display):
         """
         from geoaim.map_axes import draw_lines
 
-        rows, end = self.predicted.cpu(), self.states.shape[2] if step is None else step + 1
+        rows, end = self.mark_predicted().cpu(), self.states.shape[2] if step is None else step + 1
         now, states = self.scene.poses[:, self.start].cpu(), self.states.cpu()
         if step is None:
             recorded = self.scene.poses[:, self.start : self.start + 1 + end].cpu()

@@ -14,6 +14,7 @@ from geoaim.aim import AIM
 from geoaim.aim_files import open_aim, read_aim
 from geoaim.errors import AimError
 from geoaim.grid import Grid
+from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.lights import Lights
@@ -75,12 +76,9 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
     items = _describe_aim(rasters)
     if contents.imagery is not None:
         beneath = _read_beneath(contents.imagery, grid)
-        rasters["imagery"] = map_layers.tile_aim(beneath)["image"]
+        rasters["imagery"] = map_layers.tile_aim(beneath)["aim_image"]
         items[0]["swipe"] = True
         items.insert(0, map_layers.describe_raster("imagery", "imagery", rasters["imagery"]))
-    shapes = [] if contents.hdmap is None else map_layers.describe_hdmap(contents.hdmap)
-    if contents.drivable is not None:
-        shapes = [map_layers.describe_area(contents.drivable), *shapes[1:]]
     view = MapView(
         description={
             "kind": "view",
@@ -89,12 +87,12 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
             "lonlat": map_layers.describe_lonlat(world, grid.corners),
             "pixels_from_world": grid.grid_from_world.tolist(),
             "rasters": items,
-            "shapes": shapes,
+            "shapes": _describe_shapes(contents),
             "moving": {},
         },
         rasters=rasters,
     )
-    return _add_moving(view, aim, contents, grid)
+    return _add_moving(view, aim, contents, world)
 
 
 def read_map_world(path: str | os.PathLike[str]) -> World:
@@ -107,14 +105,13 @@ def read_map_world(path: str | os.PathLike[str]) -> World:
 def _open_map(aim: MapSource, stack: ExitStack) -> tuple[Grid, dict[str, TiledRaster], str]:
     """Open a map: its grid, its tiles by path, and a title."""
     if isinstance(aim, AIM):
-        return aim.grid, map_layers.name_layers(map_layers.tile_aim(aim)), "AIM"
+        return aim.grid, map_layers.tile_aim(aim), "AIM"
     dataset, grid, report = stack.enter_context(open_aim(aim))
     if not map_layers.is_north_up(grid):
         stack.close()
         return _open_map(read_aim(aim), stack)
     most = report.get("background", {}).get("frames_used", 1)
-    layers = map_layers.tile_aim_file(dataset, grid, most)
-    return grid, map_layers.name_layers(layers), Path(aim).name
+    return grid, map_layers.tile_aim_file(dataset, grid, most), Path(aim).name
 
 
 def _describe_aim(rasters: dict[str, TiledRaster]) -> list[dict[str, Any]]:
@@ -124,6 +121,15 @@ def _describe_aim(rasters: dict[str, TiledRaster]) -> list[dict[str, Any]]:
         for name, path in (("frames per pixel", "aim_coverage"), ("contested", "aim_contested"))
     ]
     return [shown, *others]
+
+
+def _describe_shapes(contents: Contents) -> list[dict[str, Any]]:
+    """Describe the drivable area, given or of the HD map, and the lines of the HD map."""
+    area, hdmap = contents.drivable, contents.hdmap
+    if area is None and hdmap is not None:
+        area = find_drivable_area(hdmap)
+    shapes = [] if area is None else [map_layers.describe_area(area)]
+    return shapes if hdmap is None else shapes + map_layers.describe_lines(hdmap)
 
 
 def _read_beneath(imagery: ImagerySource, grid: Grid) -> AIM:
@@ -137,12 +143,10 @@ def _read_beneath(imagery: ImagerySource, grid: Grid) -> AIM:
     return read_imagery(imagery, world=grid.world, corners=grid.corners)
 
 
-def _add_moving(view: MapView, aim: MapSource, contents: Contents, grid: Grid) -> MapView:
+def _add_moving(view: MapView, aim: MapSource, contents: Contents, world: World) -> MapView:
     """Add tracks, lights, futures, infractions and the views of agents."""
     moving: dict[str, Any] = {}
     description = dict(view.description, moving=moving)
-    world = grid.world
-    assert world is not None
     if contents.lights is not None:
         moving["lights"] = moving_layers.describe_lights(contents.lights, world)
     if contents.futures is not None:

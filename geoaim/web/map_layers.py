@@ -1,6 +1,7 @@
 """Maps as layers of the viewer: an AIM, imagery, HD map, and places of points."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 import matplotlib
@@ -11,7 +12,6 @@ from shapely import MultiPolygon
 
 from geoaim.aim import AIM
 from geoaim.grid import Grid
-from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.rectification import rectify
 from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
@@ -31,25 +31,24 @@ MAX_FITTED_POINTS = 9  # on a side, where longitude and latitude are fitted
 Description = dict[str, Any]
 
 
-def colour_image(bands: Array, most: float) -> dict[str, Colours]:
-    """Colour the bands of an AIM's file (`geoaim.aim_files.BANDS`) for each layer of it.
-
-    Args:
-        bands: (7, h, w) uint8 red, green, blue, alpha, contested, coverage's low and high byte.
-        most: the coverage of the brightest colour.
-
-    Returns:
-        (h, w, 4) colours of "image", "contested" and "coverage".
-    """
-    coverage = bands[5] + bands[6].astype(np.uint16) * 256
-    contested = np.zeros((*coverage.shape, 4), np.uint8)
-    contested[bands[4] > 127] = CONTESTED_COLOUR
+def colour_coverage(bands: Array, most: float) -> Colours:
+    """Colour the low and the high byte of the coverage (2, h, w); brightest at `most` frames."""
+    coverage = bands[0] + bands[1].astype(np.uint16) * 256
     shade = COVERAGE_COLOURS[np.clip(coverage * (255 / max(most, 1)), 0, 255).astype(np.uint8)]
-    alpha = np.where(coverage > 0, COVERAGE_ALPHA, 0).astype(np.uint8)
+    return np.dstack([shade, np.where(coverage > 0, COVERAGE_ALPHA, 0).astype(np.uint8)])
+
+
+def colour_contested(bands: Array) -> Colours:
+    """Colour the contested pixels of a band (1, h, w)."""
+    return np.array([(0, 0, 0, 0), CONTESTED_COLOUR], np.uint8)[(bands[0] > 127).astype(np.intp)]
+
+
+def list_aim_layers(most: float) -> dict[str, tuple[tuple[int, ...], Callable[[Array], Colours]]]:
+    """List the layers of an AIM by path: bands of its file (`BANDS`, from 1), and their colours."""
     return {
-        "image": np.ascontiguousarray(np.moveaxis(bands[:4], 0, -1)),
-        "contested": contested,
-        "coverage": np.dstack([shade, alpha]),
+        "aim_image": ((1, 2, 3, 4), lambda bands: np.ascontiguousarray(np.moveaxis(bands, 0, -1))),
+        "aim_contested": ((5,), colour_contested),
+        "aim_coverage": ((6, 7), partial(colour_coverage, most=most)),
     }
 
 
@@ -61,14 +60,16 @@ def is_north_up(grid: Grid) -> bool:
 
 
 def tile_aim(aim: AIM) -> dict[str, TiledRaster]:
-    """Make tiles of an AIM in memory: "image", "contested" and "coverage"."""
+    """Make tiles of an AIM in memory, by the paths of its layers."""
     if not is_north_up(aim.grid):
         aim = rectify(aim)
     low, high = (aim.coverage & 255).astype(np.uint8), (aim.coverage >> 8).astype(np.uint8)
     flags = [(mask * 255).astype(np.uint8) for mask in (aim.coverage > 0, aim.contested)]
-    bands = np.stack([*np.moveaxis(aim.image, -1, 0), *flags, low, high])
-    layers = colour_image(bands, float(aim.coverage.max()))
-    return {name: tile_array(colours, aim.grid) for name, colours in layers.items()}
+    file_bands = np.stack([*np.moveaxis(aim.image, -1, 0), *flags, low, high])
+    return {
+        path: tile_array(colour(file_bands[np.array(bands) - 1]), aim.grid)
+        for path, (bands, colour) in list_aim_layers(float(aim.coverage.max())).items()
+    }
 
 
 def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaster]:
@@ -80,13 +81,12 @@ def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaste
         most: the coverage of the brightest colour.
 
     Returns:
-        "image", "contested" and "coverage".
+        Tiles by the paths of the layers.
     """
-
-    def select(name: str) -> TiledRaster:
-        return tile_dataset(dataset, grid, lambda bands: colour_image(bands, most)[name])
-
-    return {name: select(name) for name in ("image", "contested", "coverage")}
+    return {
+        path: tile_dataset(dataset, grid, bands, colour)
+        for path, (bands, colour) in list_aim_layers(most).items()
+    }
 
 
 def describe_raster(name: str, path: str, raster: TiledRaster, **options: object) -> Description:
@@ -105,12 +105,12 @@ def describe_raster(name: str, path: str, raster: TiledRaster, **options: object
     return shown | raster.describe() | options
 
 
-def describe_hdmap(hdmap: HDMap) -> list[Description]:
-    """Describe the lines of an HD map by their kind, and the drivable area; in its world."""
+def describe_lines(hdmap: HDMap) -> list[Description]:
+    """Describe the lines of an HD map by their kind, in its world."""
     kinds: dict[str, list[list[list[float]]]] = {}
     for line in hdmap.lines:
         kinds.setdefault(line.kind, []).append(_round(line.points))
-    shapes = [describe_area(find_drivable_area(hdmap))]
+    shapes = []
     for kind, lines in sorted(kinds.items()):
         colour = LINE_COLOURS.get(kind, MARKING_COLOUR)
         dash = [4, 4] if kind == "virtual" else None
@@ -153,8 +153,3 @@ def find_extent(corners: Iterable[Float[Array, "n 2"]]) -> list[float]:
 def _round(points: Float[Array, "n 2"]) -> list[list[float]]:
     rounded: list[list[float]] = np.round(points, 3).tolist()
     return rounded
-
-
-def name_layers(rasters: Mapping[str, TiledRaster]) -> dict[str, TiledRaster]:
-    """Name the layers of an AIM by the paths of their tiles."""
-    return {f"aim_{name}": raster for name, raster in rasters.items()}

@@ -1,7 +1,7 @@
 """What the viewer shows: a description, and the data that it names."""
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote
@@ -63,9 +63,6 @@ def read_embedded(view: MapView) -> dict[str, bytes]:
         tiles = view.rasters[item["path"]].list_tiles(MAX_EMBEDDED_PIXELS)
         levels = 1 + max(level for level, _, _ in tiles)
         shown["rasters"].append(dict(item, resolutions=item["resolutions"][:levels]))
-        files |= _read_all(view, (f"{item['path']}/{z}/{x}/{y}" for z, x, y in tiles))
+        paths = [f"{item['path']}/{level}/{column}/{row}" for level, column, row in tiles]
+        files |= {path: view.read(path) for path in paths}
     return {"description.json": json.dumps(shown).encode(), **files}
-
-
-def _read_all(view: MapView, paths: Iterable[str]) -> dict[str, bytes]:
-    return {path: view.read(path) for path in paths}

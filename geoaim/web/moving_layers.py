@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import torch
+from matplotlib.colors import to_hex
 
+from geoaim.agent_types import get_colour
 from geoaim.errors import TracksError
 from geoaim.lights import Lights
 from geoaim.limits import refuse_damaged
@@ -18,6 +20,7 @@ from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.prediction.futures import Futures
 from geoaim.simulation.episodes import detect_infractions
 from geoaim.simulation.ground import View, prefilter_ground
+from geoaim.simulation.lines import LIGHT_COLOURS
 from geoaim.simulation.pictures import render_agent_video
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.simulation.scene import Scene, find_agent, slice_scene, transform_stop_lines
@@ -61,7 +64,13 @@ def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[],
         "tracks": np.concatenate(parts or [np.empty((0, 3), "<f4")]).tobytes,
         "times": tracks.times.astype("<f8").tobytes,
     }
-    return {"path": "tracks", "times": "times", "origin": origin.tolist(), "agents": agents}, data
+    return {
+        "path": "tracks",
+        "times": "times",
+        "origin": origin.tolist(),
+        "agents": agents,
+        "colours": {kind: to_hex(get_colour(kind)) for kind in dict.fromkeys(tracks.types)},
+    }, data
 
 
 def describe_lights(lights: Lights, world: World) -> Description:
@@ -71,19 +80,21 @@ def describe_lights(lights: Lights, world: World) -> Description:
         "lines": np.round(transform_stop_lines(lights, world), 3).tolist(),
         "times": lights.times.tolist(),
         "states": lights.states.tolist(),
+        "colours": [to_hex(colour) for colour in LIGHT_COLOURS],
     }
 
 
 def describe_futures(futures: Futures) -> Description:
     """Describe futures: the points of each sample of each predicted agent."""
     positions = futures.states[..., :2].double().cpu().numpy().round(2)
+    predicted = futures.mark_predicted()
     agents = [
         {
             "id": futures.scene.ids[agent],
             "samples": [path[np.isfinite(path).all(axis=1)].tolist() for path in paths],
         }
         for agent, paths in enumerate(positions.swapaxes(0, 1))
-        if futures.predicted[agent]
+        if predicted[agent]
     ]
     return {"start": futures.time, "agents": agents}
 

@@ -49,7 +49,7 @@ class ViewServer(ThreadingHTTPServer):
         """Address of the page."""
         return f"http://{HOST}:{self.server_port}/{self.token}/"
 
-    def serve_until_closed(self) -> None:
+    def serve(self) -> None:
         """Serve until the last page has been closed, or Ctrl-C."""
         threading.Thread(target=self.serve_forever, daemon=True).start()
         try:

@@ -1,7 +1,7 @@
 """Rasters in tiles: a north-up picture at full and at halved resolutions."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
@@ -126,13 +126,16 @@ def tile_array(pixels: Colours, grid: Grid) -> TiledRaster:
     return TiledRaster(grid, read_block)
 
 
-def tile_dataset(dataset: Any, grid: Grid, colour: Callable[[Array], Colours]) -> TiledRaster:
+def tile_dataset(
+    dataset: Any, grid: Grid, bands: Sequence[int], colour: Callable[[Array], Colours]
+) -> TiledRaster:
     """Make tiles of an open rasterio dataset, north up, by its overviews.
 
     Args:
         dataset: stays open as long as the tiles are read.
         grid: of its pixels.
-        colour: makes colours of a block (bands, h, w) of all its bands.
+        bands: that are read, from 1.
+        colour: makes colours of a block (bands, h, w).
 
     Returns:
         The tiles.
@@ -142,6 +145,6 @@ def tile_dataset(dataset: Any, grid: Grid, colour: Callable[[Array], Colours]) -
         rows: tuple[int, int], columns: tuple[int, int], size: tuple[int, int]
     ) -> Colours:
         window = Window.from_slices(rows, columns)
-        return colour(dataset.read(window=window, out_shape=(dataset.count, *size)))
+        return colour(dataset.read(list(bands), window=window, out_shape=(len(bands), *size)))
 
     return TiledRaster(grid, read_block)

@@ -133,7 +133,7 @@ def test_pictures_show_the_futures(scene, hdmap, tmp_path):
     [axes] = draw_futures(futures).axes
     assert "2 futures of 0.6 s" in axes.get_title()
     assert {"recorded", "2 futures", "car"} <= {t.get_text() for t in axes.legend_.texts}
-    ids = {scene.ids[row] for row in futures.predicted.nonzero()[:, 0].tolist()}
+    ids = {scene.ids[row] for row in futures.mark_predicted().nonzero()[:, 0].tolist()}
     assert ids
     assert ids <= {text.get_text() for text in axes.texts}
     film = list(film_futures(futures))

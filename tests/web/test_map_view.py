@@ -1,13 +1,16 @@
 import json
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
+from shapely import MultiPolygon, box
 
 import geoaim
 from geoaim.errors import TracksError
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.pictures import write_futures
-from geoaim.web.map_layers import describe_hdmap, describe_lonlat
+from geoaim.web.explore import Contents, make_map_view
+from geoaim.web.map_layers import describe_lines, describe_lonlat
 from geoaim.web.map_view import read_embedded
 from geoaim.web.moving_layers import describe_futures, describe_futures_file, describe_tracks
 from geoaim.world import World, lonlat_from_world
@@ -58,9 +61,21 @@ def test_longitude_and_latitude_are_fitted_to_a_millimetre():
     assert describe_lonlat(World(None), corners) is None
 
 
+def test_the_drivable_area_is_the_given_one_or_that_of_the_hd_map(aim, contents):
+    square = MultiPolygon([box(0, 0, 9, 9)])
+    areas = []
+    for given in (Contents(hdmap=contents.hdmap), Contents(drivable=square), Contents()):
+        with ExitStack() as stack:
+            shapes = make_map_view(aim, given, stack).description["shapes"]
+        areas.append([item["polygons"] for item in shapes if item["name"] == "drivable area"])
+    assert len(areas[0]) == 1
+    assert areas[1] == [[[[list(p) for p in square.geoms[0].exterior.coords]]]]
+    assert areas[2] == []
+
+
 def test_a_map_is_described_by_its_kinds_of_lines(contents):
-    shapes = describe_hdmap(contents.hdmap)
-    assert shapes[0]["name"] == "drivable area"
+    shapes = describe_lines(contents.hdmap)
+    assert len({item["name"] for item in shapes}) == len(shapes)
     assert sum(len(item.get("lines", [])) for item in shapes) == len(contents.hdmap.lines)
 
 

@@ -99,7 +99,7 @@ def test_it_stops_when_its_last_page_is_closed(monkeypatch):
     monkeypatch.setattr(served, "CLOSED_S", 0.2)
     monkeypatch.setattr(served, "ALIVE_PERIOD_S", 0.05)
     with ViewServer(MapView(SECRET)) as started:
-        waiting = threading.Thread(target=started.serve_until_closed)
+        waiting = threading.Thread(target=started.serve)
         waiting.start()
         time.sleep(0.4)
         assert waiting.is_alive()  # the page was not opened yet

@@ -2,18 +2,7 @@
 import Layer from "ol/layer/Layer.js";
 import { findStep, getBox, getPose } from "./tracks.js";
 
-export const TYPE_COLOURS = {
-  car: "#2f7ed8",
-  van: "#2f7ed8",
-  truck: "#12408a",
-  bus: "#0b9aa6",
-  motorcycle: "#8a3fc0",
-  cyclist: "#1d9a4b",
-  pedestrian: "#e0338c",
-};
-export const OTHER_COLOUR = "#7a5c3e";
 export const SELECTED_COLOUR = "#ff6a00";
-export const LIGHT_COLOURS = ["#17b33a", "#ffb000", "#e01b24"]; // by the state: green, yellow, red
 const UNKNOWN_COLOUR = "#9a9a9a";
 const FUTURE_COLOUR = "rgba(255, 106, 0, 0.55)";
 const LIGHT_WIDTH_M = 0.8;
@@ -53,7 +42,7 @@ export class AgentsLayer extends Layer {
     context.lineWidth = LIGHT_WIDTH_M;
     lights.lines.forEach(([start, end], index) => {
       const light = known ? lights.states[step][index] : -1;
-      context.strokeStyle = LIGHT_COLOURS[light] ?? UNKNOWN_COLOUR;
+      context.strokeStyle = lights.colours[light] ?? UNKNOWN_COLOUR;
       context.beginPath();
       context.moveTo(...start);
       context.lineTo(...end);
@@ -80,7 +69,7 @@ export class AgentsLayer extends Layer {
       const pose = getPose(tracks, agent, time);
       if (!pose) continue;
       const own = agent === selected;
-      const colour = own ? SELECTED_COLOUR : (TYPE_COLOURS[agent.type] ?? OTHER_COLOUR);
+      const colour = own ? SELECTED_COLOUR : tracks.colours[agent.type];
       if (!boxes.has(colour)) boxes.set(colour, new Path2D());
       const path = boxes.get(colour);
       getBox(pose, agent.length, agent.width).forEach((corner, index) =>

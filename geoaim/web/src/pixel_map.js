@@ -12,8 +12,8 @@ import VectorSource from "ol/source/Vector.js";
 import { Fill, Stroke, Style, Text } from "ol/style.js";
 import CircleStyle from "ol/style/Circle.js";
 import { make } from "./dom.js";
+import { makeMapView } from "./map_view.js";
 import { makeRasterLayer } from "./rasters.js";
-import { makeMapView } from "./view.js";
 
 const MARGIN_PX = 20;
 const MAGNIFICATION = 4;

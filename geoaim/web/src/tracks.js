@@ -4,7 +4,8 @@
  * Decode tracks.
  *
  * The description has `times` (path of float64 seconds), `path` (float32 x, y, heading of each
- * agent's steps, one agent after the other, metres from `origin`; NaN while absent) and `agents`.
+ * agent's steps, one agent after the other, metres from `origin`; NaN while absent), `agents`, and
+ * `colours` by the type of an agent.
  */
 export async function readTracks(tracks, transport) {
   const [states, times] = await Promise.all([
@@ -17,7 +18,7 @@ export async function readTracks(tracks, transport) {
     offset += 3 * agent.steps;
     return { ...agent, states: states.subarray(begin, offset) };
   });
-  return { times, agents, origin: tracks.origin };
+  return { times, agents, origin: tracks.origin, colours: tracks.colours };
 }
 
 /** Find the index of the last time that is not after `time`; 0 before the first. */

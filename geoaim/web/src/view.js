@@ -2,13 +2,12 @@
 import ScaleLine from "ol/control/ScaleLine.js";
 import { defaults as defaultInteractions } from "ol/interaction/defaults.js";
 import Map from "ol/Map.js";
-import Projection from "ol/proj/Projection.js";
-import View from "ol/View.js";
-import { AgentsLayer, OTHER_COLOUR, TYPE_COLOURS } from "./agents_layer.js";
+import { AgentsLayer } from "./agents_layer.js";
 import { describePoint } from "./coordinates.js";
 import { make, makeCheckbox } from "./dom.js";
 import { readLink, writeLink } from "./link.js";
 import { addMeasure } from "./measure.js";
+import { makeMapView } from "./map_view.js";
 import { addSwipe, makeRasterLayer } from "./rasters.js";
 import { listMarkKinds, Timeline } from "./timeline.js";
 import { readJson } from "./transport.js";
@@ -18,12 +17,6 @@ import { makeShapesLayer } from "./vectors.js";
 const PICK_MARGIN_PX = 8;
 const FIT_PADDING_PX = 30;
 const AGENT_VIEW_PERIOD_MS = 200; // so that drawing them leaves the page smooth
-
-/** Make the map's view and projection: metres of the world, x east and y north. */
-export function makeMapView(extent) {
-  const projection = new Projection({ code: "geoaim", units: "m", extent, getPointResolution: (r) => r });
-  return new View({ projection, center: [0, 0], resolution: 1, constrainRotation: false, showFullExtent: true });
-}
 
 /** Show a description (of `kind` "view") in an element; returns what tests and pages drive. */
 export async function showView(element, description, transport, { link = false } = {}) {
@@ -172,14 +165,13 @@ export async function showView(element, description, transport, { link = false }
   if (state.tracks) {
     state.tracks = null;
     state.tracks = await readTracks(description.moving.tracks, transport);
-    const { times, agents } = state.tracks;
+    const { times, colours } = state.tracks;
     app.timeline = new Timeline(times[0], times[times.length - 1], seek);
     element.append(app.timeline.element);
     map.updateSize();
     addToggle("tracks", null, true);
-    const types = new Set(agents.map((agent) => agent.type));
-    for (const type of types) {
-      const swatch = make("i", { className: "swatch", style: `background:${TYPE_COLOURS[type] ?? OTHER_COLOUR}` });
+    for (const [type, colour] of Object.entries(colours)) {
+      const swatch = make("i", { className: "swatch", style: `background:${colour}` });
       panel.append(make("small", {}, swatch, type));
     }
   }

@@ -10,7 +10,7 @@ from geoaim.web.picking.candidates import propose_pairs
 PIXELS = np.array([[290.0, 340.0], [960.0, 390.0], [660.0, 710.0]])
 
 
-def georeference_roughly(place, seed, offset=(0.0, 0.0)):
+def make_rough_georeference(place, seed, offset=(0.0, 0.0)):
     frame, imagery, matrix = place
     generator = np.random.default_rng(seed)
     places = transform_points(matrix, PIXELS) + generator.normal(0, 0.3, (3, 2)) + offset
@@ -25,7 +25,7 @@ def georeference_roughly(place, seed, offset=(0.0, 0.0)):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_pairs_from_three_rough_points_are_right_and_spread(place, seed):
     frame, imagery, matrix = place
-    pairs = propose_pairs(frame, imagery, georeference_roughly(place, seed))
+    pairs = propose_pairs(frame, imagery, make_rough_georeference(place, seed))
     assert 8 <= len(pairs) <= 12
     pixels = np.array([pair.pixel for pair in pairs])
     errors = np.array([pair.place for pair in pairs]) - transform_points(matrix, pixels)
@@ -40,4 +40,4 @@ def test_a_frame_of_another_place_gives_no_pairs(place):
     _, imagery, _ = place
     other = np.random.default_rng(0).integers(0, 255, place[0].shape, np.uint8)
     with pytest.raises(AlignmentError):
-        propose_pairs(other, imagery, georeference_roughly(place, 0))
+        propose_pairs(other, imagery, make_rough_georeference(place, 0))
