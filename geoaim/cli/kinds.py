@@ -27,6 +27,7 @@ MAP_COMMANDS = (
 VIDEO_COMMANDS = (
     "frame FILE -o frame.png",
     "register FILE -o registration.csv",
+    "pick FILE --imagery ortho.tif -o points.csv",
     "build FILE --gcps points.csv -o map.tif",
 )
 IMAGERY_COMMANDS = (

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import report_errors
+from geoaim.cli.console import console, report_errors
 from geoaim.cli.outputs import check_output
 from geoaim.cli.view import serve_page
 
@@ -51,3 +51,5 @@ def pick(
             path=output,
         )
         serve_page(make_picking_view(task, f"{Path(video).name}: control points"), browser=browser)
+        if output.exists():
+            console.print(f"{output}: next, geoaim build {video} --gcps {output} -o map.tif")

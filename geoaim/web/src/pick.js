@@ -54,7 +54,8 @@ export async function showPicking(element, description, transport) {
   };
   const events = (side) => ({
     click: (pixel) => place(side, pixel),
-    drag: async (id, pixel) => ask({ action: "move", id, side, ...(await snap(side, pixel)) }),
+    // a drag is not snapped: it may correct a wrong snap
+    drag: (id, [u, v]) => ask({ action: "move", id, side, u, v }),
     accept: (candidate) => ask({ action: "accept", candidate }),
     select: (id) => select(id),
   });
@@ -77,12 +78,17 @@ export async function showPicking(element, description, transport) {
   const undo = button("Undo", "Ctrl+Z", () => ask({ action: "undo" }));
   const redo = button("Redo", "Ctrl+Shift+Z", () => ask({ action: "redo" }));
   if (app.imagery) {
-    button("Propose pairs", "from the second point on; a click on a grey one accepts it", () => ask({ action: "candidates" }));
+    const propose = button("Propose pairs", "from the second point on; a click on a green one accepts it", async () => {
+      propose.disabled = true;
+      message.textContent = "Searching for pairs …";
+      await ask({ action: "candidates" }).finally(() => (propose.disabled = false));
+    });
     const slider = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0 });
     slider.addEventListener("input", () => setOpacity(Number(slider.value)));
     bar.append(make("label", {}, "frame over imagery ", slider));
   }
-  bar.append(makeCheckbox("snap to corners", true, (on) => (snapping = on)));
+  bar.append(makeCheckbox("snap clicks to corners", true, (on) => (snapping = on)));
+  button("Fit", "show the whole pictures", () => [app.frame, app.imagery].forEach((map) => map?.fit()));
   for (const [kind, name] of Object.entries(EXPORTS)) {
     button(`Save ${name}`, "download", async () => {
       const { text } = await ask({ action: "export", format: kind });
@@ -105,15 +111,17 @@ export async function showPicking(element, description, transport) {
     if (reply.url) app.imagery.setOverlay(reply);
   };
 
-  const describe = ({ feedback, notes, saved }) => {
-    const parts = [];
+  const describe = ({ points, candidates, feedback, notes, saved }) => {
+    const other = app.imagery ? "then the same mark on the imagery" : "then type its coordinates into the table";
+    const parts = points.length ? [] : [`Click a mark on the frame, ${other}.`];
+    if (candidates.length) parts.push(`${candidates.length} proposed pairs, green: a click accepts one.`);
     const { georeference, next_point: next } = feedback;
     if (feedback.problem) parts.push(feedback.problem.text);
     else if (feedback.missing) parts.push(`${feedback.missing} more complete points are needed.`);
     if (georeference) {
-      const kind = georeference.preliminary ? "preliminary " : "";
+      const kind = georeference.preliminary ? "Preliminary" : "Fitted";
       const { middle_m: middle, worst_corner: corner, worst_corner_m: worst } = georeference.uncertainty;
-      parts.push(`${kind}${georeference.model}: 95 % within ${format(middle, 2)} m in the middle, ${format(worst, 2)} m at the ${corner}.`);
+      parts.push(`${kind} ${georeference.model}: 95 % within ${format(middle, 2)} m in the middle, ${format(worst, 2)} m at the ${corner}.`);
     }
     if (next) parts.push(`A point at the dashed circle lowers the largest uncertainty from ${format(next.largest_m, 2)} to ${format(next.largest_with_point_m, 2)} m.`);
     parts.push(...feedback.warnings.map((warning) => warning.text), ...(notes ?? []));
@@ -123,11 +131,17 @@ export async function showPicking(element, description, transport) {
 
   const edit = (value, change) => {
     const input = make("input", { value, size: 12 });
-    input.addEventListener("change", () => change(input.value));
+    input.addEventListener("change", () => change(input.value, input));
     return input;
   };
   const makeRow = (point, residual) => {
-    const typed = (key) => (text) => {
+    const typed = (key) => (text, input) => {
+      const unreadable = !text.trim() || !Number.isFinite(Number(text));
+      input.classList.toggle("wrong", unreadable);
+      if (unreadable) {
+        message.textContent = `"${text}" is not saved: a number such as 36.3035 is needed.`;
+        return;
+      }
       const numbers = { x: point.x, y: point.y, [key]: Number(text) };
       app.typed = { ...(app.typed?.id === point.id ? app.typed : {}), id: point.id, [key]: Number(text) };
       const { x = numbers.x, y = numbers.y } = app.typed;
@@ -169,12 +183,13 @@ export async function showPicking(element, description, transport) {
       pixel: [point[u], point[v]],
       ...{ kind: kindOf(point), name: point.name, id: point.id, selected: point.id === app.selected },
     });
-    const grey = (u, v) => candidates.map((pair, candidate) => ({ pixel: [pair[u], pair[v]], kind: "candidate", candidate }));
+    const proposed = (u, v) =>
+      candidates.map((pair, candidate) => ({ pixel: [pair[u], pair[v]], kind: "candidate", name: String(candidate + 1), candidate }));
     const next = feedback.next_point ? [{ pixel: [feedback.next_point.u, feedback.next_point.v], kind: "next" }] : [];
     const onFrame = points.filter((point) => point.u !== null).map(mark("u", "v"));
-    app.frame.show([...next, ...grey("u", "v"), ...onFrame], feedback.places.filter((x) => x.axes_px).map(makeRing));
+    app.frame.show([...next, ...proposed("u", "v"), ...onFrame], feedback.places.filter((x) => x.axes_px).map(makeRing));
     const known = points.filter((point) => point.image_u !== undefined && point.image_u !== null);
-    app.imagery?.show([...grey("image_u", "image_v"), ...known.map(mark("image_u", "image_v"))]);
+    app.imagery?.show([...proposed("image_u", "image_v"), ...known.map(mark("image_u", "image_v"))]);
     const [x, y] = state.crs === "EPSG:4326" ? ["lon", "lat"] : ["x, m", "y, m"];
     const titles = ["name", "u", "v", x, y, "residual, m", "px", "leave-one-out, m", ""];
     const head = make("tr", {}, ...titles.map((title) => make("th", {}, title)));

@@ -18,7 +18,7 @@ import { makeRasterLayer } from "./rasters.js";
 const MARGIN_PX = 20;
 const MAGNIFICATION = 4;
 const MAGNIFIER_PX = 150;
-const COLOURS = { used: "#ff6a00", wrong: "#c1121f", incomplete: "#ffd400", candidate: "#8c8c8c", next: "#00c2ff" };
+const COLOURS = { used: "#ff6a00", wrong: "#c1121f", incomplete: "#ffd400", candidate: "#39ff14", next: "#00c2ff" };
 
 // pixels have v down, maps have y up
 const toMap = ([u, v]) => [u, -v];
@@ -33,7 +33,7 @@ function makeStyle(feature) {
     image: new CircleStyle({
       radius: kind === "next" ? 16 : selected ? 8 : 6,
       stroke: new Stroke({ color: colour, width: selected ? 3 : 2, lineDash: hollow ? [4, 4] : undefined }),
-      fill: new Fill({ color: kind === "candidate" ? "rgba(140,140,140,0.4)" : "rgba(0,0,0,0.01)" }),
+      fill: new Fill({ color: kind === "candidate" ? "rgba(57,255,20,0.35)" : "rgba(0,0,0,0.01)" }),
     }),
     text: name
       ? new Text({
@@ -79,9 +79,16 @@ export class PixelMap {
       else if (candidate !== undefined) events.accept(candidate);
       else events.click(toPixel(coordinate));
     });
-    this.map.updateSize();
-    view.fit(raster.extent, { padding: Array(4).fill(MARGIN_PX) });
+    this.extent = raster.extent;
+    this.fit();
     this.addMagnifier(target);
+  }
+
+  /** Show the whole picture, upright. */
+  fit() {
+    this.map.updateSize();
+    this.map.getView().setRotation(0);
+    this.map.getView().fit(this.extent, { padding: Array(4).fill(MARGIN_PX) });
   }
 
   /** A lens that follows the pointer. */

@@ -61,7 +61,7 @@ def test_six_pairs_by_clicks_give_the_georeference_of_the_csv(page, task, truth,
     path = tmp_path / "points.csv"
     with serve(make_picking_view(replace(task, path=path), "sample")) as address:
         open_view(page, address)
-        page.get_by_label("snap to corners").uncheck()
+        page.get_by_label("snap clicks to corners").uncheck()
         pick_pairs(page, truth, range(6))
         assert page.locator("table.points tr").count() == 7
     size, world = task.frame.shape[:2], task.imagery.world
@@ -80,7 +80,7 @@ def test_points_are_dragged_undone_deleted_saved_and_loaded_again(page, task, tr
     saved = replace(task, path=path)
     with serve(make_picking_view(saved, "sample")) as address:
         open_view(page, address)
-        page.get_by_label("snap to corners").uncheck()
+        page.get_by_label("snap clicks to corners").uncheck()
         pick_pairs(page, truth, range(2))
         u, v = truth[0].pixels[0]
         x, y = aim_at(page, "frame", (u, v))
@@ -107,7 +107,7 @@ def test_points_are_dragged_undone_deleted_saved_and_loaded_again(page, task, tr
 def test_proposed_pairs_are_accepted_by_a_click(page, task, truth):
     with serve(make_picking_view(task, "sample")) as address:
         open_view(page, address)
-        page.get_by_label("snap to corners").uncheck()
+        page.get_by_label("snap clicks to corners").uncheck()
         pick_pairs(page, truth, range(3))
         page.get_by_role("button", name="Propose pairs").click()
         wait_for(page, "geoaim.state.candidates.length > 3")
@@ -140,3 +140,39 @@ def test_pairs_are_not_proposed_where_imagery_and_points_disagree(task, truth):
     session, reply = handle(session, {"action": "candidates"})
     assert reply["error"].startswith("no pairs: the imagery does not show the frame where")
     assert not session.candidates
+
+
+def test_the_pictures_stay_in_place_while_points_are_added(page, task, truth):
+    get_boxes = (
+        "Array.from(document.querySelectorAll('.map'), (e) => e.getBoundingClientRect().top)"
+    )
+    with serve(make_picking_view(task, "sample")) as address:
+        open_view(page, address)
+        before = page.evaluate(f"{get_boxes}.concat(window.innerHeight)")
+        assert "Click a mark on the frame" in page.locator(".message").inner_text()
+        heights = "Array.from(document.querySelectorAll('.map'), (e) => e.clientHeight)"
+        first = page.evaluate(heights)
+        page.get_by_label("snap clicks to corners").uncheck()
+        pick_pairs(page, truth, range(5))
+        assert page.evaluate(f"{get_boxes}.concat(window.innerHeight)") == before
+        assert page.evaluate(heights) == first
+
+
+def test_a_drag_is_not_snapped_and_unreadable_coordinates_are_named(page, task, truth):
+    with serve(make_picking_view(task, "sample")) as address:
+        open_view(page, address)
+        x, y = aim_at(page, "frame", truth[0].pixels[0])
+        page.mouse.click(x, y)
+        wait_for(page, "geoaim.state.points.length === 1")
+        snapped = page.evaluate("[geoaim.state.points[0].u, geoaim.state.points[0].v]")
+        begin = aim_at(page, "frame", snapped)
+        page.mouse.move(*begin)
+        page.mouse.down()
+        page.mouse.move(begin[0] + 3, begin[1], steps=3)
+        page.mouse.up()
+        wait_for(page, f"Math.abs(geoaim.state.points[0].u - {snapped[0]}) > 0.01")
+        field = page.locator("table.points input").nth(1)
+        field.fill("49.9672, 36.3035")
+        field.press("Enter")
+        wait_for(page, "document.querySelector('.message').textContent.includes('is not saved')")
+        assert page.evaluate("geoaim.state.points[0].x") is None
