@@ -18,6 +18,7 @@ Description = tuple[str, Facts, tuple[str, ...]]
 IMAGES = {".png", ".jpg", ".jpeg"}
 ON_A_MAP = "render map.tif --tracks tracks.csv --ego ID"
 MAP_COMMANDS = (
+    "view FILE --tracks tracks.csv",
     "texture FILE texture",
     "render FILE --tracks tracks.csv --ego ID -o view.mp4",
     "simulate FILE --tracks tracks.csv -o simulated.csv",
@@ -31,6 +32,7 @@ VIDEO_COMMANDS = (
     "build FILE --gcps points.csv -o map.tif",
 )
 IMAGERY_COMMANDS = (
+    "pick video.mp4 --imagery FILE -o points.csv",
     "align FILE --aim map.tif -o aligned.tif",
     "align FILE --tracks tracks.csv -o aligned.tif",
 )
@@ -58,7 +60,7 @@ def describe_file(source: str) -> Description:
     """
     path = Path(source)
     if "://" in source:
-        return "tile service", {}, IMAGERY_COMMANDS[:1]
+        return "tile service", {}, IMAGERY_COMMANDS[:2]
     if not path.exists() and not any(sign in source for sign in "*?["):
         raise FileNotFoundError(f"{source}: no such file or folder")
     if path.is_dir():

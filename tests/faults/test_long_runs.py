@@ -16,7 +16,7 @@ def test_a_leak_is_found(monkeypatch):
 
     def leak(folder, count, sample):
         for index in range(count):
-            kept.append(b"x" * (pages * 4096 // 500))
+            kept.append(b"x" * (pages * 4096 // 200))
             sample(index + 1)
 
     monkeypatch.setitem(long_runs.RUNS, "leak", (leak, 100))
