@@ -77,6 +77,7 @@ if TYPE_CHECKING:
     from geoaim.track_formats.formats import read_tracks as read_tracks
     from geoaim.tracks import Tracks as Tracks
     from geoaim.web.widget import explore as explore
+    from geoaim.web.widget import pick as pick
     from geoaim.world import World as World
 
 # the module of each public name; imported on first use, so that `import geoaim` stays fast
@@ -96,6 +97,7 @@ _MODULE_OF_NAME = {
     "draw_hdmap": "geoaim.hdmap.rasterize",
     "draw_quicklook": "geoaim.quicklook",
     "explore": "geoaim.web.widget",
+    "pick": "geoaim.web.widget",
     "export_texture": "geoaim.mapping.texture",
     "make_scene": "geoaim.simulation.scene",
     "open_video": "geoaim.mapping.video.video",

@@ -18,6 +18,7 @@ FUNCTIONS = [
     "draw_hdmap",
     "draw_quicklook",
     "explore",
+    "pick",
     "export_texture",
     "make_scene",
     "open_video",

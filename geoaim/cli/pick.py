@@ -34,22 +34,14 @@ def pick(
 
     Example: geoaim pick samples/hover.mp4 --imagery samples/ortho.tif -o points.csv
     """
-    from geoaim.imagery.mosaic import read_imagery
-    from geoaim.mapping.video.video import open_video, read_frame
     from geoaim.web.picking.page import make_picking_view
-    from geoaim.web.picking.session import PickingTask
+    from geoaim.web.picking.session import read_task
     from geoaim.world import LONLAT
 
     with report_errors():
         check_output(output, (".csv",), [Path(video)])
-        frame = read_frame(open_video(video), time)
-        task = PickingTask(
-            frame=frame.image,
-            frame_name=frame.name or frame.index or None,
-            imagery=read_imagery(imagery) if imagery else None,
-            crs=None if crs == "local" else crs or LONLAT,
-            path=output,
-        )
+        plane = None if crs == "local" else crs or LONLAT
+        task = read_task(video, output, imagery=imagery or None, time=time, crs=plane)
         serve_page(make_picking_view(task, f"{Path(video).name}: control points"), browser=browser)
         if output.exists():
             console.print(f"{output}: next, geoaim build {video} --gcps {output} -o map.tif")

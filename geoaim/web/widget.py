@@ -1,6 +1,8 @@
 """The viewer as a widget in notebooks: JupyterLab, VS Code, Colab, marimo."""
 
+import os
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from geoaim.errors import GeoaimError
@@ -10,6 +12,9 @@ from geoaim.tracks import Tracks
 from geoaim.web.explore import Contents, FuturesSource, ImagerySource, MapSource, make_map_view
 from geoaim.web.html_file import read_module
 from geoaim.web.map_view import MapView
+from geoaim.web.picking.page import make_picking_view
+from geoaim.web.picking.session import read_task
+from geoaim.world import LONLAT
 
 
 def explore(
@@ -45,6 +50,38 @@ def explore(
     contents = Contents(tracks, lights, hdmap, None, imagery, futures)
     stack = ExitStack()  # the file of the map is open as long as the widget lives
     return make_widget(make_map_view(aim, contents, stack), stack)
+
+
+def pick(
+    video: str | Path,
+    path: str | os.PathLike[str] = "points.csv",
+    *,
+    imagery: ImagerySource | None = None,
+    time: float = 0.0,
+    crs: str | None = LONLAT,
+) -> Any:
+    """Pick control points in a notebook: on a frame, and on imagery or by typed coordinates.
+
+    Args:
+        video: a video, images or one image.
+        path: the .csv that is written after each change; if it exists, picking goes on.
+        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
+        time: of the frame, s.
+        crs: of the coordinates; None for a local metric plane.
+
+    Returns:
+        The widget (anywidget).
+
+    Raises:
+        ImportError: anywidget is not installed (`pip install 'geoaim[jupyter]'`).
+        GeoaimError: something cannot be read.
+
+    Example:
+        geoaim.pick("hover.mp4", imagery="ortho.tif")
+        aim = geoaim.build_aim("hover.mp4", "points.csv")  # in a later cell
+    """
+    task = read_task(video, path, imagery=imagery, time=time, crs=crs)
+    return make_widget(make_picking_view(task, f"{Path(video).name}: control points"), None)
 
 
 def make_widget(view: MapView, resources: object) -> Any:

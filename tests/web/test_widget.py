@@ -1,7 +1,11 @@
+from pathlib import Path
+
 import pytest
 
 from geoaim.web.map_view import MapView
-from geoaim.web.widget import answer_message, explore
+from geoaim.web.widget import answer_message, explore, pick
+
+SAMPLES = Path("samples")
 
 
 @pytest.fixture
@@ -27,3 +31,14 @@ def test_the_widget_carries_the_viewer(aim, contents):
     pytest.importorskip("anywidget")
     widget = explore(aim, tracks=contents.tracks)
     assert "geoaim-painted" in widget._esm
+
+
+def test_points_are_picked_in_a_notebook(tmp_path, monkeypatch, sent):
+    views = []
+    monkeypatch.setattr("geoaim.web.widget.make_widget", lambda view, _: views.append(view))
+    path = tmp_path / "points.csv"
+    pick(SAMPLES / "hover.mp4", path, imagery=SAMPLES / "ortho.tif")
+    action = {"action": "add", "side": "frame", "u": 100.0, "v": 80.0}
+    answer_message(views[0], lambda *message: sent.append(message), {"id": 1, "action": action})
+    assert sent[0][0]["reply"]["points"][0]["u"] == 100.0
+    assert "100" in path.read_text()

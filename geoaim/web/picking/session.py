@@ -1,6 +1,7 @@
 """A session of picking control points: its points, their changes undone and redone, and saving."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,11 +11,13 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim import AIM
+from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.point_export import clean_text, write_control_points
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.georeference.reference_frame import FrameName
+from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.candidates import PairCandidate
 from geoaim.world import LONLAT
 
@@ -31,6 +34,39 @@ class PickingTask:
     crs: str | None = LONLAT  # of the coordinates; None for a local metric plane
     path: Path | None = None  # the .csv that is written after each change
     rough: Georeference | None = None  # of the frame, as by telemetry, in the imagery's world
+
+
+def read_task(
+    video: str | Path,
+    path: str | os.PathLike[str],
+    *,
+    imagery: AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
+    time: float = 0.0,
+    crs: str | None = LONLAT,
+) -> PickingTask:
+    """Read the frame and the imagery on which control points are picked.
+
+    Args:
+        video: a video, images or one image.
+        path: the .csv of the points; if it exists, picking goes on.
+        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
+        time: of the frame, s.
+        crs: of the coordinates; None for a local metric plane.
+
+    Returns:
+        The task.
+
+    Raises:
+        GeoaimError: something cannot be read.
+    """
+    frame = read_frame(open_video(video), time)
+    return PickingTask(
+        frame=frame.image,
+        frame_name=frame.name or frame.index or None,
+        imagery=imagery if imagery is None or isinstance(imagery, AIM) else read_imagery(imagery),
+        crs=crs,
+        path=Path(path),
+    )
 
 
 @dataclass(frozen=True)
