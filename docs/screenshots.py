@@ -18,7 +18,7 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.video.video import read_frame
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.picking.page import make_picking_view
-from geoaim.web.picking.session import PickingTask
+from geoaim.web.picking.task import PickingTask
 from geoaim.world import world_from_lonlat
 
 SAMPLES = Path("samples")

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,6 +59,11 @@ class AIM(Display):
         text = json.dumps(dict(self.report), default=lambda value: value.tolist())
         plain = json.loads(text, parse_constant=lambda _: None)
         object.__setattr__(self, "report", plain)
+
+    def explore(self, **contents: Any) -> Any:
+        """Show it in a notebook, to move in, zoom and play; `geoaim.explore` has the arguments."""
+        # by name: the widget stands above maps, which never import torch
+        return import_module("geoaim.web.widget").explore(self, **contents)
 
     @classmethod
     def from_image(

@@ -35,7 +35,7 @@ def pick(
     Example: geoaim pick samples/hover.mp4 --imagery samples/ortho.tif -o points.csv
     """
     from geoaim.web.picking.page import make_picking_view
-    from geoaim.web.picking.session import read_task
+    from geoaim.web.picking.task import read_task
     from geoaim.world import LONLAT
 
     with report_errors():

@@ -13,7 +13,7 @@ from geoaim.web.explore import Contents, FuturesSource, ImagerySource, MapSource
 from geoaim.web.html_file import read_module
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.page import make_picking_view
-from geoaim.web.picking.session import read_task
+from geoaim.web.picking.task import read_task
 from geoaim.world import LONLAT
 
 

@@ -29,6 +29,8 @@ class ControlPoints:
     names: tuple[str, ...]  # (M,) of the points, for messages
     # (M,) image name or frame index that each was picked on; None is the video's first
     frames: tuple[str | int | None, ...]
+    # one sigma of the coordinates, metres; it counts where it is more than picking is off (2 px)
+    accuracy: float = 0.0
 
 
 # What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.
@@ -120,6 +122,7 @@ def _collect_points(
         crs=_merge_crs(stated if crs is None else [*stated, crs]),
         names=tuple(row.name or f"point {number}" for number, row in enumerate(rows, 1)),
         frames=tuple(int(text) if text.isdecimal() else text or None for text in frames),
+        accuracy=max(row.accuracy for row in rows),
     )
 
 

@@ -70,15 +70,16 @@ def estimate_georeference(
     plane = normalised_plane.normalise_pixels(points.pixels, size)
     world_from_plane = normalised_plane.fit_similarity(plane, targets)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
-    sigma = point_checks.PICKING_SIGMA_PX / normalised_plane.half_diagonal(*size)
+    scale = world_from_plane[:2, :2]
+    metres = float(np.sqrt(np.linalg.det(scale)))
+    picking = point_checks.PICKING_SIGMA_PX / normalised_plane.half_diagonal(*size)
+    sigma = max(picking, points.accuracy / metres)
     used = reject_outlier(points.names, pairs, sigma)
     inliers = select_points(points, np.flatnonzero(used).tolist())
     if not used.all():
         point_checks.check_layout(inliers, targets[used], size, outside=outside)
     posterior, candidates = _fit_models(inliers.names, select_pairs(pairs, used), sigma, size)
     best = choose_model(candidates)
-    scale = world_from_plane[:2, :2]
-    metres = float(np.sqrt(np.linalg.det(scale)))
     residuals = apply_terms(best.terms, plane) - pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)
     leave_one_out[used] = np.linalg.norm(best.leave_one_out, axis=1)

@@ -61,6 +61,8 @@ def _format_csv(points: ControlPoints) -> str:
     lonlat, framed = points.crs == LONLAT, any(frame is not None for frame in points.frames)
     if not lonlat:
         file.write(f"# crs: {_format_crs(points.crs)}\n")
+    if points.accuracy:
+        file.write(f"# accuracy: {points.accuracy!r}\n")
     file.write(f"name,u,v,{'lon,lat' if lonlat else 'x,y'}{',frame' if framed else ''}\n")
     # texts in quotes, so that a name may begin with "#" or hold a comma
     table = csv.writer(file, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")

@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class PointRow:
     crs: str | None = None  # None where the file does not state it
     name: str = ""
     frame: str = ""  # image name or frame index
+    accuracy: float = 0.0  # one sigma of the coordinates by themselves, metres
 
 
 def read_point_file(path: Path) -> list[PointRow]:
@@ -58,14 +59,30 @@ def read_point_file(path: Path) -> list[PointRow]:
     content = [(number, line) for number, line in numbered if not line.startswith("#")]
     if not content:
         raise GeoreferenceError(f"{path}: holds no control points.")
-    matches = (re.match(r"#\s*crs:\s*(.+)", line, re.I) for _, line in numbered)
-    crs = next((match[1] for match in matches if match), None)
+    crs = _find_comment(numbered, "crs")[1]
+    number, text = _find_comment(numbered, "accuracy")
+    accuracy = 0.0 if text is None else _parse_accuracy(text, f"{path}, line {number}")
     header = content[0][1]
     if re.match(r"mapx\W", header, re.I):
         return _read_qgis(content, crs, path)
     if odm_crs := _parse_odm_crs(header):
         return _read_odm(content, odm_crs, path)
-    return _read_csv(content, crs, path)
+    return [replace(row, accuracy=accuracy) for row in _read_csv(content, crs, path)]
+
+
+def _find_comment(numbered: Lines, key: str) -> tuple[int, str | None]:
+    """The first line "# key: text" and its number; None where there is none."""
+    for number, line in numbered:
+        if match := re.match(rf"#\s*{key}:\s*(.+)", line, re.I):
+            return number, match[1]
+    return 0, None
+
+
+def _parse_accuracy(text: str, source: str) -> float:
+    """Parse metres, with or without the unit."""
+    if (accuracy := _parse_number(text.removesuffix("m"), source)) < 0.0:
+        raise GeoreferenceError(f"{source}: accuracy {text!r}; metres, 0 or more, are needed.")
+    return accuracy
 
 
 def _parse_odm_crs(header: str) -> str | None:

@@ -9,7 +9,7 @@ from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.point_checks import MIN_POINTS, warn_of_small_part
+from geoaim.mapping.georeference.point_checks import MIN_POINTS
 from geoaim.mapping.georeference.preliminary import MIN_PRELIMINARY_POINTS, estimate_preliminary
 from geoaim.mapping.georeference.uncertainty import map_uncertainty, suggest_point
 from geoaim.web.picking.point_residuals import (
@@ -97,7 +97,6 @@ def _estimate(
         return None, None, []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", GeoaimWarning)
-        warn_of_small_part(points, size)
         try:
             georeference = estimate_georeference(points, height=size[0], width=size[1], world=world)
         except GeoreferenceError as error:

@@ -14,8 +14,9 @@ from geoaim.grid import Grid
 from geoaim.rectification import sample_nearest
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.actions import handle
-from geoaim.web.picking.session import PickingSession, PickingTask, open_session
+from geoaim.web.picking.session import PickingSession, open_session
 from geoaim.web.picking.state import describe_session
+from geoaim.web.picking.task import PickingTask
 from geoaim.web.tiles import TiledRaster, encode_picture, tile_array
 
 MAX_OVERLAY_PX = 1600  # longer side of the overlay

@@ -7,8 +7,11 @@ import numpy as np
 
 from geoaim.aim import AIM
 from geoaim.geometry import transform_points
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.point_checks import check_coordinates
 from geoaim.mapping.georeference.point_files import MAX_NUMBER
-from geoaim.web.picking.session import PickingTask, Vector
+from geoaim.web.picking.session import Vector
+from geoaim.web.picking.task import PickingTask
 from geoaim.world import LONLAT, crs_from_world, transform_crs
 
 
@@ -24,7 +27,7 @@ def read_position(task: PickingTask, action: Mapping[str, Any]) -> Position:
 
     Raises:
         ValueError: there is neither, or one is not finite, outside its image, or not in the CRS.
-        GeoreferenceError: a place cannot be expressed in the task's CRS.
+        GeoreferenceError: a place cannot be expressed in the task's CRS, or lies outside its area.
     """
     position: Position = {}
     if "u" in action and action.get("side") == "imagery":
@@ -43,6 +46,9 @@ def read_position(task: PickingTask, action: Mapping[str, Any]) -> Position:
         position["place"] = _first(transform_crs(LONLAT, task.crs, lonlat))
     if not position:
         raise ValueError("no position: u and v, x and y, or lon and lat are needed")
+    if "place" in position:
+        place = np.array([position["place"]])
+        check_coordinates(ControlPoints(np.zeros((1, 2)), place, task.crs, ("not saved",), (None,)))
     return position
 
 

@@ -1,72 +1,24 @@
 """A session of picking control points: its points, their changes undone and redone, and saving."""
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.imagery.mosaic import read_imagery
+from geoaim.errors import warn
+from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
-from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.point_export import clean_text, write_control_points
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.georeference.reference_frame import FrameName
-from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.candidates import PairCandidate
-from geoaim.world import LONLAT
+from geoaim.web.picking.task import PickingTask
+from geoaim.world import world_from_crs
 
 Vector = tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class PickingTask:
-    """What control points are picked on."""
-
-    frame: UInt8[Array, "H W 3"]
-    frame_name: FrameName = None  # of a video's frame; None is its first, or a single picture
-    imagery: AIM | None = None  # on which the same places are picked; None: coordinates are typed
-    crs: str | None = LONLAT  # of the coordinates; None for a local metric plane
-    path: Path | None = None  # the .csv that is written after each change
-    rough: Georeference | None = None  # of the frame, as by telemetry, in the imagery's world
-
-
-def read_task(
-    video: str | Path,
-    path: str | os.PathLike[str],
-    *,
-    imagery: AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
-    time: float = 0.0,
-    crs: str | None = LONLAT,
-) -> PickingTask:
-    """Read the frame and the imagery on which control points are picked.
-
-    Args:
-        video: a video, images or one image.
-        path: the .csv of the points; if it exists, picking goes on.
-        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
-        time: of the frame, s.
-        crs: of the coordinates; None for a local metric plane.
-
-    Returns:
-        The task.
-
-    Raises:
-        GeoaimError: something cannot be read.
-    """
-    frame = read_frame(open_video(video), time)
-    return PickingTask(
-        frame=frame.image,
-        frame_name=frame.name or frame.index or None,
-        imagery=imagery if imagery is None or isinstance(imagery, AIM) else read_imagery(imagery),
-        crs=crs,
-        path=Path(path),
-    )
 
 
 @dataclass(frozen=True)
@@ -110,7 +62,26 @@ def open_session(task: PickingTask) -> PickingSession:
         PickedPoint(i, name, _read_pair(pixel), _read_pair(place), frame)
         for i, (name, pixel, place, frame) in enumerate(rows, 1)
     )
-    return PickingSession(replace(task, crs=saved.crs), points)
+    session = PickingSession(replace(task, crs=saved.crs), points)
+    _warn_of_other_place(session)
+    return session
+
+
+def _warn_of_other_place(session: PickingSession) -> None:
+    """Warn where the imagery shows none of the places that were saved."""
+    places = collect_points(session).coordinates
+    places = places[np.isfinite(places).all(axis=1)]
+    imagery = session.task.imagery
+    if imagery is None or not len(places):
+        return
+    metres = world_from_crs(imagery.world, places, session.task.crs)
+    u, v = transform_points(np.linalg.inv(imagery.world_from_image), metres).T
+    height, width = imagery.coverage.shape
+    if not ((u >= 0) & (u <= width) & (v >= 0) & (v <= height)).any():
+        warn(
+            f"the imagery shows none of the {len(places)} points in {session.task.path}. Give"
+            " imagery of that place, or another file for new points"
+        )
 
 
 def change_points(session: PickingSession, points: Sequence[PickedPoint]) -> PickingSession:
@@ -158,6 +129,7 @@ def collect_points(session: PickingSession) -> ControlPoints:
         crs=session.task.crs,
         names=tuple(point.name for point in points),
         frames=tuple(point.frame for point in points),
+        accuracy=session.task.accuracy,
     )
 
 

@@ -9,7 +9,8 @@ from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.normalised_plane import Points
 from geoaim.web.picking.feedback import PointFeedback, assess_points, describe_feedback
-from geoaim.web.picking.session import PickingSession, PickingTask, collect_points
+from geoaim.web.picking.session import PickingSession, collect_points
+from geoaim.web.picking.task import PickingTask
 from geoaim.world import LONLAT, transform_crs, world_from_crs
 
 

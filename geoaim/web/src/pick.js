@@ -4,6 +4,8 @@ import { PixelMap } from "./pixel_map.js";
 
 const EXPORTS = { csv: "points.csv", txt: "gcp_list.txt", points: "frame.points" };
 const ELLIPSE_STEPS = 40;
+// two numbers, as map services copy a place; both with a point, since a comma may be a decimal sign
+const PASTED = /^\s*(-?\d+\.\d+)[\s,;]+(-?\d+\.\d+)\s*$/;
 const format = (value, digits) => (value === null || value === undefined ? "" : value.toFixed(digits));
 
 /** The points of an ellipse {u, v, axes}: axes are two vectors in pixels. */
@@ -135,7 +137,16 @@ export async function showPicking(element, description, transport) {
     return input;
   };
   const makeRow = (point, residual) => {
-    const typed = (key) => (text, input) => {
+    const lonlat = app.state.crs === "EPSG:4326";
+    const typed = (key) => async (text, input) => {
+      const [first, second] = (text.match(PASTED) ?? []).slice(1).map(Number);
+      if (second !== undefined) {
+        const [x, y] = lonlat ? [second, first] : [first, second];
+        const { error } = await ask({ action: "move", id: point.id, x, y });
+        const read = lonlat ? `latitude ${y}, longitude ${x}` : `x ${x}, y ${y}`;
+        if (!error) message.textContent = `Read as ${read}. ${message.textContent}`;
+        return;
+      }
       const unreadable = !text.trim() || !Number.isFinite(Number(text));
       input.classList.toggle("wrong", unreadable);
       if (unreadable) {
@@ -149,7 +160,7 @@ export async function showPicking(element, description, transport) {
     };
     const remove = make("button", { title: "Delete" }, "✕");
     remove.addEventListener("click", () => ask({ action: "delete", id: point.id }));
-    const digits = app.state.crs === "EPSG:4326" ? 8 : 3;
+    const digits = lonlat ? 8 : 3;
     const cells = [
       edit(point.name, (name) => ask({ action: "rename", id: point.id, name })),
       format(point.u, 2),

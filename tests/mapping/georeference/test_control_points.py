@@ -39,6 +39,14 @@ def test_csv_in_degrees_needs_no_crs_and_keeps_names_and_frames(tmp_path):
     np.testing.assert_array_equal(points.coordinates[0], [27.5, 53.9])
 
 
+def test_csv_states_the_accuracy_of_its_coordinates(tmp_path):
+    text = "# accuracy: {}\nname,u,v,lon,lat\na,10,20,27.5,53.9\n"
+    assert read_control_points(written(tmp_path, text.format("0.6 m"))).accuracy == 0.6
+    for wrong in ("good", "-1", "nan"):
+        with pytest.raises(GeoreferenceError, match="line 1: "):
+            read_control_points(written(tmp_path, text.format(wrong)))
+
+
 def test_csv_with_a_column_of_crs(tmp_path):
     text = "u,v,x,y,crs\n1,2,3,4,EPSG:32635\n5,6,7,8,32635\n"
     assert read_control_points(written(tmp_path, text)).crs == "EPSG:32635"

@@ -1,3 +1,6 @@
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,3 +45,19 @@ def test_points_left_on_a_line_by_a_wrong_one_are_refused():
     left_out = pytest.warns(GeoaimWarning, match="gcp6 is left out")
     with left_out, pytest.raises(GeoreferenceError, match="nearly on a line"):
         estimate_georeference(points, **SIZE)
+
+
+def test_points_of_coarse_coordinates_agree_within_their_accuracy():
+    refused = []
+    for accuracy in (0.0, 0.4):
+        refused.append(0)
+        for seed in range(12):
+            points = select_points(make_points(noise=8.0, seed=seed), [0, 2, 4, 6, 9, 11])
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("error", GeoaimWarning)
+                    estimate_georeference(replace(points, accuracy=accuracy), **SIZE)
+            except (GeoreferenceError, GeoaimWarning):
+                refused[-1] += 1
+    assert refused[0] > 4
+    assert refused[1] == 0

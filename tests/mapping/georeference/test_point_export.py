@@ -1,5 +1,6 @@
 import csv
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,9 +64,10 @@ def test_lists_of_opendronemap_and_qgis_give_the_same_places(rows):
 
 
 @pytest.mark.parametrize("crs", [None, "EPSG:32635", TMERC])
-def test_csv_states_the_crs(crs):
-    points = make_points([((1.0, 2.0), (5e5, 6e6), "a", None)], crs)
-    assert write_and_read(points, "points.csv").crs == crs
+def test_csv_states_the_crs_and_the_accuracy(crs):
+    points = replace(make_points([((1.0, 2.0), (5e5, 6e6), "a", None)], crs), accuracy=0.25)
+    found = write_and_read(points, "points.csv")
+    assert (found.crs, found.accuracy) == (crs, 0.25)
 
 
 def test_a_crs_that_opendronemap_cannot_state_becomes_degrees():

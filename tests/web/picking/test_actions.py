@@ -1,14 +1,16 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from geoaim.aim import AIM
-from geoaim.errors import GeoreferenceError
+from geoaim.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.web.picking.actions import handle
-from geoaim.web.picking.session import PickingTask, open_session
+from geoaim.web.picking.session import open_session
+from geoaim.web.picking.task import PickingTask
 from geoaim.world import World
 from tests.web.picking.test_candidates import PIXELS
 
@@ -35,6 +37,28 @@ def run(session, *actions):
         assert "error" not in reply, reply
         json.dumps(reply, allow_nan=False)
     return session, reply
+
+
+def test_coordinates_off_the_earth_are_refused_at_once(task):
+    _, reply = handle(open_session(task), {"action": "add", "lon": 200.0, "lat": 95.0})
+    assert "lie outside the area of EPSG:4326" in reply["error"]
+
+
+def test_imagery_of_another_place_gives_a_warning(task):
+    run(open_session(task), add(0), add(1))
+    elsewhere = AIM.from_image(squares(), np.diag([0.1, -0.1, 1.0]), World("EPSG:32635"), "made")
+    with pytest.warns(GeoaimWarning, match=r"shows none of the 2 points in .*points\.csv"):
+        open_session(replace(task, imagery=elsewhere))
+
+
+def test_points_on_coarse_imagery_are_saved_with_its_accuracy(task):
+    coarse = AIM.from_image(squares(), np.diag([0.4, -0.4, 1.0]), World(None), "made")
+    run(
+        open_session(replace(task, crs=None, imagery=coarse)),
+        {"action": "add", "side": "imagery", "u": 10.0, "v": 10.0},
+        {"action": "add", "u": 10.0, "v": 10.0},
+    )
+    assert "# accuracy: 0.4\n" in task.path.read_text()
 
 
 def add(index):

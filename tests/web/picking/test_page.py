@@ -15,7 +15,8 @@ from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import draw_overlay, make_picking_view
-from geoaim.web.picking.session import PickingTask, open_session
+from geoaim.web.picking.session import open_session
+from geoaim.web.picking.task import PickingTask
 from geoaim.world import world_from_lonlat
 from tests.web.browser import open_view, serve, wait_for
 
@@ -172,7 +173,24 @@ def test_a_drag_is_not_snapped_and_unreadable_coordinates_are_named(page, task, 
         page.mouse.up()
         wait_for(page, f"Math.abs(geoaim.state.points[0].u - {snapped[0]}) > 0.01")
         field = page.locator("table.points input").nth(1)
+        for text, found in (("36,3035", "is not saved"), ("200.5, 36.5", "not saved: the coordin")):
+            field.fill(text)
+            field.press("Enter")
+            wait_for(page, f"document.querySelector('.message').textContent.includes('{found}')")
+            assert page.evaluate("geoaim.state.points[0].x") is None
+
+
+def test_a_place_copied_from_a_map_service_is_latitude_and_longitude(page, task):
+    with serve(make_picking_view(task, "sample")) as address:
+        open_view(page, address)
+        page.evaluate("geoaim.ask({action: 'add', u: 100, v: 100})")
+        field = page.locator("table.points input").nth(1)
         field.fill("49.9672, 36.3035")
         field.press("Enter")
-        wait_for(page, "document.querySelector('.message').textContent.includes('is not saved')")
-        assert page.evaluate("geoaim.state.points[0].x") is None
+        wait_for(page, "geoaim.state.points[0].x !== null")
+        assert page.evaluate("[geoaim.state.points[0].lon, geoaim.state.points[0].lat]") == [
+            36.3035,
+            49.9672,
+        ]
+        message = page.locator(".message").inner_text()
+        assert message.startswith("Read as latitude 49.9672, longitude 36.3035.")

@@ -1,0 +1,66 @@
+"""What control points are picked on: a frame, imagery, and the file of the points."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import UInt8
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM
+from geoaim.imagery.mosaic import read_imagery
+from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.georeference.reference_frame import FrameName
+from geoaim.mapping.video.video import open_video, read_frame
+from geoaim.world import LONLAT
+
+
+@dataclass(frozen=True, eq=False)
+class PickingTask:
+    """What control points are picked on."""
+
+    frame: UInt8[Array, "H W 3"]
+    frame_name: FrameName = None  # of a video's frame; None is its first, or a single picture
+    imagery: AIM | None = None  # on which the same places are picked; None: coordinates are typed
+    crs: str | None = LONLAT  # of the coordinates; None for a local metric plane
+    path: Path | None = None  # the .csv that is written after each change
+    rough: Georeference | None = None  # of the frame, as by telemetry, in the imagery's world
+
+    @property
+    def accuracy(self) -> float:
+        """One sigma of the places, metres: a pixel of the imagery they are picked on."""
+        return 0.0 if self.imagery is None else self.imagery.resolution
+
+
+def read_task(
+    video: str | Path,
+    path: str | os.PathLike[str],
+    *,
+    imagery: AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
+    time: float = 0.0,
+    crs: str | None = LONLAT,
+) -> PickingTask:
+    """Read the frame and the imagery on which control points are picked.
+
+    Args:
+        video: a video, images or one image.
+        path: the .csv of the points; if it exists, picking goes on.
+        imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
+        time: of the frame, s.
+        crs: of the coordinates; None for a local metric plane.
+
+    Returns:
+        The task.
+
+    Raises:
+        GeoaimError: something cannot be read.
+    """
+    frame = read_frame(open_video(video), time)
+    return PickingTask(
+        frame=frame.image,
+        frame_name=frame.name or frame.index or None,
+        imagery=imagery if imagery is None or isinstance(imagery, AIM) else read_imagery(imagery),
+        crs=crs,
+        path=Path(path),
+    )
