@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from geoaim.cli import COMMANDS, app
 
@@ -25,3 +26,14 @@ def test_the_example_in_the_help_can_be_parsed_and_its_samples_exist(name):
 def test_every_option_has_a_help_text(name):
     command = typer.main.get_command(app).commands[name]
     assert all(getattr(option, "help", None) for option in command.params if option.name != "help")
+
+
+def test_the_examples_in_the_help_run(tmp_path, monkeypatch):
+    """Those that need no browser and few seconds; `make demo` runs build, render and predict."""
+    (tmp_path / "samples").symlink_to(Path("samples").absolute())
+    monkeypatch.chdir(tmp_path)
+    commands = typer.main.get_command(app).commands
+    for name in ("draw", "frame", "align", "register", "info", "texture", "simulate", "doctor"):
+        example = shlex.split(commands[name].help.split("Example: ")[1])
+        result = CliRunner().invoke(app, example[1:])
+        assert result.exit_code == 0, f"{' '.join(example)}: {result.output}"
