@@ -20,7 +20,7 @@ class DriverParameters:
     """How a driver follows others.
 
     The simulator's values are `DRIVER` in `simulation/policies.py`. Those of synthetic traffic are
-    in `synthetic/traffic`: `MAX_ACCELERATION` and `MIN_GAP_M` in `driving.py`,
+    in `synthetic/traffic`: `MAX_ACCELERATION` and `STANDSTILL_GAP_M` in `driving.py`,
     `COMFORTABLE_BRAKING` in `vehicles.py`; `simulate.py` draws the headway of each driver.
     """
 

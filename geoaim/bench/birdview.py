@@ -37,7 +37,7 @@ from geoaim.synthetic import draw_place, make_place
 VIEW_SIDE_M, TEXTURE_SIDE_PX, AGENTS = 100.0, 1024, 20
 CAR_SIZE_M = (4.5, 1.9)
 MIN_TIMED_PIXELS = 1_000_000  # a smaller batch is timed as often as it fits in
-MIN_GAP_M = 6.5  # between agents in pictures that are compared with the reference
+MIN_AGENT_DISTANCE_M = 6.5  # between agents in pictures that are compared with the reference
 Scenes = Sequence[tuple[Tensor, OrientedBoxes]]  # cameras (1, 3), boxes (1, N)
 
 
@@ -78,7 +78,7 @@ def _make_separate_scenes(count: int) -> Scenes:
     for seed in range(count):
         cameras, boxes = _make_cameras(1, seed)
         gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
-        keep = [a for a in range(AGENTS) if not (gaps[a, :a] < MIN_GAP_M).any()]
+        keep = [a for a in range(AGENTS) if not (gaps[a, :a] < MIN_AGENT_DISTANCE_M).any()]
         poses, colours = boxes.poses[:, keep], boxes.colours[:, keep]
         separate = OrientedBoxes(poses, boxes.sizes[keep], colours, heading_colours=1 - colours)
         scenes.append((cameras, separate))

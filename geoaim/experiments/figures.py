@@ -6,9 +6,9 @@ from pathlib import Path
 import torch
 from matplotlib.figure import Figure
 
+from geoaim.defaults import SAMPLES
 from geoaim.experiments.models import MODELS
 from geoaim.experiments.places import make_place_scene, read_map, read_recordings
-from geoaim.experiments.protocol import SAMPLES
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.predict import predict

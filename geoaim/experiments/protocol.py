@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from geoaim.defaults import SAMPLES
 from geoaim.errors import TracksError
 from geoaim.experiments.places import make_place_scene, read_map, read_recordings
 from geoaim.prediction.baselines import Predictor
@@ -27,7 +28,6 @@ from geoaim.simulation.scene import Scene
 VEHICLES_ON_AIM = DEFAULT_CONFIGS["vehicle"]
 VEHICLES = replace(VEHICLES_ON_AIM, surface_contrast=False)
 PEDESTRIANS = DEFAULT_CONFIGS["pedestrian"]
-SAMPLES = 6
 TRAININGS = {
     "vehicle": configure_training("vehicle", steps=1600, batch_size=48),
     "pedestrian": configure_training("pedestrian", steps=900, batch_size=48),

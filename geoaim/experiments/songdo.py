@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from geoaim.bench.data import require_data
+from geoaim.defaults import SAMPLES
 from geoaim.experiments.models import train_model, train_once
-from geoaim.experiments.protocol import SAMPLES, VEHICLES
+from geoaim.experiments.protocol import VEHICLES
 from geoaim.experiments.results import Workspace, compute_differences, write_results
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.prediction.atlas import make_atlas

@@ -35,7 +35,7 @@ from geoaim.progress import Progress
 
 DATA = "tracks/sdd_trajnet"
 VAL_SCENES = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
-SAMPLES = 20
+STANFORD_SAMPLES = 20
 WITH_MAP = Config(
     kind="pedestrian",
     motion="slide",
@@ -75,7 +75,9 @@ def run(workspace: Workspace) -> list[Path]:
     metrics: dict[str, Metrics] = {}
     for name, config in MODELS.items():
         predictors = [
-            make_window_predictor(_train(name, train_scenes, workspace, seed=seed), SAMPLES)
+            make_window_predictor(
+                _train(name, train_scenes, workspace, seed=seed), STANFORD_SAMPLES
+            )
             for seed in range(SEEDS.get(name, 1))
         ]
         val = _read_windows(config, VAL_SCENES)
@@ -94,7 +96,7 @@ def _evaluate(
 ) -> dict[str, Metric]:
     return average_seeds(
         [
-            evaluate_windows(predictor, windows, SAMPLES, progress=progress)
+            evaluate_windows(predictor, windows, STANFORD_SAMPLES, progress=progress)
             for predictor in predictors
         ]
     )
@@ -104,7 +106,7 @@ def _describe(metrics: Mapping[str, Metrics], windows: Windows) -> dict[str, Any
     return {
         "windows": len(windows.segments),
         "scenes": VAL_SCENES,
-        "samples": SAMPLES,
+        "samples": STANFORD_SAMPLES,
         "seeds": SEEDS,
         "differences": {
             f"{one} minus {other}": compute_differences(metrics[one], metrics[other])

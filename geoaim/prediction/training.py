@@ -15,6 +15,7 @@ import torch
 from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
+from geoaim.defaults import SAMPLES
 from geoaim.errors import ModelError
 from geoaim.files import atomic_files, lock_folder
 from geoaim.limits import refuse_damaged
@@ -29,7 +30,6 @@ from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import Ground, move_ground
 
 MAX_VAL_SEGMENTS = 256  # that are predicted for the log
-VAL_SAMPLES = 6
 ANCHOR_WEIGHT = 12.0  # of metres, beside a likelihood in squared sigmas
 MAX_GRADIENT_NORM = 1.0
 LOG_COLUMNS = ("step", "nll", "kl", "anchor", "minADE", "segments_per_s")
@@ -164,9 +164,7 @@ def _validate(model: ITRA, val: Segments, ground: Ground, config: TrainConfig) -
     segments = move_to(pick(val, slice(None, None, stride)), ground.image.device)
     generator = torch.Generator(ground.image.device).manual_seed(config.seed)
     history = config.history[1]
-    futures = model.sample(
-        segments, ground, history=history, samples=VAL_SAMPLES, generator=generator
-    )
+    futures = model.sample(segments, ground, history=history, samples=SAMPLES, generator=generator)
     errors = compute_ade(futures, segments, history).amin(dim=1)
     return float(errors[segments.controlled].mean())
 

@@ -5,7 +5,7 @@ import pytest
 
 from geoaim.bench.stability import benchmark, charts, clips, judge, sweep
 from geoaim.bench.stability.effects import EFFECTS, apply_effects
-from geoaim.bench.stability.kinds import KINDS, Hardship
+from geoaim.bench.stability.kinds import KINDS, Disturbance
 from geoaim.bench.stability.motion import draw_motion
 from geoaim.progress import no_progress
 
@@ -74,7 +74,7 @@ def test_effects_change_frames_and_keep_their_number(name):
 
 def test_motion_starts_at_the_plain_view_and_reaches_the_level():
     generator = np.random.default_rng(0)
-    motion = draw_motion(Hardship(rotation=90, scale=2.0), 9, 960, generator)
+    motion = draw_motion(Disturbance(rotation=90, scale=2.0), 9, 960, generator)
     np.testing.assert_allclose(motion.shift[0], 0, atol=1e-9)
     assert abs(motion.angle[0]) < 1e-9
     assert abs(abs(np.rad2deg(motion.angle[-1])) - 90) < 2

@@ -1,1 +1,1 @@
-"""Stability of the registration: a sweep over kinds of hardship, with exact truth."""
+"""Stability of the registration: a sweep over kinds of disturbance, with exact truth."""

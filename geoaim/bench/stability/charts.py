@@ -1,4 +1,4 @@
-"""Tables and charts of a sweep: error against hardship, breakpoints, and what was stated.
+"""Tables and charts of a sweep: error against disturbance, breakpoints, and what was stated.
 
 python -m geoaim.bench.stability.charts build/stability/*.json -o build/stability
 """
@@ -81,7 +81,7 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
 
 
 def draw_errors(frames: pd.DataFrame) -> Figure:
-    """Draw error against hardship, a panel for each kind.
+    """Draw error against disturbance, a panel for each kind.
 
     Lines are medians over the frames that a method did not refuse, bands reach to their 90th
     percentile, a mark's size is the share of frames not refused, and the dotted line is what this

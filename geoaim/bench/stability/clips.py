@@ -1,4 +1,4 @@
-"""Clips of a hardship, with the true place on the ground of each frame's pixels."""
+"""Clips of a disturbance, with the true place on the ground of each frame's pixels."""
 
 import itertools
 import zlib
@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 from geoaim.bench.data import find_data, require_data
 from geoaim.bench.stability.effects import Image, apply_effects
-from geoaim.bench.stability.kinds import KINDS, Hardship
+from geoaim.bench.stability.kinds import KINDS, Disturbance
 from geoaim.bench.stability.motion import CameraMotion, draw_motion
 from geoaim.bench.stability.splines import SplineScene
 from geoaim.bench.stability.warped import WarpedScene
@@ -49,7 +49,7 @@ Scene = WarpedScene | SplineScene
 class SweepCase:
     """One clip of the sweep."""
 
-    kind: str  # of hardship
+    kind: str  # of disturbance
     rank: int  # number of the level
     level: float  # in the kind's unit
     generator: str  # "warped" or "splines"
@@ -128,22 +128,22 @@ def list_cases(
 
 def make_clip(case: SweepCase, count: int = FRAMES) -> Clip:
     """Render `count` frames of a case."""
-    hardship = KINDS[case.kind].make(case.level)
+    disturbance = KINDS[case.kind].make(case.level)
     generator = np.random.default_rng(case.seed)
-    dropped = any(name == "drop" for name, _ in hardship.effects)
-    motion = draw_motion(hardship, count + dropped * count, case.size[1], generator)
-    scene = _make_scene(case, hardship, motion, generator)
+    dropped = any(name == "drop" for name, _ in disturbance.effects)
+    motion = draw_motion(disturbance, count + dropped * count, case.size[1], generator)
+    scene = _make_scene(case, disturbance, motion, generator)
     images = [scene.render(index) for index in range(len(motion.angle))]
-    frames, shown = apply_effects(images, hardship.effects, case.seed)
+    frames, shown = apply_effects(images, disturbance.effects, case.seed)
     return Clip(frames, shown, scene, case.size)
 
 
 def _make_scene(
-    case: SweepCase, hardship: Hardship, motion: CameraMotion, generator: np.random.Generator
+    case: SweepCase, disturbance: Disturbance, motion: CameraMotion, generator: np.random.Generator
 ) -> Scene:
     if case.generator == "splines":
-        return SplineScene(case.base, hardship, motion, case.size, generator)
-    return WarpedScene(_read_still(case.base), hardship, motion, case.size, generator)
+        return SplineScene(case.base, disturbance, motion, case.size, generator)
+    return WarpedScene(_read_still(case.base), disturbance, motion, case.size, generator)
 
 
 @cache

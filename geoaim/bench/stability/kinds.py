@@ -1,4 +1,4 @@
-"""Kinds of hardship, each with levels from harmless to hopeless.
+"""Kinds of disturbance, each with levels from harmless to hopeless.
 
 Lengths in pixels are for frames 960 px wide, and grow with the width.
 """
@@ -11,7 +11,7 @@ Pattern = Literal["", "parking", "panels", "tiles"]
 
 
 @dataclass(frozen=True)
-class Hardship:
+class Disturbance:
     """What makes a clip hard; the defaults are an easy clip."""
 
     # share of the ground under vehicles that move together, each in its own place
@@ -44,26 +44,26 @@ class Hardship:
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of hardship."""
+    """A kind of disturbance."""
 
     unit: str  # of its levels
     levels: tuple[float, ...]  # from harmless to hopeless
-    make: Callable[[float], Hardship]  # makes the hardship of a level
+    make: Callable[[float], Disturbance]  # makes the disturbance of a level
 
 
 def _affect(name: str, unit: str, *levels: float) -> Kind:
     """Kind of an effect on the images."""
-    return Kind(unit, levels, lambda level: Hardship(effects=((name, level),)))
+    return Kind(unit, levels, lambda level: Disturbance(effects=((name, level),)))
 
 
 def _combine(one: str, other: str, share: float) -> Kind:
     """Kind that adds a fixed level of one kind, at a share of its levels, to the other."""
     levels = KINDS[one].levels
     fixed = KINDS[one].make(levels[round(share * (len(levels) - 1))])
-    plain = Hardship()
+    plain = Disturbance()
     extra = {k: v for k, v in vars(fixed).items() if v != getattr(plain, k) and k != "effects"}
 
-    def make(level: float) -> Hardship:
+    def make(level: float) -> Disturbance:
         hard = KINDS[other].make(level)
         return replace(hard, **extra, effects=hard.effects + fixed.effects)
 
@@ -74,63 +74,65 @@ def _pattern(pattern: Pattern, share: float) -> Kind:
     return Kind(
         "periods a frame",
         (0.02, 0.1, 0.3, 0.6, 1.0, 1.6),
-        lambda level: Hardship(
+        lambda level: Disturbance(
             pattern=pattern, pattern_step=level, pattern_share=share, traffic=0, drift=3
         ),
     )
 
 
 KINDS: dict[str, Kind] = {
-    "plain": Kind("drift, px", (2, 6, 12, 24, 48), lambda x: Hardship(drift=x)),
+    "plain": Kind("drift, px", (2, 6, 12, 24, 48), lambda x: Disturbance(drift=x)),
     "coherent traffic": Kind(
-        "share", (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8), lambda x: Hardship(traffic=x)
+        "share", (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8), lambda x: Disturbance(traffic=x)
     ),
     "flowing traffic": Kind(
-        "share", (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), lambda x: Hardship(flow=x)
+        "share", (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), lambda x: Disturbance(flow=x)
     ),
     "parking lines": _pattern("parking", 1.0),
     "solar panels": _pattern("panels", 1.0),
     "solar panels on 70 %": _pattern("panels", 0.7),
     "tiles": _pattern("tiles", 0.9),
-    "water": Kind("share of land", (0.6, 0.4, 0.3, 0.2, 0.1, 0.0), lambda x: Hardship(water=1 - x)),
-    "parallax": Kind(
-        "share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7), lambda x: Hardship(roofs=x, drift=30)
+    "water": Kind(
+        "share of land", (0.6, 0.4, 0.3, 0.2, 0.1, 0.0), lambda x: Disturbance(water=1 - x)
     ),
-    "swaying trees": Kind("share", (0.1, 0.3, 0.5, 0.7, 0.9), lambda x: Hardship(trees=x)),
+    "parallax": Kind(
+        "share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7), lambda x: Disturbance(roofs=x, drift=30)
+    ),
+    "swaying trees": Kind("share", (0.1, 0.3, 0.5, 0.7, 0.9), lambda x: Disturbance(trees=x)),
     "defocus": _affect("blur", "sigma, px", 0.5, 1, 2, 3, 4.5, 6, 8),
     "motion blur": _affect("motion blur", "px", 2, 5, 10, 15, 20, 30),
-    "rolling shutter": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Hardship(rolling=x)),
+    "rolling shutter": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Disturbance(rolling=x)),
     "lens": Kind(
-        "k1", (0.002, 0.01, 0.03, 0.06, 0.12), lambda x: Hardship(lens=x, shift=0.1, rotation=4)
+        "k1", (0.002, 0.01, 0.03, 0.06, 0.12), lambda x: Disturbance(lens=x, shift=0.1, rotation=4)
     ),
     "compression": _affect("compression", "Mbit/s at 1080p", 20, 5, 2, 1, 0.5, 0.25, 0.1),
     "overlay text": _affect("overlay", "share", 0.05, 0.15, 0.3, 0.45, 0.6),
-    "split screen": Kind("share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), lambda x: Hardship(split=x)),
-    "torn frame": Kind("px", (1, 3, 8, 20, 60), lambda x: Hardship(torn=x)),
-    "interlacing": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Hardship(interlaced=x)),
-    "rotation": Kind("degrees", (2, 8, 20, 45, 90, 180), lambda x: Hardship(rotation=x)),
-    "scale up": Kind("factor", (1.05, 1.2, 1.5, 2.0, 2.6), lambda x: Hardship(scale=x)),
-    "scale down": Kind("factor", (0.97, 0.9, 0.8, 0.7, 0.6), lambda x: Hardship(scale=x)),
+    "split screen": Kind("share", (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), lambda x: Disturbance(split=x)),
+    "torn frame": Kind("px", (1, 3, 8, 20, 60), lambda x: Disturbance(torn=x)),
+    "interlacing": Kind("px", (0.2, 0.5, 1, 2, 4, 8), lambda x: Disturbance(interlaced=x)),
+    "rotation": Kind("degrees", (2, 8, 20, 45, 90, 180), lambda x: Disturbance(rotation=x)),
+    "scale up": Kind("factor", (1.05, 1.2, 1.5, 2.0, 2.6), lambda x: Disturbance(scale=x)),
+    "scale down": Kind("factor", (0.97, 0.9, 0.8, 0.7, 0.6), lambda x: Disturbance(scale=x)),
     "camera zoom": Kind(
-        "factor a frame", (1.002, 1.01, 1.03, 1.06, 1.1), lambda x: Hardship(scale=x**8)
+        "factor a frame", (1.002, 1.01, 1.03, 1.06, 1.1), lambda x: Disturbance(scale=x**8)
     ),
-    "overlap": Kind("share", (0.9, 0.7, 0.5, 0.35, 0.25, 0.15), lambda x: Hardship(shift=1 - x)),
-    "tilt": Kind("px", (3, 10, 30, 60, 120), lambda x: Hardship(tilt=x)),
+    "overlap": Kind("share", (0.9, 0.7, 0.5, 0.35, 0.25, 0.15), lambda x: Disturbance(shift=1 - x)),
+    "tilt": Kind("px", (3, 10, 30, 60, 120), lambda x: Disturbance(tilt=x)),
     "jump": Kind(
         "share of width",
         (0.01, 0.05, 0.1, 0.2, 0.4, 0.6),
-        lambda x: Hardship(shift=x, is_abrupt=True),
+        lambda x: Disturbance(shift=x, is_abrupt=True),
     ),
-    "shake": Kind("px", (1, 3, 8, 20, 50), lambda x: Hardship(shake=x)),
+    "shake": Kind("px", (1, 3, 8, 20, 50), lambda x: Disturbance(shake=x)),
     "low contrast": Kind(
         "contrast",
         (0.5, 0.2, 0.1, 0.05, 0.02, 0.0),
-        lambda x: Hardship(contrast=x, traffic=0.0, effects=(("noise", 2.0),)),
+        lambda x: Disturbance(contrast=x, traffic=0.0, effects=(("noise", 2.0),)),
     ),
     "low contrast and vehicles": Kind(
         "contrast",
         (0.5, 0.2, 0.1, 0.05, 0.02, 0.0),
-        lambda x: Hardship(contrast=x, traffic=0.15, effects=(("noise", 2.0),)),
+        lambda x: Disturbance(contrast=x, traffic=0.15, effects=(("noise", 2.0),)),
     ),
     "night": _affect("night", "gain", 0.5, 0.2, 0.1, 0.05, 0.02),
     "gain": _affect("gain", "factor", 1.2, 1.6, 2.2, 3, 5),
@@ -138,7 +140,7 @@ KINDS: dict[str, Kind] = {
     "fog": _affect("fog", "share", 0.3, 0.6, 0.8, 0.9, 0.97),
     "jpeg": _affect("jpeg", "quality", 80, 40, 20, 10, 5, 2),
     "dropped frames": Kind(
-        "drift, px", (12, 40, 90, 180), lambda x: Hardship(drift=x, effects=(("drop", 0.5),))
+        "drift, px", (12, 40, 90, 180), lambda x: Disturbance(drift=x, effects=(("drop", 0.5),))
     ),
     "doubled frames": _affect("double", "share", 0.1, 0.3, 0.5, 0.8),
     "letterbox": _affect("letterbox", "share", 0.1, 0.25, 0.4, 0.6, 0.8),

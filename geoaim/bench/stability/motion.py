@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.bench.stability.kinds import Hardship
+from geoaim.bench.stability.kinds import Disturbance
 
-REFERENCE_WIDTH = 960  # px, of the frames to which the lengths in `Hardship` refer
+REFERENCE_WIDTH = 960  # px, of the frames to which the lengths in `Disturbance` refer
 PERIODS = {"parking": 26.0, "panels": 40.0, "tiles": 14.0}  # px
 
 
@@ -23,12 +23,12 @@ class CameraMotion:
 
 
 def draw_motion(
-    hardship: Hardship, count: int, width: int, generator: np.random.Generator
+    disturbance: Disturbance, count: int, width: int, generator: np.random.Generator
 ) -> CameraMotion:
-    """Draw a slow drift with shake, and the rotation, scale, shift and tilt of the hardship.
+    """Draw a slow drift with shake, and the rotation, scale, shift and tilt of the disturbance.
 
     Args:
-        hardship: the hardship.
+        disturbance: the disturbance.
         count: number of frames.
         width: of the frames, px.
         generator: source of randomness.
@@ -38,24 +38,24 @@ def draw_motion(
     """
     unit = width / REFERENCE_WIDTH
     time = np.arange(count) / (count - 1)
-    reached = np.minimum(3 * time, 1) if not hardship.is_abrupt else (time > 1 / 3).astype(float)
+    reached = np.minimum(3 * time, 1) if not disturbance.is_abrupt else (time > 1 / 3).astype(float)
     heading = generator.uniform(0, 2 * np.pi)
     direction = np.array([np.cos(heading), np.sin(heading)])
     slow = _draw_slow(time, generator)
-    path = hardship.drift * unit * (0.8 * time[:, None] * direction + 0.25 * slow[:, :2])
-    path += hardship.shake * unit * generator.standard_normal((count, 2))
+    path = disturbance.drift * unit * (0.8 * time[:, None] * direction + 0.25 * slow[:, :2])
+    path += disturbance.shake * unit * generator.standard_normal((count, 2))
     side = generator.choice([-1.0, 1.0])
-    path += hardship.shift * width * reached[:, None] * [side, 0.15 * generator.uniform(-1, 1)]
-    if hardship.pattern:  # the camera moves along the pattern
-        period = PERIODS[hardship.pattern] * unit
-        path[:, 0] += hardship.pattern_step * period * np.arange(count) * side
-    calm = hardship.drift / 12 * unit
+    path += disturbance.shift * width * reached[:, None] * [side, 0.15 * generator.uniform(-1, 1)]
+    if disturbance.pattern:  # the camera moves along the pattern
+        period = PERIODS[disturbance.pattern] * unit
+        path[:, 0] += disturbance.pattern_step * period * np.arange(count) * side
+    calm = disturbance.drift / 12 * unit
     tilting = generator.uniform(0, 2 * np.pi)
-    lean = hardship.tilt * unit * np.array([np.cos(tilting), np.sin(tilting)])
+    lean = disturbance.tilt * unit * np.array([np.cos(tilting), np.sin(tilting)])
     return CameraMotion(
         path - path[0],
-        np.deg2rad(hardship.rotation) * reached * side + 0.004 * slow[:, 2],
-        hardship.scale**reached * (1 + 0.003 * slow[:, 3]),
+        np.deg2rad(disturbance.rotation) * reached * side + 0.004 * slow[:, 2],
+        disturbance.scale**reached * (1 + 0.003 * slow[:, 3]),
         reached[:, None] * lean + 0.6 * calm * slow[:, 4:6],
     )
 

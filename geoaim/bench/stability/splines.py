@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from geoaim.bench.stability.kinds import Hardship
+from geoaim.bench.stability.kinds import Disturbance
 from geoaim.bench.stability.motion import PERIODS, REFERENCE_WIDTH, CameraMotion
 
 KNOT_PX = 1.5  # spacing of the spline's knots on the ground, at the reference width
@@ -29,7 +29,7 @@ class SplineScene:
     def __init__(
         self,
         base: str,
-        hardship: Hardship,
+        disturbance: Disturbance,
         motion: CameraMotion,
         size: tuple[int, int],
         generator: np.random.Generator,
@@ -38,21 +38,21 @@ class SplineScene:
 
         Args:
             base: "town" or "fields".
-            hardship: what makes the clip hard.
+            disturbance: what makes the clip hard.
             motion: of the camera.
             size: height and width of the frames, px.
             generator: source of randomness.
         """
-        self.size, self.hardship, self.motion = size, hardship, motion
+        self.size, self.disturbance, self.motion = size, disturbance, motion
         self.unit = size[1] / REFERENCE_WIDTH
         self.knots = _draw_ground(base, generator)
-        if hardship.contrast < 1:
-            self.knots = 110 + hardship.contrast * (self.knots - 110)
+        if disturbance.contrast < 1:
+            self.knots = 110 + disturbance.contrast * (self.knots - 110)
         self.course = generator.uniform(0, 2 * np.pi)
         self.velocity = generator.uniform(2, 6) * np.array(
             [np.cos(self.course), np.sin(self.course)]
         )
-        self.vehicles = _place_vehicles(hardship, size[1] / size[0], generator)
+        self.vehicles = _place_vehicles(disturbance, size[1] / size[0], generator)
         self.cells = generator.random((2, 64, 64))
         self.waves = generator.uniform(0, 2 * np.pi, (12, 3))
         self.jitter = generator.uniform(-1, 1, (len(motion.angle), 3))
@@ -67,7 +67,7 @@ class SplineScene:
         """Render a grey frame."""
         rows, width = self.size
         v, u = np.mgrid[0.5:rows, 0.5:width].astype(np.float32)
-        hard = self.hardship
+        hard = self.disturbance
         if hard.interlaced:
             offset = np.float32(hard.interlaced * self.unit * self.jitter[index, 0])
             u = u + offset * (np.arange(rows) % 2 - 0.5).astype(np.float32)[:, None]
@@ -100,7 +100,7 @@ class SplineScene:
     def _cast_rays(self, index: int, u: Array, v: Array) -> tuple[Array, Array, Array]:
         """Directions in the world of the light that falls on pixels."""
         rows, width = self.size
-        hard = self.hardship
+        hard = self.disturbance
         if hard.torn and index % 2:
             u = u - np.where(v > self.seam * rows, hard.torn * self.unit, 0).astype(u.dtype)
         if hard.rolling:
@@ -169,7 +169,7 @@ class SplineScene:
 
     def _draw_pattern(self, x: Array, y: Array, ground: Array, pixel: float) -> tuple[Array, Array]:
         """A periodic pattern, on which a little dirt does not repeat, and its coverage."""
-        pattern, period = self.hardship.pattern, PERIODS[self.hardship.pattern]
+        pattern, period = self.disturbance.pattern, PERIODS[self.disturbance.pattern]
         along = period / 2 - np.abs(x % period - period / 2)
         rows = {"parking": 4.5 * period, "panels": 1.7 * period, "tiles": period}[pattern]
         across = rows / 2 - np.abs(y % rows - rows / 2)
@@ -179,13 +179,13 @@ class SplineScene:
             gap = np.minimum(along, across) - 0.07 * period
             drawn = 180 - 120 * _cover(gap, pixel)
         middle = self.size[0] / self.unit / 2
-        inside = self.hardship.pattern_share * middle - np.abs(y - middle)
+        inside = self.disturbance.pattern_share * middle - np.abs(y - middle)
         return drawn + 0.05 * (ground - 110), _cover(inside, pixel)
 
     def _draw_vehicles(self, image: Array, x: Array, y: Array, index: int, pixel: float) -> None:
         """Vehicles by the share of each pixel that they cover; roads wrap them around."""
         cosine, sine = np.cos(self.course), np.sin(self.course)
-        hard, rows, width = self.hardship, *self.size
+        hard, rows, width = self.disturbance, *self.size
         middle = np.array([width, rows]) / self.unit / 2
         along, across = (x - middle[0]) * cosine + (y - middle[1]) * sine, None
         across = (y - middle[1]) * cosine - (x - middle[0]) * sine
@@ -253,10 +253,10 @@ def _draw_ground(base: str, generator: np.random.Generator) -> Float32[Array, "1
 
 
 def _place_vehicles(
-    hardship: Hardship, aspect: float, generator: np.random.Generator
+    disturbance: Disturbance, aspect: float, generator: np.random.Generator
 ) -> Float[Array, "n 5"]:
     """Place along the course, offset from its middle, length, breadth and grey level of each."""
-    share = 0.75 if hardship.flow else hardship.traffic
+    share = 0.75 if disturbance.flow else disturbance.traffic
     if not share:
         return np.empty((0, 5))
     breadth = REFERENCE_WIDTH * 0.62
@@ -270,7 +270,7 @@ def _place_vehicles(
             generator.uniform(20, 240, count),
         ]
     )
-    if not hardship.flow:
+    if not disturbance.flow:
         return vehicles
     lane = vehicles[:, 1] / 200 % 1
-    return vehicles[np.abs(lane - 0.5) < hardship.flow / 2 - 0.05]
+    return vehicles[np.abs(lane - 0.5) < disturbance.flow / 2 - 0.05]

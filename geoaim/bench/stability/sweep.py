@@ -1,4 +1,4 @@
-"""Sweep the registration over kinds of hardship.
+"""Sweep the registration over kinds of disturbance.
 
 python -m geoaim.bench.stability.sweep --split validation --rivals -o build/stability
 """

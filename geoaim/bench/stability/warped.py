@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.bench.stability.kinds import Hardship
+from geoaim.bench.stability.kinds import Disturbance
 from geoaim.bench.stability.motion import PERIODS, REFERENCE_WIDTH, CameraMotion
 from geoaim.geometry import translation
 
@@ -24,21 +24,21 @@ class WarpedScene:
     def __init__(
         self,
         still: UInt8[Array, "_ _"],
-        hardship: Hardship,
+        disturbance: Disturbance,
         motion: CameraMotion,
         size: tuple[int, int],
         generator: np.random.Generator,
     ) -> None:
-        """Prepare the still and the layers that the hardship needs.
+        """Prepare the still and the layers that the disturbance needs.
 
         Args:
             still: grey, the ground.
-            hardship: what makes the clip hard.
+            disturbance: what makes the clip hard.
             motion: of the camera.
             size: height and width of the frames, px.
             generator: source of randomness.
         """
-        self.size, self.hardship, self.motion = size, hardship, motion
+        self.size, self.disturbance, self.motion = size, disturbance, motion
         self.unit = size[1] / REFERENCE_WIDTH
         self.fineness = min(FINENESS, still.shape[1] / size[1] / 1.3)
         self.generator = generator
@@ -48,20 +48,20 @@ class WarpedScene:
         self.phase = generator.uniform(0, 2 * np.pi, (len(motion.angle), 2))
         self.seam = generator.uniform(0.35, 0.6)
         ground = still
-        if hardship.pattern:
-            ground = _paint_pattern(still, hardship, PERIODS[hardship.pattern] * px)
-        if hardship.contrast < 1:
+        if disturbance.pattern:
+            ground = _paint_pattern(still, disturbance, PERIODS[disturbance.pattern] * px)
+        if disturbance.contrast < 1:
             mean = float(ground.mean())
-            ground = _to_bytes(mean + hardship.contrast * (ground - np.float32(mean)))
+            ground = _to_bytes(mean + disturbance.contrast * (ground - np.float32(mean)))
         blurred = cv2.GaussianBlur(ground, (0, 0), LENS_BLUR_PX * self.fineness)
         self.ground = np.asarray(blurred, np.uint8)
         shape = self.ground.shape
-        self.vehicles = self._paint_vehicles(hardship.traffic, shape, px)
-        self.flow = self._paint_vehicles(0.85 if hardship.flow else 0.0, shape, px)
-        self.roofs = self._paint_blocks(hardship.roofs, (140 * px, 100 * px))
-        self.trees = self._paint_blocks(hardship.trees, (60 * px, 60 * px))
+        self.vehicles = self._paint_vehicles(disturbance.traffic, shape, px)
+        self.flow = self._paint_vehicles(0.85 if disturbance.flow else 0.0, shape, px)
+        self.roofs = self._paint_blocks(disturbance.roofs, (140 * px, 100 * px))
+        self.trees = self._paint_blocks(disturbance.trees, (60 * px, 60 * px))
         self.waves = None
-        if hardship.water:
+        if disturbance.water:
             noise = generator.standard_normal(shape).astype(np.float32)
             swell = np.asarray(cv2.GaussianBlur(noise, (0, 0), 5 * px, sigmaY=2 * px), np.float32)
             ripples = np.asarray(cv2.GaussianBlur(noise, (0, 0), px), np.float32)
@@ -79,7 +79,7 @@ class WarpedScene:
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         x, y = self._find_ground(index, columns, rows, is_image=True)
         image = self._sample(self.ground, x, y).astype(np.float32)
-        hard, unit = self.hardship, self.unit
+        hard, unit = self.disturbance, self.unit
         if self.waves is not None:
             crests = self._sample(self.waves, x + 2.1 * unit * index, y + 0.8 * unit * index)
             troughs = self._sample(self.waves, x - 0.9 * unit * index, y + 1.7 * unit * index)
@@ -124,7 +124,7 @@ class WarpedScene:
     ) -> tuple[Array, Array]:
         """Ground positions of pixels: other camera, interlacing, torn and rolling rows, lens."""
         height, width = self.size
-        hard, unit = self.hardship, self.unit
+        hard, unit = self.disturbance, self.unit
         x, y = (
             np.asarray(x, np.float32 if is_image else float),
             np.asarray(y, np.float32 if is_image else float),
@@ -217,25 +217,25 @@ def _blend(image: Float32[Array, "H W"], layer: Array, alpha: Array) -> None:
 
 
 def _paint_pattern(
-    still: UInt8[Array, "_ _"], hardship: Hardship, period: float
+    still: UInt8[Array, "_ _"], disturbance: Disturbance, period: float
 ) -> UInt8[Array, "_ _"]:
     """Paint a periodic pattern over the still, which stays visible as faint dirt."""
     height, width = still.shape
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rows: dict[str, float] = {"parking": 5 * period, "panels": 0.6 * period, "tiles": period}
-    across = rows[hardship.pattern]
+    across = rows[disturbance.pattern]
     line = 0.12 * period
     gap_x = np.minimum(x % period, period - x % period)
     gap_y = np.minimum(y % across, across - y % across)
-    if hardship.pattern == "parking":
+    if disturbance.pattern == "parking":
         lines = (line / 2 - gap_x + 0.5).clip(0, 1) * ((gap_y - 0.8 * period).clip(0, 1))
         painted = 80 + 130 * lines
-    elif hardship.pattern == "panels":
+    elif disturbance.pattern == "panels":
         painted = 190 - 140 * (np.minimum(gap_x, gap_y) - line / 2 + 0.5).clip(0, 1)
     else:
         painted = 90 + 70 * (np.minimum(gap_x, gap_y) - line / 2 + 0.5).clip(0, 1)
     dirt = still.astype(np.float32) - still.mean()
-    inside = np.abs(y / height - 0.5) < hardship.pattern_share / 2
+    inside = np.abs(y / height - 0.5) < disturbance.pattern_share / 2
     shown = np.where(inside, painted + 0.05 * dirt, still)
     return _to_bytes(shown)
 

@@ -46,7 +46,7 @@ CLASSES = 16  # of surfaces
 FEATURE_WEIGHTS = (0.5, 2.0, 2.0, 12.0)  # of lightness, both of colour, and roughness
 COLOUR_SIGMA_M = 0.35  # of the Gaussian before colours are compared
 ROUGHNESS_PX = 9  # side of the square whose standard deviation is the roughness
-SAMPLES = 20_000  # pixels from which the classes are learned
+CLASS_PIXELS = 20_000  # pixels from which the classes are learned
 MIN_CLASS_SHARE = 0.003  # added to the share of each class, so that none is impossible
 MIN_GRID_VALID_SHARE = 0.05  # of the ground around the tracks
 
@@ -220,7 +220,7 @@ def _classify(
     features = np.dstack([lab, roughness]).astype(np.float32)
     features *= np.array(FEATURE_WEIGHTS, np.float32)
     samples = features[valid]
-    samples = samples[:: max(len(samples) // SAMPLES, 1)]
+    samples = samples[:: max(len(samples) // CLASS_PIXELS, 1)]
     ranks = np.argsort(np.argsort(samples @ np.ones(4, np.float32), kind="stable"), kind="stable")
     labels = (ranks * CLASSES // len(samples)).astype(np.int32)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)

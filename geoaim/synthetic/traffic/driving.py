@@ -33,7 +33,7 @@ MAX_BRAKING = 8.0  # m/s2
 MAX_JERK, MIN_JERK = 3.0, -7.0  # m/s3
 SPEED_RELAXATION_S, MAX_SPEED_CORRECTION = 0.7, 3.5  # m/s2; above the desired speed
 PREVIEW_S = 0.6  # ahead, where the desired speed is looked up
-MIN_GAP_M, STOP_MARGIN_M = 2.0, 0.7  # at standstill, behind vehicles and before lines
+STANDSTILL_GAP_M, STOP_MARGIN_M = 2.0, 0.7  # at standstill, behind vehicles and before lines
 LINE_HEADWAY_S = 0.4  # before lines and conflict zones
 MIN_TIME_GAP_S = 1.0  # between vehicles that pass a conflict zone
 PEDESTRIAN_CLEARANCE_M = 1.6  # from a vehicle's path to a pedestrian
@@ -87,7 +87,7 @@ def step_vehicles(
     correction = np.maximum(correction, -MAX_SPEED_CORRECTION)
     free = np.where(share < 1, MAX_ACCELERATION * (1 - share * share), correction)
     lines = _Obstacles(stop, np.zeros_like(stop))
-    braking = _brake_for(vehicles, leaders, MIN_GAP_M, vehicles.headway)
+    braking = _brake_for(vehicles, leaders, STANDSTILL_GAP_M, vehicles.headway)
     for obstacles in (lines, zones):
         term = _brake_for(vehicles, obstacles, STOP_MARGIN_M, LINE_HEADWAY_S)
         braking = np.maximum(braking, term)
