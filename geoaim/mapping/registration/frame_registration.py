@@ -25,7 +25,11 @@ from geoaim.mapping.registration.patches import (
     predict_corner_uncertainty,
     shrink_image,
 )
-from geoaim.mapping.registration.placements import AmbiguousPlacementError, choose_placement
+from geoaim.mapping.registration.placements import (
+    AmbiguousPlacementError,
+    choose_placement,
+    is_at_rest,
+)
 from geoaim.mapping.registration.rivals import Overview, make_overview
 from geoaim.mapping.video.detections import Detections, mask_boxes
 from geoaim.mapping.video.frames import Frame
@@ -113,8 +117,10 @@ def register_frame(
         if result.valid and result.inlier_share > SUFFICIENT_INLIER_SHARE:
             break
     registration, alignment = best
+    if alignment is None or not registration.valid:
+        return best
     is_doubtful = registration.inlier_share < UNDOUBTED_INLIER_SHARE or chosen.overview.repeats
-    if not (compare or is_doubtful) or alignment is None or not registration.valid:
+    if not (compare or is_doubtful or is_at_rest(alignment, chosen.fine)):
         return best
     try:
         alignment = choose_placement(grey, chosen.fine, chosen.overview, alignment)

@@ -63,11 +63,12 @@ def choose_placement(
         raise AmbiguousPlacementError(
             f"too little texture: on {compared.textured_share:.0%} of the image"
         )
-    travel = _measure_travel(alignment.matrix, template)
     limit = MAX_MOVING_SHARE
-    if travel < REST_PX:
+    if is_at_rest(alignment, template):
         limit = MAX_MOVING_SHARE_AT_REST
-    elif 2 * travel < _measure_travel(compared.moving, template):
+    elif 2 * _measure_travel(alignment.matrix, template) < _measure_travel(
+        compared.moving, template
+    ):
         limit = MAX_MOVING_SHARE_HOVERING
     if compared.moving_share > limit:
         share = min(compared.moving_share, 1.0)
@@ -77,6 +78,14 @@ def choose_placement(
     if compared.rival_strength > MAX_RIVAL_STRENGTH:
         raise AmbiguousPlacementError("texture repeats: another placement fits as well")
     return alignment
+
+
+def is_at_rest(alignment: PatchAlignment, template: PatchTemplate) -> bool:
+    """Whether a placement does not move at all, like overlays and frozen images.
+
+    Behind an overlay the ground may move on, so that such a placement is compared in every frame.
+    """
+    return _measure_travel(alignment.matrix, template) < REST_PX
 
 
 def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:

@@ -2,9 +2,12 @@ import numpy as np
 import pytest
 
 from geoaim.geometry import translation
+from geoaim.mapping.registration.features import Features
+from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.registration.placements import AmbiguousPlacementError, choose_placement
 from geoaim.mapping.registration.rivals import compare_placements, make_overview
+from geoaim.mapping.video.frames import Frame
 from tests.conftest import textured
 
 HEIGHT, WIDTH, FACTOR = 270, 480, 2
@@ -60,6 +63,14 @@ def test_less_may_move_in_a_frame_that_is_at_rest_as_overlays_are():
     reference, frame = film_traffic(shift=40, share=0.12)
     with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
         place(reference, frame, np.eye(3))
+
+
+def test_a_frame_at_rest_is_compared_even_if_others_were_just_now():
+    overlaid, later = film_traffic(shift=40, share=0.15)
+    none = Features(np.empty((0, 2)), np.empty((0, 32), np.uint8))
+    keyframe = make_keyframe(Frame(0, 0.0, None, overlaid), none, None, np.eye(3), 0.0)
+    result, _ = register_frame(later, [keyframe], keyframe, np.eye(3), "similarity", compare=False)
+    assert "moves by itself" in result.reason
 
 
 def test_vehicles_on_ground_without_texture_do_not_place_a_frame():
