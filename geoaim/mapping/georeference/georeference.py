@@ -57,13 +57,16 @@ class Georeference(Display):
 
     def _draw(self, axes: "Axes") -> None:
         from geoaim.map_axes import draw_lines, label_place, move_to_axes
+        from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 
         corners = image_corners(self.height, self.width)
         outline = move_to_axes(axes, world_from_pixels(self, corners[[0, 1, 2, 3, 0]]), self.world)
         draw_lines(axes, [outline], "#d00000", width=1.5, label="outline of the image")
-        names = ("top left", "top right", "bottom right", "bottom left")
-        for name, corner in zip(names, outline[:4], strict=True):
-            label_place(axes, name, corner)
+        names = ("top left", "top right", "bottom right", "bottom left", "middle")
+        places = np.vstack([outline[:4], outline[:4].mean(axis=0)])
+        _, radii = predict_uncertainty(self, np.vstack([corners, corners.mean(axis=0)]))
+        for name, place, radius in zip(names, places, radii, strict=True):
+            label_place(axes, f"{name}: 95 % within {radius:.2g} m", place)
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:

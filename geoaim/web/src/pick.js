@@ -1,5 +1,6 @@
 /** Picking of control points: pixels of a frame, and their places on imagery or typed. */
 import { make, makeCheckbox } from "./dom.js";
+import { invert, linearize, project } from "./homography.js";
 import { PixelMap } from "./pixel_map.js";
 
 const EXPORTS = { csv: "points.csv", txt: "gcp_list.txt", points: "frame.points" };
@@ -52,7 +53,16 @@ export async function showPicking(element, description, transport) {
     const where = { side, ...(await snap(side, pixel)) };
     if (joined) return ask({ action: "move", id: joined.id, ...where });
     const reply = await ask({ action: "add", ...where });
+    follow(side, [where.u, where.v]);
     return select(reply.added);
+  };
+  // the other picture shows the ground around a new point, where the points before it tell which
+  const follow = (side, pixel) => {
+    const matrix = app.state.imagery_from_frame;
+    if (!matrix || !app.imagery) return;
+    const [from, to, transform] =
+      side === "frame" ? [app.frame, app.imagery, matrix] : [app.imagery, app.frame, invert(matrix)];
+    to.follow(from, project(transform, pixel), linearize(transform, pixel));
   };
   const events = (side) => ({
     click: (pixel) => place(side, pixel),
@@ -87,7 +97,9 @@ export async function showPicking(element, description, transport) {
     });
     const slider = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0 });
     slider.addEventListener("input", () => setOpacity(Number(slider.value)));
-    bar.append(make("label", {}, "frame over imagery ", slider));
+    const turn = make("input", { type: "range", min: -180, max: 180, step: 5, value: 0 });
+    turn.addEventListener("input", () => app.imagery.turn(Number(turn.value)));
+    bar.append(make("label", {}, "frame over imagery ", slider), make("label", {}, "turn imagery ", turn));
   }
   bar.append(makeCheckbox("snap clicks to corners", true, (on) => (snapping = on)));
   button("Fit", "show the whole pictures", () => [app.frame, app.imagery].forEach((map) => map?.fit()));
@@ -200,7 +212,10 @@ export async function showPicking(element, description, transport) {
     const onFrame = points.filter((point) => point.u !== null).map(mark("u", "v"));
     app.frame.show([...next, ...proposed("u", "v"), ...onFrame], feedback.places.filter((x) => x.axes_px).map(makeRing));
     const known = points.filter((point) => point.image_u !== undefined && point.image_u !== null);
-    app.imagery?.show([...proposed("image_u", "image_v"), ...known.map(mark("image_u", "image_v"))]);
+    const matrix = state.imagery_from_frame;
+    const expected = points.filter((point) => matrix && point.u !== null && point.x === null);
+    const rings = expected.map(({ u, v }) => ({ pixel: project(matrix, [u, v]), kind: "next" }));
+    app.imagery?.show([...rings, ...proposed("image_u", "image_v"), ...known.map(mark("image_u", "image_v"))]);
     const [x, y] = state.crs === "EPSG:4326" ? ["lon", "lat"] : ["x, m", "y, m"];
     const titles = ["name", "u", "v", x, y, "residual, m", "px", "leave-one-out, m", ""];
     const head = make("tr", {}, ...titles.map((title) => make("th", {}, title)));

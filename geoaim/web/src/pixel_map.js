@@ -130,8 +130,16 @@ export class PixelMap {
     this.overlay.setSource(new Static({ url, imageExtent, projection: this.map.getView().getProjection() }));
   }
 
-  /** Bring a pixel into view. */
-  center(pixel) {
-    this.map.getView().setCenter(toMap(pixel));
+  /** Turn the picture on the screen, clockwise in degrees. */
+  turn(degrees) {
+    this.map.getView().setRotation((degrees * Math.PI) / 180);
+  }
+
+  /** Show the ground that another map shows, as large and turned alike, and a pixel in the middle. */
+  follow(other, pixel, { angle, scale }) {
+    const [view, theirs] = [this.map.getView(), other.map.getView()];
+    view.setCenter(toMap(pixel));
+    view.setRotation(theirs.getRotation() + angle);
+    view.setResolution(theirs.getResolution() * scale);
   }
 }

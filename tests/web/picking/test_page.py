@@ -194,3 +194,32 @@ def test_a_place_copied_from_a_map_service_is_latitude_and_longitude(page, task)
         ]
         message = page.locator(".message").inner_text()
         assert message.startswith("Read as latitude 49.9672, longitude 36.3035.")
+
+
+def test_imagery_follows_a_click_on_the_frame_turned_alike(page, task, truth):
+    turned = np.ascontiguousarray(np.rot90(task.frame))  # u becomes height of v, v becomes W - u
+    width = task.frame.shape[1]
+    points, on_imagery = truth
+    pixels = np.column_stack([points.pixels[:, 1], width - points.pixels[:, 0]])
+    rotated = replace(task, frame=turned)
+    with serve(make_picking_view(rotated, "sample")) as address:
+        open_view(page, address)
+        page.get_by_label("snap clicks to corners").uncheck()
+        pick_pairs(page, (replace(points, pixels=pixels), on_imagery), range(4))
+        page.mouse.click(*aim_at(page, "frame", pixels[4]))
+        wait_for(page, "geoaim.state.points.length === 5")
+        u, v = page.evaluate("geoaim.imagery.map.getView().getCenter()")
+        assert np.hypot(u - on_imagery[4, 0], -v - on_imagery[4, 1]) < 1.0
+        # on the screen, the ground right of the point lies in the same direction on both sides
+        directions = [
+            np.subtract(*(_locate(page, side, place) for place in (ends[3], ends[4])))
+            for side, ends in (("frame", pixels), ("imagery", on_imagery))
+        ]
+        assert directions[0] == pytest.approx(directions[1], rel=0.05, abs=20)
+
+
+def _locate(page, side, pixel):
+    """Where a pixel of a side lies on the screen, also beyond its border."""
+    u, v = pixel
+    page.evaluate(f"geoaim.{side}.map.renderSync()")
+    return page.evaluate(f"geoaim.{side}.map.getPixelFromCoordinate([{u}, {-v}])")
