@@ -66,7 +66,7 @@ class Georeference(Display):
         places = np.vstack([outline[:4], outline[:4].mean(axis=0)])
         _, radii = predict_uncertainty(self, np.vstack([corners, corners.mean(axis=0)]))
         for name, place, radius in zip(names, places, radii, strict=True):
-            label_place(axes, f"{name}: 95 % within {radius:.2g} m", place)
+            label_place(axes, f"{name}\n95 %: {radius:.2g} m", place)
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:
