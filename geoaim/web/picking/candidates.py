@@ -1,5 +1,6 @@
 """Propose pairs of a frame's pixel and its place, by matching the frame to imagery."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,25 @@ def propose_pairs(
         PairCandidate((float(u), float(v)), (float(x), float(y)), sigma)
         for (u, v), (x, y) in zip(pixels[indices], matched.true[indices], strict=True)
     )
+
+
+def measure_disagreement(
+    pairs: Sequence[PairCandidate], pixels: Float[Array, "m 2"], places: Float[Array, "m 2"]
+) -> Float[Array, "m"]:
+    """Measure how far points lie from where an affine map through proposed pairs puts them.
+
+    Args:
+        pairs: at least three.
+        pixels: (M, 2) of the points, in the frame.
+        places: (M, 2) of the points, metres in the imagery's world.
+
+    Returns:
+        (M,) distances, metres.
+    """
+    proposed = np.array([(*pair.pixel, 1.0) for pair in pairs])
+    affine = np.linalg.lstsq(proposed, np.array([pair.place for pair in pairs]))[0]
+    fitted = np.column_stack([pixels, np.ones(len(pixels))]) @ affine
+    return np.linalg.norm(fitted - places, axis=1)
 
 
 def _choose_prior(georeference: Georeference, resolution: float) -> Prior:

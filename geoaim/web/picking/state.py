@@ -6,22 +6,31 @@ import numpy as np
 
 from geoaim.errors import GeoreferenceError
 from geoaim.geometry import transform_points
-from geoaim.mapping.georeference.control_points import select_points
+from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.normalised_plane import Points
+from geoaim.web.picking.candidates import measure_disagreement
 from geoaim.web.picking.feedback import PointFeedback, assess_points, describe_feedback
 from geoaim.web.picking.session import PickingSession, collect_points
 from geoaim.web.picking.task import PickingTask
 from geoaim.world import LONLAT, transform_crs, world_from_crs
 
+MIN_AGREEING_PAIRS = 5  # two more than an affine map through them needs
+MAX_DISAGREEMENT = 3.0  # of a point with the proposed pairs, in standard deviations
 
-def assess_session(session: PickingSession) -> PointFeedback:
-    """Assess the complete points of a session that were picked on its frame."""
+
+def select_complete(session: PickingSession) -> ControlPoints:
+    """Select the points with pixel and place that were picked on the session's frame."""
     task, points = session.task, collect_points(session)
     complete = np.isfinite(np.hstack([points.pixels, points.coordinates])).all(axis=1)
     here = np.array([(frame or 0) == (task.frame_name or 0) for frame in points.frames], bool)
-    chosen = select_points(points, np.flatnonzero(complete & here).tolist())
+    return select_points(points, np.flatnonzero(complete & here).tolist())
+
+
+def assess_session(session: PickingSession) -> PointFeedback:
+    """Assess the complete points of a session that were picked on its frame."""
+    task = session.task
     world = None if task.imagery is None else task.imagery.world
-    return assess_points(chosen, task.frame.shape[:2], world)
+    return assess_points(select_complete(session), task.frame.shape[:2], world)
 
 
 def describe_session(session: PickingSession) -> dict[str, Any]:
@@ -29,7 +38,8 @@ def describe_session(session: PickingSession) -> dict[str, Any]:
 
     Each point has id, name, frame, u, v, x, y (null where missing), lon and lat unless the plane is
     local, and with imagery image_u and image_v, its place as a pixel of that. `imagery_from_frame`
-    is the homography for an overlay, from the frame without lens distortion.
+    is the homography for an overlay, from the frame without lens distortion. `disagreeing` are the
+    points that lie elsewhere than the proposed pairs say.
     """
     task, feedback = session.task, assess_session(session)
     points = collect_points(session)
@@ -50,6 +60,7 @@ def describe_session(session: PickingSession) -> dict[str, Any]:
         "feedback": describe_feedback(feedback),
         "imagery_from_frame": _compose_overlay(task, feedback),
         "candidates": _describe_candidates(session),
+        "disagreeing": _find_disagreeing(session),
         "crs": task.crs,
         "can_undo": bool(session.past),
         "can_redo": bool(session.future),
@@ -86,4 +97,19 @@ def _describe_candidates(session: PickingSession) -> list[dict[str, float]]:
     return [
         {"u": c.pixel[0], "v": c.pixel[1], "image_u": u, "image_v": v, "sigma_m": c.sigma_m}
         for c, (u, v) in zip(session.candidates, pixels.tolist(), strict=True)
+    ]
+
+
+def _find_disagreeing(session: PickingSession) -> list[dict[str, Any]]:
+    """Name and distance in metres of points that lie elsewhere than the proposed pairs say."""
+    task, pairs, points = session.task, session.candidates, select_complete(session)
+    if task.imagery is None or len(pairs) < MIN_AGREEING_PAIRS:
+        return []
+    places = world_from_crs(task.imagery.world, points.coordinates, task.crs)
+    distances = measure_disagreement(pairs, points.pixels, places)
+    largest = MAX_DISAGREEMENT * float(np.hypot(pairs[0].sigma_m, task.accuracy))
+    return [
+        {"name": name, "distance_m": distance}
+        for name, distance in zip(points.names, distances.tolist(), strict=True)
+        if distance > largest
     ]

@@ -99,6 +99,7 @@ export async function showPicking(element, description, transport) {
     slider.addEventListener("input", () => setOpacity(Number(slider.value)));
     const turn = make("input", { type: "range", min: -180, max: 180, step: 5, value: 0 });
     turn.addEventListener("input", () => app.imagery.turn(Number(turn.value)));
+    app.imagery.map.getView().on("change:rotation", () => (turn.value = app.imagery.getTurn()));
     bar.append(make("label", {}, "frame over imagery ", slider), make("label", {}, "turn imagery ", turn));
   }
   bar.append(makeCheckbox("snap clicks to corners", true, (on) => (snapping = on)));
@@ -125,10 +126,12 @@ export async function showPicking(element, description, transport) {
     if (reply.url) app.imagery.setOverlay(reply);
   };
 
-  const describe = ({ points, candidates, feedback, notes, saved }) => {
+  const describe = ({ points, candidates, disagreeing, feedback, notes, saved }) => {
     const other = app.imagery ? "then the same mark on the imagery" : "then type its coordinates into the table";
     const parts = points.length ? [] : [`Click a mark on the frame, ${other}.`];
     if (candidates.length) parts.push(`${candidates.length} proposed pairs, green: a click accepts one.`);
+    const doubted = disagreeing.map(({ name, distance_m: distance }) => `${name} by ${format(distance, 1)} m`);
+    if (doubted.length) parts.push(`The proposed pairs disagree with ${doubted.join(", ")}: look which are right.`);
     const { georeference, next_point: next } = feedback;
     if (feedback.problem) parts.push(feedback.problem.text);
     else if (feedback.missing) parts.push(`${feedback.missing} more complete points are needed.`);
@@ -198,8 +201,10 @@ export async function showPicking(element, description, transport) {
     const { points, candidates, feedback } = state;
     if (!points.some((point) => point.id === app.selected)) app.selected = null;
     const residuals = new Map(feedback.residuals.map((residual) => [residual.name, residual]));
+    const doubted = new Set(state.disagreeing.map(({ name }) => name));
     const kindOf = (point) => {
       if (point.u === null || point.x === null) return "incomplete";
+      if (doubted.has(point.name)) return "wrong";
       return residuals.get(point.name)?.used === false ? "wrong" : "used";
     };
     const mark = (u, v) => (point) => ({

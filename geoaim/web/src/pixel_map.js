@@ -135,6 +135,12 @@ export class PixelMap {
     this.map.getView().setRotation((degrees * Math.PI) / 180);
   }
 
+  /** How it is turned, in degrees from -180 to 180. */
+  getTurn() {
+    const degrees = (this.map.getView().getRotation() * 180) / Math.PI;
+    return degrees - 360 * Math.round(degrees / 360);
+  }
+
   /** Show the ground that another map shows, as large and turned alike, and a pixel in the middle. */
   follow(other, pixel, { angle, scale }) {
     const [view, theirs] = [this.map.getView(), other.map.getView()];

@@ -7,6 +7,7 @@ import pytest
 
 from geoaim.aim import AIM
 from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.geometry import transform_points
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.session import open_session
@@ -256,3 +257,22 @@ def test_a_file_that_cannot_be_written_is_an_error(tmp_path):
     after, reply = handle(session, add(0))
     assert set(reply) == {"error"}
     assert after is session
+
+
+def test_a_point_that_the_proposed_pairs_disagree_with_is_named(place):
+    frame, imagery, matrix = place
+    session = open_session(PickingTask(frame, imagery=imagery, path=None))
+    imagery_from_frame = np.linalg.inv(imagery.world_from_image) @ matrix
+    for pixel, shift in zip(PIXELS, (0.0, 0.0, 30.0), strict=True):
+        u, v = (transform_points(imagery_from_frame, pixel[None])[0] + [shift, 0.0]).tolist()
+        on_imagery = {"action": "add", "side": "imagery", "u": u, "v": v}
+        session, reply = run(session, on_imagery)
+        number, (u, v) = reply["added"], pixel.tolist()
+        session, _ = run(session, {"action": "move", "id": number, "u": u, "v": v})
+    session, reply = run(session, {"action": "candidates"})
+    (doubted,) = reply["disagreeing"]
+    assert doubted["name"] == session.points[2].name
+    assert doubted["distance_m"] == pytest.approx(30.0 * imagery.resolution, rel=0.2)
+    u, v = transform_points(imagery_from_frame, PIXELS[2:])[0].tolist()
+    _, reply = run(session, {"action": "move", "id": number, "side": "imagery", "u": u, "v": v})
+    assert reply["disagreeing"] == []

@@ -216,6 +216,9 @@ def test_imagery_follows_a_click_on_the_frame_turned_alike(page, task, truth):
             for side, ends in (("frame", pixels), ("imagery", on_imagery))
         ]
         assert directions[0] == pytest.approx(directions[1], rel=0.05, abs=20)
+        shown = page.get_by_label("turn imagery").input_value()
+        turned = np.rad2deg(page.evaluate("geoaim.imagery.map.getView().getRotation()"))
+        assert float(shown) == pytest.approx(turned, abs=2.5)
 
 
 def _locate(page, side, pixel):
