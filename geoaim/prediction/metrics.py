@@ -125,7 +125,7 @@ def bootstrap_interval(
 
 
 def concat(parts: Sequence[Mapping[str, Metric]]) -> dict[str, Metric]:
-    """Concatenate metrics of several sets of segments; a metric that a set lacks counts zero."""
+    """Concatenate metrics of sets of segments; a set without a metric adds nothing to it."""
     metrics = {}
     for name in dict.fromkeys(name for part in parts for name in part):
         rows = [part[name] if name in part else _make_empty(part) for part in parts]

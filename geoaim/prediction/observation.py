@@ -18,7 +18,7 @@ CHANNELS = 7  # ground (3), vehicles, pedestrians, red and yellow lights, green 
 
 @dataclass(frozen=True)
 class ObservationView(View):
-    """The view of an agent."""
+    """The bird's-eye view around an agent that a model observes."""
 
     light_width: float = LIGHT_BAR_WIDTH_M  # width of a light's bar on its stop line, metres
 

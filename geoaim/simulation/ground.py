@@ -18,7 +18,7 @@ GREY = 0.5
 
 @dataclass(frozen=True)
 class View:
-    """The size of a camera's picture, in which its heading is up.
+    """The size of a bird's-eye view, in which the heading of its camera is up.
 
     Raises:
         ValueError: a side or the resolution is not positive.

@@ -44,10 +44,10 @@ class Fragments:
 def project_poses(
     view: View, cameras: Float[Tensor, "N 3"], poses: Float[Tensor, "N 3"]
 ) -> tuple[Float[Tensor, "N 2"], Float[Tensor, "N 2"]]:
-    """Project poses to pictures.
+    """Compute where poses lie in the views of their cameras.
 
     Args:
-        view: size and resolution of the pictures.
+        view: size and resolution of the views.
         cameras: (N, 3) x, y, heading of each pose's camera.
         poses: (N, 3) x, y, heading.
 

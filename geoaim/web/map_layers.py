@@ -39,7 +39,7 @@ def colour_coverage(bands: Array, most: float) -> Colours:
 
 
 def colour_contested(bands: Array) -> Colours:
-    """Colour the contested pixels of a band (1, h, w)."""
+    """Colour pixels where the frames show no clear ground, above 127 in a band (1, h, w)."""
     return np.array([(0, 0, 0, 0), CONTESTED_COLOUR], np.uint8)[(bands[0] > 127).astype(np.intp)]
 
 
