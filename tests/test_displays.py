@@ -62,10 +62,17 @@ def test_georeference_shows_the_outline_of_its_image_and_its_errors():
     georeference = estimate_georeference(points, height=720, width=1280)
     assert "control points 16 of 16 used" in repr(georeference)
     axes = georeference.plot(Figure().add_subplot())
-    [lines] = axes.collections
+    lines, crosses = axes.collections
     np.testing.assert_allclose(
         lines.get_paths()[0].vertices[0], world_from_pixels(georeference, np.zeros((1, 2)))[0]
     )
+    places = np.asarray(crosses.get_offsets())
+    fitted = world_from_pixels(georeference, points.pixels)
+    assert np.linalg.norm(places - fitted, axis=1) == pytest.approx(
+        np.linalg.norm(georeference.residuals, axis=1), abs=1e-6
+    )
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["outline of the image", "control points"]
 
 
 def test_facts_are_escaped_in_html():

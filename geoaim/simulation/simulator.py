@@ -20,7 +20,7 @@ ROUTE_SPACING_M = 1.0  # above the jitter in the recorded positions of waiting a
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """Recorded states, lights and sizes in B segments of a scene, T steps each."""
+    """Recorded states and sizes of agents in B segments of a scene, T steps each."""
 
     states: Float[Tensor, "B T A 4"]  # x, y, heading, speed; 0 while absent
     present: Bool[Tensor, "B T A"]

@@ -90,6 +90,7 @@ def estimate_georeference(
         radial=float(best.terms[8]),
         height=height,
         width=width,
+        pixels=points.pixels,
         residuals=residuals @ scale.T,
         leave_one_out=leave_one_out * metres,
         used=used,

@@ -96,6 +96,7 @@ def _assume_georeference(
         radial=0.0,
         height=size[0],
         width=size[1],
+        pixels=np.empty((0, 2)),
         residuals=np.empty((0, 2)),
         leave_one_out=np.empty(0),
         used=np.empty(0, bool),

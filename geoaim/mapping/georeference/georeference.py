@@ -30,7 +30,8 @@ class Georeference(Display):
     radial: float  # k of p' = p (1 + k |p|^2) in the normalised plane
     height: int  # of the image, pixels
     width: int  # of the image, pixels
-    residuals: Points  # (M, 2) fitted minus given, metres, of every control point, used or not
+    pixels: Points  # (M, 2) of every control point, used or not
+    residuals: Points  # (M, 2) fitted minus given, metres, of every control point
     leave_one_out: Float[Array, "m"]  # distance of each point from a fit without it, metres
     used: Bool[Array, "m"]  # False for a point that was found to be wrong
     # root mean square leave-one-out error of each model that was tried, metres
@@ -67,6 +68,14 @@ class Georeference(Display):
         _, radii = predict_uncertainty(self, np.vstack([corners, corners.mean(axis=0)]))
         for name, place, radius in zip(names, places, radii, strict=True):
             label_place(axes, f"{name}\n95 %: {radius:.2g} m", place)
+        given = world_from_pixels(self, self.pixels) - self.residuals
+        x, y = move_to_axes(axes, given, self.world).T
+        for used, colour, label in (
+            (self.used, "#ff6a00", "control points"),
+            (~self.used, "#000000", "control points that are not used"),
+        ):
+            if used.any():
+                axes.scatter(x[used], y[used], s=60, marker="+", color=colour, label=label)
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:

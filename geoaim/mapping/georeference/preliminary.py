@@ -63,6 +63,7 @@ def estimate_preliminary(
         radial=0.0,
         height=height,
         width=width,
+        pixels=points.pixels,
         residuals=(apply_terms(terms, plane) - pairs.ground) @ scale.T,
         leave_one_out=np.full(len(plane), np.nan),
         used=np.ones(len(plane), bool),
