@@ -105,7 +105,8 @@ def _find_disagreeing(session: PickingSession) -> list[dict[str, Any]]:
     task, pairs, points = session.task, session.candidates, select_complete(session)
     if task.imagery is None or len(pairs) < MIN_AGREEING_PAIRS:
         return []
-    places = world_from_crs(task.imagery.world, points.coordinates, task.crs)
+    pixels = _convert(task, points.coordinates, "imagery")
+    places = transform_points(task.imagery.world_from_image, pixels)
     distances = measure_disagreement(pairs, points.pixels, places)
     largest = MAX_DISAGREEMENT * float(np.hypot(pairs[0].sigma_m, task.accuracy))
     return [

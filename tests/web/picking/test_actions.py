@@ -276,3 +276,6 @@ def test_a_point_that_the_proposed_pairs_disagree_with_is_named(place):
     u, v = transform_points(imagery_from_frame, PIXELS[2:])[0].tolist()
     _, reply = run(session, {"action": "move", "id": number, "side": "imagery", "u": u, "v": v})
     assert reply["disagreeing"] == []
+    # 90 degrees from the middle of the UTM zone, where it has no metres
+    _, reply = run(session, {"action": "move", "id": number, "lon": 117.0, "lat": 0.0})
+    assert "cannot be expressed" in reply["feedback"]["problem"]["text"]
