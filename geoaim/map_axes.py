@@ -15,6 +15,7 @@ from geoaim.grid import Grid, make_north_up_grid
 from geoaim.world import World, change_world
 
 LONGER_SIDE_PX = 1200  # of an image as it is drawn
+USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # of control points
 SCALE_BAR_SHARE = 0.3  # of the width of the axes, at most
 _worlds: WeakKeyDictionary[Axes, World] = WeakKeyDictionary()
 

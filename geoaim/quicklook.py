@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from geoaim.aim import AIM
 from geoaim.grid import Grid, make_north_up_grid
 from geoaim.labels import label_points
-from geoaim.map_axes import add_scale_bar, draw_lines
+from geoaim.map_axes import UNUSED_COLOUR, USED_COLOUR, add_scale_bar, draw_lines
 from geoaim.mapping.registration.drift import draw_drift
 from geoaim.rectification import sample_nearest
 from geoaim.tracks import Tracks
@@ -23,7 +23,6 @@ MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands b
 RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
 LONGEST_RESIDUAL = 0.2  # of the map's width, as drawn
 RASTER_STRIDE = 4  # of the pixels of the coverage that are drawn
-USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # of control points
 LONGER_SIDE_PX = 900
 SQUARES_PER_SIDE = 10  # of the checkerboard, along the longer side
 TRACK_COLOUR = "#ff6a00"

@@ -72,7 +72,9 @@ def test_georeference_shows_the_outline_of_its_image_and_its_errors():
         np.linalg.norm(georeference.residuals, axis=1), abs=1e-6
     )
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert labels == ["outline of the image", "control points"]
+    assert labels == ["outline of the image", "control points, used"]
+    [middle] = [text for text in axes.texts if text.get_text().startswith("middle")]
+    assert middle.xy == pytest.approx(world_from_pixels(georeference, np.array([[640, 360.0]]))[0])
 
 
 def test_facts_are_escaped_in_html():

@@ -57,25 +57,32 @@ class Georeference(Display):
         return lines | {"world": describe_world(self.world)}
 
     def _draw(self, axes: "Axes") -> None:
-        from geoaim.map_axes import draw_lines, label_place, move_to_axes
-        from geoaim.mapping.georeference.uncertainty import predict_uncertainty
+        from geoaim.map_axes import (
+            UNUSED_COLOUR,
+            USED_COLOUR,
+            draw_lines,
+            label_place,
+            move_to_axes,
+        )
+        from geoaim.mapping.georeference.uncertainty import CORNERS, predict_uncertainty
 
         corners = image_corners(self.height, self.width)
-        outline = move_to_axes(axes, world_from_pixels(self, corners[[0, 1, 2, 3, 0]]), self.world)
+        pixels = np.vstack([corners, corners.mean(axis=0)])
+        places = move_to_axes(axes, world_from_pixels(self, pixels), self.world)
+        outline = places[[0, 1, 2, 3, 0]]
         draw_lines(axes, [outline], "#d00000", width=1.5, label="outline of the image")
-        names = ("top left", "top right", "bottom right", "bottom left", "middle")
-        places = np.vstack([outline[:4], outline[:4].mean(axis=0)])
-        _, radii = predict_uncertainty(self, np.vstack([corners, corners.mean(axis=0)]))
-        for name, place, radius in zip(names, places, radii, strict=True):
+        _, radii = predict_uncertainty(self, pixels)
+        for name, place, radius in zip((*CORNERS, "middle"), places, radii, strict=True):
             label_place(axes, f"{name}\n95 %: {radius:.2g} m", place)
         given = world_from_pixels(self, self.pixels) - self.residuals
         x, y = move_to_axes(axes, given, self.world).T
-        for used, colour, label in (
-            (self.used, "#ff6a00", "control points"),
-            (~self.used, "#000000", "control points that are not used"),
+        for chosen, colour, name in (
+            (self.used, USED_COLOUR, "used"),
+            (~self.used, UNUSED_COLOUR, "not used"),
         ):
-            if used.any():
-                axes.scatter(x[used], y[used], s=60, marker="+", color=colour, label=label)
+            if chosen.any():
+                label = f"control points, {name}"
+                axes.scatter(x[chosen], y[chosen], s=60, marker="+", color=colour, label=label)
 
 
 def world_from_pixels(georeference: Georeference, pixels: Points) -> Points:

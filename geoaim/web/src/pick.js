@@ -151,7 +151,7 @@ export async function showPicking(element, description, transport) {
     input.addEventListener("change", () => change(input.value, input));
     return input;
   };
-  const makeRow = (point, residual) => {
+  const makeRow = (point, residual, kind) => {
     const lonlat = app.state.crs === "EPSG:4326";
     const typed = (key) => async (text, input) => {
       const [first, second] = (text.match(PASTED) ?? []).slice(1).map(Number);
@@ -189,7 +189,7 @@ export async function showPicking(element, description, transport) {
     ];
     const row = make("tr", {}, ...cells.map((cell) => make("td", {}, cell)));
     row.classList.toggle("selected", point.id === app.selected);
-    row.classList.toggle("wrong", residual?.used === false);
+    row.classList.toggle("wrong", kind === "wrong");
     row.addEventListener("click", (event) => {
       if (!event.target.matches("input, button")) select(point.id);
     });
@@ -224,7 +224,7 @@ export async function showPicking(element, description, transport) {
     const [x, y] = state.crs === "EPSG:4326" ? ["lon", "lat"] : ["x, m", "y, m"];
     const titles = ["name", "u", "v", x, y, "residual, m", "px", "leave-one-out, m", ""];
     const head = make("tr", {}, ...titles.map((title) => make("th", {}, title)));
-    table.replaceChildren(head, ...points.map((point) => makeRow(point, residuals.get(point.name))));
+    table.replaceChildren(head, ...points.map((point) => makeRow(point, residuals.get(point.name), kindOf(point))));
     undo.disabled = !state.can_undo;
     redo.disabled = !state.can_redo;
     message.textContent = describe(state);

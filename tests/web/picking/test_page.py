@@ -197,12 +197,11 @@ def test_a_place_copied_from_a_map_service_is_latitude_and_longitude(page, task)
 
 
 def test_imagery_follows_a_click_on_the_frame_turned_alike(page, task, truth):
-    turned = np.ascontiguousarray(np.rot90(task.frame))  # u becomes height of v, v becomes W - u
+    frame = np.ascontiguousarray(np.rot90(task.frame))  # (u, v) becomes (v, width - u)
     width = task.frame.shape[1]
     points, on_imagery = truth
     pixels = np.column_stack([points.pixels[:, 1], width - points.pixels[:, 0]])
-    rotated = replace(task, frame=turned)
-    with serve(make_picking_view(rotated, "sample")) as address:
+    with serve(make_picking_view(replace(task, frame=frame), "sample")) as address:
         open_view(page, address)
         page.get_by_label("snap clicks to corners").uncheck()
         pick_pairs(page, (replace(points, pixels=pixels), on_imagery), range(4))
