@@ -39,8 +39,8 @@ demo: install
 # there is a worker for each core already
 test test-lowest coverage: export OMP_NUM_THREADS = 1
 test: lint
-	$(BIN)/python -m pytest -n auto --dist loadfile
-	$(if $(NOTEBOOKS),$(BIN)/python -m pytest -n auto -o addopts= --nbmake $(NOTEBOOKS))
+	$(BIN)/python tests/second_chance.py -n auto --dist loadfile
+	$(if $(NOTEBOOKS),$(BIN)/python tests/second_chance.py -n auto -o addopts= --nbmake $(NOTEBOOKS))
 
 # old versions beside new ones warn; the documentation and the layers need tools of their own
 test-lowest: .venv-lowest/installed

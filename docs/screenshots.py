@@ -4,6 +4,7 @@ python docs/screenshots.py AIM.tif docs/images
 """
 
 import io
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -23,12 +24,33 @@ from geoaim.world import world_from_lonlat
 
 SAMPLES = Path("samples")
 TIME_S = 14.0
+COMPLETE_S = 120.0
+# every map has drawn all its tiles
+DRAWN = """Promise.all([geoaim.map, geoaim.frame?.map, geoaim.imagery?.map].filter(Boolean).map(
+    (map) => new Promise((done) => { map.once("rendercomplete", done); map.render(); })))"""
+# the marks of infractions and the agent's view are there
+LOADED = """(!geoaim.state?.tracks || Boolean(geoaim.marks))
+    && [...document.images].every((image) => image.hidden || image.naturalWidth > 0)"""
 PICKED = (0, 3, 5, 8, 12)  # of the sample's control points
+
+
+def wait_until_complete(page: Any) -> None:
+    """Wait until the page has loaded everything and its picture no longer changes."""
+    page.evaluate(DRAWN)
+    limit, last = time.monotonic() + COMPLETE_S, None
+    while True:
+        picture = page.screenshot()
+        if picture == last and page.evaluate(LOADED):
+            return
+        if time.monotonic() > limit:
+            raise TimeoutError(f"the page still changes after {COMPLETE_S:g} s")
+        last = picture
+        page.wait_for_timeout(500)
 
 
 def save(page: Any, path: Path) -> None:
     """Save what a page shows as a JPEG."""
-    page.wait_for_timeout(2000)
+    wait_until_complete(page)
     Image.open(io.BytesIO(page.screenshot())).convert("RGB").save(path, quality=85)
 
 
