@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ def frame():
 
 def test_yolo_rows_become_pixel_boxes(tmp_path, frame):
     (tmp_path / "000000.txt").write_text("2 0.5 0.5 0.1 0.2\n")
-    np.testing.assert_allclose(read_detections(tmp_path)(frame), [[90, 40, 110, 60]])
+    np.testing.assert_allclose(read_detections(tmp_path)(frame).boxes, [[90, 40, 110, 60]])
 
 
 def test_a_frame_without_a_file_has_no_boxes(tmp_path, frame):
@@ -36,3 +38,32 @@ def test_mask_covers_the_grown_box_and_no_more():
     mask = mask_boxes(np.array([[40.0, 40, 60, 60]]), (100, 100))
     assert mask[38:62, 38:62].all()
     assert mask.sum() == 24 * 24
+
+
+def test_results_of_ultralytics_and_supervision_are_read_by_their_attributes(frame):
+    boxes = np.array([[1.0, 2, 3, 4]])
+    of_supervision = SimpleNamespace(
+        xyxy=boxes,
+        confidence=np.array([0.5]),
+        class_id=np.array([2]),
+        tracker_id=np.array([7]),
+        data={"class_name": np.array(["person"])},
+    )
+    part = SimpleNamespace(xyxy=boxes, conf=np.array([0.5]), cls=np.array([0]), id=np.array([7.0]))
+    of_ultralytics = SimpleNamespace(boxes=part, obb=None, names={0: "person"})
+    for value in (of_supervision, of_ultralytics):
+        found = read_detections([value])(frame)
+        np.testing.assert_array_equal(found.boxes, boxes)
+        assert (found.types, found.ids, found.scores.tolist()) == (("pedestrian",), ("7",), [0.5])
+
+
+def test_oriented_boxes_begin_with_a_long_side(frame):
+    corners = np.array([[[0.0, 0], [1, 0], [1, 4], [0, 4]]])
+    obb = SimpleNamespace(xyxy=np.array([[0.0, 0, 1, 4]]), xyxyxyxy=corners, cls=None)
+    found = read_detections(lambda _: SimpleNamespace(obb=obb, names={}))(frame)
+    np.testing.assert_array_equal(found.corners[0, :2], [[1, 0], [1, 4]])
+
+
+def test_an_entry_of_none_has_no_labels(frame):
+    assert read_detections([None])(frame) is None
+    assert read_detections([])(frame) is None

@@ -1,0 +1,59 @@
+"""The command that tracks the agents of a video."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from geoaim.cli import options
+from geoaim.cli.console import print_result, report_errors, show_progress
+from geoaim.cli.outputs import TRACKS, check_output
+
+
+def track(
+    video: options.VideoSource,
+    aim: Annotated[Path, typer.Option(help="AIM of the same ground, best one of this video")],
+    output: Annotated[Path, options.output(".csv or .parquet to write")],
+    detections: Annotated[
+        Path, typer.Option(help="boxes of a detector: a folder of YOLO .txt, MOT, COCO .json, .csv")
+    ],
+    columns: Annotated[
+        str | None,
+        typer.Option(help="columns of a .csv, such as frame=frame,id=track,x=u_px,y=v_px"),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="frames per second by which the file's frame numbers count", min=0.01),
+    ] = None,
+    classes: Annotated[
+        str, typer.Option(help="names of class numbers from 0 on, such as car,van,truck,bus")
+    ] = "",
+    hdmap: options.HDMapFile = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Track the agents of a video on its map, from the boxes of a detector.
+
+    The frames are registered to the map, which takes the boxes to metres on the ground. Tracks
+    bridge misses of up to two seconds and are smoothed; the states that were known at each time
+    are in columns of their own.
+
+    Example: geoaim track samples/hover.mp4 --aim map.tif --detections samples/boxes -o tracks.csv
+    """
+    from geoaim.aim_files import read_aim
+    from geoaim.hdmap.lanelet2 import read_hdmap
+    from geoaim.mapping.video.detection_columns import parse_columns
+    from geoaim.mapping.video.detections import read_detections
+    from geoaim.track_files import write_tracks
+    from geoaim.tracking.pipeline import track_video
+    from geoaim.tracking.report import summarize_tracking
+
+    with show_progress() as progress, report_errors():
+        check_output(output, TRACKS, [aim, hdmap])
+        names = tuple(name.strip() for name in classes.split(",") if name.strip())
+        chosen = None if columns is None else parse_columns(columns)
+        boxes = read_detections(detections, columns=chosen, rate=rate, classes=names)
+        ground = read_aim(aim)
+        lanes = None if hdmap is None else read_hdmap(hdmap, ground.world)
+        tracks = track_video(video, ground, boxes, hdmap=lanes, progress=progress)
+        write_tracks(tracks, output)
+    print_result([output], summarize_tracking(tracks, ground), as_json)

@@ -1,0 +1,129 @@
+"""Poses of a video's frames in the world of an AIM: registered to each other, then to the AIM."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+from numpy import ndarray as Array
+
+from geoaim.aim import AIM
+from geoaim.errors import RegistrationError
+from geoaim.geometry import to_opencv
+from geoaim.mapping.registration.features import detect_features, match_features
+from geoaim.mapping.registration.frame_registration import (
+    FrameRegistration,
+    make_keyframe,
+    mask_detections,
+    register_frame,
+)
+from geoaim.mapping.registration.register import Registration, register
+from geoaim.mapping.video.detections import Detections
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import Video
+from geoaim.progress import Progress
+
+MIN_COVERED = 0.3  # share of the reference frame that the AIM must cover
+
+
+@dataclass(frozen=True, eq=False)
+class FramePoses:
+    """Where the frames of a video lie in the world of an AIM."""
+
+    world_from_frame: Float[Array, "T 3 3"]  # pixels to metres; NaN where a frame is rejected
+    times: Float[Array, "T"]  # s
+    registration: Registration  # of the frames to their reference
+    placement: FrameRegistration  # of the reference to the AIM's image, in pixels of the reference
+
+
+def locate_frames(
+    video: Video, aim: AIM, detections: Detections | None, progress: Progress
+) -> FramePoses:
+    """Locate the frames of a video in the world of an AIM.
+
+    Args:
+        video: the video.
+        aim: an AIM of the same ground, made of this video or of another one.
+        detections: agents to leave out of the registration.
+        progress: called with the stage, the frames done and the frames in all.
+
+    Returns:
+        The poses of all frames.
+
+    Raises:
+        RegistrationError: the frames cannot be registered to each other, or not to the AIM.
+    """
+    registration = register(video, detections=detections, progress=progress)
+    frame = next(video.frames_at([registration.reference.time]))
+    aim_from_reference, placement = place_reference(frame, aim, detections)
+    world_from_reference = aim.world_from_image @ aim_from_reference
+    matrices = world_from_reference @ registration.reference_from_frame
+    return FramePoses(matrices, registration.time, registration, placement)
+
+
+def place_reference(
+    frame: Frame, aim: AIM, detections: Detections | None
+) -> tuple[Float[Array, "3 3"], FrameRegistration]:
+    """Place a frame in the image of an AIM: by features, then by patches of the AIM as it sees it.
+
+    Args:
+        frame: the frame.
+        aim: an AIM of the same ground.
+        detections: agents to leave out.
+
+    Returns:
+        The transform from the frame's pixels to those of the AIM, and the registration by patches.
+
+    Raises:
+        RegistrationError: the frame and the AIM do not match.
+    """
+    size = frame.grey.shape
+    grey = np.asarray(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY), np.uint8)
+    hidden = aim.coverage == 0
+    features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
+    found = match_features(detect_features(grey, exclude=hidden), features, "homography", size=size)
+    if found is None:
+        raise RegistrationError(
+            f"the frame at {frame.time:.2f} s does not match the AIM: too few features agree; give "
+            "an AIM that is made of this video, or of the same ground in a similar light"
+        )
+    view, seen = view_aim(grey, ~hidden, found, size)
+    if seen.mean() < MIN_COVERED:
+        raise RegistrationError(
+            f"the AIM covers {seen.mean():.0%} of the frame at {frame.time:.2f} s; at least "
+            f"{MIN_COVERED:.0%} are needed"
+        )
+    seen_view = Frame(0, frame.time, None, view)
+    keyframe = make_keyframe(seen_view, detect_features(view, exclude=~seen), None, np.eye(3), 0.0)
+    placement, _ = register_frame(frame.grey, [keyframe], keyframe, np.eye(3), "homography")
+    if not placement.valid:
+        raise RegistrationError(
+            f"the frame at {frame.time:.2f} s does not match the AIM: {placement.reason}; give an "
+            "AIM that is made of this video, or of the same ground in a similar light"
+        )
+    return found @ placement.reference_from_frame, placement
+
+
+def view_aim(
+    image: UInt8[Array, "h w *c"],
+    covered: Array,
+    aim_from_frame: Float[Array, "3 3"],
+    size: tuple[int, int],
+) -> tuple[UInt8[Array, "H W *c"], Array]:
+    """View an AIM as a frame sees it.
+
+    Args:
+        image: of the AIM, grey or RGB.
+        covered: (h, w) which of its pixels are known.
+        aim_from_frame: transform of pixels.
+        size: (height, width) of the frame.
+
+    Returns:
+        The view, and which of its pixels are known.
+    """
+    matrix = to_opencv(np.linalg.inv(aim_from_frame))
+    view = cv2.warpPerspective(image, matrix, size[::-1], flags=cv2.INTER_LINEAR)
+    known = cv2.warpPerspective(
+        covered.astype(np.uint8), matrix, size[::-1], flags=cv2.INTER_NEAREST
+    )
+    return np.asarray(view, np.uint8), np.asarray(known) > 0

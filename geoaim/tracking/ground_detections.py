@@ -1,0 +1,102 @@
+"""Detections on the ground: boxes of all frames as positions and extents in the world."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+from numpy import ndarray as Array
+
+from geoaim.geometry import transform_points
+from geoaim.mapping.video.detections import DetectedBoxes
+
+BORDER_PX = 8.0  # a box that ends this near to the frame's border may be cut off by it
+MID_SIDES = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.0], [0.5, 1.0]])  # of a box: ends of its axes
+
+
+@dataclass(frozen=True, eq=False)
+class GroundDetections:
+    """Detections of all frames in the world; M detections, in order of time."""
+
+    step: Int[Array, " M"]  # number of the frame
+    position: Float[Array, "M 2"]  # middle of the box, m
+    axis: Float[Array, " M"]  # direction of the box's first side on the ground, rad
+    down: Float[Array, "M 2"]  # unit vector of its second side on the ground
+    extent: Float[Array, "M 2"]  # along that side and across it, m
+    oriented: Bool[Array, " M"]  # whether the box is turned with the agent, and not with the frame
+    # whether the frame's border may cut off the box: at the start and the end of each side
+    cut: Bool[Array, "M 2 2"]
+    resolution: Float[Array, " M"]  # metres per pixel there
+    score: Float[Array, " M"]  # confidence of the detector, 0 to 1; NaN if unknown
+    types: Shaped[Array, " M"]  # agent types, "" if unknown
+    ids: Shaped[Array, " M"]  # ids that a tracker gave, "" if none
+
+
+def place_boxes(
+    frames: Sequence[DetectedBoxes | None],
+    world_from_frame: Float[Array, "T 3 3"],
+    size: tuple[int, int],
+) -> GroundDetections:
+    """Place the boxes of all frames on the ground.
+
+    Args:
+        frames: boxes of each frame; None for a frame without any known.
+        world_from_frame: transform of each frame's pixels to metres; NaN where it is not known.
+        size: (height, width) of the frames, pixels.
+
+    Returns:
+        The detections of the frames whose transform is known.
+    """
+    parts = [
+        _place_frame(step, boxes, matrix, size)
+        for step, (boxes, matrix) in enumerate(zip(frames, world_from_frame, strict=True))
+        if boxes is not None and np.isfinite(matrix).all()
+    ]
+    parts = parts or [_place_frame(0, DetectedBoxes(np.empty((0, 4))), np.eye(3), size)]
+    fields = GroundDetections.__dataclass_fields__
+    return GroundDetections(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in fields}
+    )
+
+
+def select_detections(detections: GroundDetections, chosen: Array) -> GroundDetections:
+    """Select detections by a mask or by numbers."""
+    fields = GroundDetections.__dataclass_fields__
+    return replace(detections, **{name: getattr(detections, name)[chosen] for name in fields})
+
+
+def _place_frame(
+    step: int, boxes: DetectedBoxes, matrix: Float[Array, "3 3"], size: tuple[int, int]
+) -> GroundDetections:
+    count = len(boxes.boxes)
+    corners = boxes.get_corners()
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+    ends = (
+        corners[:, :1]
+        + MID_SIDES[None, :, :1] * first[:, None]
+        + MID_SIDES[None, :, 1:] * second[:, None]
+    )
+    ground = transform_points(matrix, ends)
+    along, across = ground[:, 1] - ground[:, 0], ground[:, 3] - ground[:, 2]
+    extent = np.column_stack([np.hypot(*along.T), np.hypot(*across.T)])
+    oriented = np.full(count, boxes.corners is not None)
+    axis = np.arctan2(along[:, 1], along[:, 0])
+    pixels = np.hypot(*first.T) * np.hypot(*second.T)
+    limits = np.array(size[::-1])
+    near = np.stack([boxes.boxes[:, :2] < BORDER_PX, boxes.boxes[:, 2:] > limits - BORDER_PX], -1)
+    cut = near & ~oriented[:, None, None]
+    values: dict[str, Any] = {
+        "step": np.full(count, step),
+        "position": transform_points(matrix, corners.mean(axis=1)),
+        "axis": axis,
+        "down": across / np.maximum(extent[:, 1:], 1e-9),
+        "extent": extent,
+        "oriented": oriented,
+        "cut": cut,
+        "resolution": np.sqrt(extent.prod(axis=1) / np.maximum(pixels, 1e-9)),
+        "score": boxes.get_scores(),
+        "types": boxes.get_types(),
+        "ids": boxes.get_ids(),
+    }
+    return GroundDetections(**values)

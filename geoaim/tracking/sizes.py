@@ -1,0 +1,91 @@
+"""Sizes of agents from many boxes, and types from the detector or by size."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.agent_types import OTHER_SIZE, TYPICAL_SIZES
+
+SIZE_SIGMA = 0.25  # of the logarithms of sizes about those that are typical of their type
+EFFECTIVE_BOXES = 30.0  # independent boxes that a track counts as at most: a detector's errors last
+MIN_SIZE_M = 0.2
+UNKNOWN_TYPE = "unknown"  # of agents without a type and without extents
+ITERATIONS = 3
+MAX_ERRORS = 2.5  # standard deviations beyond which a box counts less (Huber 1964)
+
+
+def get_typical_size(kind: str) -> tuple[float, float]:
+    """Get the typical length and width of an agent type, m."""
+    return TYPICAL_SIZES.get(kind, OTHER_SIZE)
+
+
+def predict_extents(size: Float[Array, "2"], turn: Float[Array, "m"]) -> Float[Array, "m 2"]:
+    """Predict the sides of the upright boxes about an agent that is turned in them.
+
+    Args:
+        size: length and width, m.
+        turn: heading relative to the box's first side, rad.
+
+    Returns:
+        Extents along the first side and across it, m.
+
+    >>> predict_extents(np.array([4.0, 2.0]), np.array([0.0, np.pi / 2])).round(6)
+    array([[4., 2.],
+           [2., 4.]])
+    """
+    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    return np.stack([cosine, sine, sine, cosine], axis=-1).reshape(*turn.shape, 2, 2) @ size
+
+
+def estimate_size(
+    extent: Float[Array, "m 2"], turn: Float[Array, "m"], sigma: float, kind: str
+) -> Float[Array, "2"]:
+    """Estimate length and width from the extents of many boxes, by robust least squares.
+
+    Upright boxes about a turned agent are larger than it (`predict_extents`); at 45° they only tell
+    the sum of length and width, which the typical size of the type then divides.
+
+    Args:
+        extent: sides of the boxes, m.
+        turn: headings relative to the boxes' first sides, rad.
+        sigma: standard deviation of a side, m.
+        kind: agent type, whose typical size counts where boxes do not tell.
+
+    Returns:
+        Length and width, m.
+    """
+    prior = np.array(get_typical_size(kind))
+    cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    rows = np.concatenate([np.column_stack([cosine, sine]), np.column_stack([sine, cosine])])
+    values = np.concatenate([extent[:, 0], extent[:, 1]])
+    share = min(1.0, EFFECTIVE_BOXES / max(len(extent), 1))
+    size = prior
+    for _ in range(ITERATIONS):
+        misfit = np.abs(values - rows @ size) / max(sigma, 1e-3)
+        weight = np.minimum(1, MAX_ERRORS / np.maximum(misfit, 1e-9))
+        weighted = rows * (share * weight / max(sigma, 1e-3) ** 2)[:, None]
+        known = (SIZE_SIGMA * prior) ** -2.0
+        size = np.linalg.solve(
+            weighted.T @ rows + np.diag(known), weighted.T @ values + known * prior
+        )
+    return np.maximum(size, MIN_SIZE_M)
+
+
+def vote_type(types: Sequence[str], extent: Float[Array, "m 2"]) -> str:
+    """Choose the type that a detector gave most often; without any, the one of the next size."""
+    named = Counter(kind for kind in types if kind)
+    if named:
+        return named.most_common(1)[0][0]
+    middle = np.median(extent, axis=0)
+    return _choose_type(middle) if middle.min() > 0 else UNKNOWN_TYPE
+
+
+def _choose_type(size: Float[Array, "2"]) -> str:
+    """Choose the type whose typical size is nearest, by the ratios of the sides."""
+    given = np.log(np.sort(np.maximum(size, MIN_SIZE_M))[::-1])
+    kinds = {"pedestrian": OTHER_SIZE, **TYPICAL_SIZES}
+    del kinds["motorcycle"]  # as large as a bicycle with its rider
+    return min(kinds, key=lambda kind: float(((np.log(kinds[kind]) - given) ** 2).sum()))

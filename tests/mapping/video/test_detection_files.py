@@ -1,0 +1,158 @@
+"""Files of detections, each of a format that a detector or a dataset has."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geoaim.errors import GeoaimError
+from geoaim.mapping.video.detection_columns import name_columns, parse_columns
+from geoaim.mapping.video.detection_files import read_box_table
+from geoaim.mapping.video.detections import read_detections
+from geoaim.mapping.video.frames import Frame
+
+HEIGHT, WIDTH = 100, 200
+BOX = [90.0, 40, 110, 60]
+
+
+def read_frame(source, index=0, time=0.0, name=None, **options):
+    frame = Frame(index, time, name, np.zeros((HEIGHT, WIDTH), np.uint8))
+    return read_detections(source, **options)(frame)
+
+
+def write(path, text):
+    path.write_text(text)
+    return path
+
+
+def test_yolo_rows_have_confidence_and_id(tmp_path):
+    write(tmp_path / "000000.txt", "2 0.5 0.5 0.1 0.2 0.75 12\n")
+    write(tmp_path / "classes.txt", "person\nbus\ncar\n")
+    found = read_frame(tmp_path)
+    np.testing.assert_allclose(found.boxes, [BOX])
+    assert (found.types, found.ids, found.scores.tolist()) == (("car",), ("12",), [0.75])
+
+
+def test_the_only_further_field_of_yolo_is_an_id_where_it_is_whole(tmp_path):
+    write(tmp_path / "0.txt", "0 0.5 0.5 0.1 0.2 1\n0 0.2 0.5 0.1 0.2 2\n")
+    assert read_frame(tmp_path).ids == ("1", "2")
+    write(tmp_path / "0.txt", "0 0.5 0.5 0.1 0.2 0.9\n0 0.2 0.5 0.1 0.2 1\n")
+    found = read_frame(tmp_path)
+    assert (found.ids, found.scores.tolist()) == (("", ""), [0.9, 1.0])
+
+
+def test_oriented_yolo_boxes_keep_their_corners(tmp_path):
+    write(tmp_path / "0.txt", "1 0.4 0.4 0.6 0.4 0.6 0.6 0.4 0.6 0.5 3\n")
+    found = read_frame(tmp_path, classes=["car", "bus"])
+    np.testing.assert_allclose(found.corners, [[[80, 40], [120, 40], [120, 60], [80, 60]]])
+    np.testing.assert_allclose(found.boxes, [[80, 40, 120, 60]])
+    assert (found.types, found.ids) == (("bus",), ("3",))
+
+
+def test_mot_text_counts_frames_from_one(tmp_path):
+    path = write(tmp_path / "det.txt", "1,7,90,40,20,20,0.5,-1,-1,-1\n3,7,0,0,2,2,0.5,-1,-1,-1\n")
+    found = read_frame(path)
+    np.testing.assert_allclose(found.boxes, [BOX])
+    assert (found.ids, found.types) == (("7",), ("",))
+    assert len(read_frame(path, index=1).boxes) == 0  # between frames with boxes
+    assert read_frame(path, index=9) is None
+
+
+def test_visdrone_names_its_classes_and_leaves_ignored_regions_out(tmp_path):
+    path = write(tmp_path / "a.txt", "1,0,90,40,20,20,1,4,0,0\n1,1,0,0,50,50,0,0,0,0\n")
+    found = read_frame(path)
+    assert (found.types, found.ids) == (("car",), ("0",))
+    folder = tmp_path / "images"
+    folder.mkdir()
+    write(folder / "img7.txt", "90,40,20,20,1,1,0,0\n")
+    found = read_frame(folder, name="img7.jpg")
+    np.testing.assert_allclose(found.boxes, [BOX])
+    assert found.types == ("pedestrian",)
+
+
+def test_geotrax_rows_are_the_boxes_of_each_frame(tmp_path):
+    row = "0,5,100,50,20,20,101,51,20,20,2,0.9,20,10\n"
+    found = read_frame(write(tmp_path / "a.txt", row))
+    np.testing.assert_allclose(found.boxes, [BOX])
+    assert (found.types, found.ids) == (("truck",), ("5",))
+
+
+def test_coco_images_are_found_by_name(tmp_path):
+    content = {
+        "images": [{"id": 4, "file_name": "a/f1.jpg"}, {"id": 5, "file_name": "f2.jpg"}],
+        "categories": [{"id": 3, "name": "person"}],
+        "annotations": [{"image_id": 4, "category_id": 3, "bbox": [90, 40, 20, 20], "track_id": 1}],
+    }
+    path = write(tmp_path / "a.json", json.dumps(content))
+    found = read_frame(path, name="f1.jpg")
+    np.testing.assert_allclose(found.boxes, [BOX])
+    assert (found.types, found.ids) == (("pedestrian",), ("1",))
+    assert len(read_frame(path, name="f2.jpg").boxes) == 0
+    results = [{"image_id": 0, "category_id": 3, "bbox": [90, 40, 20, 20], "score": 0.5}]
+    assert read_frame(write(tmp_path / "b.json", json.dumps(results))).scores.tolist() == [0.5]
+
+
+def test_columns_of_any_table_may_be_named(tmp_path):
+    path = write(tmp_path / "a.csv", "f,who,px,py,kind\n20,a,100,50,Car\n")
+    columns = parse_columns("frame=f,id=who,x=px,y=py,class=kind")
+    found = read_frame(path, index=60, time=2.0, columns=columns, rate=10)
+    np.testing.assert_allclose(found.boxes, [[100, 50, 100, 50]])
+    assert (found.types, found.ids) == (("car",), ("a",))
+
+
+def test_times_find_the_nearest_frame_of_a_variable_rate(tmp_path):
+    path = write(
+        tmp_path / "a.csv", "time,x,y,w,h\n0.00,10,50,2,2\n0.10,20,50,2,2\n0.30,30,50,2,2\n"
+    )
+    middles = [read_frame(path, time=time).boxes[:, ::2].mean() for time in (0.01, 0.12, 0.29)]
+    assert middles == [10, 20, 30]
+    assert len(read_frame(path, time=0.2).boxes) == 0
+    assert read_frame(path, time=1.0) is None
+
+
+def test_unknown_columns_are_named_with_what_is_needed(tmp_path):
+    path = write(tmp_path / "a.csv", "frame,foo,bar\n0,1,2\n")
+    with pytest.raises(GeoaimError, match=r"foo, bar; x and y, .* is needed: .*--columns"):
+        read_box_table(path)
+    with pytest.raises(GeoaimError, match="lacks the columns nope"):
+        read_box_table(path, columns={"x": "nope"})
+    with pytest.raises(GeoaimError, match="x is 'a' in row 1; a number is needed"):
+        read_box_table(write(tmp_path / "b.csv", "frame,x,y\n0,a,2\n"))
+    with pytest.raises(ValueError, match="columns 'x' are not of the form"):
+        parse_columns("x")
+
+
+def test_other_files_are_refused(tmp_path):
+    with pytest.raises(GeoaimError, match="11 columns and no header"):
+        read_box_table(write(tmp_path / "a.txt", ",".join("1" * 11)))
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        read_box_table(tmp_path / "none")
+    with pytest.raises(GeoaimError, match="has no annotations"):
+        read_box_table(write(tmp_path / "a.json", "[]"))
+
+
+def test_names_of_supervisions_sink_are_known(tmp_path):
+    import pandas as pd
+
+    names = [
+        "x_min",
+        "y_min",
+        "x_max",
+        "y_max",
+        "class_id",
+        "confidence",
+        "tracker_id",
+        "frame_index",
+    ]
+    table = pd.DataFrame([[90, 40, 110, 60, 2, 0.5, 7, 0]], columns=names)
+    rows = name_columns(tmp_path, table, {})
+    assert rows.iloc[0].to_dict() | {"score": 0.5} == {
+        "frame": 0,
+        "id": "7",
+        "class": "2",
+        "score": 0.5,
+        "left": 90,
+        "top": 40,
+        "right": 110,
+        "bottom": 60,
+    }

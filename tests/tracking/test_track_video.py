@@ -1,0 +1,87 @@
+"""The sample's video, its boxes and the exact ground: tracks like those of the sample."""
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import geoaim
+from geoaim.aim import AIM
+from geoaim.cli import app
+from geoaim.errors import RegistrationError
+from geoaim.geometry import image_corners, transform_points
+from geoaim.mapping.video.video import open_video
+from geoaim.tracking import track_video
+from geoaim.tracking.frame_poses import place_reference
+from geoaim.tracking.report import summarize_tracking
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+FRAMES = 30
+CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")
+
+
+@pytest.fixture(scope="module")
+def aim():
+    truth = np.load(SAMPLES / "truth.npz")
+    image = np.asarray(cv2.imread(str(SAMPLES / "background.jpg")), np.uint8)[..., ::-1].copy()
+    matrix = truth["world_from_frame"][0]
+    world = geoaim.World(str(truth["crs"]), tuple(truth["origin"].tolist()))
+    return AIM.from_image(image, matrix / matrix[2, 2], world, "sample")
+
+
+@pytest.fixture(scope="module")
+def video():
+    whole = open_video(SAMPLES / "hover.mp4")
+    frames = [replace(frame) for frame in islice(whole, FRAMES)]
+    arrays = [frame.image for frame in frames]
+    return open_video(arrays, rate=whole.rate)
+
+
+def test_tracks_of_the_sample_lie_where_they_should(aim, video):
+    boxes = geoaim.read_detections(SAMPLES / "boxes", classes=CLASSES)
+    tracks = track_video(video, aim, boxes)
+    truth = geoaim.read_tracks(SAMPLES / "tracks.csv")
+    step = int(np.argmin(np.abs(tracks.times - 0.6)))
+    now = int(np.argmin(np.abs(truth.times - tracks.times[step])))
+    there = truth.states[truth.present[:, now], now]
+    here = tracks.states[tracks.present[:, step], step]
+    distance = np.hypot(*(here[:, None, :2] - there[None, :, :2]).transpose(2, 0, 1)).min(axis=1)
+    assert len(here) >= 5
+    assert np.median(distance) < 0.15
+    lines = summarize_tracking(tracks, aim)
+    assert lines["on the map"].endswith("of the states")
+    assert lines["bridged states"] == "0.0%"
+
+
+def test_a_frame_is_placed_in_an_aim_that_is_turned_and_scaled(aim, video):
+    turned = replace(
+        aim,
+        image=np.ascontiguousarray(np.rot90(cv2.resize(aim.image, None, fx=0.8, fy=0.8))),
+        coverage=np.ones((1024, 576), np.uint16),
+        contested=np.zeros((1024, 576), bool),
+        world_from_image=np.eye(3),
+    )
+    frame = next(iter(video))
+    matrix, placement = place_reference(frame, turned, None)
+    u, v = image_corners(720, 1280).T
+    expected = np.column_stack([0.8 * v, 0.8 * (1280 - u)])
+    np.testing.assert_allclose(transform_points(matrix, image_corners(720, 1280)), expected, atol=1)
+    assert placement.uncertainty < 0.2
+
+
+def test_an_aim_of_other_ground_is_refused(aim, video):
+    noise = np.random.default_rng(0).integers(0, 255, (90, 160, 3)).astype(np.uint8)
+    other = AIM.from_image(cv2.resize(noise, (1280, 720)), np.eye(3), aim.world, "noise")
+    with pytest.raises(RegistrationError, match="does not match the AIM"):
+        place_reference(next(iter(video)), other, None)
+
+
+def test_the_command_refuses_columns_of_another_form(tmp_path):
+    arguments = ["track", "v.mp4", "--aim", "a.tif", "--detections", "d.csv", "--columns", "x"]
+    result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "t.csv")])
+    assert result.exit_code != 0
+    assert "are not of the form" in result.output
