@@ -1,0 +1,203 @@
+"""Build the map of one recording, on a worker, and put it into the catalogue."""
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Lock
+
+import av
+import cv2
+
+from geoaim.build_map import build_map
+from geoaim.catalog.description import describe_files, describe_grid, find_datetime
+from geoaim.catalog.inputs import VERSION, InputFile, compute_content_hash, fetch_inputs
+from geoaim.catalog.record_files import get_folder, has_files, write_record
+from geoaim.catalog.recordings import Recording
+from geoaim.catalog.records import ITEM, LOOK, MAP, RECORD, OutputFile, Record, Status, parse_record
+from geoaim.catalog.stac import format_item
+from geoaim.catalog.storage import (
+    hash_bytes,
+    hash_file,
+    join_address,
+    list_folder,
+    read_files,
+    remove_file,
+    upload,
+    write_file,
+)
+from geoaim.errors import AimError, CatalogError, GeoaimError, GeoaimWarning
+from geoaim.mapping.video.video import open_video
+from geoaim.progress import Progress, no_progress
+
+# one build at a time in a process, since caught warnings and OpenCV's threads belong to all of it
+ONE_AT_A_TIME = Lock()
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recording to be built.
+
+    Attributes:
+        recording: the recording.
+        inputs: its files.
+        folder: address of its folder in the catalogue.
+    """
+
+    recording: Recording
+    inputs: tuple[InputFile, ...]
+    folder: str
+
+
+def make_task(recording: Recording, inputs: Sequence[InputFile], catalog: str) -> Task:
+    """Make the task of a recording.
+
+    Args:
+        recording: the recording.
+        inputs: its files.
+        catalog: address of the catalogue.
+
+    Returns:
+        The task.
+    """
+    return Task(recording, tuple(inputs), get_folder(catalog, recording.name))
+
+
+def build_recording(
+    task: Task, scratch: Path | None = None, progress: Progress = no_progress
+) -> Record:
+    """Build the map of a recording and put it into the catalogue, its record last.
+
+    Nothing is built where the catalogue has the map of the same inputs, settings and version.
+
+    Args:
+        task: the recording.
+        scratch: folder for temporary files; None: the system's.
+        progress: called with the stage, the frames done and the frames in all.
+
+    Returns:
+        The record. What goes wrong is recorded, not raised.
+    """
+    record = make_record(task.recording, "failed", "", task.inputs)
+    with ONE_AT_A_TIME, TemporaryDirectory(dir=scratch) as folder:
+        try:
+            local, paths = fetch_inputs(task.recording, task.inputs, Path(folder))
+            hashes = [hash_file(path) for path in paths]
+            content_hash = compute_content_hash(task.inputs, hashes, task.recording.settings)
+            record = replace(record, content_hash=content_hash, input_hashes=tuple(hashes))
+            earlier = _find_earlier(task, content_hash)
+            if earlier is not None:
+                record = replace(earlier, inputs=task.inputs)
+            else:
+                stated, video = task.recording.datetime, task.inputs[0].address
+                when, source = find_datetime(stated, video, paths[0])
+                record = replace(record, datetime=when, datetime_source=source)
+                record = _build(record, local, Path(folder), progress)
+                record = _upload_map(record, Path(folder), task.folder)
+            if record != earlier:
+                write_record(record, task.folder)
+        # an error of a store or of geoaim; the other recordings are built all the same
+        except Exception as error:
+            kind = "" if isinstance(error, GeoaimError | OSError) else f"{type(error).__name__}: "
+            reason = f"{kind}{error}"
+            record = replace(
+                record, status="failed", reason=reason, files={}, item=None, report={}, grid={}
+            )
+    return record
+
+
+def make_record(
+    recording: Recording, status: Status, reason: str, inputs: Sequence[InputFile] = ()
+) -> Record:
+    """Make the record of a recording of which nothing else is known.
+
+    Args:
+        recording: the recording.
+        status: what became of it.
+        reason: why; empty if it was built.
+        inputs: its files.
+
+    Returns:
+        The record, with the present time.
+    """
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    return Record(
+        recording.name,
+        status,
+        reason,
+        VERSION,
+        recording.settings,
+        inputs=tuple(inputs),
+        started=started,
+    )
+
+
+def _build(record: Record, local: Recording, folder: Path, progress: Progress) -> Record:
+    """Write map and quick look into a folder; refuse data that give none."""
+    cv2.setNumThreads(1)  # other workers use the other cores
+    start, processor_start = time.perf_counter(), time.process_time()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", GeoaimWarning)
+        try:
+            aim = build_map(
+                open_video(local.video, threads=1),
+                folder / MAP,
+                gcps=None if local.gcps is None else Path(local.gcps),
+                detections=None if local.detections is None else Path(local.detections),
+                settings=record.settings,
+                progress=progress,
+            )
+            record = replace(record, status="built", report=aim.report, grid=describe_grid(aim))
+        except (GeoaimError, ValueError) as error:
+            if _is_of_machine(error):
+                raise
+            record = replace(record, status="refused", reason=str(error))
+    messages = [str(warning.message) for warning in caught]
+    return replace(
+        record,
+        warnings=tuple(dict.fromkeys(messages)),
+        files={} if record.status == "refused" else describe_files(folder, [MAP, LOOK]),
+        seconds=round(time.perf_counter() - start, 3),
+        processor_seconds=round(time.process_time() - processor_start, 3),
+    )
+
+
+def _is_of_machine(error: Exception) -> bool:
+    """Tell whether the machine is the cause of an error, such as a full disk, and not the data."""
+    cause = error.__cause__
+    if isinstance(error, AimError) and cause is not None:  # the map could not be written
+        return True
+    # FFmpeg and GDAL raise OSErrors for damaged files too, GDAL without a number
+    return (
+        isinstance(cause, OSError) and bool(cause.errno) and not isinstance(cause, av.FFmpegError)
+    )
+
+
+def _upload_map(record: Record, folder: Path, target: str) -> Record:
+    """Copy the files of a map; an earlier record goes first, so that none names other files."""
+    remove_file(join_address(target, RECORD))
+    for name in record.files:
+        upload(folder / name, join_address(target, name))
+    if not record.files:
+        return record
+    item = format_item(record)
+    write_file(join_address(target, ITEM), item)
+    return replace(record, item=OutputFile(len(item), hash_bytes(item)))
+
+
+def _find_earlier(task: Task, content_hash: str) -> Record | None:
+    """The record of the same map, if it and its files are there."""
+    stored = list_folder(task.folder)
+    if RECORD not in stored:
+        return None
+    address = stored[RECORD].address
+    try:
+        record = parse_record(read_files([address])[0], address)
+    except CatalogError:
+        return None
+    is_same = record.content_hash == content_hash and record.status != "failed"
+    sizes = {name: file.size for name, file in stored.items()}
+    return record if is_same and has_files(record, sizes) else None

@@ -1,0 +1,115 @@
+"""Build a catalogue: what is new or changed is built, then the index and the report are written."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from os import PathLike
+
+from geoaim.catalog.engine import Cluster, RecordingProgress, run_tasks
+from geoaim.catalog.listing import find_listing_problems, write_listing
+from geoaim.catalog.planning import plan_run
+from geoaim.catalog.record_files import check_records, get_folder, read_records, write_record
+from geoaim.catalog.recordings import Recording, read_recordings
+from geoaim.catalog.records import Record
+from geoaim.catalog.storage import check_output, make_address
+from geoaim.errors import warn
+
+
+@dataclass(frozen=True)
+class Catalog:
+    """The maps of many recordings, with what became of each.
+
+    Attributes:
+        address: address of its folder.
+        records: records of the recordings, by name.
+        built_now: names of those that this run built, refused or failed to build.
+    """
+
+    address: str
+    records: Mapping[str, Record]
+    built_now: Sequence[str] = ()
+
+    def list_by_status(self, status: str) -> list[Record]:
+        """List the records that are "built", "refused" or "failed", by name."""
+        return [record for _, record in sorted(self.records.items()) if record.status == status]
+
+
+def build_catalog(
+    recordings: str | PathLike[str] | Sequence[Recording],
+    catalog: str | PathLike[str],
+    *,
+    cluster: Cluster | None = None,
+    progress: RecordingProgress = lambda name, stage, done, total: None,
+    finished: Callable[[Record, int], None] = lambda record, left: None,
+) -> Catalog:
+    """Build the maps of many recordings on the workers of a cluster.
+
+    A recording whose map is there, from the same files, settings and version, is not built again.
+    One whose data give no map is refused with the reason, and the others go on. A script that
+    starts workers of this machine needs `if __name__ == "__main__":`, as all that starts processes.
+
+    Args:
+        recordings: a table as `read_recordings` reads it, or recordings.
+        catalog: path or address of its folder.
+        cluster: the workers; None: one for each core of this machine.
+        progress: called while a recording is built: its name, stage, frames done, frames in all.
+        finished: called with each new record and the number of recordings that are left.
+
+    Returns:
+        The catalogue, with all of its records.
+
+    Raises:
+        CatalogError: the table cannot be read, or the scheduler cannot be reached.
+        OSError: the catalogue cannot be read or written.
+    """
+    if isinstance(recordings, str | PathLike):
+        recordings = read_recordings(recordings)
+    address = make_address(catalog)
+    records, tree, problems = read_records(address)
+    for problem in problems:
+        warn(problem)
+    plan = plan_run(recordings, address, records, tree)
+    if plan.tasks or plan.unlisted:
+        check_output(address)
+    new = {record.name: record for record in plan.unlisted}
+    left = len(plan.tasks)
+    for record in plan.unlisted:
+        finished(record, left)
+        earlier = records.get(record.name)
+        # a store that does not answer takes no map away
+        if record.status == "refused" or earlier is None or earlier.status != "built":
+            write_record(record, get_folder(address, record.name))
+    if plan.tasks:
+        for record in run_tasks(plan.tasks, cluster or Cluster(), progress):
+            left -= 1
+            new[record.name] = record
+            finished(record, left)
+            if record.status == "failed":
+                with suppress(OSError):  # the store may be what failed; the next run tries again
+                    write_record(record, get_folder(address, record.name))
+    if new:  # another run may have written records too
+        records = read_records(address)[0]
+    if find_listing_problems(list(records.values()), address):
+        write_listing(list(records.values()), address)
+    return Catalog(address, dict(sorted({**records, **new}.items())), tuple(new))
+
+
+def read_catalog(catalog: str | PathLike[str]) -> Catalog:
+    """Read the records of a catalogue.
+
+    Args:
+        catalog: path or address of its folder.
+
+    Returns:
+        The catalogue. Records that cannot be read are left out, with a warning.
+
+    Raises:
+        CatalogError: there is no record.
+        OSError: it cannot be read.
+    """
+    address = make_address(catalog)
+    records, _, problems = read_records(address)
+    for problem in problems:
+        warn(problem)
+    check_records(address, records)
+    return Catalog(address, records)

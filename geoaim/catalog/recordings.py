@@ -1,0 +1,134 @@
+"""Recordings: the table of videos from which a catalogue is built."""
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from datetime import datetime
+from os import PathLike
+from typing import Any
+
+import fsspec
+
+from geoaim.build_map import MapSettings
+from geoaim.catalog.storage import (
+    get_name,
+    join_address,
+    make_address,
+    report_storage,
+    split_address,
+)
+from geoaim.csv_rows import parse_number, read_rows
+from geoaim.errors import CatalogError
+from geoaim.mapping.sampling import parse_frame_count
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a folder on every system, and part of a URL
+MAX_LISTED_NAMES = 3  # names that a message lists
+NUMBERS = ("resolution", "frame_resolution", "height", "yaw")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A video and what places it: a row of the table.
+
+    Attributes:
+        name: name of the map in the catalogue.
+        video: path or address of a video, or of a folder or glob of images.
+        gcps: path or address of its control points; None: placed by telemetry or settings.
+        detections: path or address of the folder of its boxes; None: it has none.
+        datetime: time at which it was recorded, ISO 8601; None: the file's date.
+        settings: the options of its map.
+    """
+
+    name: str
+    video: str
+    gcps: str | None = None
+    detections: str | None = None
+    datetime: str | None = None
+    settings: MapSettings = field(default_factory=MapSettings)
+
+
+COLUMNS = tuple(
+    item.name for item in (*fields(Recording), *fields(MapSettings)) if item.name != "settings"
+)
+
+
+def read_recordings(source: str | PathLike[str]) -> list[Recording]:
+    """Read a table of recordings.
+
+    Args:
+        source: path or address of a CSV with the column `video` and, where needed, `name` (unique;
+            the video's name if missing), `gcps`, `detections`, `datetime` and the options of
+            `MapSettings`. Paths are relative to the table's folder. An empty cell is as no column.
+
+    Returns:
+        The recordings, in the table's order.
+
+    Raises:
+        CatalogError: the table cannot be read, has other columns, or a cell cannot be understood.
+    """
+    address = make_address(source)
+    with report_storage(address), fsspec.open(address, "rt", encoding="utf-8-sig") as file:
+        try:
+            header, rows = read_rows(file)
+        except (ValueError, csv.Error) as error:
+            raise CatalogError(f"{address} is not a CSV of recordings: {error}") from error
+    is_unknown = not set(header) <= set(COLUMNS) or len(set(header)) < len(header)
+    if is_unknown or "video" not in header:
+        raise CatalogError(
+            f"{address} has the columns {', '.join(header)}; needed is video, "
+            f"allowed are {', '.join(COLUMNS)}, each once"
+        )
+    folder, _ = split_address(address)
+    recordings = []
+    for number, cells in rows:
+        try:
+            recordings.append(_parse_row(cells, folder))
+        except ValueError as error:
+            raise CatalogError(f"{address}, line {number}: {error}") from error
+    _check_names(recordings, address)
+    return recordings
+
+
+def _parse_row(cells: Mapping[str, str], folder: str) -> Recording:
+    if "video" not in cells:
+        raise ValueError("it names no video")
+    addresses = {
+        column: join_address(folder, cells[column])
+        for column in ("video", "gcps", "detections")
+        if column in cells
+    }
+    name = cells.get("name") or get_name(addresses["video"]).rsplit(".", 1)[0]
+    if not NAME.fullmatch(name):
+        raise ValueError(
+            f"the name {name!r} is not made of letters, digits, '.', '_' and '-'; give another one "
+            "in the column name"
+        )
+    if "datetime" in cells:
+        datetime.fromisoformat(cells["datetime"])
+    return Recording(
+        name=name, datetime=cells.get("datetime"), settings=_parse_settings(cells), **addresses
+    )
+
+
+def _parse_settings(cells: Mapping[str, str]) -> MapSettings:
+    values: dict[str, Any] = {key: parse_number(key, cells[key]) for key in NUMBERS if key in cells}
+    if "frames" in cells:
+        values["frames"] = parse_frame_count(cells["frames"])
+    if cells.get("frame_origin", "corner") not in ("corner", "middle"):
+        raise ValueError(f"frame_origin is {cells['frame_origin']!r}; corner or middle is needed")
+    values |= {key: cells[key] for key in ("crs", "frame_origin") if key in cells}
+    return MapSettings(**values)
+
+
+def _check_names(recordings: list[Recording], address: str) -> None:
+    if not recordings:
+        raise CatalogError(f"{address} has no recordings; needed is a row for each")
+    counts = Counter(recording.name.lower() for recording in recordings)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        first = ", ".join(twice[:MAX_LISTED_NAMES])
+        raise CatalogError(
+            f"{address} has {len(twice)} names more than once ({first}): give each recording a "
+            "name of its own in the column name"
+        )

@@ -1,0 +1,117 @@
+"""The report of a catalogue: a page with a map of the places and pictures, and the same as JSON."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from html import escape
+from io import StringIO
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from geoaim.aim_summary import summarize_report
+from geoaim.catalog.inputs import VERSION
+from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
+
+REPORT = "report.json"
+PAGE = "report.html"
+MAX_NAMED_PLACES = 40  # names that are shown on the map of places
+COLOURS: dict[Status, str] = {"built": "#1a7f37", "refused": "#b35900", "failed": "#b00020"}
+STYLE = (
+    "body{font:15px/1.4 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em}"
+    "table{border-collapse:collapse;width:100%}td,th{text-align:left;vertical-align:top;"
+    "padding:.4em .6em;border-top:1px solid #ddd}img{width:260px}small{color:#555}"
+    ".places svg{width:100%;height:auto}"
+)
+
+
+def format_report(records: Sequence[Record]) -> dict[str, bytes]:
+    """Format the page and the JSON of a catalogue.
+
+    Args:
+        records: records of all recordings of the catalogue.
+
+    Returns:
+        Content by the name of the file.
+    """
+    rows = [summarize_record(record) for record in records]
+    counts = Counter(record.status for record in records)
+    report = {"version": VERSION, "counts": dict(counts), "recordings": rows}
+    text = json.dumps(report, indent=1, allow_nan=False)
+    return {REPORT: text.encode(), PAGE: format_page(records).encode()}
+
+
+def summarize_record(record: Record) -> dict[str, Any]:
+    """Summarize a record: whether it was built, or why not; time, quality and uncertainty.
+
+    Returns:
+        Values by name, as JSON has them.
+    """
+    return {
+        "name": record.name,
+        "status": record.status,
+        "reason": record.reason,
+        "warnings": list(record.warnings),
+        "seconds": record.seconds,
+        "processor_seconds": record.processor_seconds,
+        "input_bytes": sum(file.size for file in record.inputs),
+        "map_bytes": sum(file.size for file in record.files.values()),
+        "corners_lonlat": record.grid.get("corners_lonlat"),
+        "content_hash": record.content_hash,
+        "summary": summarize_report(record.report),
+    }
+
+
+def format_page(records: Sequence[Record]) -> str:
+    """Format the page: counts, a map of the places, and a row for each recording."""
+    counts = Counter(record.status for record in records)
+    total = sum(record.processor_seconds for record in records)
+    line = ", ".join(f"{counts[status]} {status}" for status in COLOURS if counts[status])
+    ordered = sorted(records, key=lambda record: (-list(COLOURS).index(record.status), record.name))
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>Maps by geoaim</title>"
+        f"<style>{STYLE}</style><h1>{len(records)} recordings: {line}</h1>"
+        f"<p>geoaim {escape(VERSION)}; {total / 3600:.2f} hours of processor time</p>"
+        f"<div class=places>{_draw_places(records)}</div><table>"
+        f"{''.join(map(_format_row, ordered))}</table></html>"
+    )
+
+
+def _format_row(record: Record) -> str:
+    folder, colour = f"{FOLDER}/{escape(record.name)}", COLOURS[record.status]
+    picture = ""
+    if record.status == "built":
+        look = f"<img loading=lazy src='{folder}/{LOOK}' alt='quick look'>"
+        picture = f"<a href='{folder}/{MAP}'>{look}</a>"
+    lines = [f"{name}: {value}" for name, value in summarize_report(record.report).items()]
+    facts = "<br>".join(map(escape, [record.reason, *lines] if record.reason else lines))
+    notes = "".join(f"<br><small>warning: {escape(text)}</small>" for text in record.warnings)
+    return (
+        f"<tr><td>{picture}<td><b>{escape(record.name)}</b><br>"
+        f"<span style='color:{colour}'>{record.status}</span>"
+        f"<br><small>{record.seconds:.0f} s</small>"
+        f"<td>{facts}{notes}"
+    )
+
+
+def _draw_places(records: Sequence[Record]) -> str:
+    """A map of the places as SVG; empty where none has a place on the Earth."""
+    placed = [record for record in records if record.grid.get("corners_lonlat")]
+    if not placed:
+        return ""
+    places = np.array([np.mean(record.grid["corners_lonlat"], axis=0) for record in placed])
+    figure = Figure(figsize=(10, 5), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(*places.T, "o", color=COLOURS["built"], markersize=5, alpha=0.7)
+    if len(placed) <= MAX_NAMED_PLACES:
+        for record, place in zip(placed, places, strict=True):
+            axes.annotate(record.name, place, xytext=(4, 4), textcoords="offset points", fontsize=7)
+    axes.set_aspect(1 / np.cos(np.radians(places[:, 1].mean())), adjustable="datalim")
+    axes.set(xlabel="longitude, degrees", ylabel="latitude, degrees")
+    axes.ticklabel_format(useOffset=False)
+    axes.grid(color="#ddd")
+    text = StringIO()
+    figure.savefig(text, format="svg")
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :]

@@ -1,0 +1,58 @@
+"""Rows of CSV tables that users write by hand: cells by the names of their columns."""
+
+import csv
+import math
+from collections.abc import Iterable
+
+
+def read_rows(lines: Iterable[str]) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """Read the rows of a CSV table with a header.
+
+    Commas at the end of a line are no cells, and empty lines no rows.
+
+    Args:
+        lines: of the file.
+
+    Returns:
+        The names of the columns; and the line number and the cells of each row, without empty ones.
+
+    Raises:
+        ValueError: there is no header, or a line has more cells than it.
+        csv.Error: the lines are not CSV.
+
+    >>> read_rows(["name,video,", " north ,a.mp4,", ",b.mp4"])
+    (['name', 'video'], [(2, {'name': 'north', 'video': 'a.mp4'}), (3, {'video': 'b.mp4'})])
+    """
+    reader = csv.reader(lines, skipinitialspace=True, strict=True)
+    header = [name.strip() for name in next(reader, [])]
+    while header and not header[-1]:
+        header.pop()
+    if not header:
+        raise ValueError("its first line names no columns")
+    rows = []
+    for row in reader:
+        texts = [text.strip() for text in row]
+        if any(texts[len(header) :]):
+            raise ValueError(
+                f"line {reader.line_num} has {len(texts)} cells for {len(header)} columns; quote "
+                "cells that have commas"
+            )
+        if any(texts):
+            cells = zip(header, texts, strict=False)
+            rows.append((reader.line_num, {name: text for name, text in cells if text}))
+    return header, rows
+
+
+def parse_number(column: str, text: str) -> float:
+    """Parse a cell that holds a finite number.
+
+    Raises:
+        ValueError: it holds none.
+    """
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ValueError(f"{column} is {text!r}; a finite number is needed")
+    return number
