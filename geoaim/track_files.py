@@ -8,8 +8,11 @@
 
 Time in seconds; x and y in metres from the origin in the CRS, x east and y north; heading in
 radians counter-clockwise from +x; speed in m/s, negative in reverse; length and width in metres.
+Further columns may hold the observed states, whether an agent was seen, and uncertainties
+(`geoaim.tracks`); others are ignored.
 `# crs: local` is a local plane without CRS. Parquet files have CRS, origin and format in the
-metadata `geoaim_world`, and a checksum.
+metadata `geoaim_world`, and a checksum. They are GeoParquet too: the column geometry has the
+positions in the CRS.
 """
 
 import gzip
@@ -18,28 +21,37 @@ import os
 import warnings
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+import shapely
+from jaxtyping import Shaped
+from numpy import ndarray as Array
 
 from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
 from geoaim.errors import TracksError
 from geoaim.files import atomic_write
 from geoaim.limits import check_memory, refuse_damaged
 from geoaim.track_tables import make_tracks
-from geoaim.tracks import COLUMNS, TICKS_PER_S, Tracks
-from geoaim.world import World
+from geoaim.tracks import COLUMNS, OBSERVED_COLUMNS, TICKS_PER_S, UNCERTAINTY_COLUMNS, Tracks
+from geoaim.world import World, parse_crs
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
 
 CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
+CSV_DECIMALS |= dict(zip(OBSERVED_COLUMNS, (3, 3, 4, 3), strict=True))
+CSV_DECIMALS |= dict(zip(UNCERTAINTY_COLUMNS, (3, 3), strict=True))
 MIN_CSV_DT_S = 1e-3
 LOCAL_CRS = "local"
 METADATA_KEY = b"geoaim_world"
+GEOMETRY = "geometry"  # column of points in Parquet, which other programs show on a map
 CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
 UNPACKED_AT_ONCE = 2**20  # bytes
-BYTES_PER_CHARACTER = 5  # in memory, of the text of a table
-BYTES_PER_VALUE = 40  # in memory, of a value of Parquet
+BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
+BYTES_PER_VALUE = 40  # memory for a value of Parquet
 MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
 
@@ -58,11 +70,11 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     dt = np.diff(tracks.times).min(initial=np.inf)
     min_dt = MIN_CSV_DT_S if suffix == ".csv" else 1 / TICKS_PER_S
-    if dt < min_dt * (1 - 1e-6):  # of times that are rounded
+    if dt < min_dt * (1 - 1e-6):  # times are rounded
         raise TracksError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s")
     write = _write_csv if suffix == ".csv" else _write_parquet
     with atomic_write(path) as temporary:
-        write(tracks.to_frame(), tracks.world, temporary)
+        write(tracks.to_dataframe(), tracks.world, temporary)
 
 
 def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
@@ -105,7 +117,7 @@ def read_table(
     Args:
         path: the file; it may be gzipped.
         text: names or numbers of columns that stay text, so that an agent may be called 007 or NA.
-        delimiter: between fields.
+        delimiter: the character between fields.
         header: whether the first row names the columns; without it they are numbered.
         skip_rows: number of lines above the table.
 
@@ -130,16 +142,19 @@ def read_table(
             _check_unpacked_size(Path(path))
         try:
             top = pd.read_csv(Path(path), nrows=1, **options)
+            texts = {name for name in top.columns if (name.strip() if header else name) in text}
             table = pd.read_csv(
                 Path(path),
-                dtype=dict.fromkeys(set(top.columns) & set(text), str),
+                dtype=dict.fromkeys(texts, str),
                 keep_default_na=False,
-                na_values={name: MISSING_VALUES for name in top.columns if name not in text},
+                na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
                 low_memory=False,
                 **options,
             )
         except pd.errors.ParserWarning as error:
             raise ValueError("a row has more fields than there are columns") from error
+    if header:
+        table.columns = table.columns.str.strip()
     table.index += skip_rows + header + 1
     return table
 
@@ -175,19 +190,31 @@ def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{format_world(world)}# format: {CSV.newest}\n")
         for name, decimals in CSV_DECIMALS.items():
-            frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
+            if name in frame:
+                frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
         frame.to_csv(file, index=False, lineterminator="\n")
 
 
-def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
+def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
+    """Open a Parquet file of which no table needs far more memory than its size explains.
+
+    Raises:
+        TracksError: `check_memory` refuses it. What pyarrow raises on a damaged file stays as it
+            is: call this in a block of `refuse_damaged`.
+    """
     import pyarrow.parquet as parquet
 
-    has_checksum = verify_checksum(path, PARQUET)
     file = parquet.ParquetFile(path)
     rows, columns = file.metadata.num_rows, file.metadata.num_columns
-    needed, size = rows * columns * BYTES_PER_VALUE, path.stat().st_size
+    needed, size = rows * columns * BYTES_PER_VALUE, os.path.getsize(path)
     check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
-    table = file.read()
+    return file
+
+
+def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
+    has_checksum = verify_checksum(path, PARQUET)
+    file = open_parquet(path)
+    table = file.read([name for name in file.schema_arrow.names if name != GEOMETRY])
     metadata = (table.schema.metadata or {}).get(METADATA_KEY)
     if metadata is None:
         raise ValueError(f"it has no metadata {METADATA_KEY.decode()}")
@@ -203,9 +230,23 @@ def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:
     table = pyarrow.Table.from_pandas(frame, preserve_index=False)
     stated = {"crs": world.crs or LOCAL_CRS, "origin": world.origin, "format": PARQUET.newest}
     metadata = {METADATA_KEY: json.dumps(stated), b"geoaim_checksum": PLACEHOLDER}
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), **metadata})
-    parquet.write_table(table, path)
+    points = shapely.points(frame[["x", "y"]].to_numpy() + world.origin)
+    metadata[b"geo"] = json.dumps(_describe_geometry(points, world))
+    metadata = {**(table.schema.metadata or {}), **metadata}
+    table = table.append_column(GEOMETRY, pyarrow.array(shapely.to_wkb(points), pyarrow.binary()))
+    parquet.write_table(table.replace_schema_metadata(metadata), path)
     write_checksum(path)
+
+
+def _describe_geometry(points: Shaped[Array, "m"], world: World) -> dict[str, Any]:
+    """The metadata of GeoParquet 1.1.0 (geoparquet.org): what the column of points holds."""
+    column = {
+        "encoding": "WKB",
+        "geometry_types": ["Point"],
+        "crs": None if world.crs is None else parse_crs(world.crs).to_json_dict(),
+        "bbox": shapely.total_bounds(points).tolist(),
+    }
+    return {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
 
 
 def _make_world(crs: str, origin: list[float]) -> World:

@@ -2,13 +2,21 @@
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
 from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.limits import MAX_GB_VARIABLE, MAX_POSITION_M, MAX_TIME_S, read_memory_limit
-from geoaim.tracks import COLUMNS, MAX_STATES, TICKS_PER_S, Tracks
+from geoaim.tracks import (
+    COLUMNS,
+    MAX_STATES,
+    OBSERVED_COLUMNS,
+    SEEN_COLUMN,
+    TICKS_PER_S,
+    UNCERTAINTY_COLUMNS,
+    Tracks,
+)
 from geoaim.world import World
 
 UNITS = {
@@ -18,7 +26,7 @@ UNITS = {
     "length": "metres",
     "width": "metres",
 }
-BYTES_PER_STATE = 80  # of an agent at a time, while tracks are made
+BYTES_PER_STATE = 80  # memory for the state of an agent at a time, while tracks are made
 MAX_STATES_PER_ROW = 500  # agents times times, for each of the few of them that have a row
 
 
@@ -28,7 +36,9 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
     The columns are those of `COLUMNS`: id, type, time (s), x, y (m), heading (rad, at most 2 pi
     either way), speed (m/s), length, width (m). An agent's type and size are those of its first
     row, and agents are in the order of their first rows. Error messages name a row by its label in
-    the table's index, which in tables from `read_table` is the row's number in the file.
+    the table's index, which in tables from `read_table` is the row's number in the file. Observed
+    states, and whether and how certainly agents were seen, are read where the table has all of
+    their columns (`OBSERVED_COLUMNS`, `SEEN_COLUMN`, `UNCERTAINTY_COLUMNS`).
 
     Raises:
         TracksError: there are no rows, a value is missing or not a number, a heading is not in
@@ -66,7 +76,29 @@ def make_tracks(rows: pd.DataFrame, world: World) -> Tracks:
         types=tuple(rows["type"].astype(str).to_numpy()[first].tolist()),
         ids=tuple(ids.tolist()),
         world=world,
+        **_spread_further_columns(rows, agent, step, present),
     )
+
+
+def _spread_further_columns(
+    rows: pd.DataFrame, agent: Int[Array, " M"], step: Int[Array, " M"], present: Bool[Array, "N T"]
+) -> dict[str, Array]:
+    """Spread the columns of observed states, of what was seen and of uncertainty over agents."""
+    fields = {}
+    for name, columns in {
+        "observed": OBSERVED_COLUMNS,
+        "seen": (SEEN_COLUMN,),
+        "uncertainty": UNCERTAINTY_COLUMNS,
+    }.items():
+        if set(columns) <= set(rows.columns):
+            numbers = rows[list(columns)].apply(pd.to_numeric, errors="coerce")
+            for column in columns:
+                wrong = numbers[column].isna() & rows[column].notna()
+                _refuse_rows(rows, column, wrong, "is not a number")
+            values = np.full((*present.shape, len(columns)), np.nan)
+            values[agent, step] = numbers.to_numpy(np.float64)
+            fields[name] = values[..., 0] > 0 if name == "seen" else values
+    return fields
 
 
 def _read_values(rows: pd.DataFrame) -> Float[Array, "M 7"]:
@@ -74,14 +106,16 @@ def _read_values(rows: pd.DataFrame) -> Float[Array, "M 7"]:
     if len(rows) == 0:
         raise TracksError("the table has no rows; one row for each agent and time is needed")
     values = rows[list(COLUMNS[2:])].apply(pd.to_numeric, errors="coerce").astype(np.float64)
-    absent = "is not a number; leave out rows of absent agents, and give the others a full state"
+    absent = "leave out rows of absent agents, and give the others a full state"
     for name in values:
-        _refuse_rows(rows, name, ~np.isfinite(values[name]), absent)
+        _refuse_rows(rows, name, rows[name].isna(), f"is missing; {absent}")
+        _refuse_rows(rows, name, ~np.isfinite(values[name]), f"is not a number; {absent}")
     for name in ("id", "type"):
         empty = rows[name].isna() | (rows[name].astype(str) == "")
         _refuse_rows(rows, name, empty, "is missing; give each agent one")
     _refuse_rows(rows, "time", values["time"].abs() > MAX_TIME_S, "is not in seconds")
-    _refuse_rows(rows, "heading", values["heading"].abs() > 2 * np.pi, "is not in radians")
+    over = "is beyond 2 pi radians: is it in degrees, or unwrapped?"
+    _refuse_rows(rows, "heading", values["heading"].abs() > 2 * np.pi, over)
     for name, unit in UNITS.items():
         _refuse_rows(rows, name, values[name].abs() > MAX_POSITION_M, f"is not in {unit}")
     for name in ("length", "width"):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from geoaim import Tracks, World
 from geoaim.errors import TracksError
-from geoaim.track_changes import resample_tracks, to_world
+from geoaim.track_changes import cut_tracks, resample_tracks, to_world
 
 
 def _straight(times, present=None, heading=0.0, speed=2.0):
@@ -122,3 +122,41 @@ def test_tracks_transform_to_another_world_and_back():
 def test_tracks_without_a_place_on_the_earth_are_not_transformed():
     with pytest.raises(TracksError, match="give both a CRS, or neither"):
         to_world(_straight([0.0, 0.1]), World("EPSG:32635", (583000.0, 6062000.0)))
+
+
+def test_cut_keeps_the_steps_and_agents_of_a_time():
+    tracks = _straight(np.arange(11) / 10, present=np.arange(11) < 6)
+    cut = cut_tracks(tracks, 0.3, 0.4)
+    np.testing.assert_allclose(cut.times, [0.3, 0.4, 0.5, 0.6, 0.7])
+    assert cut.present[0].tolist() == [True, True, True, False, False]
+    with pytest.raises(TracksError, match=r"no agent is present from 0.7 to 1 s"):
+        cut_tracks(tracks, 0.7, 0.3)
+
+
+def test_observed_states_between_rows_move_the_last_one_on():
+    tracks = _straight(np.arange(5) / 2)
+    states = tracks.states.copy()
+    states[0, 2:, :2] += 100.0  # a jump, of which earlier rows say nothing
+    again = resample_tracks(replace(tracks, states=states), 4.0)
+    before = resample_tracks(tracks, 4.0)
+    np.testing.assert_array_equal(again.get_observed()[0, :4], before.get_observed()[0, :4])
+    assert abs(again.states[0, 3, 0] - before.states[0, 3, 0]) > 1
+    np.testing.assert_allclose(before.get_observed(), before.states, atol=1e-9)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_what_was_seen_and_how_certainly_is_kept():
+    tracks = replace(
+        _straight([0.0, 0.1, 0.2, 0.3]),
+        seen=np.array([[True, True, False, True]]),
+        uncertainty=np.array([[[0.1, 0.2], [0.2, 0.1], [0.4, 0.3], [0.1, 0.1]]]),
+    )
+    again = resample_tracks(tracks, 20)
+    assert again.seen[0].tolist() == [True, True, True, False, False, False, True]
+    np.testing.assert_allclose(
+        again.uncertainty[0, :4], [[0.1, 0.2], [0.2, 0.2], [0.2, 0.1], [0.4, 0.3]]
+    )
+    assert cut_tracks(tracks, 0.1, 0.1).seen.tolist() == [[True, False]]
+    assert to_world(tracks, World(None)).uncertainty is tracks.uncertainty
+    with pytest.raises(ValueError, match=r"seen has the shape \(1, 3\); \(1, 4\) is needed"):
+        replace(tracks, seen=tracks.seen[:, :3])

@@ -1,9 +1,13 @@
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from pyarrow import parquet
 
 from geoaim import GeoaimError, Tracks, World, write_tracks
 from geoaim.errors import TracksError
@@ -67,7 +71,7 @@ def test_the_file_states_crs_origin_and_columns(tmp_path):
         ),
         (
             "# crs: local\n" + ",".join(COLUMNS) + "\n1,car,0,,2,3,4,5,6\n",
-            "row 3: x 'nan' is not a number",
+            "row 3: x 'nan' is missing",
         ),
         (
             "# crs: local\n" + ",".join(COLUMNS) + 2 * "\n1,car,0,1,2,3,4,5,6",
@@ -129,3 +133,56 @@ def test_tracks_that_could_not_be_read_back_are_not_written(tmp_path):
     with pytest.raises(TracksError, match=r"apart; \.csv needs"):
         write_tracks(close, tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("crs", ["EPSG:32635", None])
+def test_parquet_is_geoparquet(tmp_path, crs):
+    tracks = two_agents(world=World(crs, (10.0, 20.0)))
+    write_tracks(tracks, tmp_path / "a.parquet")
+    table = parquet.read_table(tmp_path / "a.parquet")
+    geo = json.loads(table.schema.metadata[b"geo"])
+    assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
+    (column,) = geo["columns"].values()
+    assert (column["encoding"], column["geometry_types"]) == ("WKB", ["Point"])
+    assert (column["crs"] and column["crs"]["id"]["code"]) == (32635 if crs else None)
+    points = shapely.get_coordinates(shapely.from_wkb(table["geometry"].to_numpy()))
+    positions = tracks.states[tracks.present][:, :2] + tracks.world.origin
+    np.testing.assert_allclose(np.sort(points, axis=0), np.sort(positions, axis=0))
+    np.testing.assert_allclose(column["bbox"], [*positions.min(axis=0), *positions.max(axis=0)])
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.parquet"])
+def test_observed_states_and_uncertainty_are_kept(tmp_path, name):
+    tracks = make_uncertain_tracks()
+    write_tracks(tracks, tmp_path / name)
+    again = read_plain_tracks(tmp_path / name)
+    np.testing.assert_allclose(again.observed, tracks.observed, atol=6e-4)
+    np.testing.assert_array_equal(again.seen, tracks.seen)
+    np.testing.assert_allclose(again.uncertainty, tracks.uncertainty, atol=6e-4)
+
+
+def test_an_observed_value_that_is_no_number_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    write_tracks(make_uncertain_tracks(), path)
+    path.write_text(path.read_text().replace("0.123", "much"))
+    with pytest.raises(TracksError, match="observed_x 'much' is not a number"):
+        read_plain_tracks(path)
+
+
+def make_uncertain_tracks():
+    """One agent at three times, observed from the second on, bridged at the third."""
+    states = np.array([[[0.0, 0, 0.1, 1], [1, 0, 0.1, 1], [2, 0, 0.1, 1]]])
+    observed = states + 0.123 * np.array([[[np.nan], [1], [1]]]) * [0, 1, 0, 0]
+    observed[0, 1, 0] = 0.123
+    return Tracks(
+        np.arange(3.0),
+        states,
+        np.ones((1, 3), bool),
+        np.ones((1, 2)),
+        ("car",),
+        ("1",),
+        World(None),
+        observed,
+        np.array([[True, True, False]]),
+        np.full((1, 3, 2), [0.1, np.pi]),
+    )

@@ -26,7 +26,7 @@ def two_agents(present=((True, True, False), (False, True, True)), world=WORLD):
 
 
 def test_absent_agents_have_no_rows_in_the_frame():
-    frame = two_agents().to_frame()
+    frame = two_agents().to_dataframe()
     assert len(frame) == 4
     assert list(frame.columns) == list(COLUMNS)
     assert not frame.isna().any().any()

@@ -4,20 +4,28 @@ import gzip
 import os
 import zlib
 from pathlib import Path
+from typing import Any
 
 from geoaim.errors import TracksError
 from geoaim.limits import check_regular, name_file
 from geoaim.track_files import read_plain_tracks
+from geoaim.track_formats.argoverse import ARGOVERSE
+from geoaim.track_formats.geopackage import GEOPACKAGE
 from geoaim.track_formats.geotrax import GEOTRAX
+from geoaim.track_formats.geotrax_pixels import GEOTRAX_PIXELS
 from geoaim.track_formats.interaction import INTERACTION, SIND
 from geoaim.track_formats.levelx import HIGHD, IND
+from geoaim.track_formats.pixels import PIXELS
 from geoaim.track_formats.plausibility import check_plausibility
+from geoaim.track_formats.scenarionet import SCENARIONET
 from geoaim.track_formats.shared import TrackFormat, check_resolution, has_columns
 from geoaim.track_formats.stanford import SDD, TRAJNET
+from geoaim.track_formats.waymo import WAYMO
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
 MAX_LINE_CHARS = 100_000
+BINARY = (".parquet", ".pkl", ".gpkg")  # suffixes of files that have no first line
 _has_plain_columns = has_columns("id", "type", "time", "heading")
 
 
@@ -28,11 +36,31 @@ def _is_plain(path: Path, line: str) -> bool:
 
 PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks)
 # the first format that matches a file is used
-FORMATS = (PLAIN, SDD, SIND, INTERACTION, IND, HIGHD, GEOTRAX, TRAJNET)
+FORMATS = (
+    ARGOVERSE,
+    WAYMO,
+    SCENARIONET,
+    GEOPACKAGE,
+    PLAIN,
+    SDD,
+    SIND,
+    INTERACTION,
+    IND,
+    HIGHD,
+    GEOTRAX,
+    GEOTRAX_PIXELS,
+    TRAJNET,
+    PIXELS,
+)
 
 
 def read_tracks(
-    path: str | os.PathLike[str], *, world: World | None = None, resolution: float | None = None
+    path: str | os.PathLike[str],
+    *,
+    world: World | None = None,
+    resolution: float | None = None,
+    frame_rate: float | None = None,
+    scenario: str | None = None,
 ) -> Tracks:
     """Read tracks from a file in any format of `FORMATS`, and warn of implausible ones.
 
@@ -40,12 +68,16 @@ def read_tracks(
 
     Args:
         path: a file in the plain format of `write_tracks` or in that of a public dataset, or the
-            folder of a SinD recording.
+            folder of a SinD recording or of one ScenarioNet scenario.
         world: the CRS and origin of x and y, for formats in metres that do not state them, those
-            with "world" in their `TrackFormat.options` (geo-trax takes the CRS only). None: a
-            local plane.
+            with "world" in their `TrackFormat.options` (geo-trax takes the CRS only). None: the
+            plane of a `meta_data.csv` beside a file of the INTERACTION format, or a local plane.
         resolution: metres per pixel, for formats in pixels, those with "resolution" in their
             options; without it SDD raises, and TrajNet needs a `scenes.csv` that has it.
+        frame_rate: frames per second, for tables in pixels that have frames and no times, and
+            for geo-trax in pixels (29.97 without it).
+        scenario: id of a scenario, for formats with several in a file (Waymo); None where the file
+            has one only.
 
     Returns:
         The tracks.
@@ -58,12 +90,18 @@ def read_tracks(
             the resolution is not positive.
     """
     track_format = detect_format(path)
-    options = {"world": world, "resolution": resolution}
-    given = {name: value for name, value in options.items() if value is not None}
+    options = {
+        "world": world,
+        "resolution": resolution,
+        "frame_rate": frame_rate,
+        "scenario": scenario,
+    }
+    given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     for name in given:
         if name not in track_format.options:
+            words = name.replace("_", " ")
             raise ValueError(
-                f"{path} is in the {track_format.name} format, which takes no {name}; omit it"
+                f"{path} is in the {track_format.name} format, which takes no {words}; omit it"
             )
     if resolution is not None:
         check_resolution(resolution)
@@ -88,7 +126,7 @@ def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    binary = path.is_dir() or path.suffix.lower() == ".parquet"
+    binary = path.is_dir() or path.suffix.lower() in BINARY or ".tfrecord" in path.name
     line = "" if binary else _read_first_line(path)
     for track_format in FORMATS:
         if track_format.matches(path, line):
@@ -96,7 +134,7 @@ def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
     raise TracksError(
         f"{path} is not a table of tracks in a known format: its first line is {line[:120]!r}. "
         f"Known formats: {', '.join(known.name for known in FORMATS)}; rename the columns to "
-        "those of one of them"
+        "those of one of them, and separate them with commas"
     )
 
 

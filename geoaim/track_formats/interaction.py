@@ -1,4 +1,4 @@
-"""The INTERACTION format, which other datasets use as well, and that of SinD, which is similar."""
+"""The INTERACTION format, which other datasets use as well, and SinD's format, which is similar."""
 
 import os
 from pathlib import Path
@@ -12,9 +12,10 @@ from geoaim.track_formats import shared
 from geoaim.track_formats.motion import compute_signed_speed, fill_headings
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import MIN_HEADING_SPEED, Tracks
-from geoaim.world import World
+from geoaim.world import LONLAT, World, find_utm_crs, transform_crs
 
 NUMBERS = ("timestamp_ms", "x", "y", "vx", "vy")
+META_FILE, META_ORIGIN = "meta_data.csv", ("originLon", "originLat")
 SIND_FILES = ("Veh_smoothed_tracks.csv", "Ped_smoothed_tracks.csv")
 
 
@@ -22,8 +23,9 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
     """Read an INTERACTION .csv: `track_id, frame_id, timestamp_ms, agent_type, x, y, vx, vy, ...`.
 
     Where psi_rad (heading), length or width are missing, as for pedestrians, the heading is that
-    of the motion and the size is typical of the type. `world` is the plane of x and y; None for a
-    local plane without a CRS.
+    of the motion and the size is typical of the type. `world` is the plane of x and y; None for
+    the UTM zone of the origin in a `meta_data.csv` beside the file, as KIT's recordings have it, or
+    else for a local plane without a CRS.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -39,7 +41,27 @@ def read_interaction(path: str | os.PathLike[str], *, world: World | None = None
             f"{path}: {len(rows) - len(unique)} rows repeat an agent's time; the first of each is "
             "kept"
         )
-    return make_tracks(unique, world or World(None))
+    return make_tracks(unique, world or _read_origin(Path(path)) or World(None))
+
+
+def _read_origin(path: Path) -> World | None:
+    """Read the plane of a file from the `META_FILE` beside it: `originLat, originLon`."""
+    meta = path.with_name(META_FILE)
+    if not meta.exists():
+        return None
+    table = read_table(meta, text=("id",))
+    if not set(META_ORIGIN) <= set(table.columns):
+        return None
+    shared.check_columns(meta, table, numbers=META_ORIGIN)
+    places = table[list(META_ORIGIN)].dropna().drop_duplicates().to_numpy(np.float64)
+    if len(places) != 1:
+        raise TracksError(
+            f"{meta} has {len(places)} origins; one is needed, or give the CRS and the origin of "
+            f"{path.name}, such as World('EPSG:32632', (459000, 5428000))"
+        )
+    crs = find_utm_crs(*places[0])
+    east, north = transform_crs(LONLAT, crs, places)[0].tolist()
+    return World(crs, (east, north))
 
 
 def read_sind(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:

@@ -15,7 +15,7 @@ from geoaim.errors import TracksError
 from geoaim.geometry import wrap_angle
 from geoaim.track_files import read_table
 from geoaim.track_formats import shared
-from geoaim.track_formats.motion import compute_signed_speed, fill_headings
+from geoaim.track_formats.motion import compute_signed_speed
 from geoaim.track_tables import make_tracks
 from geoaim.tracks import Tracks
 from geoaim.world import World, find_utm_crs
@@ -69,7 +69,7 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
 
     In the file y points down and (x, y) is the top-left corner of the box; in the tracks y points
     up and (x, y) is the middle of the box, in a local plane without a CRS. The heading is that of
-    the motion, or that of the carriageway for an agent that hardly moves.
+    the last motion, or that of the carriageway for an agent that has hardly moved yet.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -93,9 +93,9 @@ def read_highd(path: str | os.PathLike[str]) -> Tracks:
     )
     moving = rows["speed"] > HIGHD_MIN_HEADING_SPEED
     rows["heading"] = np.where(moving, np.arctan2(north, east), np.nan)
-    ever_moves = moving.groupby(rows["id"]).transform("any")
-    rows["heading"] = rows["heading"].where(ever_moves, _find_carriageway_heading(path, table))
-    return make_tracks(fill_headings(rows), World(None))
+    last = rows.sort_values("time").groupby("id")["heading"].ffill()
+    rows["heading"] = last.fillna(pd.Series(_find_carriageway_heading(path, table), rows.index))
+    return make_tracks(rows, World(None))
 
 
 def _find_carriageway_heading(path: str | os.PathLike[str], table: pd.DataFrame) -> Any:

@@ -11,18 +11,22 @@ from geoaim.track_tables import make_tracks
 from geoaim.tracks import COLUMNS, Tracks, estimate_heading
 from geoaim.world import World
 
+OBSERVED_WINDOW_S = 0.75  # over which observed headings and speeds are differenced
+
 
 def derive_motion(tracks: Tracks, *, half_window: float) -> Tracks:
     """Replace headings and speeds by those of the positions over `half_window` seconds either side.
 
-    The velocities are those of `estimate_velocity`, 0 where it gives none. An agent that stands
-    keeps the direction of its last motion; no agent drives in reverse.
+    Those of `observed` are of the last `OBSERVED_WINDOW_S` seconds. The velocities are those of
+    `estimate_velocity`; where it gives none, speeds are 0 and `observed` is NaN. An agent that
+    stands keeps the direction of its last motion; no agent drives in reverse.
     """
-    velocity = np.nan_to_num(estimate_velocity(tracks, half_window))
-    states = tracks.states.copy()
-    states[..., 2] = np.where(tracks.present, estimate_heading(velocity), np.nan)
-    states[..., 3] = np.where(tracks.present, np.hypot(velocity[..., 0], velocity[..., 1]), np.nan)
-    return replace(tracks, states=states)
+    velocity = np.nan_to_num(estimate_velocity(tracks, half_window, half_window))
+    states = _set_motion(tracks, estimate_heading(velocity), np.hypot(*velocity.T).T)
+    past = estimate_velocity(tracks, OBSERVED_WINDOW_S, 0.0)
+    heading = estimate_heading(np.nan_to_num(past), causal=True)
+    observed = _set_motion(tracks, heading, np.hypot(*past.T).T)
+    return replace(tracks, states=states, observed=observed)
 
 
 def derive_speeds(tracks: Tracks, *, half_window: float) -> Tracks:
@@ -31,11 +35,23 @@ def derive_speeds(tracks: Tracks, *, half_window: float) -> Tracks:
     As `derive_motion`, but headings stay: an agent that moves against its own drives in reverse,
     and has a negative speed.
     """
-    velocity = np.nan_to_num(estimate_velocity(tracks, half_window))
-    states = tracks.states.copy()
-    speed = compute_signed_speed(velocity, states[..., 2])
-    states[..., 3] = np.where(tracks.present, speed, np.nan)
-    return replace(tracks, states=states)
+    velocity = np.nan_to_num(estimate_velocity(tracks, half_window, half_window))
+    past = estimate_velocity(tracks, OBSERVED_WINDOW_S, 0.0)
+    heading = tracks.states[..., 2]
+    states, observed = (
+        _set_motion(tracks, heading, compute_signed_speed(one, heading)) for one in (velocity, past)
+    )
+    return replace(tracks, states=states, observed=observed)
+
+
+def _set_motion(
+    tracks: Tracks, heading: Float[Array, "N T"], speed: Float[Array, "N T"]
+) -> Float[Array, "N T 4"]:
+    """Set headings and speeds of states; all of a state is NaN where they are not known."""
+    motion = np.stack([heading, speed], axis=-1)
+    states = np.concatenate([tracks.states[..., :2], motion], axis=-1)
+    known = tracks.present & np.isfinite(motion).all(axis=-1)
+    return np.where(known[..., None], states, np.nan)
 
 
 def make_tracks_from_positions(rows: pd.DataFrame, world: World, *, half_window: float) -> Tracks:
@@ -56,35 +72,43 @@ def make_tracks_from_positions(rows: pd.DataFrame, world: World, *, half_window:
     return derive_motion(tracks, half_window=half_window)
 
 
-def estimate_velocity(tracks: Tracks, half_window: float) -> Float[Array, "N T 2"]:
-    """Estimate velocities (m/s) by differences of positions over `half_window` seconds either side.
+def estimate_velocity(tracks: Tracks, before: float, after: float) -> Float[Array, "N T 2"]:
+    """Estimate velocities (m/s) by differences of positions about each time.
 
-    A window that is shorter than the median time between an agent's states is widened to it.
-    Differences are one-sided where a track begins or ends; NaN where the window holds no other
-    state.
+    Differences are one-sided where a track begins or ends.
+
+    Args:
+        tracks: at any times.
+        before: seconds before each time; widened to the median time between an agent's states.
+        after: seconds after each time, widened alike; 0: no later position is used, and an agent
+            needs to be seen for half of `before`.
+
+    Returns:
+        Velocities; NaN where the window does not hold the states that are needed.
     """
     present_agent, present_step = np.nonzero(tracks.present)
     gaps = np.diff(tracks.times[present_step])[np.diff(present_agent) == 0]
-    half_window = max(half_window, 1.01 * float(np.median(gaps)) if len(gaps) else 0.0)
+    least = 1.01 * float(np.median(gaps)) if len(gaps) else 0.0
+    before, after = max(before, least), max(after, least) if after else 0.0
     velocity = np.full((*tracks.present.shape, 2), np.nan)
     for agent in range(len(tracks.ids)):
         steps = np.flatnonzero(tracks.present[agent])
         positions, times = tracks.states[agent, steps, :2], tracks.times[steps]
-        before = np.searchsorted(times, times - half_window)
-        after = np.searchsorted(times, times + half_window, side="right") - 1
-        dt = times[after] - times[before]
-        dt[dt == 0] = np.nan
-        velocity[agent, steps] = (positions[after] - positions[before]) / dt[:, None]
+        first = np.searchsorted(times, times - before)
+        last = np.searchsorted(times, times + after, side="right") - 1
+        dt = times[last] - times[first]
+        dt[(dt == 0) | (dt < (0.0 if after else before / 2))] = np.nan
+        velocity[agent, steps] = (positions[last] - positions[first]) / dt[:, None]
     return velocity
 
 
 def fill_headings(rows: pd.DataFrame) -> pd.DataFrame:
-    """Fill NaN in the column heading: with the agent's last known one, else its next, else 0.
+    """Fill NaN in the column heading: with the agent's last known one, 0 before the first.
 
     The rows also need the columns id and time. The result is a copy.
     """
     headings = rows.sort_values("time").groupby("id")["heading"]
-    return rows.assign(heading=headings.ffill().fillna(headings.bfill()).fillna(0.0))
+    return rows.assign(heading=headings.ffill().fillna(0.0))
 
 
 def compute_signed_speed(

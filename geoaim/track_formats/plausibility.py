@@ -26,7 +26,7 @@ LIMITS = {
 OTHER_LIMITS = (100.0, 20.0, 100.0)
 MAX_ACCELERATION = 25.0  # m/s2; brakes and tyres reach 12, noise of positions the rest
 LONG_TYPES = ("car", "van", "truck", "bus", "motorcycle", "cyclist")  # longer than wide
-HALF_WINDOW_S = 0.25  # over which positions are differenced
+HALF_WINDOW_S = 0.25  # half the time over which positions are differenced
 MIN_MOVING_SPEED = 1.0  # m/s; slower motion has too noisy a direction
 MAX_HEADING_ERROR = np.radians(60.0)
 MAX_SPEED_ERROR = (2.0, 0.5)  # m/s, and share of the greater of stated and measured speed
@@ -49,11 +49,13 @@ class _Check:
 
 
 def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
-    """Warn (`GeoaimWarning`) of tracks beyond the limits of this module, with the number of agents.
+    """Warn of agents whose size, speed, heading or acceleration is implausible, with their number.
+
+    Noise in up to 5 % of the agents or states gives no `GeoaimWarning`.
 
     Raises:
-        TracksError: 90 % of the agents or states, or more, are implausible in one way; the message
-            names `path`.
+        TracksError: at least 90 % of the agents or states that a check applies to are implausible;
+            the message names `path`.
     """
     found = []
     for check in (*_check_sizes(tracks), *_check_motion(tracks)):
@@ -86,7 +88,7 @@ def _check_sizes(tracks: Tracks) -> list[_Check]:
 
 def _check_motion(tracks: Tracks) -> list[_Check]:
     max_speed = _list_limits(tracks)[:, 2, None]
-    velocity = estimate_velocity(tracks, HALF_WINDOW_S)
+    velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
     known = np.isfinite(velocity[..., 0])
     velocity = np.nan_to_num(velocity)
     measured = np.hypot(velocity[..., 0], velocity[..., 1])
@@ -130,7 +132,8 @@ def _measure_acceleration(tracks: Tracks, velocity: Float[Array, "N T 2"]) -> Fl
     """Acceleration in m/s2 by differences of velocities; 0 where it is not known."""
     states = np.where(tracks.present[..., None], tracks.states, np.nan)
     states[tracks.present, :2] = velocity[tracks.present]
-    change = np.nan_to_num(estimate_velocity(replace(tracks, states=states), HALF_WINDOW_S))
+    moving = replace(tracks, states=states)
+    change = np.nan_to_num(estimate_velocity(moving, HALF_WINDOW_S, HALF_WINDOW_S))
     return np.hypot(change[..., 0], change[..., 1])
 
 

@@ -11,29 +11,26 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from geoaim.agent_types import OTHER_SIZE, TYPICAL_SIZES
 from geoaim.errors import TracksError, warn
+from geoaim.limits import MAX_POSITION_M
 from geoaim.tracks import Tracks
+from geoaim.world import ORIGIN_STEP_M
 
 # names of agent types in datasets -> ours; all others are only written in lower case
 AGENT_TYPES = {
     "bicycle": "cyclist",
     "bicyclist": "cyclist",
+    "bike": "cyclist",
     "biker": "cyclist",
+    "ped": "pedestrian",
     "truck_bus": "truck",
-}
-# length and width in metres of agents whose size a file does not give
-TYPICAL_SIZES = {
-    "car": (4.5, 1.8),
-    "van": (5.5, 2.0),
-    "truck": (8.0, 2.5),
-    "bus": (12.0, 2.5),
-    "motorcycle": (2.1, 0.8),
-    "cyclist": (1.8, 0.65),
+    "veh": "car",
 }
 MAX_NUMBER = 1e16  # a greater one is no measured value
-OTHER_SIZE = (0.5, 0.5)
+MAX_CAR_LENGTH_M = 7.0  # a longer vehicle of no stated kind is a truck
 KNOWN_TYPES = {*TYPICAL_SIZES, "pedestrian"}
-Matcher = Callable[[Path, str], bool]  # of a path and its first line, "" for a folder
+Matcher = Callable[[Path, str], bool]  # takes a path and its first line; "" for a folder
 
 
 @dataclass(frozen=True)
@@ -41,9 +38,9 @@ class TrackFormat:
     """A file format of tracks, as `read_tracks` needs it."""
 
     name: str  # usually that of the dataset
-    matches: Matcher
-    read: Callable[..., Tracks]
-    options: tuple[str, ...] = ()  # keywords that `read` takes: "world", "resolution" or both
+    matches: Matcher  # whether a file has this format
+    read: Callable[..., Tracks]  # takes a path, and `options` as keywords
+    options: tuple[str, ...] = ()  # keywords that `read` takes, of those of `read_tracks`
     required: tuple[str, ...] = ()  # the options without which it cannot read
 
 
@@ -56,6 +53,22 @@ def has_columns(*names: str, delimiter: str = ",") -> Matcher:
 
     def matches(path: Path, line: str) -> bool:
         return set(names) <= {name.strip().strip('"') for name in line.split(delimiter)}
+
+    return matches
+
+
+def has_parquet_columns(*names: str) -> Matcher:
+    """Make a matcher: a Parquet file that has all of these columns, among others."""
+
+    def matches(path: Path, line: str) -> bool:
+        if path.suffix.lower() != ".parquet":
+            return False
+        from pyarrow.parquet import read_schema
+
+        try:
+            return set(names) <= set(read_schema(path).names)
+        except Exception:  # a damaged file, of which the reader says what is wrong
+            return False
 
     return matches
 
@@ -75,6 +88,39 @@ def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Seri
             "another name of a known type, rename it: dataclasses.replace(tracks, types=...)"
         )
     return types
+
+
+def choose_origin(points: Float[Array, "n 2"]) -> tuple[float, float]:
+    """Choose the origin of a plane for points in metres: their mean, rounded to 100 m.
+
+    >>> choose_origin(np.array([[8510.0, -2030.0], [8500.0, -2010.0]]))
+    (8500.0, -2000.0)
+    """
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return 0.0, 0.0
+    middle = np.clip(points.mean(axis=0), -MAX_POSITION_M, MAX_POSITION_M)
+    x, y = (np.round(middle / ORIGIN_STEP_M) * ORIGIN_STEP_M + 0.0).tolist()
+    return x, y
+
+
+def name_vehicles(
+    types: "pd.Series[Any]", lengths: "pd.Series[float]", *, vehicle: str
+) -> "pd.Series[Any]":
+    """Replace the type `vehicle` by car, or by truck where a length (m) is over `MAX_CAR_LENGTH_M`.
+
+    For files that do not tell trucks and buses from cars.
+
+    Args:
+        types: types of the agents.
+        lengths: metres.
+        vehicle: the type to replace.
+
+    Returns:
+        The types.
+    """
+    kinds = np.where(lengths > MAX_CAR_LENGTH_M, "truck", "car")
+    return types.where(types != vehicle, kinds)
 
 
 def check_columns(

@@ -15,7 +15,7 @@ from geoaim.tracks import Tracks
 from geoaim.world import World
 
 FRAME_RATE = 30.0
-HALF_WINDOW_S = 0.5  # over which positions are differenced
+HALF_WINDOW_S = 0.5  # half the time over which positions are differenced
 BOX = ("left", "top", "right", "bottom")
 COLUMNS = ("id", *BOX, "frame", "lost", "occluded", "generated", "label")
 FIRST_LINE = re.compile(r'\d+( -?\d+){5}( [01]){3} "?\w+"?')

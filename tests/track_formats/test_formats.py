@@ -8,7 +8,7 @@ from geoaim.track_formats.formats import detect_format
 from geoaim.track_formats.motion import make_tracks_from_positions
 from geoaim.track_tables import make_tracks
 from geoaim.world import World
-from tests.track_formats import test_interaction, test_levelx, test_readers
+from tests.track_formats import test_interaction, test_levelx, test_pixels, test_readers
 
 COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
 
@@ -25,7 +25,10 @@ COLUMNS = "id,type,time,x,y,heading,speed,length,width\n"
         (test_levelx.IND, "inD"),
         (test_levelx.HIGHD, "highD"),
         (test_readers.GEOTRAX, "geo-trax"),
+        ("1,7,10,20,4.5,2,1e1,20,4.5,2,0,0.9,nan,nan\n", "geo-trax pixels"),
         ("frame,track,u_px,v_px\n", "TrajNet"),
+        (test_pixels.DUT, "pixel"),
+        (test_pixels.PLAIN, "pixel"),
         ('0 1360 1073 1394 1131 10 1 0 0 "Pedestrian"\n', "SDD"),
     ],
 )
@@ -74,6 +77,12 @@ def test_a_file_in_no_known_format_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(TracksError, match="is not a table of tracks"):
         read_tracks(tmp_path / name)
+
+
+def test_columns_of_a_format_with_another_delimiter_need_commas(tmp_path):
+    (tmp_path / "a.csv").write_text(COLUMNS.replace(",", ";"))
+    with pytest.raises(TracksError, match="and separate them with commas"):
+        read_tracks(tmp_path / "a.csv")
 
 
 def test_a_missing_file_is_reported_as_missing(tmp_path):
@@ -148,3 +157,19 @@ def test_a_real_file_with_reversed_headings_warns_and_derive_motion_corrects_it(
         heading = tracks.states[:, :-1, 2]
         along = step[..., 0] * np.cos(heading) + step[..., 1] * np.sin(heading)
         assert (along[np.hypot(step[..., 0], step[..., 1]) > 0.2] > 0).mean() > 0.99
+
+
+def test_observed_motion_lags_and_is_unknown_at_first():
+    """A car that stands for a second, and then drives north at 5 m/s."""
+    times = np.arange(31) / 10
+    rows = pd.DataFrame(
+        {"id": 1, "type": "car", "time": times, "x": 0.0, "length": 4.0, "width": 2}
+    )
+    rows["y"] = 5 * np.maximum(times - 1, 0)
+    tracks = make_tracks_from_positions(rows, World(None), half_window=0.25)
+    observed = tracks.get_observed()[0]
+    assert np.flatnonzero(np.isfinite(observed[:, 0]))[0] == 4  # half of 0.75 s after the first row
+    assert tracks.states[0, 0, 2] == pytest.approx(np.pi / 2)  # known from later rows
+    assert observed[4, 2] == 0
+    assert observed[20] == pytest.approx([0, 5, np.pi / 2, 5])
+    assert 0 < observed[12, 3] < tracks.states[0, 12, 3] + 1e-9

@@ -53,7 +53,7 @@ def test_real_pedestrians_head_along_their_motion(data_folder, place, agents):
     folder = next((data_folder / "tracks/sind" / place).glob("*/Ped_smoothed_tracks.csv")).parent
     tracks = read_sind(folder)
     assert len(tracks.ids) == agents
-    velocity = estimate_velocity(tracks, 0.25)
+    velocity = estimate_velocity(tracks, 0.25, 0.25)
     moving = tracks.present & (np.hypot(*np.moveaxis(velocity, -1, 0)) > 1)
     turn = np.arctan2(velocity[..., 1], velocity[..., 0]) - tracks.states[..., 2]
     off = np.angle(np.exp(1j * turn[moving]))

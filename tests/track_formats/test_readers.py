@@ -6,6 +6,7 @@ import pytest
 
 from geoaim.errors import GeoaimWarning, TracksError
 from geoaim.track_formats import read_geotrax, read_interaction, read_sdd
+from geoaim.world import World, lonlat_from_world
 
 INTERACTION = "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n"
 GEOTRAX = (
@@ -28,6 +29,24 @@ def test_interaction_gives_states_as_written(tmp_path):
     np.testing.assert_allclose(tracks.states[1, 1], [1, 2, np.pi / 2, 1])
     np.testing.assert_allclose(tracks.sizes[1], 0.5)
     np.testing.assert_allclose(tracks.times, [0.1, 0.2])
+
+
+def test_origin_of_kits_meta_data_places_its_tracks(tmp_path):
+    path, meta = tmp_path / "vehicle_tracks_000.csv", tmp_path / "meta_data.csv"
+    path.write_text(INTERACTION + "1,1,100,Bike,10.0,20.0,3.0,4.0,0.927,,\n")
+    meta.write_text("id,originLat,originLon\n000,49.005306,8.4374089\n001,49.005306,8.4374089\n")
+    tracks = read_interaction(path)
+    assert tracks.types == ("cyclist",)
+    assert tracks.world.crs == "EPSG:32632"
+    lonlat = lonlat_from_world(tracks.world, np.zeros((1, 2)))
+    np.testing.assert_allclose(lonlat, [[8.4374089, 49.005306]], atol=1e-8)
+    given = World("EPSG:25832", (459000.0, 5428000.0))
+    assert read_interaction(path, world=given).world == given
+    meta.write_text("id,originLat,originLon\n000,49.0,8.4\n001,49.1,8.4\n")
+    with pytest.raises(TracksError, match=r"meta_data.csv has 2 origins; one is needed, or give"):
+        read_interaction(path)
+    meta.write_text("name\nsomething else\n")
+    assert read_interaction(path).world == World(None)
 
 
 def test_interaction_keeps_the_first_of_repeated_rows_and_warns(tmp_path):
@@ -71,7 +90,7 @@ def test_sdd_turns_boxes_into_metres_and_motion_into_headings(tmp_path):
     np.testing.assert_allclose(tracks.states[0, :, 3], 1.0 / 0.2)
 
 
-def test_geotrax_subtracts_an_origin_and_fills_sizes_of_the_class(tmp_path):
+def test_geotrax_subtracts_an_origin_and_gives_typical_sizes(tmp_path):
     path = tmp_path / "a.csv"
     rows = [
         f"1,2022-10-07 17:52:13.{k}00,{k},0,0,{170000 + k},532000.0,37,126,4.9,1.9,0"
@@ -83,7 +102,7 @@ def test_geotrax_subtracts_an_origin_and_fills_sizes_of_the_class(tmp_path):
     assert tracks.world.crs == "EPSG:5186"
     east, north = tracks.states[0, 0, :2] + tracks.world.origin
     assert (east, north) == (170000.0, 532000.0)
-    np.testing.assert_allclose(tracks.sizes, [[4.9, 1.9]] * 2)
+    np.testing.assert_allclose(tracks.sizes, [[4.9, 1.9], [4.5, 1.8]])
     np.testing.assert_allclose(tracks.states[0, 1:4, 3], 10.0)
 
 

@@ -1,0 +1,123 @@
+"""The command that writes tracks in another format."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+import typer
+
+from geoaim.cli import options
+from geoaim.cli.console import console, report_errors
+from geoaim.cli.inputs import read_any_lights, read_any_tracks
+from geoaim.cli.outputs import check_output
+from geoaim.errors import warn
+
+if TYPE_CHECKING:
+    from geoaim.tracks import Tracks
+
+Format = Literal["plain", "geopackage", "geo-trax", "scenarionet"]
+FORMATS: dict[str, Format] = {
+    ".csv": "plain",
+    ".parquet": "plain",
+    ".gpkg": "geopackage",
+    "": "scenarionet",
+}
+SUFFIXES = {"plain": (".csv", ".parquet"), "geopackage": (".gpkg",), "geo-trax": (".csv",)}
+
+
+def convert(
+    tracks: Annotated[Path, typer.Argument(help=options.TRACKS_HELP)],
+    output: Annotated[Path, options.output(".csv, .parquet or .gpkg, or a new folder, to write")],
+    to: Annotated[
+        Format | None, typer.Option(help="format; by the name of the output if omitted")
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="id of one of several scenarios in the file (Waymo)")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(help="resample to this rate, Hz; ScenarioNet needs 10")
+    ] = None,
+    start: Annotated[
+        float | None, typer.Option(help="time at which to start, s; the first if omitted")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="time to keep, s; all if omitted", min=0.0)
+    ] = None,
+    ego: Annotated[
+        str | None, typer.Option(help="ScenarioNet: id of the agent that MetaDrive drives")
+    ] = None,
+    aim: Annotated[
+        Path | None, typer.Option(help="geo-trax: AIM whose pixels are Ortho_X and Ortho_Y")
+    ] = None,
+    lights: options.LightsFile = None,
+    hdmap: options.HDMapFile = None,
+    stop_lines: options.StopLinesFile = None,
+    tracks_world: options.TracksWorld = None,
+    tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
+) -> None:
+    """Write tracks in another format: plain, GeoPackage, geo-trax or ScenarioNet.
+
+    A name that ends in .csv or .parquet is the plain format, .gpkg a GeoPackage, and a folder
+    ScenarioNet, with the lanes and lights of --hdmap and --lights. geo-trax needs --to geo-trax.
+
+    Example: geoaim convert samples/tracks.csv -o tracks.gpkg
+    """
+    from geoaim.hdmap.lanelet2 import read_hdmap
+    from geoaim.hdmap.scenarionet import write_scenarionet
+    from geoaim.track_formats.geotrax import CLASS_OF_TYPE
+
+    with report_errors():
+        written = to or FORMATS.get(output.suffix.lower())
+        if written is None:
+            raise ValueError(f"{output}: give a name that ends in {', '.join(FORMATS)}, or --to")
+        if written != "scenarionet":
+            check_output(output, SUFFIXES[written], [tracks, aim])
+        read = read_any_tracks(tracks, tracks_world, tracks_resolution, tracks_frame_rate, scenario)
+        read = _change_times(read, rate, start, duration)
+        if written != "plain":
+            _warn_of_derived_states(read, tracks)
+        if written == "scenarionet":
+            roads = None if hdmap is None else read_hdmap(hdmap, read.world)
+            known = read_any_lights(lights, stop_lines, roads, read.world)
+            write_scenarionet(read, output, hdmap=roads, lights=known, ego=ego)
+        else:
+            _write(read, output, written, aim)
+    agents = sum(kind in CLASS_OF_TYPE for kind in read.types)
+    count = agents if written == "geo-trax" else len(read.ids)
+    console.print(f"{output}: {count} agents at {len(read.times)} times ({written})")
+
+
+def _change_times(
+    tracks: "Tracks", rate: float | None, start: float | None, duration: float | None
+) -> "Tracks":
+    from geoaim.track_changes import cut_tracks, resample_tracks
+
+    if start is not None or duration is not None:
+        start = float(tracks.times[0]) if start is None else start
+        rest = float(tracks.times[-1]) - start
+        tracks = cut_tracks(tracks, start, rest if duration is None else duration)
+    return tracks if rate is None else resample_tracks(tracks, rate)
+
+
+def _warn_of_derived_states(tracks: "Tracks", path: Path) -> None:
+    """Warn where written states know of later rows: the format has no column for observed ones."""
+    if not np.array_equal(tracks.states, tracks.get_observed(), equal_nan=True):
+        warn(
+            f"headings and speeds, or positions between rows, are computed from all of {path}: a "
+            "prediction from the written file knows up to half a second of what comes; predict "
+            "from the original"
+        )
+
+
+def _write(tracks: "Tracks", output: Path, written: Format, aim: Path | None) -> None:
+    from geoaim.aim_files import read_aim
+    from geoaim.track_files import write_tracks
+    from geoaim.track_formats import write_geopackage, write_geotrax
+
+    if written == "geo-trax":
+        write_geotrax(tracks, output, aim=None if aim is None else read_aim(aim))
+    elif written == "geopackage":
+        write_geopackage(tracks, output)
+    else:
+        write_tracks(tracks, output)

@@ -1,0 +1,94 @@
+"""Tracks written in other formats by the command."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import geoaim
+from geoaim import read_tracks
+from geoaim.cli import app
+from tests.track_formats import waymo_records
+
+run = CliRunner().invoke
+SAMPLE = "samples/tracks.csv"
+
+
+@pytest.mark.parametrize("name", ["a.parquet", "a.gpkg", "a.csv", "a"])
+def test_sample_is_written_in_each_format_and_read_back(tmp_path, name):
+    given = ["convert", SAMPLE, "-o", str(tmp_path / name), "--start", "10", "--duration", "5"]
+    result = run(app, given)
+    assert result.exit_code == 0, result.output
+    tracks = geoaim.read_tracks(tmp_path / name)
+    assert len(tracks.times) == 51
+    assert f"{len(tracks.ids)} agents at 51 times" in " ".join(result.output.split())
+
+
+def test_scenario_has_the_lanes_and_lights_of_the_map(tmp_path):
+    given = ["convert", SAMPLE, "-o", str(tmp_path / "a"), "--hdmap", "samples/map.osm"]
+    assert run(app, [*given, "--lights", "samples/lights.csv"]).exit_code == 0
+    (path,) = (tmp_path / "a").glob("sd_*")
+    assert geoaim.track_formats.read_scenarionet_lights(path) is not None
+
+
+def test_geotrax_needs_to_be_named(tmp_path):
+    path = tmp_path / "a.csv"
+    result = run(app, ["convert", SAMPLE, "-o", str(path), "--to", "geo-trax", "--rate", "5"])
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    assert "30 agents are left out" in words
+    assert "34 agents at" in words
+    assert path.read_text().startswith("Vehicle_ID,")
+
+
+def test_one_of_several_scenarios_is_chosen(tmp_path):
+    path = tmp_path / "a.tfrecord"
+    scenarios = [waymo_records.make_scenario(name) for name in ("ab12", "cd34")]
+    path.write_bytes(waymo_records.make_file(*scenarios))
+    given = ["convert", str(path), "-o", str(tmp_path / "a.csv")]
+    result = run(app, given)
+    assert result.exit_code == 1
+    assert "name one of them" in " ".join(result.output.split())
+    assert run(app, [*given, "--scenario", "cd34"]).exit_code == 0
+
+
+def test_tables_in_pixels_are_converted(tmp_path):
+    path = tmp_path / "pixels.csv"
+    path.write_text("id,frame,x,y,type\n" + "".join(f"a,{k},{k},10,car\n" for k in range(9)))
+    given = ["convert", str(path), "-o", str(tmp_path / "a.csv"), "--tracks-resolution", "0.1"]
+    result = run(app, [*given, "--tracks-frame-rate", "10"])
+    assert result.exit_code == 0, result.output
+    assert geoaim.read_tracks(tmp_path / "a.csv").times[-1] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["-o", "a.xyz"], "give a name that ends in .csv, .parquet, .gpkg"),
+        (["-o", "a.gpkg", "--to", "plain"], "give a name that ends in .csv or .parquet"),
+        (["-o", "a.csv", "--start", "900"], "no agent is present from 900"),
+        (["-o", "a", "--rate", "5"], "not at 10 Hz throughout"),
+    ],
+)
+def test_wrong_calls_end_in_a_line(tmp_path, given, message):
+    target = [str(tmp_path / given[1]), *given[2:]]
+    result = run(app, ["convert", SAMPLE, "-o", *target])
+    assert result.exit_code == 1
+    assert message in " ".join(result.output.split())
+
+
+def test_states_of_whole_tracks_are_written_with_a_warning(tmp_path):
+    """TrajNet's windows have positions alone, from which headings and speeds are computed."""
+    path = tmp_path / "windows.csv"
+    path.write_text(
+        "frame,track,u_px,v_px\n" + "".join(f"{12 * k},1,{10 * k},{k * k}\n" for k in range(20))
+    )
+    given = ["convert", str(path), "--tracks-resolution", "0.05", "-o"]
+    result = run(app, [*given, str(tmp_path / "a.gpkg")])
+    assert result.exit_code == 0
+    assert "predict from the original" in " ".join(result.output.split())
+    result = run(app, [*given, str(tmp_path / "a.csv")])
+    assert "predict from the original" not in " ".join(result.output.split())
+    read = [read_tracks(tmp_path / "a.csv"), read_tracks(path, resolution=0.05)]
+    observed = [tracks.get_observed() for tracks in read]
+    np.testing.assert_allclose(*observed, atol=6e-4)
+    assert np.isnan(observed[0][:, 0]).all()
