@@ -21,6 +21,15 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from geoaim.bench.birdview_batches import (
+    AGENTS,
+    VIEW_SIDE_M,
+    VIEWS,
+    make_scene,
+    time_maps,
+    time_stack,
+    time_threads,
+)
 from geoaim.bench.birdview_peers import (
     Draw,
     crop_texture,
@@ -32,12 +41,14 @@ from geoaim.bench.birdview_peers import (
 from geoaim.bench.charts import draw_fronts
 from geoaim.bench.report import ChartFile, JsonFile, Row, print_rows, time_medians, write_rows
 from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
+from geoaim.simulation.boxes import stack_layers
+from geoaim.simulation.drawing import Drawing, draw_with_torch
 from geoaim.synthetic import draw_place, make_place
 
-VIEW_SIDE_M, TEXTURE_SIDE_PX, AGENTS = 100.0, 1024, 20
-CAR_SIZE_M = (4.5, 1.9)
+TEXTURE_SIDE_PX = 1024
 MIN_TIMED_PIXELS = 1_000_000  # a smaller batch is timed as often as it fits in
-MIN_AGENT_DISTANCE_M = 6.5  # between agents in pictures that are compared with the reference
+# distance between agents in pictures that are compared with the reference
+MIN_AGENT_DISTANCE_M = 6.5
 Scenes = Sequence[tuple[Tensor, OrientedBoxes]]  # cameras (1, 3), boxes (1, N)
 
 
@@ -55,28 +66,11 @@ def make_map(texture: Float[Tensor, "3 h w"]) -> Ground:
     return make_ground(texture, torch.tensor([[scale, 0, middle], [0, -scale, middle]]))
 
 
-def _make_view(pixels: int) -> View:
-    """Make a view of 100 m a side, of `pixels` x `pixels`."""
-    return View(pixels, pixels, VIEW_SIDE_M / pixels)
-
-
-def _make_cameras(count: int, seed: int) -> tuple[Float[Tensor, "B 3"], OrientedBoxes]:
-    """Make random cameras (x, y in metres, heading), each with `AGENTS` boxes with triangles."""
-    generator = torch.Generator().manual_seed(seed)
-    random = torch.rand(count, AGENTS + 1, 6, generator=generator, dtype=torch.float64).float()
-    cameras = torch.cat([random[:, 0, :2] * 60 - 30, random[:, 0, 2:3] * 6.28], 1)
-    positions = cameras[:, None, :2] + (random[:, 1:, :2] - 0.5) * 0.8 * VIEW_SIDE_M
-    poses = torch.cat([positions, random[:, 1:, 2:3] * 6.28], 2)
-    sizes = torch.tensor([CAR_SIZE_M]).expand(AGENTS, 2)
-    colours = random[:, 1:, 3:]
-    return cameras, OrientedBoxes(poses, sizes, colours, heading_colours=1 - colours)
-
-
 def _make_separate_scenes(count: int) -> Scenes:
     """Make scenes of a random camera (1, 3) and boxes (1, N) that do not overlap each other."""
     scenes = []
     for seed in range(count):
-        cameras, boxes = _make_cameras(1, seed)
+        _, cameras, boxes = make_scene(1, 1, seed=seed)
         gaps = torch.cdist(boxes.poses[0, :, :2], boxes.poses[0, :, :2])
         keep = [a for a in range(AGENTS) if not (gaps[a, :a] < MIN_AGENT_DISTANCE_M).any()]
         poses, colours = boxes.poses[:, keep], boxes.colours[:, keep]
@@ -90,19 +84,31 @@ def _make_renderer(ground: Ground) -> Draw:
     return lambda view, cameras, boxes: render(view, cameras, ground, [boxes])
 
 
-def _time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dict[str, Any]:
-    """Time forward and backward passes beside `grid_sample` alone on the same texture and grid."""
-    view, (cameras, boxes) = _make_view(pixels), _make_cameras(views, 1)
+def _make_torch_renderer(ground: Ground) -> Draw:
+    """Make this library's renderer without numba."""
+    return lambda view, cameras, boxes: draw_with_torch(
+        Drawing(view, cameras, ground, present=None), stack_layers([boxes])
+    )
+
+
+def _time_renderer(ground: Ground, size: tuple[int, int, int], repeats: int) -> dict[str, Any]:
+    """Time forward and backward passes beside `grid_sample` alone on the same texture and grid.
+
+    The size is the side of a view in pixels, the number of views, and that of agents.
+    """
+    pixels, views, agents = size
+    view, cameras, boxes = make_scene(pixels, views, agents)
     texture = crop_texture(ground)
     grid = make_sampling_grid(view, cameras, ground).requires_grad_()
     weight = torch.rand(1, 3, views * pixels, pixels)
     own_weight = weight.view(3, views, pixels, pixels).transpose(0, 1)
     leaves = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
-    draw, draw_by_distances = (
-        _make_renderer(prefilter_ground(ground, view.resolution)),
+    prefiltered = prefilter_ground(ground, view.resolution)
+    draw, draw_with_opencv = _make_renderer(prefiltered), make_opencv_renderer(ground)
+    draw_by_torch, draw_by_distances = (
+        _make_torch_renderer(prefiltered),
         make_distance_renderer(ground),
     )
-    draw_with_opencv = make_opencv_renderer(ground)
 
     def sample() -> Tensor:
         return F.grid_sample(texture, grid, align_corners=False)
@@ -126,19 +132,26 @@ def _time_renderer(ground: Ground, pixels: int, views: int, repeats: int) -> dic
     ]
     often = repeats * max(1, MIN_TIMED_PIXELS // (views * pixels**2))
     own, alone, opencv, own_both, alone_both = time_medians(parts, often, process_time)
-    # timed apart: it evicts the caches of whatever is timed beside it
-    slow_parts = [f(d) for f in (run, differentiate) for d in (draw, draw_by_distances)]
-    beside, slow, beside_both, slow_both = time_medians(slow_parts, 3, process_time)
+    # timed apart: they evict the caches of whatever is timed beside them
+    slow_parts = [
+        f(d) for f in (run, differentiate) for d in (draw, draw_by_torch, draw_by_distances)
+    ]
+    beside, plain, slow, beside_both, plain_both, slow_both = time_medians(
+        slow_parts, 3, process_time
+    )
     return {
         "pixels": pixels,
         "views": views,
+        "agents": agents,
         "ms per view": 1e3 * own / views,
         "ratio to grid_sample": own / alone,
         "forward + backward, ms per view": 1e3 * own_both / views,
         "forward + backward, ratio to grid_sample": own_both / alone_both,
         "ratio to OpenCV (no gradient)": own / opencv,
-        "plain torch, ratio to geoaim": slow / beside,
-        "plain torch, forward + backward, ratio to geoaim": slow_both / beside_both,
+        "without numba, ratio to geoaim": plain / beside,
+        "without numba, forward + backward, ratio to geoaim": plain_both / beside_both,
+        "soft boxes, ratio to geoaim": slow / beside,
+        "soft boxes, forward + backward, ratio to geoaim": slow_both / beside_both,
     }
 
 
@@ -146,7 +159,7 @@ def _compare_renderers(
     ground: Ground, pixels: int, views: int, repeats: int
 ) -> list[dict[str, Any]]:
     """Measure speed and errors of each renderer, which draw boxes without triangles."""
-    view, (cameras, boxes) = _make_view(pixels), _make_cameras(views, 1)
+    view, cameras, boxes = make_scene(pixels, views)
     texture, grid = crop_texture(ground), make_sampling_grid(view, cameras, ground)
     methods = {
         "geoaim": _make_renderer(prefilter_ground(ground, view.resolution)),
@@ -207,13 +220,19 @@ def main(
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     ground = make_map(_draw_texture())
-    sizes = [(pixels, views) for pixels in (256, 64) for views in (1, 16, 64)]
-    rows = print_rows(_time_renderer(ground, *size, repeats) for size in sizes)
+    sizes = [(pixels, views, AGENTS) for pixels in (256, 64) for views in (1, 16, 64)]
+    sizes += [(256, VIEWS, 100), (64, VIEWS, 100)]
+    rows = print_rows(_time_renderer(ground, size, repeats) for size in sizes)
+    batches = {
+        "maps": print_rows(time_maps(pixels, repeats) for pixels in (64, 128, 256)),
+        "threads": print_rows(time_threads(ground, pixels, repeats) for pixels in (256,)),
+        "stack": print_rows(time_stack(ground, count, repeats) for count in (1, 10, 50, 200)),
+    }
     methods = print_rows(_compare_renderers(ground, 256, 16, repeats))
     if chart:
         _draw_chart(methods).savefig(chart, dpi=110)
     command = f"python -m geoaim.bench.birdview --repeats {repeats}"
-    write_rows(rows, json, command=command, torch=torch.__version__, methods=methods)
+    write_rows(rows, json, command=command, torch=torch.__version__, **batches, methods=methods)
 
 
 if __name__ == "__main__":

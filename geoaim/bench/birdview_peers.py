@@ -14,7 +14,7 @@ from geoaim.simulation import Ground, OrientedBoxes, View, render
 from geoaim.simulation.rasterization import TRIANGLE_SHARE
 
 LATTICE_POINTS, LATTICE_GENERATOR = 377, 233  # a Fibonacci lattice in each pixel
-MAX_POINTS = 2_000_000  # that are rendered at once
+MAX_POINTS = 2_000_000  # points that are rendered at once
 # A renderer takes a view, cameras (B, 3) and boxes (B, N), and returns pictures (B, 3, H, W).
 Draw = Callable[[View, Tensor, OrientedBoxes], Tensor]
 
@@ -38,7 +38,7 @@ def make_sampling_grid(view: View, cameras: Tensor, ground: Ground) -> Tensor:
     corners = torch.tensor([[-1.0, 1.0]]) * view.width * view.resolution / 2
     c, s = cameras[:, 2].cos(), cameras[:, 2].sin()
     turn = torch.stack([torch.stack([s, -c], 1), torch.stack([-c, -s], 1)], 2) * corners[0, 1]
-    matrix = ground.image_from_world - torch.tensor([0.0, 0, 1])  # without the border
+    matrix = ground.image_from_world[0] - torch.tensor([0.0, 0, 1])  # without the border
     theta = torch.cat(
         [matrix[:, :2] @ turn, (cameras[:, :2] @ matrix[:, :2].t() + matrix[:, 2])[..., None]], 2
     )
@@ -55,7 +55,7 @@ def make_opencv_renderer(ground: Ground) -> Draw:
     """
     image = crop_texture(ground)[0].permute(1, 2, 0).contiguous().numpy()
     image_from_world = np.eye(3)
-    image_from_world[:2] = ground.image_from_world.numpy() - [0, 0, 1]  # without the border
+    image_from_world[:2] = ground.image_from_world[0].numpy() - [0, 0, 1]  # without the border
     sides = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2
 
     def draw(view: View, cameras: Tensor, boxes: OrientedBoxes) -> Tensor:
@@ -126,7 +126,7 @@ def supersample(
         view: size and resolution of the pictures.
         cameras: (B, 3) x, y, heading.
         ground: the map.
-        boxes: in paint order.
+        boxes: boxes in paint order.
 
     Returns:
         (B, C, H, W).

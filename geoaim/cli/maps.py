@@ -44,10 +44,10 @@ def texture(
 
     Example: geoaim texture map.tif texture
     """
-    from geoaim.aim_files import read_aim
     from geoaim.mapping.texture import export_texture
+    from geoaim.texture_files import read_map
 
     with report_errors():
         check_output(folder / "texture.json", inputs=[aim])
-        export_texture(read_aim(aim), folder, resolution=resolution)
+        export_texture(read_map(aim), folder, resolution=resolution)
     console.print(f"{folder / 'texture.png'}, {folder / 'texture.json'}")

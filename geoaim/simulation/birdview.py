@@ -1,63 +1,69 @@
-"""Bird's-eye pictures of an image map with boxes painted on it, batched and differentiable.
+"""Render bird's-eye pictures of an image map with boxes, by compiled loops or by torch.
 
-A scene seen from above is one textured plane and boxes in a fixed paint order: no depth, no
-lighting. All views of one texture are sampled by one `grid_sample`. A box is evaluated only at the
-pixels it touches, whose coverage is exact, so that gradients by its pose and size are exact too.
+Pictures are batched and differentiable. A scene seen from above is one textured plane and boxes in
+a fixed paint order: no depth, no lighting. A box is evaluated only at the pixels it touches, whose
+coverage is exact, so that gradients with respect to its pose and size are exact too. On CPUs,
+compiled loops do this where numba is installed (the extra `fast`); elsewhere torch does, and all
+views are one call of `grid_sample`.
 """
 
+import importlib
+import os
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache
 
-import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.simulation.compositing import composite
-from geoaim.simulation.ground import Ground, View, sample_ground, unflatten_views
-from geoaim.simulation.rasterization import PixelBoxes, project_poses, rasterize
-
-
-@dataclass(frozen=True, eq=False)
-class OrientedBoxes:
-    """Oriented boxes in B views; later ones are painted over earlier ones."""
-
-    poses: Float[Tensor, "B A 3"]  # x and y of the centre, metres, and heading, radians
-    sizes: Float[Tensor, "... A 2"]  # (B, A, 2) or (A, 2) length and width, metres
-    colours: Float[Tensor, "... A C"]  # (B, A, C) or (A, C)
-    present: Bool[Tensor, "B A"] | None = None  # (B, A); None: all are present
-    # (B, A, C) or (A, C) of the triangle on each box that shows its heading; None: no triangles
-    heading_colours: Float[Tensor, "... A C"] | None = None
+from geoaim.errors import warn
+from geoaim.simulation.boxes import OrientedBoxes, stack_layers
+from geoaim.simulation.drawing import Drawing, draw_with_torch
+from geoaim.simulation.ground import Ground, View
+from geoaim.simulation.input_checks import check_cameras, check_layers
 
 
 def render(
-    view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[OrientedBoxes] = ()
-) -> Float[Tensor, "B C H W"]:
+    view: View,
+    cameras: Float[Tensor, "*B 3"],
+    ground: Ground,
+    boxes: Iterable[OrientedBoxes] = (),
+    *,
+    present: Bool[Tensor, "B A"] | None = None,
+) -> Float[Tensor, "*B C H W"]:
     """Render the pictures of all cameras.
 
-    Gradients flow to cameras, poses, sizes, colours and the ground's image.
+    Gradients flow to cameras, poses, sizes, colours, and the ground's image and place. They cannot
+    be differentiated again.
 
     Args:
         view: size and resolution of the pictures.
-        cameras: (B, 3) x and y, metres, and heading, radians.
-        ground: from `make_ground`; `prefilter_ground` it first where it is finer than the view.
-        boxes: agents, lights, ... in paint order.
+        cameras: (B, 3) x and y, metres, and heading, radians; or (B, A, 3) of A views of each of B
+            scenes.
+        ground: one map for all views, or one for each of the B views or scenes (see
+            `Ground.select`); call `prefilter_ground` first where its pixels are smaller than the
+            view's.
+        boxes: layers of agents, lights, ... in paint order, each in B scenes.
+        present: (B, A) which cameras of (B, A, 3) exist; the others may hold any numbers, and their
+            pictures are 0. None: all.
 
     Returns:
-        (B, C, H, W) colours.
+        (B, C, H, W) or (B, A, C, H, W) colours, contiguous.
 
     Raises:
-        ValueError: shapes do not match, the pose of a present box is not finite, or its size is not
-            positive.
+        ValueError: shapes or dtypes do not match, the pose of a camera or of a present box is not
+            finite, or a box's size is not positive.
 
+    >>> import torch
     >>> from geoaim.simulation.ground import make_ground
-    >>> ground = make_ground(torch.zeros(1, 4, 4), torch.eye(3)[:2])
-    >>> car = OrientedBoxes(torch.zeros(1, 1, 3), torch.tensor([[2.0, 1.0]]), torch.ones(1, 1))
+    >>> ground = make_ground(torch.zeros(1, 4, 4), torch.eye(3))
+    >>> car = OrientedBoxes(torch.zeros(1, 1, 3), torch.tensor([2.0, 1.0]), torch.ones(1))
     >>> picture = render(View(4, 4, 1.0), torch.zeros(1, 3), ground, [car])
     >>> picture[0, 0, :, 1].tolist()
     [0.0, 0.5, 0.75, 0.5]
     """
-    _check_inputs(cameras, ground, boxes)
-    for layer in boxes:
+    layers = list(boxes)
+    for layer in layers:
         for colours in (layer.colours, layer.heading_colours):
             if colours is not None and colours.shape[-1] != len(ground.image):
                 channels = colours.shape[-1]
@@ -65,136 +71,76 @@ def render(
                     f"colours have {channels} channels and the ground has {len(ground.image)}; "
                     "give as many"
                 )
-    pixels = sample_ground(view, cameras, ground.image, ground.image_from_world)
-    if boxes:
-        pixels = composite(pixels, rasterize(view, _collect_boxes(view, cameras, boxes)))
-    return unflatten_views(pixels, view)
+    return _draw(Drawing(view, cameras, ground, present), layers)
 
 
 def render_layers(
-    view: View, cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[OrientedBoxes] = ()
-) -> Float[Tensor, "B K H W"]:
+    view: View,
+    cameras: Float[Tensor, "*B 3"],
+    ground: Ground,
+    boxes: Iterable[OrientedBoxes] = (),
+    *,
+    present: Bool[Tensor, "B A"] | None = None,
+) -> Float[Tensor, "*B K H W"]:
     """Render channels for models: the ground's colours, then a plane for each layer of boxes.
 
     Args:
         view: size and resolution of the pictures.
-        cameras: (B, 3) x and y, metres, and heading, radians.
-        ground: as for `render`.
+        cameras: (B, 3) or (B, A, 3) x and y, metres, and heading, radians.
+        ground: the map or maps, as in `render`.
         boxes: layers, whose colours are not used.
+        present: which cameras exist, as in `render`.
 
     Returns:
-        (B, C + layers, H, W); a plane is 1 in boxes, 0.5 in the triangles that show headings.
+        (B, C + layers, H, W) or (B, A, C + layers, H, W); a plane is 1 in boxes, 0.5 in the
+        triangles that show headings.
 
     Raises:
-        ValueError: as by `render`.
+        ValueError: as in `render`.
 
+    >>> import torch
     >>> from geoaim.simulation.ground import make_ground
-    >>> ground = make_ground(torch.zeros(3, 4, 4), torch.eye(3)[:2])
-    >>> car = OrientedBoxes(torch.zeros(1, 1, 3), torch.tensor([[2.0, 1.0]]), torch.ones(1, 3))
+    >>> ground = make_ground(torch.zeros(3, 4, 4), torch.eye(3))
+    >>> car = OrientedBoxes(torch.zeros(1, 1, 3), torch.tensor([2.0, 1.0]), torch.ones(3))
     >>> render_layers(View(4, 4, 1.0), torch.zeros(1, 3), ground, [car, car]).shape
     torch.Size([1, 5, 4, 4])
     """
-    _check_inputs(cameras, ground, boxes)
-    pixels = sample_ground(view, cameras, ground.image, ground.image_from_world)
-    if boxes:
-        planes = [_set_plane_colours(layer) for layer in boxes]
-        collected = _collect_boxes(view, cameras, planes, separate=True)
-        pixels = composite(pixels, rasterize(view, collected), len(boxes))
-    return unflatten_views(pixels, view)
+    planes = [_set_plane_colours(layer) for layer in boxes]
+    return _draw(Drawing(view, cameras, ground, present, planes=len(planes)), planes)
 
 
 def _set_plane_colours(layer: OrientedBoxes) -> OrientedBoxes:
     """Set the colours of a plane: 1, and 0.5 in triangles."""
-    one = torch.ones_like(layer.poses[..., :1])
+    one = layer.poses.new_ones(1)
     triangles = None if layer.heading_colours is None else one / 2
     return replace(layer, colours=one, heading_colours=triangles)
 
 
-def _collect_boxes(
-    view: View,
-    cameras: Float[Tensor, "B 3"],
-    layers: Sequence[OrientedBoxes],
-    *,
-    separate: bool = False,
-) -> PixelBoxes:
-    """Collect the present boxes picture by picture, in paint order; absent ones get no gradient.
-
-    With `separate`, each layer has pictures of its own, which follow those of the last layer.
-    """
-    present = torch.cat([_get_present(layer) for layer in layers], dim=1)  # (B, all A)
-    camera, column = present.nonzero().unbind(1)
-    index = camera * present.shape[1] + column
-    poses = _gather((layer.poses for layer in layers), len(cameras), index)
-    sizes = _gather((layer.sizes for layer in layers), len(cameras), index)
-    if not (torch.isfinite(torch.cat([poses, sizes], dim=1)).all() and (sizes > 0).all()):
-        raise ValueError(
-            "a box that is present has a pose that is not finite, or a size that is not "
-            "a positive number; mask absent ones by `present`"
-        )
-    centre, axis = project_poses(view, cameras.index_select(0, camera), poses)
-    counts = torch.tensor([layer.poses.shape[1] for layer in layers], device=index.device)
-    layer_of = torch.repeat_interleave(counts)[column]
-    triangles = [layer.heading_colours for layer in layers]
-    has_triangle = torch.tensor([colour is not None for colour in triangles], device=index.device)
-    colours = [layer.colours for layer in layers]
-    filled = (c if t is None else t for c, t in zip(colours, triangles, strict=True))
-    return PixelBoxes(
-        picture=camera + len(cameras) * layer_of if separate else camera,
-        centre=centre,
-        axis=axis,
-        sizes=sizes / view.resolution,
-        colours=_gather(colours, len(cameras), index),
-        triangle_colours=_gather(filled, len(cameras), index),
-        has_triangle=has_triangle[layer_of],
-    )
+def _draw(drawing: Drawing, layers: Sequence[OrientedBoxes]) -> Float[Tensor, "*B C H W"]:
+    """Draw by the compiled loops on CPUs, where numba is installed; else by torch."""
+    check_cameras(drawing.cameras, drawing.ground, drawing.present)
+    check_layers(layers, drawing.cameras)
+    boxes = stack_layers(layers) if layers else None
+    compiled = drawing.cameras.device.type == "cpu" and _has_kernel()
+    if compiled:
+        from geoaim.simulation.kernel.function import draw_with_kernel as draw
+    else:
+        draw = draw_with_torch
+    shape = drawing.cameras.shape[:-1]
+    pictures = draw(drawing, boxes)
+    return pictures if len(shape) == 1 else pictures.view(*shape, *pictures.shape[1:])
 
 
-def _get_present(layer: OrientedBoxes) -> Bool[Tensor, "B A"]:
-    if layer.present is None:
-        return layer.poses.new_ones(layer.poses.shape[:2], dtype=torch.bool)
-    return layer.present
-
-
-def _gather(values: Iterable[Tensor], views: int, index: Int[Tensor, "N"]) -> Float[Tensor, "N C"]:
-    """Gather values of some boxes from those of all layers: (B, A, C) or (A, C) each."""
-    table = torch.cat([value.expand(views, *value.shape[-2:]) for value in values], dim=1)
-    return table.flatten(0, 1).index_select(0, index)
-
-
-def _check_inputs(
-    cameras: Float[Tensor, "B 3"], ground: Ground, boxes: Sequence[OrientedBoxes]
-) -> None:
-    """Refuse inputs that would give a wrong picture."""
-    dtypes = {cameras.dtype, ground.image.dtype, ground.image_from_world.dtype}
-    for layer in boxes:
-        dtypes |= {layer.poses.dtype, layer.sizes.dtype, layer.colours.dtype}
-    if len(dtypes) > 1:
-        names = ", ".join(sorted(map(str, dtypes)))
-        raise ValueError(f"tensors have dtypes {names}; convert them to one dtype")
-    if not torch.isfinite(cameras).all():
-        raise ValueError("a camera's pose is not finite")
-    for layer in boxes:
-        _check_shapes(layer, len(cameras))
-
-
-def _check_shapes(layer: OrientedBoxes, cameras: int) -> None:
-    """Refuse boxes whose number of views or shapes do not match."""
-    views, count = layer.poses.shape[:2]
-    if views != cameras:
-        raise ValueError(f"boxes are given for {views} views and {cameras} cameras; one each")
-    per_box, per_view = (count,), (views, count)
-    triangles = layer.heading_colours
-    for name, shape, allowed in (
-        ("sizes", layer.sizes.shape[:-1], (per_view, per_box)),
-        ("colours", layer.colours.shape[:-1], (per_view, per_box)),
-        ("present", per_view if layer.present is None else layer.present.shape, (per_view,)),
-        (
-            "heading_colours",
-            per_box if triangles is None else triangles.shape[:-1],
-            (per_view, per_box),
-        ),
-    ):
-        if tuple(shape) not in allowed:
-            raise ValueError(
-                f"{name} has shape {tuple(shape)}; expected (views, boxes) = {per_view}"
-            )
+@cache
+def _has_kernel() -> bool:
+    """Whether numba can be imported, and is not turned off by GEOAIM_RENDERER=torch."""
+    if os.environ.get("GEOAIM_RENDERER") == "torch":
+        return False
+    try:
+        importlib.import_module("numba")
+    except ModuleNotFoundError:
+        return False
+    except ImportError as error:  # such as of a numba for another numpy
+        warn(f"numba cannot be imported ({error}); torch draws the same views, more slowly")
+        return False
+    return True

@@ -1,19 +1,16 @@
-"""The ground of bird's-eye views: a texture, sampled at the pixels of all views at once.
-
-`View` is the size of a view. Its defaults are those of who renders: `geoaim.cli.simulate` for
-videos, `geoaim.prediction.config` for what a model sees.
-"""
+"""The ground: textures of maps, and where they lie in the world."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 GREY = 0.5
+MAX_FLOAT_SPACING_PX = 0.25  # largest spacing of neighbouring floats at a map, in its pixels
+MAX_AFFINE_ERROR = 1e-6  # tolerance for the last row of a (3, 3) transform, which must be 0, 0, 1
 
 
 @dataclass(frozen=True)
@@ -37,220 +34,169 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A texture and its place in the world."""
+    """The textures of M maps in one image, and the place of each in its world.
 
-    # the texture, with a border of one pixel in the colour beyond its edges
+    A batch of views shows one map if M is 1, else one map for each view: `select` chooses them.
+    """
+
+    # each texture has a border of one pixel in the colour beyond its edges; channels last in memory
     image: Float[Tensor, "C h w"]
-    # 1 where the texture shows the ground, 0 where not and in the border
+    # 1 where a texture shows the ground, 0 where not and in the border
     coverage: Float[Tensor, "1 h w"]
-    image_from_world: Float[Tensor, "2 3"]  # metres to pixels (corner origin)
+    image_from_world: Float[Tensor, "M 2 3"]  # metres of each map to pixels (corner origin)
+    # left, top, right and bottom edge of each texture in the image, with its border, pixels
+    regions: Int[Tensor, "M 4"]
     averaged_over: float = 0.0  # metres to a side, by `prefilter_ground`; 0: not averaged
 
     @property
-    def bounds(self) -> Float[Tensor, "2 2"]:
-        """Lowest and highest x and y of the texture, metres."""
-        height, width = self.image.shape[1:]
-        pixels = torch.tensor([[0, 0], [width, 0], [width, height], [0, height]])
-        corners = world_from_pixels(self.image_from_world, pixels)
-        return torch.stack([corners.amin(dim=0), corners.amax(dim=0)])
+    def bounds(self) -> Float[Tensor, "M 2 2"]:
+        """Lowest and highest x and y of each texture, metres."""
+        left, top, right, bottom = self.regions.unbind(1)
+        pixels = torch.stack([left, top, right, top, right, bottom, left, bottom], dim=1)
+        corners = world_from_pixels(self.image_from_world, pixels.view(-1, 4, 2))
+        return torch.stack([corners.amin(dim=1), corners.amax(dim=1)], dim=1)
+
+    def select(self, maps: Int[Tensor, "B"]) -> "Ground":
+        """Choose the map of each of B views; the textures stay as they are."""
+        return replace(
+            self, image_from_world=self.image_from_world[maps], regions=self.regions[maps]
+        )
+
+    def to(
+        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
+    ) -> "Ground":
+        """Move the textures to a device, or convert them to a dtype."""
+        return replace(
+            self,
+            image=self.image.to(device=device, dtype=dtype),
+            coverage=self.coverage.to(device=device, dtype=dtype),
+            image_from_world=self.image_from_world.to(device=device, dtype=dtype),
+            regions=self.regions.to(device=device),
+        )
 
 
 def make_ground(
-    image: Float[Tensor, "C h w"],
-    image_from_world: Float[Tensor, "2 3"],
+    image: Float[Tensor, "*M C h w"],
+    image_from_world: Float[Tensor, "*M r 3"],
     *,
-    coverage: Bool[Tensor, "h w"] | None = None,
+    coverage: Bool[Tensor, "*M h w"] | None = None,
     outside: Float[Tensor, "C"] | None = None,
 ) -> Ground:
-    """Make a ground of a texture.
+    """Make a ground of a texture, or of a batch of textures of one size.
 
     Args:
-        image: (C, h, w) a map's image, 0 to 1, in float32 or float64. For no map: (C, 1, 1) of one
-            colour, with `outside` the same colour.
-        image_from_world: (2, 3) metres to its pixels (corner origin, v down).
-        coverage: (h, w) where the image shows the ground; None: everywhere.
-        outside: (C,) colour where it does not, and beyond the image; None: mid-grey.
+        image: (C, h, w) a map's image, 0 to 1, in float32 or float64, or (M, C, h, w) the images of
+            M maps. One pixel, (C, 1, 1), is a plain colour.
+        image_from_world: (2, 3) or (3, 3) metres to its pixels (corner origin, v down), affine; or
+            (M, 2, 3) or (M, 3, 3).
+        coverage: (h, w) or (M, h, w) where the image shows the ground; None: everywhere.
+        outside: (C,) colour where it does not, and beyond the image; None: mid-grey, or for one
+            pixel its own colour.
 
     Returns:
         The ground, of the image's dtype and on its device.
 
     Raises:
-        ValueError: the transform is singular, the image has another dtype or a number that is not
-            finite, or shapes do not match.
+        ValueError: a transform is singular or not affine, the image has another dtype or a number
+            that is not finite, shapes do not match, or a map lies so far from its world's origin
+            that positions in its dtype are inexact.
+
+    >>> maps = make_ground(torch.zeros(2, 3, 8, 8), torch.eye(3).expand(2, 3, 3))
+    >>> maps.image.shape, maps.regions.tolist()
+    (torch.Size([3, 20, 10]), [[0, 0, 10, 10], [0, 10, 10, 20]])
     """
+    images, matrices = image[(None,) * (4 - image.ndim)], _check_matrices(image_from_world)
+    channels, height, width = images.shape[1:]
     if coverage is None:
-        coverage = torch.ones_like(image[0], dtype=torch.bool)
-    if outside is None:
-        outside = torch.full_like(image[:, 0, 0], GREY)
-    if not torch.isfinite(image_from_world).all() or _compute_resolution(image_from_world) == 0:
+        coverage = torch.ones_like(images[:, 0], dtype=torch.bool)
+    colour = images.new_full((1, channels, 1, 1), GREY)
+    if outside is not None:
+        colour = outside.to(images).view(1, -1, 1, 1)
+    elif height == width == 1:  # plain colours
+        colour = images
+    _check_images(images, coverage, colour.shape[1], len(matrices))
+    _check_near(matrices, images.dtype)
+    coverage = coverage.view(-1, 1, height, width)
+    bordered = F.pad(torch.where(coverage, images - colour, 0.0), (1, 1, 1, 1)) + colour
+    # one below the other
+    count, rows, columns = len(images), height + 2, width + 2
+    tops = rows * torch.arange(count, device=images.device)
+    # column and row of each map's first pixel
+    offsets = torch.stack([torch.ones_like(tops), tops + 1], dim=1)
+    matrices = matrices.to(images) + F.pad(offsets.to(images)[..., None], (2, 0))
+    stacked = bordered.permute(0, 2, 3, 1).contiguous().view(count * rows, columns, channels)
+    return Ground(
+        image=stacked.permute(2, 0, 1),
+        coverage=F.pad(coverage.to(images), (1, 1, 1, 1)).view(1, count * rows, columns),
+        image_from_world=matrices,
+        regions=torch.stack([tops * 0, tops, torch.full_like(tops, columns), tops + rows], dim=1),
+    )
+
+
+def _check_matrices(image_from_world: Float[Tensor, "*M r 3"]) -> Float[Tensor, "M 2 3"]:
+    """Refuse transforms that cannot be inverted, or that are not affine."""
+    matrices = image_from_world[(None,) * (3 - image_from_world.ndim)]
+    last = matrices[:, 2:] - matrices.new_tensor([0.0, 0.0, 1.0])
+    matrices = matrices[:, :2]
+    if not torch.isfinite(matrices).all() or not (compute_resolutions(matrices) > 0).all():
         raise ValueError(f"image_from_world is {image_from_world.tolist()}; it must be invertible")
-    if image.dtype not in (torch.float32, torch.float64):
-        raise ValueError(f"a texture of {image.dtype}; float32 or float64 is needed")
-    if not torch.isfinite(image).all():
-        raise ValueError("the texture has pixels that are not finite")
-    if coverage.shape != image.shape[1:] or len(outside) != len(image):
+    if last.numel() and last.abs().max() > MAX_AFFINE_ERROR:
         raise ValueError(
-            f"the texture has the shape {tuple(image.shape)}, its mask {tuple(coverage.shape)} and "
-            f"the colour outside {len(outside)} channels; height, width and channels must be equal"
+            f"image_from_world is {image_from_world.tolist()}; its last row must be 0, 0, 1: use "
+            "`ground_from_corners` for an image in perspective"
         )
-    covered = torch.where(coverage, image, outside[:, None, None])
-    share = coverage.to(image)[None]
-    matrix = _shift_origin(image_from_world.to(image), 1.0)
-    border = torch.zeros_like(share[:, 0, 0])
-    return Ground(_add_border(covered, outside), _add_border(share, border), matrix)
+    return matrices
 
 
-def move_ground(ground: Ground, device: torch.device | str) -> Ground:
-    """Move a ground to a device; the result is another object."""
-    return replace(
-        ground,
-        image=ground.image.to(device),
-        coverage=ground.coverage.to(device),
-        image_from_world=ground.image_from_world.to(device),
-    )
+def _check_images(
+    images: Float[Tensor, "M C h w"], coverage: Bool[Tensor, "*M h w"], outside: int, matrices: int
+) -> None:
+    """Refuse textures that would give a wrong picture."""
+    if images.dtype not in (torch.float32, torch.float64):
+        raise ValueError(f"a texture of {images.dtype}; float32 or float64 is needed")
+    if not torch.isfinite(images).all():
+        raise ValueError("the texture has pixels that are not finite")
+    if coverage.shape[-2:] != images.shape[-2:] or outside != images.shape[1]:
+        raise ValueError(
+            f"the texture has the shape {tuple(images.shape[1:])}, its mask "
+            f"{tuple(coverage.shape)} and the colour outside {outside} channels; height, "
+            "width and channels must be equal"
+        )
+    if not len(images) == matrices == coverage.numel() // coverage.shape[-2:].numel():
+        raise ValueError(
+            f"there are {len(images)} textures, {matrices} transforms, and masks of shape "
+            f"{tuple(coverage.shape)}; give as many of each"
+        )
 
 
-def prefilter_ground(ground: Ground, resolution: float) -> Ground:
-    """Average a ground over pixels of `resolution` metres, so that views of it do not alias.
-
-    A ground that is averaged over as much already is returned as it is. Each pixel becomes the mean
-    of the texture, interpolated by cubic convolution (Keys 1981), over a square of one of the
-    view's pixels. One bilinear lookup is then close to the mean over it, however the view is
-    turned. A texture much finer than the view is subsampled to four pixels for each of the view's,
-    with a smaller square for the blur of looking up among fewer pixels. The texture's pixels must
-    be about square.
-    """
-    if ground.averaged_over >= resolution:
-        return ground
-    ratio = resolution / _compute_resolution(ground.image_from_world)
-    stride = max(1, int(ratio / 4 + 1e-3))
-    weights = _compute_weights(math.sqrt(ratio**2 - 2 * (stride**2 - 1)))
-    margin = math.ceil(len(weights) / 2 / stride) * stride  # the filter spreads beyond the edges
-    matrix = _shift_origin(_shift_origin(ground.image_from_world, margin - 1.5) / stride, 0.5 + 1)
-    image, coverage = (
-        _filter(plane, weights, stride, margin) for plane in (ground.image, ground.coverage)
-    )
-    return Ground(image, coverage, matrix, averaged_over=resolution)
-
-
-def render_coverage(
-    view: View, cameras: Float[Tensor, "B 3"], ground: Ground
-) -> Float[Tensor, "B 1 H W"]:
-    """Render how much of each pixel the map covers.
-
-    Args:
-        view: size and resolution of the pictures.
-        cameras: (B, 3) x, y, heading of the pictures' centres.
-        ground: the map.
-
-    Returns:
-        (B, 1, H, W) from 0, beyond the map and in its gaps, to 1; without gradients.
-    """
-    with torch.no_grad():
-        share = sample_ground(view, cameras, ground.coverage, ground.image_from_world)
-    return unflatten_views(share.clamp(0, 1), view)
-
-
-def sample_ground(
-    view: View,
-    cameras: Float[Tensor, "B 3"],
-    image: Float[Tensor, "C h w"],
-    image_from_world: Float[Tensor, "2 3"],
-) -> Float[Tensor, "C P"]:
-    """Sample a texture bilinearly at the centres of all pixels of all views.
-
-    Args:
-        view: size and resolution of the pictures.
-        cameras: (B, 3) x, y, heading.
-        image: (C, h, w) the texture.
-        image_from_world: (2, 3) metres to its pixels (corner origin).
-
-    Returns:
-        (C, P) with P = B H W, one view after the other; beyond the texture its border.
-    """
-    height, width = image.shape[-2:]
-    scale = image.new_tensor([2 / width, 2 / height])  # grid_sample: -1 to 1
-    linear, offset = image_from_world[:, :2] * scale[:, None], image_from_world[:, 2] * scale - 1
-    cosine, sine = cameras[:, 2].cos(), cameras[:, 2].sin()
-    right = apply_matrix(linear, torch.stack([sine, -cosine], dim=1))  # (B, 2) for a metre
-    down = apply_matrix(linear, torch.stack([-cosine, -sine], dim=1))
-    centre = apply_matrix(linear, cameras[:, :2])
-    columns, rows = (
-        (torch.arange(count).to(cameras) + 0.5 - count / 2) * view.resolution
-        for count in (view.width, view.height)
-    )
-    # (B, 2 W) both coordinates of each column in turn, the layout that grid_sample reads
-    across = (columns[:, None] * right[:, None] + (centre + offset)[:, None]).flatten(1)
-    grid = torch.addcmul(across[:, None], rows[None, :, None], down.repeat(1, view.width)[:, None])
-    grid = grid.view(1, len(cameras) * view.height, view.width, 2)
-    pixels = F.grid_sample(image[None], grid, padding_mode="border", align_corners=False)
-    return pixels.view(len(image), len(cameras) * view.height * view.width)
+def _check_near(matrices: Float[Tensor, "M 2 3"], dtype: torch.dtype) -> None:
+    """Refuse maps so far from their world's origin that positions in a dtype are inexact."""
+    far = float(matrices[..., 2].detach().abs().max()) if len(matrices) else 0.0
+    if far * torch.finfo(dtype).eps > MAX_FLOAT_SPACING_PX:
+        raise ValueError(
+            f"a map lies {far:,.0f} of its pixels from its world's origin, where {dtype} has steps "
+            f"of {far * torch.finfo(dtype).eps:.1f} pixels; subtract an origin near it from all "
+            "positions, or give float64"
+        )
 
 
 def world_from_pixels(
-    image_from_world: Float[Tensor, "2 3"], pixels: Tensor
-) -> Float[Tensor, "n 2"]:
-    """Map pixels (n, 2) to metres, in float64."""
+    image_from_world: Float[Tensor, "*M 2 3"], pixels: Tensor
+) -> Float[Tensor, "*M n 2"]:
+    """Map pixels (..., n, 2) to metres, in float64."""
     matrix = image_from_world.double()
-    return torch.linalg.solve(matrix[:, :2], (pixels.to(matrix) - matrix[:, 2]).t()).t()
+    offset = pixels.to(matrix) - matrix[..., None, :, 2]
+    return torch.linalg.solve(matrix[..., :2], offset.mT).mT
+
+
+def compute_resolutions(image_from_world: Float[Tensor, "*M 2 3"]) -> Float[Tensor, "*M"]:
+    """Compute metres per pixel of transforms, in float64; 0 of a singular one."""
+    area = torch.linalg.det(image_from_world[..., :2].double()).abs()
+    return torch.where(area > 0, 1 / area.clamp_min(1e-300).sqrt(), 0.0)
 
 
 def apply_matrix(
-    matrix: Float[Tensor, "2 2"], vectors: Float[Tensor, "... 2"]
+    matrix: Float[Tensor, "... 2 2"], vectors: Float[Tensor, "... 2"]
 ) -> Float[Tensor, "... 2"]:
-    """Multiply each vector by one matrix, by sums: autocast and TF32 round matrix products."""
+    """Multiply vectors by matrices, by sums: autocast and TF32 round matrix products."""
     return (matrix * vectors[..., None, :]).sum(-1)
-
-
-def unflatten_views(flat: Float[Tensor, "C P"], view: View) -> Float[Tensor, "B C H W"]:
-    """Reshape the pixels of `sample_ground` to pictures."""
-    return flat.view(len(flat), -1, view.height, view.width).transpose(0, 1)
-
-
-def _filter(
-    image: Float[Tensor, "C h w"], weights: list[float], stride: int, margin: int
-) -> Float[Tensor, "C H W"]:
-    """Filter an image with a border, and a margin around it, by a separable filter."""
-    outside, radius = image[:, 0, 0], len(weights) // 2
-    result = F.pad(image[:, 1:-1, 1:-1] - outside[:, None, None], (margin + radius,) * 4)
-    for _ in range(2):  # rows, then columns; a convolution takes many times the texture's memory
-        end = result.shape[1] - 2 * radius
-        shifts = (result[:, k : k + end : stride] for k in range(len(weights)))
-        result = _sum_weighted(shifts, weights).transpose(1, 2)
-    return _add_border((result + outside[:, None, None]).contiguous(), outside)
-
-
-def _sum_weighted(images: Iterator[Tensor], weights: list[float]) -> Tensor:
-    total = next(images) * weights[0]
-    for image, weight in zip(images, weights[1:], strict=True):
-        total = total + image * weight if image.requires_grad else total.add_(image, alpha=weight)
-    return total
-
-
-def _compute_weights(side: float) -> list[float]:
-    """Compute the filter of a mean over `side` pixels of the cubic convolution (Keys 1981)."""
-    radius = math.ceil(side / 2 + 1.5)
-    ends = torch.arange(-radius, radius + 1)[:, None] + torch.tensor([-side, side]).double() / 2
-    x = ends.abs().clamp(max=2)
-    near = x * (1 + x**2 * (3 / 8 * x - 5 / 6))  # the kernel's integral from 0 to x, to 1
-    far = 2 * x - 2 * x**2 + 5 / 6 * x**3 - x**4 / 8 - 1 / 6  # and beyond
-    weights = (torch.where(x < 1, near, far) * ends.sign()).diff(dim=1)[:, 0]
-    return (weights / weights.sum()).tolist()
-
-
-def _add_border(
-    image: Float[Tensor, "C h w"], colour: Float[Tensor, "C"]
-) -> Float[Tensor, "C H W"]:
-    colour = colour[:, None, None]
-    return F.pad(image - colour, (1, 1, 1, 1)) + colour
-
-
-def _shift_origin(image_from_world: Float[Tensor, "2 3"], pixels: float) -> Float[Tensor, "2 3"]:
-    """Move an image's origin by `pixels` up and to the left."""
-    return image_from_world + F.pad(image_from_world.new_full((2, 1), pixels), (2, 0))
-
-
-def _compute_resolution(image_from_world: Float[Tensor, "2 3"]) -> float:
-    """Compute metres per pixel; 0 of a singular transform."""
-    area = abs(float(torch.linalg.det(image_from_world[:, :2].double())))
-    return 1 / math.sqrt(area) if area > 0 else 0.0
