@@ -1,11 +1,13 @@
-"""Stages of the simulator: a step, collisions and off-road distances, timed on one thread.
+"""Stages of the simulator: a step, drivers, collisions and off-road distances, on one thread.
 
     python -m geoaim.bench.simulator --json docs/bench/simulator.json
 
-64 scenes of 20 agents are timed beside four sines for each agent, a yardstick of the machine.
+64 scenes of 20 agents are timed beside four sines for each agent, a yardstick of the machine; times
+are processor times. Drivers find the conflicts of their routes once, before the first step.
 Where torchdrivesim is installed, its collisions and off-road distances are timed in the same run.
 """
 
+import time
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -16,13 +18,16 @@ import typer
 from geoaim.bench.report import JsonFile, print_rows, time_medians, write_rows
 from geoaim.hdmap.drivable import find_drivable_area, sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
+from geoaim.simulation.idm import make_idm_policy
 from geoaim.simulation.infractions import compute_offroad_distance
 from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.road_rules import make_drivable
-from geoaim.simulation.simulator import Scenario, step
+from geoaim.simulation.routes import Routes, resample_points
+from geoaim.simulation.simulator import Policy, Scenario, step
 
 SCENES, AGENTS, SIDE_M = 64, 20, 80.0
-BORDER_POINTS = 12  # of each border of a lane, in triangles
+ROUTE_M, DESIRED_SPEED_MPS = 100.0, 10.0
+BORDER_POINTS = 12  # points of each border of a lane, in triangles
 
 
 def _make_traffic() -> Scenario:
@@ -35,15 +40,32 @@ def _make_traffic() -> Scenario:
     return Scenario(torch.stack([states, states], 1), present, sizes, pedestrian, 0.1)
 
 
+def _make_drivers(scenario: Scenario) -> Policy:
+    """Make drivers of all agents, straight on."""
+    x, y, heading, _ = scenario.states[:, 0].unbind(-1)
+    start = torch.stack([x, y], dim=-1)
+    way = ROUTE_M * torch.stack([heading.cos(), heading.sin()], dim=-1)
+    points = resample_points(torch.stack([start, start + way], dim=2))
+    length = torch.full_like(x, ROUTE_M)
+    routes = Routes(points, length, torch.zeros_like(scenario.pedestrian))
+    everyone = torch.ones_like(scenario.pedestrian)
+    desired_speeds = torch.full_like(x, DESIRED_SPEED_MPS)
+    return make_idm_policy(routes, desired_speeds, scenario.sizes, everyone)
+
+
 def _time_stages(repeats: int) -> list[dict[str, Any]]:
     scenario = _make_traffic()
     states, present, sizes = scenario.states[:, 0], scenario.present[:, 0], scenario.sizes
     poses, actions = states[..., :3], torch.full((SCENES, AGENTS, 2), 0.1)
     hdmap = read_hdmap("samples/map.osm")
     drivable = make_drivable(find_drivable_area(hdmap))
-    stages: dict[str, Callable[[], Any]] = {
+    drivers = _make_drivers(scenario)
+    driving: dict[str, Callable[[], Any]] = {
         "sines, 4 per agent": lambda: torch.sin(states),
         "step": lambda: step(scenario, 0, states, actions, present),
+        "actions of intelligent drivers": lambda: drivers(scenario, scenario.states[:, :1]),
+    }
+    counting: dict[str, Callable[[], Any]] = {
         "collisions, exact IoU of all pairs": lambda: box_iou(poses, sizes, present),
         "off-road distance": lambda: compute_offroad_distance(drivable, poses, sizes, present),
         "off-road distance, 4 scenes": lambda: compute_offroad_distance(
@@ -51,12 +73,16 @@ def _time_stages(repeats: int) -> list[dict[str, Any]]:
         ),
         **_list_torchdrivesim(scenario, hdmap),
     }
-    with torch.no_grad():
-        durations = time_medians(list(stages.values()), repeats)
-    return [
-        {"stage": name, "ms": 1e3 * duration}
-        for name, duration in zip(stages, durations, strict=True)
-    ]
+    once = {"conflicts of the drivers' routes, once": lambda: _make_drivers(scenario)}
+    rows = []
+    with torch.no_grad():  # the stages of a group in turn
+        for group, count in ((driving, repeats), (counting, repeats), (once, 1)):
+            durations = time_medians(list(group.values()), count, time.process_time)
+            rows += [
+                {"stage": name, "ms": 1e3 * duration}
+                for name, duration in zip(group, durations, strict=True)
+            ]
+    return rows
 
 
 def _list_torchdrivesim(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[[], Any]]:

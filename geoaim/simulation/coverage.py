@@ -3,9 +3,10 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
-MIN_RUN_PX = 1e-3  # an edge that runs less far to the side counts as vertical
+from geoaim.simulation.derivatives import forbid_second_derivatives
+
+MIN_RUN_PX = 1e-3  # an edge whose ends differ by less in x counts as vertical
 MIN_EDGE_PX = 1e-9  # avoids divisions by zero
 
 
@@ -13,8 +14,8 @@ def compute_pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"
     """Compute the area that polygons share with the unit square.
 
     By Green's theorem, the area is the integral of x dy along the polygon, with x and y clamped to
-    the square. Its gradient by an end of an edge is the integral, over the part of the edge in the
-    square, of how far each point moves along with that end.
+    the square. Its gradient with respect to an end of an edge is the integral, over the part of the
+    edge in the square, of how far each point moves along with that end.
 
     Polygons are convex, their K corners in the order that turns +x towards +y; areas of polygons in
     the opposite order are negative.
@@ -33,9 +34,11 @@ class _Coverage(torch.autograd.Function):
         return _compute_area(corners)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx, *grads):  # type: ignore[no-untyped-def]
-        return _compute_area_gradient(*ctx.saved_tensors) * grads[0][:, None, None]
+        (corners,) = ctx.saved_tensors
+        with torch.no_grad():
+            grad_corners = _compute_area_gradient(corners) * grads[0][:, None, None]
+        return forbid_second_derivatives((grad_corners,), (corners, grads[0]))[0]
 
 
 def _compute_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
@@ -44,7 +47,8 @@ def _compute_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     next_y = y.roll(-1, 1)
     run, rise = x.roll(-1, 1) - x, next_y - y
     slope = run / torch.where(rise == 0, 1.0, rise)
-    start, end = y.clamp(0, 1), next_y.clamp(0, 1)  # of the part of the edge in the square's rows
+    # ends of the part of the edge in the square's rows
+    start, end = y.clamp(0, 1), next_y.clamp(0, 1)
     first_x = x + (start - y) * slope
     last_x = x + (end - y) * slope
     width = last_x - first_x

@@ -4,31 +4,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool
 from torch import Tensor
 
 from geoaim.agent_types import select_group
 from geoaim.errors import TracksError
-from geoaim.lights import UNKNOWN
 from geoaim.simulation import simulator
-from geoaim.simulation.infractions import detect_offroad, detect_red_light_running, detect_wrong_way
-from geoaim.simulation.overlap import box_iou
-from geoaim.simulation.policies import (
-    constant_turn_rate,
-    constant_velocity,
-    make_idm_policy,
-    replay,
-)
+from geoaim.simulation.idm import make_idm_policy
+from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
-from geoaim.simulation.scene import Scene, find_agent, find_step
+from geoaim.simulation.routes import extract_routes
+from geoaim.simulation.scene import Scene, find_agent, find_step, slice_scene
+from geoaim.simulation.scene_infractions import detect_infractions
+from geoaim.simulation.spawning import rollout_routes
 
 SIMPLE_POLICIES: Mapping[str, simulator.Policy] = {
     "constant-velocity": constant_velocity,
     "constant-turn-rate": constant_turn_rate,
-    "replay": replay,
 }
-POLICY_NAMES = ("idm", *SIMPLE_POLICIES)
-HISTORY_STEPS = 5  # in which all agents replay
+POLICY_NAMES = ("idm", *SIMPLE_POLICIES, "replay")
+HISTORY_STEPS = 5  # all agents replay their recordings in the first steps
 # vehicles whose speed is ever below this replay the recording: no policy drives backwards
 REVERSING_SPEED_MPS = -0.1
 
@@ -39,9 +34,10 @@ class Episode:
 
     scene: Scene  # what happened in the simulation
     controlled: Bool[Tensor, "A"]  # agents that the policy moved
-    # share of the controlled agents' simulated steps with an infraction: "collision", "red light",
-    # "off road", "wrong way"; an infraction that could not occur is left out
+    # shares of the controlled agents' simulated steps with an infraction, by the names of
+    # `detect_infractions`; an infraction that could not occur is left out
     rates: Mapping[str, float]
+    recorded_rates: Mapping[str, float]  # the same of the recording of the same agents and times
 
 
 def simulate_scene(
@@ -55,16 +51,19 @@ def simulate_scene(
 ) -> Episode:
     """Simulate a part of a scene, in which a policy controls one agent or all of them.
 
+    Agents by "idm" enter when there is room for them, and leave at the end of their route.
+
     Args:
         scene: the recording.
         policy: "idm", "constant-velocity", "constant-turn-rate" or "replay".
-        ego: name of the controlled agent; None: all agents that never reverse.
+        ego: name of the controlled agent; None: all agents that never reverse; of these, "idm"
+            controls the vehicles only.
         start: time at which the simulation begins, seconds; None: the scene's first.
-        duration: of the simulation, seconds, including the first `HISTORY_STEPS` steps.
-        rules: of the road; infractions of missing rules are not counted.
+        duration: duration of the simulation, seconds, including the first `HISTORY_STEPS` steps.
+        rules: the road rules; infractions of missing rules are not counted.
 
     Returns:
-        The simulated scene and its rates of infractions.
+        The simulated scene, and the rates of infractions in it and in its recording.
 
     Raises:
         ValueError: the policy is unknown, or the time is not within the scene's.
@@ -73,14 +72,14 @@ def simulate_scene(
     """
     check_rules(scene, rules)
     first, steps = _find_steps(scene, start, duration)
-    scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
-    rest = simulator.make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
-    controlled = _select_controlled(scene, first, steps, ego)
-    act = _make_policy(policy, rest, scene.stop_lines, scene.light_states[None, first:])
-    states = simulator.rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
-    simulated = simulator.apply_rollout(scene, states[0], first)
-    rates = _count_infractions(simulated, controlled, rules)
-    return Episode(simulated, controlled, rates)
+    controlled = _select_controlled(scene, first, steps, ego, vehicles=policy == "idm")
+    given = scene, controlled, first, steps
+    simulated = _simulate_idm(*given) if policy == "idm" else _simulate_policy(policy, *given)
+    recorded = slice_scene(scene, slice(first, first + steps))
+    rates, recorded_rates = (
+        _count_infractions(part, controlled, rules) for part in (simulated, recorded)
+    )
+    return Episode(simulated, controlled, rates, recorded_rates)
 
 
 def _find_steps(scene: Scene, start: float | None, duration: float) -> tuple[int, int]:
@@ -102,17 +101,23 @@ def _find_steps(scene: Scene, start: float | None, duration: float) -> tuple[int
     return first, steps
 
 
-def _select_controlled(scene: Scene, first: int, steps: int, ego: str | None) -> Bool[Tensor, "A"]:
-    """Mark the ego, or all agents that never reverse, if present in two simulated steps."""
+def _select_controlled(
+    scene: Scene, first: int, steps: int, ego: str | None, *, vehicles: bool
+) -> Bool[Tensor, "A"]:
+    """Mark the ego, or all agents (or vehicles) that never reverse, present in two steps."""
     present = scene.present[:, first + HISTORY_STEPS - 1 : first + steps]
     moves = present[:, :-1] & present[:, 1:]  # (A, S)
     if ego is None:
         reverses = (scene.speeds[:, first:] <= REVERSING_SPEED_MPS).any(dim=1)
         controlled = moves.any(dim=1) & ~reverses
+        if vehicles:
+            types = select_group(scene.types, "vehicle")
+            controlled &= torch.from_numpy(types).to(controlled.device)
         if not controlled.any():
             raise TracksError(
-                "no agent can be controlled: none that never reverses is present in these steps; "
-                "start at another time"
+                f"no {'vehicle' if vehicles else 'agent'} can be controlled: none that never "
+                "reverses is present in these steps; start at another time, or give an ego"
+                f"{' or another policy, as idm drives vehicles alone' if vehicles else ''}"
             )
         return controlled
     agent = find_agent(scene, ego)
@@ -121,16 +126,32 @@ def _select_controlled(scene: Scene, first: int, steps: int, ego: str | None) ->
     return torch.arange(len(moves), device=moves.device) == agent
 
 
-def _make_policy(
-    name: str, rest: simulator.Scenario, lines: Float[Tensor, "L 2 2"], states: Int[Tensor, "1 T L"]
-) -> simulator.Policy:
-    """Make the policy of a name; routes and desired speeds come from the rest of the recording."""
-    if name == "idm":
-        desired_speeds = rest.states[..., 3].amax(dim=1)
-        return make_idm_policy(simulator.extract_routes(rest), desired_speeds, lines, states)
-    if name not in SIMPLE_POLICIES:
-        raise ValueError(f"there is no policy {name!r}; there are {', '.join(POLICY_NAMES)}")
-    return SIMPLE_POLICIES[name]
+def _simulate_policy(
+    policy: str, scene: Scene, controlled: Bool[Tensor, "A"], first: int, steps: int
+) -> Scene:
+    """Simulate agents that are present as recorded."""
+    if policy == "replay":
+        return slice_scene(scene, slice(first, first + steps))
+    if policy not in SIMPLE_POLICIES:
+        raise ValueError(f"there is no policy {policy!r}; there are {', '.join(POLICY_NAMES)}")
+    scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
+    act = SIMPLE_POLICIES[policy]
+    states = simulator.rollout(scenario, act, controlled[None], history=HISTORY_STEPS)
+    return simulator.apply_rollout(scene, states[0], first)
+
+
+def _simulate_idm(scene: Scene, controlled: Bool[Tensor, "A"], first: int, steps: int) -> Scene:
+    """Simulate intelligent drivers; routes and desired speeds come from the rest of the recording.
+
+    Lights are those of the simulated steps.
+    """
+    scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
+    rest = simulator.make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
+    routes, desired_speeds = extract_routes(rest), rest.states[..., 3].amax(dim=1)
+    given = routes, desired_speeds, scenario.sizes, controlled[None]
+    act = make_idm_policy(*given, scene.stop_lines, scene.light_states[None, first:])
+    states, present = rollout_routes(scenario, act, controlled[None], routes, history=HISTORY_STEPS)
+    return simulator.apply_rollout(scene, states[0], first, present[0])
 
 
 def _count_infractions(
@@ -143,43 +164,3 @@ def _count_infractions(
         for name, (infractions, chances) in found.items()
         if chances.any()
     }
-
-
-def detect_infractions(
-    scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules, *, first: int = 1
-) -> dict[str, tuple[Bool[Tensor, "S A"], Bool[Tensor, "S A"]]]:
-    """Detect collisions of agents, and infractions of those that are vehicles.
-
-    Args:
-        scene: what happened.
-        agents: (A,) which are looked at; they collide with all.
-        rules: of the road; infractions of missing rules are not looked for.
-        first: index of the first step, at least 1; the S steps are those from it on.
-
-    Returns:
-        (S, A) infractions of the agents, and (S, A) their chances to commit one, for each of
-        "collision", "red light", "off road" and "wrong way" that can be looked for.
-    """
-    poses = scene.poses.transpose(0, 1)[first - 1 :]  # (1 + S, A, 3)
-    present = scene.present.t()[first - 1 :]
-    last_poses, poses = poses[:-1], poses[1:]
-    last_present, present = present[:-1], present[1:]
-    sizes = scene.sizes.expand(len(poses), -1, -1)
-    counted = present & agents  # (S, A)
-    vehicles = counted & torch.from_numpy(select_group(scene.types, "vehicle")).to(counted.device)
-    collides = (box_iou(poses, sizes, present) > 0).any(dim=-1)
-    found = {"collision": (collides & counted, counted)}
-    states = scene.light_states[first:]
-    lit = (states != UNKNOWN).any(dim=1, keepdim=True)
-    if lit.any():
-        moved = last_present & vehicles
-        lights = scene.stop_lines, states
-        ran = detect_red_light_running(last_poses, poses, sizes[..., 0], moved, *lights)
-        found["red light"] = ran, vehicles & lit
-    if rules.drivable is not None:
-        found["off road"] = detect_offroad(rules.drivable, poses, sizes, vehicles), vehicles
-    if rules.lanes is not None:
-        wrong, on_lane = detect_wrong_way(rules.lanes, poses, vehicles)
-        if on_lane.any():
-            found["wrong way"] = wrong, vehicles
-    return found

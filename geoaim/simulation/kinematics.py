@@ -3,7 +3,7 @@
 A state is x, y (metres), heading (radians) and speed (m/s, negative in reverse) of the centre of an
 agent's box, as in `geoaim.Tracks`. Acceleration and curvature are constant within a step: the
 centre follows a circular arc, and the step is exact for any `dt`. Actions are not limited here; the
-drivers' limits are in `policies.py`.
+limits of drivers are in `idm.py` and `yielding.py`.
 """
 
 from collections.abc import Callable
@@ -28,10 +28,10 @@ class MotionModel(NamedTuple):
     [1.0, 0.0, 0.0, 10.0]
     """
 
-    # from states (..., 4), actions (..., 2), lengths of the agents (...), metres, and `dt`,
+    # maps states (..., 4), actions (..., 2), lengths of the agents (...), metres, and `dt`,
     # seconds, to the next states
     step: Callable[[State, Action, Float[Tensor, "..."], float], State]
-    # from states, next states, lengths and `dt` to the actions
+    # maps states, next states, lengths and `dt` to the actions
     inverse: Callable[[State, State, Float[Tensor, "..."], float], Action]
     # typical magnitudes of both components of an action, by which networks normalise them
     scale: tuple[float, float]

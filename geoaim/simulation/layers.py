@@ -8,7 +8,7 @@ from torch import Tensor
 
 from geoaim.agent_types import AGENT_GROUPS, OTHER, find_group, get_colour
 from geoaim.lights import STATES
-from geoaim.simulation.birdview import OrientedBoxes
+from geoaim.simulation.boxes import OrientedBoxes
 from geoaim.simulation.lines import make_path_boxes, make_stop_line_boxes, make_stop_line_layers
 from geoaim.simulation.scene import Scene
 
@@ -21,7 +21,7 @@ def make_agent_boxes(scene: Scene, steps: Int[Tensor, "B"], ego: Int[Tensor, "B"
     """Make boxes of all agents, coloured by type, with white triangles at their fronts.
 
     Args:
-        scene: whose agents.
+        scene: the scene whose agents are drawn.
         steps: (B,) index of each view's step.
         ego: (B,) row of the agent in each view that has the ego's colour.
 
@@ -44,9 +44,9 @@ def make_trail_boxes(scene: Scene, steps: Int[Tensor, "B"], *, duration: float) 
     """Make the trails of the agents that are present at each step.
 
     Args:
-        scene: whose agents, at even intervals.
+        scene: the scene whose agents are drawn; its steps are evenly spaced.
         steps: (B,) index of the step of each view, at which trails end.
-        duration: of the trails, seconds.
+        duration: duration of the trails, seconds.
 
     Returns:
         (B, N S) boxes of the S segments of each trail, coloured by type.
@@ -69,7 +69,7 @@ def make_layers(
     """Make named layers for `render_layers`.
 
     Args:
-        scene: whose agents and lights.
+        scene: the scene whose agents and lights are drawn.
         steps: (B,) index of each view's step.
         ego: (B,) row of the ego in each view.
 

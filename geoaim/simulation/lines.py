@@ -7,25 +7,25 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.simulation.birdview import OrientedBoxes
+from geoaim.simulation.boxes import OrientedBoxes
 
 LIGHT_COLOURS = ((0.1, 0.8, 0.2), (1.0, 0.8, 0.0), (0.9, 0.1, 0.1))  # green, yellow, red
-LIGHT_BAR_WIDTH_M = 1.0  # of the bar that shows a light on its stop line
+LIGHT_BAR_WIDTH_M = 1.0  # width of the bar that shows a light on its stop line
 
 
 def make_line_boxes(
     ends: Float[Tensor, "B N 2 2"],
-    colours: Float[Tensor, "... N C"],
+    colours: Float[Tensor, "... C"],
     *,
     width: float,
     present: Bool[Tensor, "B N"] | None = None,
 ) -> OrientedBoxes:
-    """Make boxes of lines; those of length 0 are absent.
+    """Make boxes of lines; lines of length 0 are absent.
 
     Args:
         ends: (B, N, 2, 2) both ends of each line, metres.
-        colours: (B, N, C) or (N, C) of the lines, 0 to 1.
-        width: of the lines, metres.
+        colours: (B, N, C), (N, C) or (C,) colours of the lines, 0 to 1.
+        width: width of the lines, metres.
         present: (B, N) which lines exist; None: all do.
 
     Returns:
@@ -48,7 +48,7 @@ def make_line_boxes(
 
 def make_path_boxes(
     points: Float[Tensor, "B N S 2"],
-    colours: Float[Tensor, "N C"],
+    colours: Float[Tensor, "... C"],
     *,
     width: float,
     present: Bool[Tensor, "B N S"] | None = None,
@@ -57,8 +57,8 @@ def make_path_boxes(
 
     Args:
         points: (B, N, S, 2) S points along each of N paths in B views, metres.
-        colours: (N, C) of the paths, 0 to 1.
-        width: of the paths, metres.
+        colours: (B, N, C), (N, C) or (C,) colours of the paths, 0 to 1.
+        width: width of the paths, metres.
         present: (B, N, S) which points exist; a segment needs both of its ends. None: all do.
 
     Returns:
@@ -68,8 +68,9 @@ def make_path_boxes(
     if present is not None:
         present = (present[:, :, :-1] & present[:, :, 1:]).flatten(1)
     ends = torch.stack([start, end], dim=-2).flatten(1, 2)
-    segment_colours = colours.repeat_interleave(start.shape[2], dim=0)
-    lines = make_line_boxes(ends, segment_colours, width=width, present=present)
+    if colours.ndim > 1:
+        colours = colours.repeat_interleave(start.shape[2], dim=-2)
+    lines = make_line_boxes(ends, colours, width=width, present=present)
     return replace(lines, sizes=lines.sizes + lines.sizes.new_tensor([width, 0.0]))
 
 
@@ -84,7 +85,7 @@ def make_stop_line_boxes(
     Args:
         lines: (L, 2, 2) both ends of the lines, metres; or (B, L, 2, 2).
         states: (B, L) states in each of B views: 0 green, 1 yellow, 2 red; -1, unknown, has no bar.
-        width: of the bars, metres.
+        width: width of the bars, metres.
 
     Returns:
         (B, L) boxes, one for each line.
@@ -107,10 +108,10 @@ def make_stop_line_layers(
         lines: (L, 2, 2) both ends of the lines, metres; or (B, L, 2, 2).
         states: (B, L) states in each of B views: 0 green, 1 yellow, 2 red, -1 unknown.
         groups: the states that each layer shows, such as [(0,), (1, 2)].
-        width: of the bars, metres.
+        width: width of the bars, metres.
 
     Returns:
-        The bars of `make_stop_line_boxes`, of which each layer shows those of its states.
+        For each group, the bars of `make_stop_line_boxes` whose lights are in one of its states.
     """
     bars = make_stop_line_boxes(lines, states, width=width)
     assert bars.present is not None

@@ -28,11 +28,18 @@ def compute_box_corners(
 def compute_intersection_area(
     poses: Float[Tensor, "n 2 3"], sizes: Float[Tensor, "n 2 2"]
 ) -> Float[Tensor, "n"]:
-    """Compute the area of the intersection of each pair of boxes (x, y, heading; length, width).
+    """Compute the area of the intersection of each pair of boxes.
 
     The outline of the intersection consists of the pieces of either box's edges inside the other
     box. Half the sum of the cross products of these pieces' ends is the area (Green's theorem).
-    It is computed in float64, in which edges that nearly coincide cancel.
+    It is computed in float64, so that rounding does not matter where edges nearly coincide.
+
+    Args:
+        poses: (n, 2, 3) x and y, metres, and heading, radians, of both boxes.
+        sizes: (n, 2, 2) length and width, metres.
+
+    Returns:
+        (n,) square metres.
 
     >>> poses = torch.tensor([[[0.0, 0.0, 0.0], [3.0, 0.5, 0.0]]])
     >>> round(float(compute_intersection_area(poses, torch.tensor([[[4.0, 2.0], [4.0, 2.0]]]))), 3)
@@ -62,10 +69,13 @@ def box_iou(
         present: (B, A); poses of absent boxes may be NaN.
 
     Returns:
-        (B, A, A) from 0 to 1; 0 of a box with itself and with absent ones.
+        (B, A, A) from 0 to 1; 0 for a box with itself and for absent boxes.
+
+    Raises:
+        ValueError: the pose of a present box is not finite.
     """
     count = poses.shape[1]
-    safe = torch.where(present[..., None], poses, 0.0)
+    safe = check_poses(poses, present)
     radius = torch.where(present, sizes.norm(dim=-1), -torch.inf) / 2
     with torch.no_grad():
         row, column = torch.triu_indices(count, count, offset=1, device=poses.device)
@@ -79,6 +89,24 @@ def box_iou(
     iou = poses.new_zeros(len(poses), count, count)
     iou[scene, both[:, 0], both[:, 1]] = intersection / union
     return iou + iou.transpose(1, 2)
+
+
+def check_poses(
+    poses: Float[Tensor, "... 3"], present: Bool[Tensor, "..."]
+) -> Float[Tensor, "... 3"]:
+    """Replace the poses of absent boxes by zeros.
+
+    Raises:
+        ValueError: the pose of a present box is not finite.
+    """
+    safe = torch.where(present[..., None], poses, 0.0)
+    if not torch.isfinite(safe).all():
+        wrong = int((~torch.isfinite(safe)).any(dim=-1).sum())
+        raise ValueError(
+            f"{wrong} of {int(present.sum())} present boxes have a pose that is not finite; mark "
+            "them as absent"
+        )
+    return safe
 
 
 def cross(a: Float[Tensor, "... 2"], b: Float[Tensor, "... 2"]) -> Float[Tensor, "..."]:
@@ -97,7 +125,7 @@ def _clip_edges(
     Liang and Barsky 1984.
     """
     forward = torch.stack([poses[..., 2:].cos(), poses[..., 2:].sin()], dim=-1)
-    origin, direction = (  # in the box's frame: forward, left
+    origin, direction = (  # forward and left in the box's frame
         torch.stack([(forward * vector).sum(-1), cross(forward, vector)], dim=-1)
         for vector in (start - poses[..., None, :2], end - start)
     )

@@ -15,8 +15,9 @@ from torch import Tensor
 from geoaim.encode import write_video
 from geoaim.files import atomic_write
 from geoaim.simulation.birdview import render
-from geoaim.simulation.ground import View, prefilter_ground
+from geoaim.simulation.ground import View
 from geoaim.simulation.layers import make_agent_boxes, make_light_boxes, make_trail_boxes
+from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.scene import Scene
 
 SUFFIXES = (".mp4", ".gif", ".png")
@@ -29,7 +30,7 @@ def render_agent_video(
     """Render the view of an agent, heading up: the map, lights and all agents.
 
     Args:
-        scene: with its map and lights.
+        scene: the scene, with its map and lights.
         agent: row of the agent in the centre.
         view: size and resolution of the pictures.
         steps: (S,) index of each step to render, at which the agent is present.

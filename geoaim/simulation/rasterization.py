@@ -14,21 +14,22 @@ from geoaim.simulation.coverage import compute_pixel_coverage
 from geoaim.simulation.ground import View
 
 HALF_DIAGONAL_PX = 0.71  # a pixel whose centre is further from all edges is all in or all out
-TRIANGLE_SHARE = 0.35  # of a box's length that the triangle at its front takes
+TRIANGLE_SHARE = 0.35  # share of a box's length that the triangle at its front takes
 MIN_SLOPE = 1e-6  # avoids divisions by zero
 
 
 @dataclass(frozen=True, eq=False)
 class PixelBoxes:
-    """The N present boxes of all pictures, in paint order, in pixels."""
+    """The N present boxes of all views, in paint order, in pixels."""
 
-    picture: Int[Tensor, "N"]  # index of its picture
+    # index, in the flat pictures, of the first pixel of the first channel that it is painted in
+    first_pixel: Int[Tensor, "N"]
     centre: Float[Tensor, "N 2"]  # column and row, corner origin
     axis: Float[Tensor, "N 2"]  # unit vector of its heading, right and down
     sizes: Float[Tensor, "N 2"]  # length and width
-    colours: Float[Tensor, "N C"]  # of the box
-    # of the triangle at its front; the box's own where it has none
-    triangle_colours: Float[Tensor, "N C"]
+    colours: Float[Tensor, "N K"]  # colours of the boxes
+    # colours of the triangles at their fronts; a box without a triangle repeats its own
+    triangle_colours: Float[Tensor, "N K"]
     has_triangle: Bool[Tensor, "N"]
 
 
@@ -36,8 +37,8 @@ class PixelBoxes:
 class Fragments:
     """What the boxes contribute to n pixels, in paint order; a pixel may occur several times."""
 
-    pixel: Int[Tensor, "n"]  # index among the pixels of all pictures
-    colour: Float[Tensor, "C n"]  # multiplied by alpha
+    pixel: Int[Tensor, "n"]  # index, in the flat pictures, in the first channel that is painted
+    colour: Float[Tensor, "K n"]  # values in the channels that are painted, multiplied by alpha
     alpha: Float[Tensor, "n"]  # share of the pixel that the box covers
 
 
@@ -64,21 +65,22 @@ def project_poses(
 def rasterize(view: View, boxes: PixelBoxes) -> Fragments:
     """Rasterize boxes, in paint order, to fragments, box by box.
 
-    Only the size of the view counts. Differentiable by centre, axis, sizes and colours.
+    Only the size of the view counts. The result is differentiable with respect to centre, axis,
+    sizes and colours.
     """
     with torch.no_grad():
         owner, place = find_pixels(view, boxes.centre, boxes.axis, boxes.sizes)
         on_edge, on_triangle = _select_partial(boxes, owner, place)
         edges, tips = on_edge.nonzero()[:, 0], on_triangle.nonzero()[:, 0]
         column, row = place.unbind(1)
-        pixel = (boxes.picture[owner] * view.height + row) * view.width + column
+        pixel = boxes.first_pixel[owner] + row * view.width + column
         place = place.to(boxes.centre)
     polygon = torch.cat([owner[edges], owner[tips] + len(boxes.centre)])
     corners = _compute_polygons(boxes).flatten(1).index_select(0, polygon)  # (m, 8)
     corners = corners - place.index_select(0, torch.cat([edges, tips])).repeat(1, 4)
     shares = compute_pixel_coverage(corners.view(-1, 4, 2))
     alpha = place.new_ones(len(owner)).index_copy(0, edges, shares[: len(edges)])
-    colour = alpha * boxes.colours.t()[:, owner]  # (C, n)
+    colour = alpha * boxes.colours.t()[:, owner]  # (K, n)
     change = (boxes.triangle_colours - boxes.colours).t()[:, owner[tips]]
     colour = colour.index_add(1, tips, shares[len(edges) :] * change)
     return Fragments(pixel, colour, alpha)
@@ -117,7 +119,7 @@ def find_pixels(
     box, row = _enumerate_spans(top, bottom)
     u, v, right, down, length, width = torch.cat([centre, axis, half], dim=1)[box].unbind(1)
     y = row + 0.5 - v
-    intervals = []  # of columns x in which |x slope + offset| <= limit, along and across
+    intervals = []  # intervals of columns x in which |x slope + offset| <= limit, along and across
     for slope, offset, limit in ((right, y * down, length), (down, -y * right, width)):
         safe = torch.where(slope.abs() < MIN_SLOPE, MIN_SLOPE, slope)
         ends = torch.stack([(-limit - offset) / safe, (limit - offset) / safe])
@@ -139,7 +141,7 @@ def _span_pixels(
 def _enumerate_spans(
     first: Int[Tensor, "N"], end: Int[Tensor, "N"]
 ) -> tuple[Int[Tensor, "n"], Int[Tensor, "n"]]:
-    """List the numbers of all spans, each from `first` to before `end`: their span, and they."""
+    """List all numbers from `first` to before `end` of each span: index of the span, and number."""
     counts = (end - first).clamp_min(0)
     span = torch.repeat_interleave(counts)
     start = first - (counts.cumsum(0) - counts)

@@ -1,14 +1,18 @@
 """Road rules as tensors: where vehicles may drive, and in which direction."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
+from jaxtyping import Int
 from shapely import MultiPolygon
+from torch import Tensor
 
 from geoaim.hdmap.drivable import find_drivable_area, sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.hdmap.signed_distance import compute_signed_distance
+from geoaim.simulation.atlas import pack_rectangles
 from geoaim.simulation.ground import world_from_pixels
 from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.simulation.scene import Scene, check_near_origin, check_touches_map
@@ -21,12 +25,25 @@ class RoadRules:
     drivable: Drivable | None = None  # distances from the drivable area
     lanes: Lanes | None = None  # directions of one-way lanes
 
+    def select(self, places: Int[Tensor, "B"]) -> "RoadRules":
+        """Choose, from rules of several places (`stack_rules`), the place of each of B scenes."""
+        drivable, lanes = self.drivable, self.lanes
+        if drivable is not None and drivable.regions is not None:
+            drivable = replace(
+                drivable,
+                grid_from_world=drivable.grid_from_world[places],
+                regions=drivable.regions[places],
+            )
+        if lanes is not None:
+            lanes = Lanes(lanes.points[places], lanes.directions[places], lanes.radii[places])
+        return RoadRules(drivable, lanes)
+
 
 NO_ROAD_RULES = RoadRules()
 
 
 def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> RoadRules:
-    """Make road rules of an HD map's lanes, and of a drivable area; None: that of the HD map.
+    """Make road rules of an HD map's lanes, and of a drivable area; None: the HD map's area.
 
     Raises:
         MapError: the map or the area lies too far from the world's origin, or the map has no lane
@@ -38,12 +55,61 @@ def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Ro
     return RoadRules(drivable, None if hdmap is None else make_lanes(hdmap))
 
 
+def stack_rules(rules: Sequence[RoadRules]) -> RoadRules:
+    """Put the rules of several places together; `RoadRules.select` then chooses among them.
+
+    Rasters are copied into one; lanes are padded with points that no agent reaches.
+
+    Raises:
+        ValueError: there are none, or only some have a drivable area or lanes.
+    """
+    drivables = [rule.drivable for rule in rules if rule.drivable is not None]
+    lanes = [rule.lanes for rule in rules if rule.lanes is not None]
+    if not rules or {len(drivables), len(lanes)} - {0, len(rules)}:
+        raise ValueError(
+            f"of {len(rules)} places {len(drivables)} have a drivable area and {len(lanes)} lanes; "
+            "give each of them for all places or for none"
+        )
+    return RoadRules(
+        _stack_drivables(drivables) if drivables else None, _stack_lanes(lanes) if lanes else None
+    )
+
+
+def _stack_drivables(drivables: Sequence[Drivable]) -> Drivable:
+    shapes = [(int(d.distance.shape[0]), int(d.distance.shape[1])) for d in drivables]
+    places, size = pack_rectangles(shapes)
+    distance = drivables[0].distance.new_zeros(size)
+    matrices, regions = [], []
+    for drivable, (top, left), (height, width) in zip(drivables, places, shapes, strict=True):
+        distance[top : top + height, left : left + width] = drivable.distance
+        offset = drivable.grid_from_world.new_tensor([[left], [top]])
+        matrices.append(drivable.grid_from_world + F.pad(offset, (2, 0)))
+        regions.append([left, top, left + width, top + height])
+    edges = torch.tensor(regions, device=distance.device)
+    return Drivable(distance, torch.stack(matrices), edges)
+
+
+def _stack_lanes(lanes: Sequence[Lanes]) -> Lanes:
+    most = max(len(lane.directions) for lane in lanes)
+    padded = [
+        (
+            F.pad(lane.points, (0, 0, 0, most - len(lane.points))),
+            F.pad(lane.directions, (0, most - len(lane.directions))),
+            F.pad(lane.radii, (0, most - len(lane.radii))),  # 0: no agent is as near
+        )
+        for lane in lanes
+    ]
+    return Lanes(*(torch.stack(parts) for parts in zip(*padded, strict=True)))
+
+
 def make_drivable(area: MultiPolygon, *, resolution: float = 0.2) -> Drivable:
     """Rasterize the signed distance from the edge of an area, at `resolution` metres per pixel.
 
     Raises:
         MapError: the area is empty or too narrow, or lies too far from the world's origin.
     """
+    from geoaim.hdmap.signed_distance import compute_signed_distance  # needs OpenCV and rasterio
+
     check_near_origin("drivable area", np.array(area.bounds).reshape(2, 2))
     distance, grid = compute_signed_distance(area, resolution=resolution)
     grid_from_world = torch.tensor(grid.grid_from_world[:2], dtype=torch.float32)
@@ -62,12 +128,12 @@ def make_lanes(hdmap: HDMap) -> Lanes:
 
 
 def check_rules(scene: Scene, rules: RoadRules) -> None:
-    """Check that rules are not of another place than the scene's map.
+    """Check that road rules are for the place of the scene's map.
 
     Raises:
         TracksError: no lane, or no part of the drivable area, lies on the map.
     """
-    bounds = scene.ground.bounds.cpu().numpy()
+    bounds = scene.ground.bounds[0].cpu().numpy()
     if rules.lanes is not None and len(rules.lanes.points):
         check_touches_map("lane", rules.lanes.points.double().cpu().numpy(), bounds)
     if rules.drivable is not None:

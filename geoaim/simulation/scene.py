@@ -13,10 +13,9 @@ from torch import Tensor
 from geoaim.agent_types import get_colour
 from geoaim.aim import AIM
 from geoaim.displays import Display
-from geoaim.errors import MapError, TracksError
+from geoaim.errors import MapError, TracksError, warn
 from geoaim.grid import Grid
 from geoaim.lights import STOP_LINE_COLOUR, UNKNOWN, Lights, find_light_states
-from geoaim.rectification import rectify
 from geoaim.simulation.ground import Ground, make_ground
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks, count_agents, describe_times
@@ -25,8 +24,11 @@ from geoaim.world import World, change_world
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MAX_ORIGIN_DISTANCE_M = 10_000.0  # from the world's origin; float32 still resolves millimetres
-MAX_TIME_OFFSET_S = 1.0  # between a wanted time and the nearest one at which an agent is present
+# largest distance from the world's origin; float32 still resolves millimetres there
+MAX_ORIGIN_DISTANCE_M = 10_000.0
+# largest difference between a wanted time and the nearest one at which an agent is present
+MAX_TIME_OFFSET_S = 1.0
+MIN_SHARE_ON_MAP = 0.5  # a scene warns when a smaller share of the agents' positions is on the map
 MAX_LISTED_AGENTS = 8
 
 
@@ -45,6 +47,9 @@ class Scene(Display):
         ids: a name for each agent.
         stop_lines: (L, 2, 2) both ends of the stop line of each light, metres.
         light_states: (T, L) as in `geoaim.lights`.
+        observed: (N, T, 4) x, y, heading, speed as they are known at each time, from the rows of
+            the tracks until then; NaN while absent or not yet seen for long enough. Predictions
+            start from these.
     """
 
     ground: Ground
@@ -57,6 +62,7 @@ class Scene(Display):
     ids: tuple[str, ...]
     stop_lines: Float[Tensor, "L 2 2"]
     light_states: Int[Tensor, "T L"]
+    observed: Float[Tensor, "N T 4"]
 
     @property
     def states(self) -> Float[Tensor, "N T 4"]:
@@ -68,9 +74,26 @@ class Scene(Display):
         """Median time between two steps, seconds; 1 in a scene of one step."""
         return float(self.times.diff().median()) if len(self.times) > 1 else 1.0
 
+    def to(
+        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
+    ) -> "Scene":
+        """Move the tensors to a device, or convert places, speeds and sizes to a dtype."""
+        return replace(
+            self,
+            ground=self.ground.to(device, dtype),
+            times=self.times.to(device=device),
+            poses=self.poses.to(device=device, dtype=dtype),
+            speeds=self.speeds.to(device=device, dtype=dtype),
+            present=self.present.to(device=device),
+            sizes=self.sizes.to(device=device, dtype=dtype),
+            stop_lines=self.stop_lines.to(device=device, dtype=dtype),
+            light_states=self.light_states.to(device=device),
+            observed=self.observed.to(device=device, dtype=dtype),
+        )
+
     def summarize(self) -> dict[str, str]:
         """Summarize the agents by type, the times, the lights and the size of the map."""
-        low, high = self.ground.bounds
+        low, high = self.ground.bounds[0]
         return {
             "agents": count_agents(self.types),
             "time": describe_times(self.times.double().cpu().numpy()),
@@ -95,7 +118,7 @@ class Scene(Display):
         from geoaim.map_axes import draw_image
 
         image = (self.ground.image[:3] * 255).round().byte().permute(1, 2, 0).cpu().numpy()
-        image_from_world = np.vstack([self.ground.image_from_world.double().cpu(), [0.0, 0.0, 1.0]])
+        image_from_world = np.vstack([self.ground.image_from_world[0].double().cpu(), [0, 0, 1.0]])
         grid = Grid(image.shape[:2], np.linalg.inv(image_from_world))
         draw_image(axes, image, grid, self.ground.coverage[0].cpu().numpy() > 0, bounds)
 
@@ -109,6 +132,7 @@ def slice_scene(scene: Scene, steps: slice) -> Scene:
         speeds=scene.speeds[:, steps],
         present=scene.present[:, steps],
         light_states=scene.light_states[steps],
+        observed=scene.observed[:, steps],
     )
 
 
@@ -120,7 +144,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     Args:
         aim: the map, at most 10 km (`MAX_ORIGIN_DISTANCE_M`) from its world's origin; one whose
             matrix is not affine is resampled north up.
-        tracks: of the agents.
+        tracks: the tracks of the agents.
         lights: None for a scene without traffic lights.
 
     Returns:
@@ -137,7 +161,14 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
     if not tracks.present.any():
         raise TracksError("no agent is present in the tracks at any time")
     bounds = np.stack([aim.corners.min(axis=0), aim.corners.max(axis=0)])
-    check_touches_map("track", poses[tracks.present][:, :2], bounds)
+    places = poses[tracks.present][:, :2]
+    check_touches_map("track", places, bounds)
+    share = float(((places > bounds[0]) & (places < bounds[1])).all(axis=1).mean())
+    if share < MIN_SHARE_ON_MAP:
+        warn(
+            f"only {share:.0%} of the agents' positions lie on the map. Do both have the same "
+            "origin? Tracks in pixels have theirs at the top-left corner of the image"
+        )
     lines, states = np.empty((0, 2, 2)), np.empty((len(tracks.times), 0), np.int8)
     if lights is not None:
         lines = transform_stop_lines(lights, aim.world)
@@ -154,12 +185,15 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
         ids=tracks.ids,
         stop_lines=torch.tensor(lines, dtype=torch.float32),
         light_states=torch.tensor(states),
+        observed=torch.tensor(tracks.get_observed(), dtype=torch.float32),
     )
 
 
 def make_ground_from_aim(aim: AIM) -> Ground:
     """Make the ground of an AIM, not prefiltered; a tilted view is rectified to north up first."""
     if not aim.is_affine:
+        from geoaim.rectification import rectify  # which needs OpenCV
+
         aim = rectify(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
     image_from_world = torch.tensor(np.linalg.inv(aim.world_from_image)[:2], dtype=torch.float32)
@@ -167,7 +201,7 @@ def make_ground_from_aim(aim: AIM) -> Ground:
 
 
 def make_tracks(scene: Scene, world: World) -> Tracks:
-    """Make tracks of a scene's agents that are ever present; `world` is that of its map.
+    """Make tracks of a scene's agents that are ever present; `world` is the world of its map.
 
     Times are rounded to the microsecond.
     """
@@ -202,7 +236,7 @@ def find_agent_step(scene: Scene, agent: int, time: float | None) -> Int[Tensor,
     """Find the step nearest to a time at which an agent is present.
 
     Args:
-        scene: to search.
+        scene: the scene to search.
         agent: row of the agent.
         time: seconds; None for its first step.
 
@@ -240,10 +274,10 @@ def find_step(scene: Scene, time: float | None) -> int:
 
 
 def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Array, "2 2"]) -> None:
-    """Check that data are not of another place than the map.
+    """Check that data are of the same place as the map.
 
     Args:
-        name: of the data, such as "track", for the message.
+        name: name of the data for the message, such as "track".
         points: (n, 2) metres.
         bounds: (2, 2) lowest and highest x and y of the map.
 
@@ -278,7 +312,7 @@ def transform_stop_lines(lights: Lights, world: World) -> Float[Array, "L 2 2"]:
     """Transform stop lines (both ends of each) to metres of a world.
 
     Raises:
-        TracksError: only one of the two is georeferenced.
+        TracksError: only one of the two worlds is georeferenced.
     """
     if (lights.world.crs is None) != (world.crs is None):
         raise TracksError(

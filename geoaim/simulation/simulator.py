@@ -15,8 +15,6 @@ from geoaim.agent_types import select_group
 from geoaim.simulation.kinematics import bicycle, unicycle
 from geoaim.simulation.scene import Scene, slice_scene
 
-ROUTE_SPACING_M = 1.0  # above the jitter in the recorded positions of waiting agents
-
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
@@ -28,8 +26,20 @@ class Scenario:
     pedestrian: Bool[Tensor, "B A"]  # agents that move by the unicycle instead of the bicycle model
     dt: float  # time between two steps, seconds
 
+    def to(
+        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
+    ) -> "Scenario":
+        """Move the tensors to a device, or convert states and sizes to a dtype."""
+        return replace(
+            self,
+            states=self.states.to(device=device, dtype=dtype),
+            present=self.present.to(device=device),
+            sizes=self.sizes.to(device=device, dtype=dtype),
+            pedestrian=self.pedestrian.to(device=device),
+        )
 
-# from a scenario and the states so far, until the step t, to the actions of all agents
+
+# maps a scenario and the states so far, up to step t, to the actions of all agents
 Policy = Callable[[Scenario, Float[Tensor, "B t A 4"]], Float[Tensor, "B A 2"]]
 
 
@@ -37,9 +47,9 @@ def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenari
     """Cut pieces of equal length out of a scene.
 
     Args:
-        scene: evenly sampled.
+        scene: a scene whose steps are evenly spaced.
         starts: (B,) first step of each piece.
-        steps: of each piece.
+        steps: number of steps of each piece.
 
     Returns:
         The B pieces as a batch.
@@ -52,8 +62,7 @@ def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenari
             f"pieces of {steps} steps from steps {starts.tolist()} on reach beyond the scene's "
             f"steps 0 to {len(scene.times) - 1}"
         )
-    if steps < 2 or (scene.times.diff() - scene.dt).abs().max() > 0.01 * scene.dt:
-        raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
+    check_even_steps(scene, steps)
     index = starts[:, None] + torch.arange(steps, device=starts.device)  # (B, T)
     present = scene.present[:, index].permute(1, 2, 0)  # (B, T, A)
     states = scene.states[:, index].permute(1, 2, 0, 3)  # (B, T, A, 4)
@@ -64,56 +73,35 @@ def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenari
     return Scenario(states, present, sizes, pedestrian.expand(count, -1), scene.dt)
 
 
-def apply_rollout(scene: Scene, states: Float[Tensor, "T A 4"], start: int) -> Scene:
+def check_even_steps(scene: Scene, steps: int) -> None:
+    """Raise ValueError for less than two steps, and for a scene with steps of different lengths."""
+    if steps < 2 or (scene.times.diff() - scene.dt).abs().max() > 0.01 * scene.dt:
+        raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
+
+
+def apply_rollout(
+    scene: Scene,
+    states: Float[Tensor, "T A 4"],
+    start: int,
+    present: Bool[Tensor, "T A"] | None = None,
+) -> Scene:
     """Make a scene of a simulation, to render it or to write its tracks.
 
     Args:
-        scene: in which it was simulated.
+        scene: the scene in which it was simulated.
         states: (T, A, 4) x, y, heading, speed of all agents, from `rollout`.
         start: step of the scene at which the simulation begins.
+        present: (T, A) whether the agents are present; None: as in the recording.
 
     Returns:
-        The scene of the T simulated steps; agents are present as in the recording.
+        The scene of the T simulated steps.
     """
     part = slice_scene(scene, slice(start, start + len(states)))
+    if present is not None:
+        part = replace(part, present=present.t())
     states = states.detach().transpose(0, 1)
     states = torch.where(part.present[..., None], states, torch.nan)
-    return replace(part, poses=states[..., :3], speeds=states[..., 3])
-
-
-def extract_routes(scenario: Scenario) -> Float[Tensor, "B A P 2"]:
-    """Extract the recorded routes of agents, as points at least `ROUTE_SPACING_M` apart.
-
-    Shorter routes are extended straight on to the length of the longest. The route of an agent that
-    hardly moves leads straight ahead.
-    """
-    states = scenario.states.transpose(1, 2)  # (B, A, T, 4)
-    keep = _select_spaced(states[..., :2], scenario.present.transpose(1, 2))
-    order = keep.int().argsort(dim=2, descending=True, stable=True)
-    count = keep.sum(dim=2, keepdim=True)  # (B, A, 1)
-    slot = torch.arange(int(count.max()) + 1, device=keep.device)
-    step = order.gather(2, slot.minimum(count - 1))  # (B, A, P), the last one repeated
-    route = states.gather(2, step[..., None].expand(*step.shape, 4))
-    second_last = route.gather(2, (count - 2).clamp_min(0)[..., None].expand(-1, -1, 1, 4))
-    last_segment = route[:, :, -1:, :2] - second_last[..., :2]
-    heading = torch.stack([second_last[..., 2].cos(), second_last[..., 2].sin()], dim=-1)
-    forward = torch.where(count[..., None] > 1, last_segment, heading)
-    forward = forward / forward.norm(dim=-1, keepdim=True)
-    return route[..., :2] + forward * ROUTE_SPACING_M * (slot - count + 1).clamp_min(0)[..., None]
-
-
-def _select_spaced(
-    points: Float[Tensor, "B A T 2"], present: Bool[Tensor, "B A T"]
-) -> Bool[Tensor, "B A T"]:
-    """Mark each agent's first point, and each one far enough from the last marked one."""
-    first = present.int().argmax(dim=2, keepdim=True)
-    last = points.gather(2, first[..., None].expand(-1, -1, 1, 2))[:, :, 0]
-    keep = torch.zeros_like(present).scatter(2, first, True)
-    for step, point in enumerate(points.unbind(2)):
-        far = present[..., step] & ((point - last).norm(dim=-1) >= ROUTE_SPACING_M)
-        last = torch.where(far[..., None], point, last)
-        keep[..., step] |= far
-    return keep
+    return replace(part, poses=states[..., :3], speeds=states[..., 3], observed=states)
 
 
 def step(
@@ -127,7 +115,7 @@ def step(
 
     Args:
         scenario: the recording.
-        index: of the step from which it leads to the next.
+        index: index of the step at which `states` hold.
         states: (B, A, 4) x, y, heading, speed at that step.
         actions: (B, A, 2) acceleration, m/s², and steering angle, radians; of pedestrians turn
             rate, rad/s.
@@ -138,7 +126,8 @@ def step(
     """
     moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
     drives = moved & ~scenario.pedestrian
-    safe_lengths = torch.where(drives, scenario.sizes[..., 0], 1.0)  # of padded agents it may be 0
+    # padded agents may have length 0
+    safe_lengths = torch.where(drives, scenario.sizes[..., 0], 1.0)
     steering = torch.where(drives[..., None], actions, 0.0)  # a turn rate is not a steering angle
     driven = bicycle.step(states, steering, safe_lengths, scenario.dt)
     safe_actions = torch.where(moved[..., None], actions, 0.0)
@@ -155,10 +144,10 @@ def invert_step(
     Args:
         scenario: the recording.
         states: (B, A, 4) x, y, heading, speed before the step.
-        next_states: (B, A, 4) after it.
+        next_states: (B, A, 4) x, y, heading, speed after it.
 
     Returns:
-        (B, A, 2) actions, as of `step`.
+        (B, A, 2) actions, as in `step`.
     """
     given = states, next_states, scenario.sizes[..., 0], scenario.dt
     walks = scenario.pedestrian[..., None]

@@ -17,14 +17,16 @@ from torch import Tensor
 from torchdrivesim.rendering.base import BirdviewRenderer, RendererConfig
 from torchdrivesim.utils import Resolution
 
-from geoaim.simulation.birdview import OrientedBoxes, render
-from geoaim.simulation.ground import Ground, View, move_ground, prefilter_ground
+from geoaim.simulation.birdview import render
+from geoaim.simulation.boxes import OrientedBoxes
+from geoaim.simulation.ground import Ground, View
+from geoaim.simulation.prefiltering import prefilter_ground
 
-WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # of a square as large as torchdrivesim's disc
+WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # side of a square as large as torchdrivesim's disc
 
 
 class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
-    """A torchdrivesim renderer of an image map, with gradients by poses and cameras.
+    """A torchdrivesim renderer of an image map, differentiable with respect to poses and cameras.
 
     Args:
         ground: the map, in the simulator's coordinates, with three channels from 0 to 1.
@@ -36,7 +38,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     def __init__(self, ground: Ground, cfg: RendererConfig | None = None, **base: Any) -> None:
         super().__init__(cfg or RendererConfig(), **{"device": ground.image.device, **base})
         self.ground = ground
-        self.prefiltered: dict[float, Ground] = {}  # by resolution
+        self.prefiltered: dict[float, Ground] = {}  # keys: the resolutions
 
     def render_frame(
         self,
@@ -54,7 +56,8 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         """Render agents, traffic controls and waypoints; see torchdrivesim for the arguments.
 
         Returns:
-            (B, N, 3, H, W) around each agent, or (B N, 3, H, W) of given cameras; 0 to 255.
+            (B, N, 3, H, W) views around each agent, or (B N, 3, H, W) views of the given cameras; 0
+            to 255.
         """
         egocentric = camera_xy is None and camera_sc is None
         poses = torch.cat([state[..., :3] for state in agent_state.values()], dim=-2)
@@ -106,7 +109,7 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
     def to(self, device: torch.device) -> "ImageMapRenderer":
         """Move the renderer to another device in place."""
         super().to(device)
-        self.ground, self.prefiltered = move_ground(self.ground, device), {}
+        self.ground, self.prefiltered = self.ground.to(device), {}
         return self
 
     def expand(self, n: int) -> "ImageMapRenderer":

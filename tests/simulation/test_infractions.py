@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -9,12 +11,14 @@ from geoaim.simulation.infractions import (
     Drivable,
     Lanes,
     compute_offroad_distance,
+    detect_collisions,
     detect_offroad,
     detect_red_light_running,
     detect_wrong_way,
     sample_distance,
 )
 from geoaim.simulation.overlap import box_iou
+from geoaim.simulation.road_rules import RoadRules, make_drivable, stack_rules
 
 AREA = MultiPolygon([Polygon(box(-40, -5, 40, 5).exterior, [box(-2, -2, 2, 2).exterior.coords])])
 CAR = torch.tensor([4.0, 2.0])
@@ -46,8 +50,41 @@ def test_offroad_distance_is_that_of_the_furthest_corner():
     present = torch.tensor([True, True, False])
     metres = compute_offroad_distance(_drivable(), poses, CAR.expand(3, 2), present)
     np.testing.assert_allclose(metres.numpy(), [0, 0.5, 0], atol=0.05)
-    offroad = detect_offroad(_drivable(), poses, CAR.expand(3, 2), present)
-    assert offroad.tolist() == [False, True, False]
+
+
+def test_offroad_has_a_tolerance_and_is_unknown_beyond_the_raster():
+    y = torch.tensor([4.4, 4.6, 20.0, 30.0, torch.nan])
+    poses = torch.stack([torch.full_like(y, 20.0), y, torch.zeros_like(y)], -1)
+    given = poses, CAR.expand(5, 2), torch.isfinite(y)
+    offroad, known = detect_offroad(_drivable(), *given)
+    assert offroad.tolist() == [False, True, True, False, False]
+    assert known.tolist() == [True, True, True, False, False]
+
+
+def test_collisions_involve_a_vehicle_and_contacts_do_not():
+    poses = torch.tensor([[0.0, 0, 0], [3.0, 0, 0], [3.2, 0, 0], [0.0, 30, 0], [0.3, 30, 0]])
+    vehicles = torch.tensor([True, False, False, False, False])
+    given = poses[None], CAR.expand(1, 5, 2), torch.ones(1, 5).bool(), vehicles
+    collisions, contacts = (pairs[0].any(dim=-1).tolist() for pairs in detect_collisions(*given))
+    assert collisions == [True, True, True, False, False]
+    assert contacts == [False, True, True, True, True]
+
+
+@pytest.mark.parametrize("lost", [torch.nan, torch.inf])
+def test_poses_that_are_not_finite_are_refused(lost):
+    poses = torch.tensor([[[0.0, 0, 0], [0.0, lost, 0]]])
+    sizes, there = CAR.expand(1, 2, 2), torch.ones(1, 2).bool()
+    lights = torch.zeros(1, 2, 2), torch.tensor([[RED]])
+    lanes = Lanes(torch.zeros(1, 2), torch.zeros(1), torch.ones(1))
+    for find in (
+        lambda: box_iou(poses, sizes, there),
+        lambda: detect_offroad(_drivable(), poses, sizes, there),
+        lambda: detect_red_light_running(poses, poses, sizes[..., 0], there, *lights),
+        lambda: detect_wrong_way(lanes, poses, there),
+    ):
+        with pytest.raises(ValueError, match="1 of 2 present boxes have a pose that is not finite"):
+            find()
+    assert not box_iou(poses, sizes, torch.tensor([[True, False]])).any()
 
 
 def test_gradient_leads_back_to_the_road():
@@ -86,6 +123,22 @@ def test_red_light_is_run_when_the_front_crosses_its_line(start, end, state, ran
     assert not detect_red_light_running(
         before + beside, after + beside, lengths, there, line, states
     )
+
+
+def test_red_light_is_not_run_backwards_nor_counted_twice():
+    line, red = torch.tensor([[[0.0, -2.0], [0.0, 2.0]]]), torch.tensor([[RED]])
+
+    def count(*centres):
+        """Cars of 4 m that head east, from one centre to the next."""
+        poses = [torch.tensor([[[x, 0.0, 0.0]]]) for x in centres]
+        given = torch.full((1, 1), 4.0), torch.ones(1, 1).bool(), line, red
+        return sum(int(detect_red_light_running(*step, *given)) for step in pairwise(poses))
+
+    assert count(-3.0, -1.0) == 1
+    assert count(-1.0, -3.0) == 0  # rolls back over it
+    assert count(-3.0, -2.0, -2.0, -1.0) == 1  # stands on it
+    assert count(-3.0, -2.0, -2.0) == 0  # stops exactly at it
+    assert count(-2.0, -2.0, -1.0) == 1  # starts exactly at it
 
 
 def test_wrong_way_is_against_every_lane_at_the_agent():
@@ -140,3 +193,36 @@ def test_lanes_far_from_the_origin_keep_their_width():
     poses = torch.cat([far + apart, torch.zeros(40, 1)], dim=1)
     wrong, _ = detect_wrong_way(lanes, poses, torch.ones(40, dtype=torch.bool))
     assert wrong.tolist() == [True, False] * 20
+
+
+def test_rules_of_several_places_are_judged_in_one_batch():
+    narrow = MultiPolygon([box(-12, -3, 9, 3)])
+    areas, lanes = (
+        [AREA, narrow],
+        [
+            Lanes(torch.zeros(1, 2), torch.zeros(1), torch.ones(1)),
+            Lanes(
+                torch.tensor([[3.0, 0], [5, 1]]), torch.tensor([np.pi, 0]), torch.full((2,), 2.0)
+            ),
+        ],
+    )
+    rules = [RoadRules(make_drivable(a), lane) for a, lane in zip(areas, lanes, strict=True)]
+    stacked, places = stack_rules(rules), torch.tensor([1, 0, 1])
+    generator = torch.Generator().manual_seed(0)
+    poses = torch.rand(3, 40, 3, generator=generator) * torch.tensor([130, 60, 6.2]) - 40
+    poses[:, :5, :2] = torch.rand(3, 5, 2, generator=generator) * 6  # near the lanes
+    sizes, present = CAR.expand(3, 40, 2), torch.rand(3, 40, generator=generator) > 0.2
+    chosen = stacked.select(places)
+    for function, field in (
+        (compute_offroad_distance, "drivable"),
+        (detect_offroad, "drivable"),
+        (lambda lanes, poses, _, present: detect_wrong_way(lanes, poses, present), "lanes"),
+    ):
+        together = function(getattr(chosen, field), poses, sizes, present)
+        for k, place in enumerate(places):
+            alone = function(getattr(rules[place], field), poses[k], sizes[k], present[k])
+            pair = (x if isinstance(x, tuple) else (x,) for x in (alone, together))
+            for one, batch in zip(*pair, strict=True):
+                torch.testing.assert_close(batch[k], one, atol=2e-3, rtol=0)
+    with pytest.raises(ValueError, match="of 2 places 1 have a drivable area and 2 lanes"):
+        stack_rules([rules[0], RoadRules(None, lanes[1])])

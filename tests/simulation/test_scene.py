@@ -7,7 +7,7 @@ import torch
 from shapely import MultiPolygon, box
 
 from geoaim.aim import AIM
-from geoaim.errors import MapError, TracksError
+from geoaim.errors import GeoaimWarning, MapError, TracksError
 from geoaim.geometry import to_opencv
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
@@ -27,6 +27,7 @@ from geoaim.simulation.layers import EGO_COLOUR
 from geoaim.simulation.pictures import render_agent_video
 from geoaim.simulation.road_rules import make_drivable, make_lanes
 from geoaim.simulation.scene import find_agent, find_agent_step, make_ground_from_aim
+from geoaim.track_formats import read_tracks
 from geoaim.tracks import Tracks
 from geoaim.world import World, crs_from_world
 
@@ -58,6 +59,15 @@ def _lights(world=OTHER):
     lines = np.array([[[232.0, 225.0], [236.0, 221.0]], [[200.0, 210.0], [204.0, 210.0]]])
     states = np.array([[UNKNOWN, GREEN], [RED, GREEN]], np.int8)
     return Lights(("a", "b"), lines, np.array([0.0, 0.1]), states, world)
+
+
+def test_tracks_that_lie_mostly_beside_the_map_are_warned_of():
+    tracks = read_tracks("samples/tracks.csv")
+    corner = tracks.states[..., :2][tracks.present].mean(axis=0)
+    matrix = np.array([[0.5, 0, corner[0]], [0, -0.5, corner[1]], [0, 0, 1.0]])
+    aim = AIM.from_image(np.zeros((40, 40, 3), np.uint8), matrix, tracks.world, "a part")
+    with pytest.warns(GeoaimWarning, match=r"only \d+% of the agents' positions lie on the map"):
+        make_scene(aim, tracks)
 
 
 def test_tracks_are_transformed_to_the_maps_world():

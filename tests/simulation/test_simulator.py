@@ -2,23 +2,10 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.lights import GREEN, RED
 from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, render
 from geoaim.simulation.kinematics import bicycle, unicycle
-from geoaim.simulation.policies import (
-    constant_turn_rate,
-    constant_velocity,
-    make_idm_policy,
-    replay,
-)
-from geoaim.simulation.simulator import (
-    Scenario,
-    apply_rollout,
-    extract_routes,
-    invert_step,
-    rollout,
-    step,
-)
+from geoaim.simulation.policies import constant_turn_rate, constant_velocity
+from geoaim.simulation.simulator import Scenario, apply_rollout, invert_step, rollout, step
 
 DT = 0.1
 
@@ -44,9 +31,13 @@ def _recording(steps=21, dtype=torch.float64):
 ALL_AGENTS = torch.ones(1, 3, dtype=torch.bool)
 
 
-def test_replay_reproduces_the_recording():
+def test_inverted_steps_reproduce_a_recording_by_the_motion_models():
     scenario = _recording()
-    result = rollout(scenario, replay, ALL_AGENTS)
+
+    def follow(scenario, path):
+        return invert_step(scenario, path[:, -1], scenario.states[:, path.shape[1]])
+
+    result = rollout(scenario, follow, ALL_AGENTS)
     apart = (result - scenario.states)[..., :2].norm(dim=-1)
     assert apart[scenario.present].max() < 1e-6
 
@@ -97,48 +88,6 @@ def test_simple_policies_keep_velocity_or_turn_rate():
     assert (round_on - scenario.states)[0, -1, 1, :2].norm() < 1e-6
 
 
-def test_idm_follows_its_route_and_stops_behind_others():
-    steps = 300
-    still = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
-    still[:, :, 0, 3], still[:, :, 1, 0] = 8.0, 80.0
-    sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
-    there = torch.ones(1, steps, 2, dtype=torch.bool)
-    scenario = Scenario(still, there, sizes, torch.zeros(1, 2).bool(), DT)
-    bend = torch.linspace(0, 80, 81).double()
-    route = torch.stack([bend, 6 * torch.sin(bend / 80 * np.pi)], -1).expand(1, 2, 81, 2)
-    policy = make_idm_policy(route, torch.full((1, 2), 12.0).double())
-    result = rollout(scenario, policy, torch.tensor([[True, False]]))[0, :, 0]
-    assert result[:, 3].max() > 9
-    assert result[-1, 3].abs() < 0.1
-    gap = 80 - float(result[-1, 0]) - 4.5
-    assert 1.5 < gap < 3.5
-    near = torch.cdist(result[:, :2], route[0, 0]).min(dim=1).values
-    assert near.max() < 1.0
-
-
-def test_idm_waits_for_green():
-    steps = 200
-    states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
-    states[:, :, :, 3] = 8.0
-    states[:, :, 1, 1] = 20.0  # the other one has no light
-    sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
-    there = torch.ones(1, steps, 2, dtype=torch.bool)
-    scenario = Scenario(states, there, sizes, torch.zeros(1, 2).bool(), DT)
-    x = torch.linspace(0, 90, 91).double()
-    route = torch.stack([x, torch.zeros_like(x)], -1).expand(1, 2, 91, 2)
-    route = torch.stack([route[:, 0], route[:, 1] + torch.tensor([0.0, 20.0])], 1)
-    line = torch.tensor([[[40.0, -2.0], [40.0, 2.0]]]).double()
-    light = torch.full((1, steps, 1), RED)
-    light[:, 120:] = GREEN
-    policy = make_idm_policy(route, torch.full((1, 2), 8.0).double(), line, light)
-    result = rollout(scenario, policy, torch.ones(1, 2).bool())[0]
-    front = result[:, 0, 0] + 4.5 / 2
-    assert front[:120].max() < 40
-    assert front[119] > 37
-    assert result[-1, 0, 0] > 60
-    assert result[119, 1, 0] > 80
-
-
 def test_gradients_through_ten_steps_of_rendering_and_driving():
     """Render, policy, kinematics, closed loop, against central differences."""
     scenario = _recording(steps=11)
@@ -171,8 +120,6 @@ def test_what_cannot_be_simulated_is_refused():
     scenario = _recording()
     with pytest.raises(ValueError, match="give 1 to 20"):
         rollout(scenario, constant_velocity, ALL_AGENTS, history=21)
-    with pytest.raises(ValueError, match="go together"):
-        make_idm_policy(torch.zeros(1, 2, 2, 2), torch.ones(1, 2), torch.zeros(1, 2, 2))
 
     def lost(scenario, path):
         return torch.full_like(path[:, -1, :, :2], torch.nan)
@@ -193,55 +140,6 @@ def test_padded_agents_without_sizes_have_gradients():
     assert torch.isfinite(gradient).all()
 
 
-def _waiting(far):
-    """A car that drives 30 m east, then waits with 1 mm of jitter; another parked on its route."""
-    steps, time = 200, torch.arange(200, dtype=torch.float64) * DT
-    states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
-    shaking = torch.randn(steps, generator=torch.Generator().manual_seed(0)).double() * 1e-3
-    states[0, :, 0, 0] = (8 * time).clamp_max(30.0)
-    states[0, :, 0, 1] = torch.where(8 * time > 30, shaking, 0.0)
-    states[0, :, 0, 3] = torch.where(8 * time > 30, 0.0, 8.0)
-    states[0, :, 1, 0] = 30 + far
-    sizes = torch.tensor([4.5, 1.9]).double().expand(1, 2, 2)
-    there = torch.ones(1, steps, 2, dtype=torch.bool)
-    return Scenario(states, there, sizes, torch.zeros(1, 2).bool(), DT)
-
-
-@pytest.mark.parametrize("far", [20.0, 500.0])
-def test_routes_extend_straight_on_where_agents_wait(far):
-    scenario = _waiting(far)
-    route = extract_routes(scenario)
-    assert route.diff(dim=2).norm(dim=-1).min() > 0.99
-    policy = make_idm_policy(route, torch.full((1, 2), 8.0).double())
-    result = rollout(scenario, policy, torch.tensor([[True, False]]))[0, :, 0]
-    assert result[:, 1].abs().max() < 0.2
-    if far < 100:
-        assert 1.5 < 30 + far - float(result[-1, 0]) - 4.5 < 4
-    else:
-        assert result[-1, 0] > 150
-
-
-def _at_a_light(x, line, speed=8.0):
-    """Acceleration of a car at x that drives east towards a red light."""
-    states = torch.tensor([[x, 0.0, 0.0, speed]]).double().expand(1, 2, 1, 4)
-    sizes = torch.tensor([[[4.5, 1.9]]]).double()
-    there = torch.ones(1, 2, 1, dtype=torch.bool)
-    scenario = Scenario(states, there, sizes, torch.zeros(1, 1).bool(), DT)
-    route = torch.stack([torch.arange(100.0), torch.zeros(100)], -1).double()[None, None]
-    lights = torch.tensor(line)[None].double(), torch.full((1, 2, 1), RED)
-    policy = make_idm_policy(route, torch.full((1, 1), 8.0).double(), *lights)
-    return float(policy(scenario, scenario.states[:, :1])[0, 0, 0])
-
-
-def test_vehicles_stop_only_at_lines_ahead_that_cross_their_route():
-    across = [[40.0, -2.0], [40.0, 2.0]]
-    assert _at_a_light(20.0, across) < -1
-    assert _at_a_light(39.0, across, speed=1.0) > 0  # its front is past the line
-    assert _at_a_light(20.0, [[25.0, 1.0], [45.0, 1.0]]) == pytest.approx(0)  # along the way
-    assert _at_a_light(20.0, [[40.0, 2.0], [40.0, 8.0]]) == pytest.approx(0)  # another lane's
-    assert _at_a_light(29.0, across) == -8  # no car brakes harder
-
-
 def test_absent_agents_of_a_simulated_scene_are_nan():
     scenario = _recording()
     result = rollout(scenario, constant_velocity, ALL_AGENTS)
@@ -257,6 +155,7 @@ def test_absent_agents_of_a_simulated_scene_are_nan():
         ("1", "2", "3"),
         torch.zeros(0, 2, 2),
         torch.zeros(21, 0, dtype=torch.int8),
+        empty[..., None].expand(3, 21, 4),
     )
     after = apply_rollout(scene, result[0].float(), 0)
     assert torch.equal(torch.isfinite(after.speeds), after.present)
