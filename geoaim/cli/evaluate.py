@@ -1,6 +1,7 @@
 """The command that evaluates a prediction model."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,19 +48,28 @@ def evaluate(
             max=1.0,
         ),
     ] = 1.0,
+    realism: Annotated[
+        bool,
+        typer.Option(
+            "--realism",
+            help="on an AIM: also the realism of the Waymo Open Sim Agents Challenge (WOSAC)",
+        ),
+    ] = False,
     seed: options.Seed = 0,
     lights: options.LightsFile = None,
     hdmap: options.HDMapFile = None,
     stop_lines: options.StopLinesFile = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Evaluate a prediction model and compare it with constant-velocity and -turn-rate baselines.
 
-    On an AIM with tracks: minADE, minFDE, MFD, collisions and traffic violations. On windows of
-    the Stanford Drone Dataset: minADE and minFDE in pixels and metres. Confidence intervals of
-    95 % are bootstrapped.
+    On an AIM with tracks: minADE, minFDE, MFD, collisions and traffic violations, also those of
+    the recording itself, and with --realism how likely it is under the samples. On windows of the
+    Stanford Drone Dataset: minADE and minFDE in pixels and metres. Confidence intervals of 95 % are
+    bootstrapped.
 
     Example: geoaim evaluate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     """
@@ -68,10 +78,18 @@ def evaluate(
             raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
         if aim is not None and tracks is not None:
             source = SceneSource(
-                aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+                aim,
+                tracks,
+                tracks_world,
+                tracks_resolution,
+                tracks_frame_rate,
+                lights,
+                hdmap,
+                stop_lines,
             )
             model = load_model(weights, kind)
-            result = _evaluate_on_map(source, model, val_fraction, samples, seed, progress)
+            config = {"samples": samples, "seed": seed, "realism": realism}
+            result = _evaluate_on_map(source, model, val_fraction, config, progress)
         elif windows is None or scenes is None:
             raise ValueError("--windows needs --scenes, for the metres per pixel of each scene")
         elif weights is None:
@@ -83,15 +101,23 @@ def evaluate(
 
 
 def _evaluate_on_map(
-    source: SceneSource, model: "ITRA", fraction: float, samples: int, seed: int, progress: Progress
+    source: SceneSource,
+    model: "ITRA",
+    fraction: float,
+    choices: Mapping[str, Any],
+    progress: Progress,
 ) -> Result:
-    """Evaluate a model and baselines jointly for all agents of its kind on a scene."""
+    """Evaluate a model and baselines jointly for all agents of its kind on a scene.
+
+    The choices are fields of `EvalConfig`.
+    """
     from geoaim.prediction import evaluation
-    from geoaim.prediction.baselines import BASELINES
+    from geoaim.prediction.baselines import BASELINES, replay
     from geoaim.prediction.config import MAX_HISTORY_STEPS
     from geoaim.prediction.cutting import cut_segments
     from geoaim.prediction.dataset import split_scene
-    from geoaim.simulation.ground import prefilter_ground
+    from geoaim.prediction.metrics import keep_rates
+    from geoaim.simulation.prefiltering import prefilter_ground
     from geoaim.simulation.road_rules import check_rules, make_road_rules
 
     config, horizon = model.config, get_horizon(model)
@@ -102,11 +128,12 @@ def _evaluate_on_map(
     steps = MAX_HISTORY_STEPS + horizon
     segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)
     ground = prefilter_ground(scene.ground, config.resolution)
-    given = segments, ground, evaluation.EvalConfig(MAX_HISTORY_STEPS, samples, seed=seed)
+    given = segments, ground, evaluation.EvalConfig(MAX_HISTORY_STEPS, **choices)
     metrics = {
         name: evaluation.evaluate(predictor, *given, rules=rules, progress=progress)
-        for name, predictor in {"model": model.sample, **BASELINES}.items()
+        for name, predictor in {"model": model.sample, **BASELINES, "recording": replay}.items()
     }
+    metrics["recording"] = keep_rates(metrics["recording"])
     return metrics, "segments", len(segments), f"{horizon * config.dt:g} s"
 
 

@@ -1,4 +1,4 @@
-"""The command that predicts agents."""
+"""The command that predicts the futures of agents."""
 
 from pathlib import Path
 from typing import Annotated
@@ -36,10 +36,11 @@ def predict(
     stop_lines: options.StopLinesFile = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
 ) -> None:
     """Predict futures of all vehicles, or of all pedestrians, jointly.
 
-    All other agents replay their tracks. A .csv has a row for each sample, agent and time.
+    All other agents keep their speed and heading. A .csv has a row for each sample, agent and time.
     Pictures show all samples on the map, and in white the recorded future, if there is one after
     --at.
 
@@ -48,7 +49,7 @@ def predict(
     import torch
 
     from geoaim.files import write_figure
-    from geoaim.prediction.cutting import select_kind
+    from geoaim.prediction.cutting import mask_agents
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
     from geoaim.simulation.pictures import write_pictures
@@ -59,7 +60,14 @@ def predict(
         check_output(output, (".csv", ".png", ".mp4", ".gif"), inputs)
         model = load_model(weights, kind)
         source = SceneSource(
-            aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+            aim,
+            tracks,
+            tracks_world,
+            tracks_resolution,
+            tracks_frame_rate,
+            lights,
+            hdmap,
+            stop_lines,
         )
         scene, _, world = read_scene(source, rate=1 / model.config.dt)
         start, horizon = find_step(scene, at), get_horizon(model, duration)
@@ -79,7 +87,8 @@ def predict(
             write_figure(draw_futures(futures), output)
         else:
             write_pictures(film_futures(futures), output, frame_rate=1 / scene.dt)
-    predicted = int((select_kind(scene, model.config.kind) & scene.present[:, start]).sum())
+    known = torch.isfinite(futures.states[0, :, 0, 0])
+    predicted = int((mask_agents(scene, model.config.kind) & known).sum())
     console.print(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {predicted} agents"

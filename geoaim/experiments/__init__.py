@@ -1,6 +1,15 @@
 """The paper's tables and public benchmarks, each by its name in `geoaim experiment`."""
 
-from geoaim.experiments import pedestrians, pretrained, sind, songdo, stanford, vehicles
+from geoaim.experiments import (
+    observed_states,
+    pedestrians,
+    pretrained,
+    sind,
+    songdo,
+    stanford,
+    vehicles,
+    zero_shot,
+)
 
 EXPERIMENTS = {
     "pretrained": pretrained.run,
@@ -9,4 +18,6 @@ EXPERIMENTS = {
     "stanford": stanford.run,
     "songdo": songdo.run,
     "sind": sind.run,
+    "zero_shot": zero_shot.run,
+    "observed_states": observed_states.run,
 }

@@ -21,7 +21,7 @@ def draw_futures_on_maps(models: Mapping[str, ITRA], place: Path, time: float) -
     """Draw the same ground in a panel for each model.
 
     Args:
-        models: by their names in `MODELS`.
+        models: models, by their names in `MODELS`.
         place: folder of a synthetic place.
         time: s of its first recording after which futures begin.
 

@@ -24,7 +24,7 @@ from geoaim.prediction.training import hash_weights, init_model, train
 class _ModelSpec:
     """How a model is trained on synthetic places."""
 
-    config: Config  # of the model
+    config: Config  # configuration of the model
     map_name: str  # one of `MAPS`
     lights: bool = True  # whether it is trained with traffic lights
     seeds: int = 1  # number of trainings; several where seeds differ as much as what is compared
@@ -51,9 +51,9 @@ def train_model(name: str, workspace: Workspace, *, seed: int = 0) -> ITRA:
     """Train one of `MODELS` on synthetic places, or read it from its folder.
 
     Args:
-        name: of the model.
+        name: name of the model.
         workspace: keeps places and models.
-        seed: of the training; each has a folder of its own.
+        seed: seed of the training; each seed has a folder of its own.
 
     Returns:
         The model.
@@ -81,10 +81,10 @@ def train_once(
     """Train a model, or read it from its folder when it is complete.
 
     Args:
-        model: to begin with.
+        model: the model to start from.
         training: its hyperparameters.
         load_dataset: is called when the model has to be trained.
-        name: of the folder; seeds other than 0 are appended.
+        name: name of the folder; seeds other than 0 are appended.
         workspace: keeps the folder.
 
     Returns:

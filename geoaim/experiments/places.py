@@ -69,7 +69,7 @@ def make_places(
     """Make places that are missing in a folder.
 
     Args:
-        folder: of all places.
+        folder: folder of all places.
         places: seeds and kinds.
         progress: takes stage, done and total.
 
@@ -140,7 +140,7 @@ def make_place_scene(
 
     Args:
         recording: agents and lights.
-        aim: from `read_map`.
+        aim: the result of `read_map`.
         dt: time between steps, s, to which tracks are resampled.
         lights: whether the scene has traffic lights.
 

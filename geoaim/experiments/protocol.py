@@ -21,7 +21,7 @@ from geoaim.prediction.dataset import VAL_FRACTION, Dataset, make_dataset, split
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.metrics import Metric
 from geoaim.progress import Progress, notebook_progress
-from geoaim.simulation.ground import prefilter_ground
+from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 from geoaim.simulation.scene import Scene
 
@@ -46,7 +46,7 @@ def make_places_dataset(
 
     Args:
         places: folders of the places.
-        config: of the model; recordings are resampled to its `dt`.
+        config: configuration of the model; recordings are resampled to its `dt`.
         map_name: a key of `experiments.places.MAPS`.
         lights: whether the scenes have traffic lights.
         progress: takes stage, done and total.
@@ -81,13 +81,13 @@ def evaluate_place(
     Args:
         predictor: a model's `sample`, or one of `BASELINES`.
         place: folder of the place.
-        config: agent kind, dt and resolution.
+        config: agent group, dt and resolution.
         map_name: a key of `experiments.places.MAPS`.
         fraction: share of each recording, at its end, to evaluate on.
         lights: whether the predictor gets the lights' states.
 
     Returns:
-        Metrics of each recording in which agents of the kind are present for long enough.
+        Metrics of each recording in which agents of the group are present for long enough.
     """
     aim, parts = read_map(place, map_name), []
     for recording in read_recordings(place):
@@ -112,13 +112,13 @@ def evaluate_scene(
     Args:
         predictor: a model's `sample`, or one of `BASELINES`.
         scene: the ground truth.
-        config: agent kind and resolution.
+        config: agent group and resolution.
         stride: steps from one segment's start to the next.
         lights: whether the predictor gets the lights' states.
-        rules: where vehicles may drive.
+        rules: road rules (where vehicles may drive).
 
     Returns:
-        Metrics; an empty list where no agent of the kind is present for long enough.
+        Metrics; an empty list where no agent of the group is present for long enough.
     """
     steps = SEGMENT_STEPS[config.kind]
     try:

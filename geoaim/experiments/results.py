@@ -47,10 +47,10 @@ def write_results(
     """Write means with their intervals, as JSON and as Markdown; all files change together.
 
     Args:
-        name: of the experiment.
-        metrics: by method.
+        name: name of the experiment.
+        metrics: metrics by method.
         settings: what else the JSON holds.
-        folder: of the files.
+        folder: folder in which the files are written.
         figure: is written as a .png beside them.
 
     Returns:

@@ -29,7 +29,7 @@ from geoaim.simulation.scene import Scene, make_scene
 from geoaim.track_changes import resample_tracks
 from geoaim.track_formats import read_tracks
 
-# of each junction: files of its HD map and of its pedestrians
+# files of each junction: its HD map and its pedestrians
 JUNCTIONS = {
     "Chongqing": ("NR_ll2.osm", "6_22_NR_1/Ped_smoothed_tracks.csv"),
     "Changchun": ("Changchun_Pudong.osm", "changchun_pudong_507_009/Ped_smoothed_tracks.csv"),
@@ -90,6 +90,15 @@ def georeference_junction(name: str) -> tuple[AIM, Georeference, HDMap]:
     height, width = image.shape[:2]
     fit = estimate_georeference(points, height=height, width=width, world=hdmap.world)
     return AIM.from_image(image, fit.world_from_image, hdmap.world, "SinD"), fit, hdmap
+
+
+def read_scenes() -> list[Scene]:
+    """Read the pedestrians of all junctions, on the images.
+
+    Raises:
+        TracksError: the data are missing.
+    """
+    return [_make_scene(name, georeference_junction(name)[0]) for name in JUNCTIONS]
 
 
 def _make_scene(name: str, aim: AIM) -> Scene:

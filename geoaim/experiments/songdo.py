@@ -1,66 +1,87 @@
 """Real vehicles of the Songdo Traffic dataset: zero-shot and fine-tuned models."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 
 from geoaim.bench.data import require_data
 from geoaim.defaults import SAMPLES
-from geoaim.experiments.models import train_model, train_once
+from geoaim.experiments.models import train_once
 from geoaim.experiments.protocol import VEHICLES
-from geoaim.experiments.results import Workspace, compute_differences, write_results
+from geoaim.experiments.real_places import RealRecording
+from geoaim.experiments.results import Workspace, write_results
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.prediction.atlas import make_atlas
-from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.baselines import BASELINES, Predictor, replay
+from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS, configure_fine_tuning
 from geoaim.prediction.cutting import cut_segments
-from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.dataset import Dataset, stack_maps
 from geoaim.prediction.evaluation import EvalConfig, evaluate
-from geoaim.prediction.segments import pick, shift
-from geoaim.simulation.scene import Scene, make_scene
-from geoaim.track_changes import resample_tracks
+from geoaim.prediction.metrics import keep_rates, merge_segments
+from geoaim.prediction.segments import pick
+from geoaim.simulation.scene import Scene, slice_scene
 from geoaim.track_formats import read_geotrax
+from geoaim.track_formats.motion import OBSERVED_WINDOW_S
 
 DATA = "tracks/songdo_u"
-MARGIN_M = 30.0  # of the map around the tracks
+MARGIN_M = 30.0  # margin of the map around the tracks
 FINE_TUNING = configure_fine_tuning("vehicle", steps=100, batch_size=32)
 
 
 def run(workspace: Workspace) -> list[Path]:
     """Evaluate real vehicles of Songdo Traffic, zero-shot and fine-tuned; return the files."""
-    dataset = _make_songdo_dataset(read_scene())
-    model = train_model("vehicle_aim", workspace)
+    dataset = make_dataset(read_scene())
+    model = read_pretrained("vehicle")
     tuned = train_once(model, FINE_TUNING, lambda: dataset, "vehicle_songdo", workspace)
     options = EvalConfig(MAX_HISTORY_STEPS, SAMPLES)
-    predictors = {"zero-shot": model.sample, "fine-tuned": tuned.sample, **BASELINES}
+    predictors: dict[str, Predictor] = {
+        "zero-shot": model.sample,
+        "fine-tuned": tuned.sample,
+        **BASELINES,
+    }
+    predictors["recording"] = replay
     metrics = {
-        name: evaluate(predictor, dataset.val, dataset.ground, options, progress=workspace.progress)
+        name: merge_segments(
+            evaluate(predictor, dataset.val, dataset.ground, options, progress=workspace.progress)
+        )
         for name, predictor in predictors.items()
     }
-    difference = compute_differences(metrics["fine-tuned"], metrics["zero-shot"])
-    settings = {"vehicles": len(dataset.val), "fine-tuned minus zero-shot": difference}
-    return write_results("songdo", metrics, settings, workspace.results)
+    metrics["recording"] = keep_rates(metrics["recording"])
+    return write_results("songdo", metrics, {"places": 1}, workspace.results)
 
 
-def _make_songdo_dataset(scene: Scene) -> Dataset:
-    """Split a recording by vehicles, as it is too short to be split by time."""
-    ground, offsets = make_atlas([scene.ground], VEHICLES.view)
+def make_dataset(scene: Scene) -> Dataset:
+    """Split the recording by vehicles, as it is too short to be split by time."""
     steps, stride = SEGMENT_STEPS["vehicle"], len(scene.times)
-    segments = shift(cut_segments(scene, "vehicle", steps=steps, stride=stride), offsets[0])
+    segments = cut_segments(scene, "vehicle", steps=steps, stride=stride)
     train, val = pick(segments, slice(0, None, 2)), pick(segments, slice(1, None, 2))
-    return Dataset(train, val, ground)
+    return Dataset(train, val, stack_maps([scene.ground], VEHICLES.view))
 
 
 def read_scene() -> Scene:
-    """Read the recording of five seconds, on an orthophoto.
+    """Read the recording on an orthophoto, from the step on at which speeds are known.
+
+    Raises:
+        TracksError: the data are missing.
+    """
+    return cut_scene(read_recording().make_scene(VEHICLES.dt))
+
+
+def cut_scene(scene: Scene) -> Scene:
+    """Leave out the first steps, in which no vehicle has been seen for long enough."""
+    return slice_scene(scene, slice(math.ceil(OBSERVED_WINDOW_S / VEHICLES.dt), None))
+
+
+def read_recording() -> RealRecording:
+    """Read the recording of five seconds, and an orthophoto.
 
     Raises:
         TracksError: the data are missing.
     """
     folder = require_data(DATA)
     tracks = read_geotrax(folder / "U_video_cut.csv", crs="EPSG:5186")
-    tracks = resample_tracks(tracks, 1 / VEHICLES.dt)
     positions = tracks.states[tracks.present][:, :2]
     corners = np.stack([positions.min(axis=0) - MARGIN_M, positions.max(axis=0) + MARGIN_M])
     path = folder / "ortho_U_25cm_epsg5186.tif"
-    return make_scene(read_imagery(path, world=tracks.world, corners=corners), tracks)
+    return RealRecording(tracks, read_imagery(path, world=tracks.world, corners=corners))

@@ -126,9 +126,9 @@ def _train(
     config = MODELS[name]
 
     def load_dataset() -> Dataset:
+        """Training windows, also reversed in time; the log evaluates the unreversed ones."""
         windows = _read_windows(config, scenes)
         both = concat([windows.segments, reverse_paths(windows.segments)])
-        # the log follows training windows; validation scenes are evaluated afterwards
         return Dataset(both, windows.segments, windows.ground)
 
     words = (label or name).replace(",", "").split()

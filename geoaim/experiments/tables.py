@@ -41,8 +41,8 @@ class Case:
 class Table:
     """The rows of a table, and what is shown beside them."""
 
-    config: Config  # agent kind, dt and resolution of the segments
-    cases: Mapping[str, Case]  # by name
+    config: Config  # agent group, dt and resolution of the segments
+    cases: Mapping[str, Case]  # cases by name
     pairs: Sequence[tuple[str, str]]  # names of cases whose difference is reported
     # names of cases of different models, drawn on the maps that they are trained on, at the first
     # place of the first case
@@ -54,9 +54,9 @@ def run_table(name: str, table: Table, workspace: results.Workspace) -> list[Pat
     """Make places, train models, evaluate all cases, and write the table with a figure.
 
     Args:
-        name: of the experiment.
+        name: name of the experiment.
         table: its rows.
-        workspace: where to read and write.
+        workspace: the folder to read from and to write to.
 
     Returns:
         Paths of the written files.
@@ -108,14 +108,14 @@ def evaluate_case(
     Args:
         predictor: a model's `sample`, or one of `BASELINES`.
         case: its map, and whether it is shown lights and whole recordings.
-        config: agent kind, dt and resolution.
+        config: agent group, dt and resolution.
         places: folders of the places.
 
     Returns:
         Metrics by name.
 
     Raises:
-        TracksError: no agent of the kind is present for long enough.
+        TracksError: no agent of the group is present for long enough.
     """
     fraction = VAL_FRACTION if case.subset == "validation" else 1.0
     lights = case.model not in MODELS or MODELS[case.model].lights

@@ -22,7 +22,7 @@ class AnchorHead(nn.Module):
     speed is taken from them too, so that it carries the same noise in training.
 
     Args:
-        config: of the model; it observes two steps or more.
+        config: the model's configuration; it observes two steps or more.
 
     Raises:
         ValueError: fewer than two steps are observed.
@@ -77,13 +77,13 @@ def compute_anchor_loss(
 
     Args:
         anchors: points of the proposals, metres.
-        logits: of the proposals.
+        logits: logits of the proposals.
         target: the ground truth at the same steps, metres.
         top_k: proposals of each agent that are trained.
 
     Returns:
-        The sum of mean metres over all points, half of the metres at the end, and a tenth of the
-        cross entropy.
+        The mean distance over all points, plus half of the distance at the last point (metres),
+        plus a tenth of the cross entropy of the logits.
     """
     distances = (anchors - target[:, None]).norm(dim=-1)  # (E, A, P)
     mean, best = distances.mean(dim=2).topk(top_k, dim=1, largest=False)
@@ -99,7 +99,7 @@ def select_anchor(
 
     Args:
         anchors: points of the proposals.
-        logits: of the proposals.
+        logits: logits of the proposals.
         rank: 0 for the likeliest proposal; ranks beyond the last one start over.
 
     Returns:

@@ -19,7 +19,10 @@ HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a
 
 @runtime_checkable
 class Predictor(Protocol):
-    """Predicts futures of all controlled agents; a trained model's predictor is `model.sample`."""
+    """Predicts futures of all controlled agents; a trained model's predictor is `model.sample`.
+
+    Shapes: B segments, K samples, T steps, N agents.
+    """
 
     def __call__(
         self,
@@ -33,14 +36,15 @@ class Predictor(Protocol):
         """Predict K joint futures of each segment.
 
         Args:
-            segments: whose first steps are observed.
+            segments: segments, whose first steps are observed.
             ground: the map, prefiltered or not (see `ITRA.sample`); baselines do not use it.
             history: observed steps.
             samples: K futures to draw.
             generator: source of the noise, on the segments' device.
 
         Returns:
-            States of all agents at all steps, the observed ones included.
+            x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed ones
+            included.
         """
         ...
 
@@ -83,6 +87,24 @@ def _predict_with_noise(
         constant_velocity, noisy, ground, history=history, samples=1, generator=generator
     )
     return futures.view(len(segments), samples, *futures.shape[2:])
+
+
+def replay(
+    segments: Segments, ground: Ground, *, history: int, samples: int, generator: torch.Generator
+) -> Float[Tensor, "B K T N 4"]:
+    """Repeat what was recorded: a `Predictor` that knows the future, for the recording's rates.
+
+    Args:
+        segments: as of `Predictor`.
+        ground: not used.
+        history: not used.
+        samples: K equal futures.
+        generator: not used.
+
+    Returns:
+        The recorded states.
+    """
+    return segments.states[:, None].expand(-1, samples, -1, -1, -1)
 
 
 BASELINES: Mapping[str, Predictor] = {

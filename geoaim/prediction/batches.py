@@ -1,4 +1,4 @@
-"""Batches of a training: which segments, how they are augmented, and what is scheduled by step.
+"""Batches of a training run: which segments, how they are augmented, and what is scheduled by step.
 
 All of it is a function of the seed and the step, so that an interrupted training resumes with the
 same batches.
@@ -7,16 +7,16 @@ same batches.
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 import torch.distributed as dist
 from jaxtyping import Int
 from torch import Tensor
 
-from geoaim.prediction.atlas import scale_ground
+from geoaim.prediction.augmentation import augment
 from geoaim.prediction.config import TrainConfig
-from geoaim.prediction.segments import Segments, move_to, pick, scale
+from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.simulation.ground import Ground
 
 
@@ -49,7 +49,7 @@ def join_processes(device: torch.device) -> Iterator[Process]:
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     try:
         yield Process(rank, world_size, device)
-        dist.barrier()  # gloo's threads abort a process that ends right after a gradient's exchange
+        dist.barrier()  # gloo's threads abort a process that ends right after an all-reduce
     finally:
         dist.destroy_process_group()
 
@@ -63,8 +63,8 @@ def draw_batch(
         config: seed, sizes and augmentation.
         segments: all training segments.
         ground: their map, on the process's device.
-        step: of the training, from 0.
-        process: gets its share of the batch; augmentation is the same for all.
+        step: index of the training step, from 0.
+        process: the process, which gets its share of the batch; augmentation is the same for all.
 
     Returns:
         The batch, or the process's share of it.
@@ -72,31 +72,23 @@ def draw_batch(
     draws = torch.Generator().manual_seed(_derive_seed(config.seed, 2 * step))
     least, most = config.history
     history = int(torch.randint(least, most + 1, (), generator=draws))
-    size, side = torch.rand(2, generator=draws)
-    factors = (1 + config.scale_jitter * (2 * size - 1)).repeat(2)
-    if config.mirror and side > 0.5:
-        factors = factors * factors.new_tensor([1.0, -1.0])
-    if config.colour_jitter:
-        gain = 1 + config.colour_jitter * (2 * torch.rand(3, 1, 1, generator=draws) - 1)
-        offset = config.colour_jitter * (torch.rand(3, 1, 1, generator=draws) - 0.5)
-        image = ground.image * gain.to(ground.image) + offset.to(ground.image)
-        ground = replace(ground, image=image)
     index = _draw_index(len(segments), config, step)[process.rank :: process.world_size]
-    batch = scale(move_to(pick(segments, index), process.device), factors)
+    batch = move_to(pick(segments, index), process.device)
+    batch, ground = augment(config, batch, ground, draws)
     generator = torch.Generator(process.device)
     generator.manual_seed(_derive_seed(config.seed, 2 * step + 1) + process.rank)
-    return batch, scale_ground(ground, factors), history, generator
+    return batch, ground, history, generator
 
 
 def compute_top_k(config: TrainConfig, step: int, num_anchors: int) -> int:
     """Compute how many of each agent's best trajectory proposals are trained at a step.
 
-    All are at first; their number falls geometrically to the best one, as `compute_anchor_loss`
+    At first all are trained; the number falls geometrically to one, as `compute_anchor_loss`
     explains.
 
     Args:
         config: number of steps, and the fraction of them over which the number falls.
-        step: of the training, from 0.
+        step: index of the training step, from 0.
         num_anchors: proposals of each agent.
 
     Returns:

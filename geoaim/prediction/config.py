@@ -1,4 +1,4 @@
-"""Hyperparameters of models and trainings, with the defaults of each agent kind.
+"""Hyperparameters of models and trainings, with the defaults of each agent group.
 
 What is the same for all trainings, such as the limit of the gradient norm, is in `training.py`.
 """
@@ -9,7 +9,8 @@ from geoaim.prediction.observation import ObservationView
 from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M
 
 MAX_HISTORY_STEPS = 10  # observed steps that a model gets at most, as in the paper
-SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30}  # of training: 4 s and 12 s, as in the paper
+# length of a training segment: 4 s and 12 s, as in the paper
+SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30}
 SEGMENT_STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps from one segment's start to the next
 
 
@@ -17,7 +18,7 @@ SEGMENT_STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps from one segment's s
 class Config:
     """Hyperparameters of an ITRA model."""
 
-    kind: str  # agents that the model controls, "vehicle" or "pedestrian"
+    kind: str  # group of the agents that the model controls, "vehicle" or "pedestrian"
     # kinematic model: "bicycle", "unicycle", or "slide" for tracks of positions without measured
     # headings
     motion: str
@@ -37,7 +38,7 @@ class Config:
     feature_size: int = 96  # width of an encoded view
     latent_size: int = 8  # width of the latent z
     sigma: float = 0.2  # standard deviation of states in the likelihood, metres
-    # metres that a radian counts in the likelihood: half an agent's length
+    # an error of 1 rad counts as this many metres in the likelihood: half an agent's length
     heading_scale: float = 2.0
     num_anchors: int = 0  # trajectory proposals; 0 as in the paper
     anchor_points: int = 3  # points of a proposal, evenly spaced in time, the last one at its end
@@ -76,9 +77,9 @@ DEFAULT_CONFIGS = {
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Hyperparameters of a training."""
+    """Hyperparameters of a training run."""
 
-    steps: int  # of the optimiser
+    steps: int  # number of optimiser steps
     batch_size: int = 64  # segments of a step, of all processes together
     learning_rate: float = 2e-3  # the highest one, of one cycle (Smith 2018)
     # weight of the KL term after its warm-up. 1 is the evidence lower bound; a larger weight leaves
@@ -102,28 +103,28 @@ class TrainConfig:
     log_start: bool = False  # whether the log begins with minADE before the first step
 
 
-def configure_training(kind: str, *, steps: int, batch_size: int, seed: int = 0) -> TrainConfig:
+def configure_training(group: str, *, steps: int, batch_size: int, seed: int = 0) -> TrainConfig:
     """Configure the training of a new model.
 
     Args:
-        kind: "vehicle" or "pedestrian".
-        steps: of the optimiser.
+        group: group of the agents that the model controls: "vehicle" or "pedestrian".
+        steps: number of optimiser steps.
         batch_size: segments of a step.
         seed: random seed.
 
     Returns:
         The hyperparameters.
     """
-    mirror = kind == "pedestrian"  # pedestrians keep to no side of the road
+    mirror = group == "pedestrian"  # pedestrians keep to no side of the road
     return TrainConfig(steps, batch_size, mirror=mirror, seed=seed)
 
 
-def configure_fine_tuning(kind: str, *, steps: int, batch_size: int, seed: int = 0) -> TrainConfig:
+def configure_fine_tuning(group: str, *, steps: int, batch_size: int, seed: int = 0) -> TrainConfig:
     """Configure the fine-tuning of a trained model: a low learning rate, and no warm-up.
 
     Args:
-        kind: "vehicle" or "pedestrian".
-        steps: of the optimiser.
+        group: group of the agents that the model controls: "vehicle" or "pedestrian".
+        steps: number of optimiser steps.
         batch_size: segments of a step.
         seed: random seed.
 
@@ -131,7 +132,7 @@ def configure_fine_tuning(kind: str, *, steps: int, batch_size: int, seed: int =
         The hyperparameters.
     """
     return replace(
-        configure_training(kind, steps=steps, batch_size=batch_size, seed=seed),
+        configure_training(group, steps=steps, batch_size=batch_size, seed=seed),
         learning_rate=5e-4,
         kl_warmup=0.0,
         anchor_annealing=0.0,

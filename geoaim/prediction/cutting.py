@@ -1,4 +1,4 @@
-"""Cutting scenes into segments."""
+"""Cut scenes into segments."""
 
 from dataclasses import replace
 
@@ -17,16 +17,16 @@ MIN_TRAVEL_M = 1.0  # agents that move less in a whole recording are parked
 
 
 def cut_segments(
-    scene: Scene, kind: str, *, steps: int, stride: int, joint: bool = False
+    scene: Scene, group: str, *, steps: int, stride: int, joint: bool = False
 ) -> Segments:
-    """Cut a scene into segments whose controlled agents are of one kind.
+    """Cut a scene into segments whose controlled agents are of one group.
 
     Args:
-        scene: with steps at even intervals.
-        kind: "vehicle" or "pedestrian"; other agents replay.
-        steps: of each segment.
+        scene: a scene whose steps are evenly spaced.
+        group: "vehicle" or "pedestrian"; other agents replay.
+        steps: number of steps of each segment.
         stride: steps from one segment's start to the next.
-        joint: one segment for each start, in which all agents of the kind that are present at all
+        joint: one segment for each start, in which all agents of the group that are present at all
             steps are controlled; otherwise one segment for each of these agents, which alone is
             controlled, with its nearest neighbours.
 
@@ -34,7 +34,7 @@ def cut_segments(
         Segments of moving agents.
 
     Raises:
-        TracksError: no moving agent of the kind is present for long enough.
+        TracksError: no moving agent of the group is present for long enough.
         ValueError: the scene's steps are not at even intervals.
     """
     if len(scene.times) < 2:
@@ -42,12 +42,13 @@ def cut_segments(
     dt = scene.dt
     if (scene.times.diff() - dt).abs().max() > 0.01 * dt:
         raise ValueError("the scene's steps are not at even intervals; resample the tracks")
-    complete = _find_complete(scene, kind, steps, stride)
+    scene = _keep_observed(scene)
+    complete = _find_complete(scene, group, steps, stride)
     if not complete.any():
-        agents = select_kind(scene, kind) & (_compute_travel(scene) > MIN_TRAVEL_M)
+        agents = mask_agents(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
         longest = int(scene.present[agents].sum(dim=1).max()) if agents.any() else 0
         raise TracksError(
-            f"no moving {kind} is present for {steps} steps of {dt:g} s; the longest track has "
+            f"no moving {group} is present for {steps} steps of {dt:g} s; the longest track has "
             f"{longest}"
         )
     choose_agents = _choose_all if joint else _choose_neighbours
@@ -58,44 +59,56 @@ def cut_segments(
     return concat(parts)
 
 
-def cut_future(scene: Scene, kind: str, dt: float, *, steps: slice, start: int) -> Segments:
-    """Cut one segment that controls all agents of a kind that are present at the step `start`.
+def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int) -> Segments:
+    """Cut one segment that controls all agents of a group that are present at the step `start`.
 
     Args:
-        scene: with steps at even intervals; beyond its end other agents go straight on and lights
-            stay as they are.
-        kind: "vehicle" or "pedestrian".
-        dt: time between steps, s, which a scene of one step does not tell.
-        steps: from the first step of the segment to after its last, which may be beyond the scene.
+        scene: with steps at even intervals. What agents do after `start` is not used: they keep
+            speed and heading. Beyond the scene's end lights keep their states.
+        group: "vehicle" or "pedestrian".
+        dt: time between steps, s; needed because a scene of one step has none.
+        steps: half-open slice of the segment's steps, as indices of the scene's; it may end beyond
+            the scene.
         start: the last observed step, an index of the scene's steps.
 
     Returns:
-        One segment with all agents of the scene.
+        One segment with all agents of the scene; those that are present at `start` are present at
+        all later steps.
 
     Raises:
-        TracksError: no agent of the kind is present at that step.
+        TracksError: no agent of the group is present at that step.
     """
-    controlled = select_kind(scene, kind) & scene.present[:, start]
+    scene = _keep_observed(scene)
+    controlled = mask_agents(scene, group) & scene.present[:, start]
     if not controlled.any():
-        raise TracksError(f"no {kind} is present at {float(scene.times[start]):g} s")
-    extended = _extend(scene, steps.stop - len(scene.times), dt)
+        raise TracksError(
+            f"no {group} is present at {float(scene.times[start]):g} s, or none for long enough to "
+            "know its speed"
+        )
     agents = torch.arange(len(scene.ids), device=controlled.device)[None]
-    segment = _cut(slice_scene(extended, steps), agents, controlled[None], dt)
-    present = segment.present.clone()
-    present[:, start + 1 - steps.start :, controlled] = True
-    return replace(segment, present=present)
+    past = _cut(slice_scene(scene, slice(steps.start, start + 1)), agents, controlled[None], dt)
+    lights = scene.light_states.long()[steps]
+    beyond = max(0, steps.stop - len(scene.times))
+    lights = torch.cat([lights, lights[-1:].expand(beyond, -1)])
+    return _extend(past, steps.stop - start - 1, lights[None])
 
 
-def select_kind(scene: Scene, kind: str) -> Bool[Tensor, "N"]:
-    """Mark the agents of a kind ("vehicle", "pedestrian" or "cyclist"), by their types."""
-    return torch.tensor([name in AGENT_GROUPS[kind] for name in scene.types]).to(
+def mask_agents(scene: Scene, group: str) -> Bool[Tensor, "N"]:
+    """Make a mask of the agents of a group ("vehicle", "pedestrian" or "cyclist")."""
+    return torch.tensor([name in AGENT_GROUPS[group] for name in scene.types]).to(
         scene.present.device
     )
 
 
-def _find_complete(scene: Scene, kind: str, steps: int, stride: int) -> Bool[Tensor, "N _"]:
-    """For each start, the moving agents of a kind that are present at all steps of the segment."""
-    moving = select_kind(scene, kind) & (_compute_travel(scene) > MIN_TRAVEL_M)
+def _keep_observed(scene: Scene) -> Scene:
+    """Count agents as present only where their states are known from the past alone."""
+    known = torch.isfinite(scene.observed).all(dim=2)
+    return replace(scene, present=scene.present & known)
+
+
+def _find_complete(scene: Scene, group: str, steps: int, stride: int) -> Bool[Tensor, "N _"]:
+    """For each start, the moving agents of a group that are present at all steps of the segment."""
+    moving = mask_agents(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
     long_enough = steps <= len(scene.times)
     present = scene.present if long_enough else scene.present.new_zeros(len(moving), steps)
     return present.unfold(1, steps, stride).all(dim=2) & moving[:, None]
@@ -128,43 +141,35 @@ def _choose_neighbours(
 def _cut(
     piece: Scene, agents: Int[Tensor, "B n"], controlled: Bool[Tensor, "B n"], dt: float
 ) -> Segments:
-    """Segments of all steps of a piece of a scene, each with its own agents."""
-    states = torch.where(piece.present[..., None], piece.states, 0.0)
+    """Segments of all steps of a piece of a scene, each with its own agents, as observed."""
+    states = torch.where(piece.present[..., None], piece.observed, 0.0)
     count = len(agents)
     return Segments(
         states=states[agents].transpose(1, 2),
         present=piece.present[agents].transpose(1, 2),
         sizes=piece.sizes[agents],
-        layers=torch.where(select_kind(piece, "vehicle"), VEHICLE, PEDESTRIAN)[agents],
+        layers=torch.where(mask_agents(piece, "vehicle"), VEHICLE, PEDESTRIAN)[agents],
         controlled=controlled,
+        places=torch.zeros(count, dtype=torch.long, device=states.device),
         stop_lines=piece.stop_lines.expand(count, -1, -1, -1),
         light_states=piece.light_states.long().expand(count, -1, -1),
         dt=dt,
     )
 
 
-def _extend(scene: Scene, steps: int, dt: float) -> Scene:
-    """Extend a scene beyond its end: agents keep speed and heading, and lights stay."""
-    if steps <= 0:
-        return scene
-    states, no_action = [scene.states[:, -1]], scene.poses.new_zeros(len(scene.ids), 2)
+def _extend(past: Segments, steps: int, light_states: Int[Tensor, "B T L"]) -> Segments:
+    """Extend segments by some steps, in which agents keep speed and heading."""
+    states, no_action = list(past.states.unbind(dim=1)), torch.zeros_like(past.states[:, 0, :, :2])
     for _ in range(steps):
-        states.append(bicycle.step(states[-1], no_action, scene.sizes[:, 0], dt))
-    later = torch.stack(states[1:], dim=1)
-    times = scene.times[-1] + torch.arange(1, steps + 1).to(scene.times) * dt
-    lights = scene.light_states[-1:].expand(steps, -1)
+        states.append(bicycle.step(states[-1], no_action, past.sizes[..., 0], past.dt))
+    present = torch.cat([past.present, past.present[:, -1:].expand(-1, steps, -1)], dim=1)
     return replace(
-        scene,
-        times=torch.cat([scene.times, times]),
-        poses=torch.cat([scene.poses, later[..., :3]], dim=1),
-        speeds=torch.cat([scene.speeds, later[..., 3]], dim=1),
-        present=torch.cat([scene.present, scene.present[:, -1:].expand(-1, steps)], dim=1),
-        light_states=torch.cat([scene.light_states, lights], dim=0),
+        past, states=torch.stack(states, dim=1), present=present, light_states=light_states
     )
 
 
 def _compute_travel(scene: Scene) -> Float[Tensor, "N"]:
-    """The diagonal of the box in which an agent stays, metres."""
+    """The diagonal of the bounding box of an agent's positions, metres."""
     present = scene.present[..., None]
     positions = scene.poses[..., :2]
     low = torch.where(present, positions, torch.inf).amin(dim=1)

@@ -1,27 +1,29 @@
-"""Datasets: training and validation segments of recordings, all on one ground."""
+"""Datasets: training and validation segments of recordings, and the maps of their places."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from geoaim.errors import TracksError, warn
-from geoaim.prediction.atlas import make_atlas
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
-from geoaim.prediction.segments import Segments, concat, shift
+from geoaim.prediction.segments import Segments, concat
 from geoaim.progress import Progress, notebook_progress
-from geoaim.simulation.ground import Ground
+from geoaim.simulation.atlas import stack_grounds
+from geoaim.simulation.ground import Ground, View
+from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.scene import Scene, slice_scene
 
+MAP_DENSITY = 2  # map pixels per side of a view pixel: fewer than by default, to save memory
 VAL_FRACTION = 0.05  # share of each recording, at its end, as in the paper
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Training and validation segments on one ground."""
+    """Training and validation segments, and their maps."""
 
     train: Segments  # segments to train on
     val: Segments  # segments to validate with
-    ground: Ground  # the map of all segments
+    ground: Ground  # the maps of all segments
 
 
 def make_dataset(
@@ -29,25 +31,26 @@ def make_dataset(
     config: Config,
     *,
     val_fraction: float = VAL_FRACTION,
+    segment_steps: int | None = None,
     progress: Progress = notebook_progress,
 ) -> Dataset:
     """Cut scenes of any places into a dataset; no segment lies in both of its parts.
 
     Args:
-        scenes: at the config's dt; scenes of one place hold the same `Ground` object.
-        config: of the model: its agent kind ("vehicle" or "pedestrian") and its view.
+        scenes: scenes with the config's dt; scenes of one place hold the same `Ground` object.
+        config: the model's configuration: its agent kind ("vehicle" or "pedestrian") and its view.
         val_fraction: share of each scene's steps, at its end, for validation.
+        segment_steps: length of a segment; None: 40 for vehicles and 30 for pedestrians.
         progress: takes stage, done and total.
 
     Returns:
-        Segments of all scenes, shifted to their places in an atlas of all grounds.
+        Segments of all scenes, and one ground of all their maps.
 
     Raises:
         TracksError: no agent of the kind is present for long enough, in either part.
     """
-    grounds = list({id(scene.ground): scene.ground for scene in scenes}.values())
-    atlas, offsets = make_atlas(grounds, config.view)
-    offset_of = {id(ground): offset for ground, offset in zip(grounds, offsets, strict=True)}
+    grounds = {id(scene.ground): scene.ground for scene in scenes}
+    place_of = {key: place for place, key in enumerate(grounds)}
     parts: dict[str, list[Segments]] = {"training": [], "validation": []}
     problems: dict[str, list[str]] = {name: [] for name in parts}
     for number, scene in enumerate(scenes):
@@ -57,7 +60,7 @@ def make_dataset(
                 segments = cut_segments(
                     part,
                     config.kind,
-                    steps=SEGMENT_STEPS[config.kind],
+                    steps=segment_steps or SEGMENT_STEPS[config.kind],
                     stride=SEGMENT_STRIDES[config.kind],
                 )
             except TracksError as error:
@@ -66,10 +69,23 @@ def make_dataset(
                     f"{100 * val_fraction:g} % are for validation: {error}"
                 )
             else:
-                parts[name].append(shift(segments, offset_of[id(scene.ground)]))
+                places = segments.places + place_of[id(scene.ground)]
+                parts[name].append(replace(segments, places=places))
     progress("segments", len(scenes), len(scenes))
     _report_problems(parts, problems)
-    return Dataset(concat(parts["training"]), concat(parts["validation"]), atlas)
+    ground = stack_maps(list(grounds.values()), config.view)
+    return Dataset(concat(parts["training"]), concat(parts["validation"]), ground)
+
+
+def stack_maps(grounds: Sequence[Ground], view: View) -> Ground:
+    """Prefilter the maps of places for a model's view, and put them into one ground.
+
+    Maps are numbered as in `Segments.places`.
+    """
+    averaged = [
+        prefilter_ground(ground, view.resolution, density=MAP_DENSITY) for ground in grounds
+    ]
+    return stack_grounds(averaged)
 
 
 def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:

@@ -10,6 +10,7 @@ from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, compute_metrics, concat
 from geoaim.prediction.neighbours import MAX_VIEWS
+from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.progress import Progress, notebook_progress
@@ -23,9 +24,10 @@ class EvalConfig:
 
     history: int  # observed steps
     samples: int  # futures of each segment
-    seed: int = 0  # of the noise
+    seed: int = 0  # seed of the noise
     # whether predictors get the lights' states; infractions are counted anyway
     show_lights: bool = True
+    realism: bool = False  # whether WOSAC's likelihoods are computed too
 
 
 def evaluate(
@@ -45,11 +47,11 @@ def evaluate(
         ground: the map. Give the result of `prefilter_ground`, or predictors that render views
             compute it for each batch.
         config: options.
-        rules: where vehicles may drive, for infractions.
+        rules: road rules (where vehicles may drive), for infractions.
         progress: called with "evaluate", the number of segments done, and their total.
 
     Returns:
-        Metrics by name; see `compute_metrics`.
+        Metrics by name; see `compute_metrics` and, with `config.realism`, `compute_realism`.
     """
     generator = torch.Generator(segments.states.device).manual_seed(config.seed)
     max_agents = int(segments.controlled.sum(dim=1).max())
@@ -64,7 +66,10 @@ def evaluate(
         futures = predictor(
             shown, ground, history=config.history, samples=config.samples, generator=generator
         )
-        parts.append(compute_metrics(futures, batch, config.history, rules))
+        metrics = compute_metrics(futures, batch, config.history, rules)
+        if config.realism:
+            metrics |= compute_realism(futures, batch, config.history, rules)
+        parts.append(metrics)
         progress("evaluate", min(start + size, len(segments)), len(segments))
     return concat(parts)
 
@@ -83,7 +88,7 @@ def evaluate_windows(
         predictor: `make_window_predictor` of a model, or one of `BASELINES`.
         windows: the ground truth.
         samples: futures of each window.
-        seed: of the noise.
+        seed: seed of the noise.
         progress: takes stage, done and total.
 
     Returns:
@@ -102,7 +107,7 @@ def evaluate_windows(
 def make_window_predictor(model: ITRA, samples: int) -> Predictor:
     """Make the predictor of a model for `evaluate_windows` with `samples` futures.
 
-    Latents stay at their mean where every sample follows a proposal of its own.
+    With at least as many proposals as samples, latents are set to their mean.
     """
     proposals = model.config.num_anchors >= samples
     return partial(model.sample, latent_scale=0.0 if proposals else 1.0)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FUTURE_COLOUR, TRUTH_COLOUR = (1.0, 0.45, 0.0), (0.95, 0.95, 0.95)
-MARGIN_M = 15.0  # of a picture around all paths
-LIGHT_NAMES = ("green light", "amber light", "red light")  # by state
+MARGIN_M = 15.0  # distance from the paths to the edges of a picture
+LIGHT_NAMES = ("green light", "yellow light", "red light")  # names by light state
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,7 +31,7 @@ class Futures(Display):
     states: Float[Tensor, "K N T 4"]
     scene: Scene  # map, agents and lights
     start: int  # index of the scene's last observed step
-    dt: float  # between steps, s
+    dt: float  # time between steps, s
 
     @property
     def time(self) -> float:
@@ -39,7 +39,7 @@ class Futures(Display):
         return float(self.scene.times[self.start])
 
     def mark_predicted(self) -> Bool[Tensor, "N"]:
-        """Mark agents whose samples differ; others replay. Of one sample: all that are present."""
+        """Mark agents whose samples differ. Of one sample: all that are present."""
         positions = self.states[..., :2]
         known = torch.isfinite(positions).flatten(2).any(dim=2).any(dim=0)
         same = ((positions - positions[:1]).nan_to_num() == 0).flatten(2).all(dim=2).all(dim=0)
@@ -61,7 +61,7 @@ class Futures(Display):
         scene = self.scene
         positions = torch.cat([self.states[..., :2].flatten(0, 2), scene.poses[:, self.start, :2]])
         positions = positions[torch.isfinite(positions).all(dim=1)]
-        first, last = scene.ground.bounds.to(positions)
+        first, last = scene.ground.bounds[0].to(positions)
         low = (positions.amin(dim=0) - MARGIN_M).clamp(first, last - MARGIN_M)
         high = (positions.amax(dim=0) + MARGIN_M).clamp(low + MARGIN_M, last)
         return torch.stack([low, high])
@@ -75,7 +75,7 @@ class Futures(Display):
         axes.set_title(f"{len(self.states)} futures of {seconds:g} s after {self.time:g} s")
         axes.set_aspect("equal")
         part: Any = axes.figure
-        part.figure.draw_without_rendering()  # of the whole figure: names are placed in a layout
+        part.figure.draw_without_rendering()  # names are placed in the final layout
         rows = self.mark_predicted().nonzero()[:, 0].tolist()
         places = self.scene.poses[rows, self.start, :2].double().cpu().numpy()
         for text in label_points(axes, places, [self.scene.ids[row] for row in rows]):
@@ -85,8 +85,8 @@ class Futures(Display):
         """Draw agents and lights without the map; paths are those of predicted agents.
 
         Args:
-            axes: in metres of the map's world.
-            step: of the futures, up to which paths reach; None: agents at the start, whole
+            axes: axes in metres of the map's world.
+            step: step of the futures up to which paths are drawn; None: agents at the start, whole
                 paths, and in white what was recorded.
         """
         from geoaim.map_axes import draw_lines

@@ -43,15 +43,16 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.segments import Segments, repeat
-from geoaim.simulation.ground import Ground, prefilter_ground
+from geoaim.simulation.ground import Ground
 from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_angle
+from geoaim.simulation.prefiltering import prefilter_ground
 
-MAX_ACTION = 4.0  # normalised: ground-truth actions beyond are noise of headings at standstill
-SPEED_SCALE_S = 0.5  # metres that a metre a second counts in the likelihood
+MAX_ACTION = 4.0  # normalised; larger ground-truth actions are noise of headings at standstill
+SPEED_SCALE_S = 0.5  # an error of 1 m/s counts as this many metres in the likelihood
 ATTRIBUTES = 3  # speed, length and width
 DT_TOLERANCE_S = 1e-3
 
-DrawLatent = Callable[[Float[Tensor, "E C"], int], Float[Tensor, "E Z"]]  # of context and step
+DrawLatent = Callable[[Float[Tensor, "E C"], int], Float[Tensor, "E Z"]]  # takes context and step
 Recurrent = tuple[Float[Tensor, "E F"], Float[Tensor, "E H"]]  # encoded views and hidden states
 ChooseAnchor = Callable[[Float[Tensor, "E 4"], Float[Tensor, "E F"]], Float[Tensor, "E P 2"]]
 
@@ -126,7 +127,7 @@ class ITRA(nn.Module):
 
         Args:
             segments: the ground truth.
-            ground: the map, averaged by `prefilter_ground` as that of `make_dataset` is.
+            ground: the map, prefiltered (`prefilter_ground`) as in the result of `make_dataset`.
             history: observed steps.
             generator: source of all noise, on the segments' device.
             top_k: proposals of each agent that are trained, its best ones.
@@ -181,9 +182,10 @@ class ITRA(nn.Module):
         """Sample joint futures of all controlled agents; all others replay.
 
         Args:
-            segments: whose first steps are observed; later steps of controlled agents are ignored.
-            ground: the map, which `prefilter_ground` averages for the model's views here, unless
-                it has done so before, which saves time when this is called often.
+            segments: segments, whose first steps are observed; later steps of controlled agents are
+                ignored.
+            ground: the map. It is prefiltered for the model's views here unless that was done
+                before (`prefilter_ground`), which saves time over many calls.
             history: observed steps.
             samples: K futures to draw.
             generator: source of the noise, on the segments' device.

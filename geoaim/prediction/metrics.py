@@ -50,14 +50,15 @@ def compute_metrics(
       et al. 2023).
     - `MFD`: maximum final distance between two samples (Ścibior et al. 2021).
     - `collision rate`, `off-road rate`: share of agents, samples and predicted steps (Lioutas et
-      al. 2021). `red-light rate`: the same, of vehicles' steps with known lights. Rates without
-      any summand are left out.
+      al. 2021), by `detect_collisions` and `detect_offroad`; contacts count as collisions here.
+      `red-light rate`: the same, of vehicles' steps that start with known lights. Rates without any
+      summand are left out.
 
     Args:
         futures: states of all agents, observed steps included.
         segments: the ground truth.
         history: observed steps.
-        rules: where vehicles may drive.
+        rules: road rules (where vehicles may drive).
 
     Returns:
         Metrics by name: displacements in metres, rates between 0 and 1.
@@ -100,15 +101,15 @@ def bootstrap_interval(
 ) -> tuple[float, float]:
     """Estimate the confidence interval of a mean, or of the difference from another mean.
 
-    By percentiles of the bootstrap over segments (Efron 1979).
+    It is made of percentiles of the bootstrap over segments (Efron 1979).
 
     Args:
-        metric: of B segments.
-        other: of the same segments, subtracted draw by draw.
-        seed: of the draws; two metrics are drawn alike.
+        metric: a metric of B segments.
+        other: a metric of the same segments, subtracted in each resample.
+        seed: seed of the resampling; with one seed, two metrics are resampled alike.
 
     Returns:
-        Lower and upper bound of 95 % confidence.
+        Lower and upper bound of the 95 % interval.
 
     >>> low, high = bootstrap_interval(Metric(np.array([1.0, 2.0, 3.0]), np.ones(3)))
     >>> bool(1 <= low < 2 < high <= 3)
@@ -142,19 +143,40 @@ def average_seeds(trainings: Sequence[Mapping[str, Metric]]) -> dict[str, Metric
     """
     return {
         name: Metric(
-            np.sum([metrics[name].sums for metrics in trainings], axis=0),
-            np.sum([metrics[name].counts for metrics in trainings], axis=0),
+            np.mean([metrics[name].sums for metrics in trainings], axis=0),
+            np.mean([metrics[name].counts for metrics in trainings], axis=0),
         )
         for name in trainings[0]
     }
 
 
+def merge_segments(metrics: Mapping[str, Metric]) -> dict[str, Metric]:
+    """Merge segments of the same time and place into one, which has no interval."""
+    return {
+        name: Metric(metric.sums.sum(keepdims=True), metric.counts.sum(keepdims=True))
+        for name, metric in metrics.items()
+    }
+
+
+def keep_rates(metrics: Mapping[str, Metric]) -> dict[str, Metric]:
+    """Keep the rates of infractions, the only metrics of a recording itself."""
+    return {name: metric for name, metric in metrics.items() if name.endswith(" rate")}
+
+
 def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
-    """Summarise each metric as {"mean": ..., "low": ..., "high": ...}, its 95 % interval."""
+    """Summarise each metric by its mean, its 95 % interval, and what it is the mean of.
+
+    Returns:
+        By name "mean"; "low" and "high", but not of one segment alone; "count" of summands, which
+        for displacements are agents; and "segments" that have any.
+    """
     summary = {}
     for name, metric in metrics.items():
-        low, high = bootstrap_interval(metric)
-        summary[name] = {"mean": metric.mean, "low": low, "high": high}
+        segments = int((metric.counts > 0).sum())
+        summary[name] = {"mean": metric.mean, "count": float(metric.counts.sum())}
+        summary[name]["segments"] = segments
+        if segments > 1:
+            summary[name]["low"], summary[name]["high"] = bootstrap_interval(metric)
     return summary
 
 
@@ -171,8 +193,8 @@ def _compute_infraction_rates(
     rates = {"collision rate": _make_rate((iou > 0).any(-1).view(present.shape), controlled)}
     vehicles = controlled & (segments.layers == VEHICLE)[:, None, None]
     if rules.drivable is not None and vehicles.any():
-        offroad = detect_offroad(rules.drivable, after, sizes, vehicles)
-        rates["off-road rate"] = _make_rate(offroad, vehicles)
+        offroad, known = detect_offroad(rules.drivable, after, sizes, vehicles)
+        rates["off-road rate"] = _make_rate(offroad, known)
     states = segments.light_states[:, history - 1 : -1]  # (B, t, L)
     known = (states != UNKNOWN).any(dim=2)[:, None, :, None]
     if known.any() and vehicles.any():

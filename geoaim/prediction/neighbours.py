@@ -12,10 +12,10 @@ from geoaim.prediction.observation import Controlled
 from geoaim.prediction.segments import Segments
 from geoaim.simulation.ground import View
 
-MAX_VIEWS = 4000  # that are rendered at once
-MAX_BOXES = 500_000  # of all agents in these views
-DISTINCT_VIEWS = 500  # that are rendered at once, where each shows other agents
-MARGIN_M = 1.0  # beyond which rounding does not reach
+MAX_VIEWS = 4000  # views that are rendered at once
+MAX_BOXES = 500_000  # boxes of all agents in these views
+MAX_DISTINCT_VIEWS = 500  # views that are rendered at once where each shows other agents
+MARGIN_M = 1.0  # tolerance for rounding errors
 
 
 def split_views(
@@ -31,11 +31,12 @@ def split_views(
         view: size and resolution.
         segments: sizes and presence of all agents.
         controlled: the agents whose views to render.
-        states: (B, N, 4) of all agents at the step.
+        states: (B, N, 4) x, y, heading, speed of all agents at the step.
         step: index of the step.
 
     Yields:
-        Parts in order; where there are many agents, with those that each view may show.
+        Parts in order; where there are many agents, each part lists the agents that its views may
+        show.
     """
     count = states.shape[1]
     if count * min(len(controlled.agent), MAX_VIEWS) <= MAX_BOXES:
@@ -49,7 +50,7 @@ def split_views(
     tree = KDTree(positions[segment, agent])
     cameras = positions[controlled.segment.cpu(), controlled.agent.cpu()]
     most = tree.query_ball_point(cameras, reach, return_length=True).max()
-    rows = max(1, min(DISTINCT_VIEWS, MAX_BOXES // max(1, most)))
+    rows = max(1, min(MAX_DISTINCT_VIEWS, MAX_BOXES // max(1, most)))
     for start in range(0, len(cameras), rows):
         some = slice(start, start + rows)
         found = tree.query_ball_point(cameras[some], reach, return_sorted=True)

@@ -13,7 +13,7 @@ def build_cnn(channels: int, size: int, features: int) -> nn.Sequential:
     With torch's defaults it shrinks a hundredfold, and models hardly learn to use the map.
 
     Args:
-        channels: of a view.
+        channels: number of channels of a view.
         size: side of a view, pixels.
         features: width of the output.
 
@@ -42,7 +42,7 @@ def build_mlp(inputs: int, width: int, outputs: int) -> nn.Sequential:
 
     Args:
         inputs: width of the input.
-        width: of both hidden layers.
+        width: width of both hidden layers.
         outputs: width of the output.
 
     Returns:

@@ -8,11 +8,13 @@ from torch import Tensor
 
 from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
-from geoaim.simulation.birdview import OrientedBoxes, render_layers
+from geoaim.simulation.birdview import render_layers
+from geoaim.simulation.boxes import OrientedBoxes
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M, make_stop_line_layers
 
-MAX_COLOUR_DISTANCE = 0.4  # of channels from 0 to 1: beyond it, the surface is another one
+# channels are 0 to 1; a surface whose colour differs by more is another one
+MAX_COLOUR_DISTANCE = 0.4
 CHANNELS = 7  # ground (3), vehicles, pedestrians, red and yellow lights, green lights
 
 
@@ -50,10 +52,10 @@ def render_observation(
 
     Args:
         view: size, resolution and width of lights.
-        ground: the map.
+        ground: the map, or the maps of all places.
         segments: sizes, presence and lights of all agents.
         controlled: the E agents whose views to render.
-        states: (B, N, 4) of all agents at the step.
+        states: (B, N, 4) x, y, heading, speed of all agents at the step.
         step: index of the step.
 
     Returns:
@@ -67,7 +69,7 @@ def render_observation(
     seen = seen[None] if controlled.seen is None else controlled.seen
     visible = _gather_agents(segments.present[:, step], controlled)
     visible = visible & (seen != controlled.agent[:, None]) & (seen >= 0)  # (E, n)
-    white = sizes.new_ones(1, 3).expand(poses.shape[1], 3)
+    white = sizes.new_ones(3)
     boxes = [
         OrientedBoxes(poses, sizes, white, visible & (layers == layer), white)
         for layer in (VEHICLE, PEDESTRIAN)
@@ -76,6 +78,8 @@ def render_observation(
     light_states = segments.light_states[controlled.segment, step]
     groups = [(RED, YELLOW), (GREEN,)]
     boxes += make_stop_line_layers(stop_lines, light_states, groups, width=view.light_width)
+    if len(ground.regions) > 1:
+        ground = ground.select(segments.places[controlled.segment])
     return render_layers(view, cameras, ground, boxes)
 
 

@@ -18,7 +18,7 @@ from geoaim.track_files import format_world
 from geoaim.world import World
 
 PICTURE_INCHES = 10.0  # the longer side of the map
-BESIDE_INCHES, BELOW_INCHES = 2.6, 1.0  # of the legend and the labels of the axes
+BESIDE_INCHES, BELOW_INCHES = 2.6, 1.0  # space for the legend and for the axes' labels
 
 
 def draw_futures(futures: Futures) -> Figure:
@@ -32,7 +32,7 @@ def film_futures(futures: Futures) -> Iterator[UInt8[Array, "H W 3"]]:
     """Draw the futures step by step, all samples in one picture.
 
     Args:
-        futures: from `predict`.
+        futures: the futures from `predict`.
 
     Yields:
         An RGB picture of even sides for each predicted step.
@@ -69,9 +69,9 @@ def write_futures(futures: Futures, path: str | os.PathLike[str], *, world: Worl
     id, type, time (s), x, y (metres from that origin), heading (rad), speed (m/s).
 
     Args:
-        futures: from `predict`.
-        path: of the file.
-        world: of the scene.
+        futures: the futures from `predict`.
+        path: path of the file.
+        world: the world of the scene.
     """
     scene = futures.scene
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:

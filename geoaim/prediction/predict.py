@@ -1,4 +1,4 @@
-"""Predicting the future of a scene."""
+"""Predict the future of a scene."""
 
 import torch
 
@@ -20,23 +20,24 @@ def predict(
     start: int | None = None,
     generator: torch.Generator,
 ) -> Futures:
-    """Sample joint futures of all agents of the model's kind.
+    """Sample joint futures of all agents of the model's group.
 
     Args:
-        model: from `read_model` or `train`.
+        model: a model from `read_model` or `train`.
         scene: map, agents and lights, at the model's dt.
         samples: K futures to draw.
-        horizon: T steps to predict; a model with proposals takes only that of its config.
+        horizon: T steps to predict; a model with proposals takes only its config's horizon.
         start: index of the last observed step; None: the scene's last step.
         generator: source of the noise, on the scene's device.
 
     Returns:
         The futures: `states` (K, N, T, 4) holds x, y, heading and speed of all agents at the T
-        steps after `start`; NaN where absent. Agents of other kinds move as recorded and, beyond
-        the scene's end, straight on; there, lights keep their last states.
+        steps after `start`; NaN for those that are absent at `start`. Nothing that agents do later
+        is used: those of other kinds move straight on. Lights change as recorded and, beyond the
+        scene's end, keep their last states.
 
     Raises:
-        TracksError: no agent of the kind is present at that step.
+        TracksError: no agent of the group is present at that step.
         ValueError: the scene's dt is not the model's, there is no such step, a model with
             proposals needs a longer history or another horizon, or the futures need too much
             memory.

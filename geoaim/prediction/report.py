@@ -14,6 +14,7 @@ CURVES = {
     "nll": "negative log-likelihood",
     "kl": "KL divergence, nats",
     "anchor": "loss of proposals, m",
+    "val_loss": "loss in validation",
     "minADE": "minADE in validation, m",
 }
 
@@ -21,16 +22,22 @@ CURVES = {
 def format_markdown(summaries: Mapping[str, Summary]) -> str:
     """Format summaries (see `summarise`) as a table, a row for each method by its name.
 
-    >>> print(format_markdown({"a": {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}}))
-    | | minADE |
-    | --- | --- |
-    | a | 1 (0.9 to 1.1) |
+    The numbers of agents and segments are those of the first metric.
+
+    >>> value = {"mean": 1.0, "low": 0.9, "high": 1.1, "count": 20, "segments": 3}
+    >>> print(format_markdown({"a": {"minADE": value}}))
+    | | agents | segments | minADE |
+    | --- | --- | --- | --- |
+    | a | 20 | 3 | 1 (0.9 to 1.1) |
     """
     names = list(dict.fromkeys(name for summary in summaries.values() for name in summary))
-    lines = ["| | " + " | ".join(names) + " |", "|" + " --- |" * (len(names) + 1)]
+    columns = ["", "agents", "segments", *names]
+    lines = [_format_row(columns), "|" + " --- |" * len(columns)]
     for method, summary in summaries.items():
         cells = [_format_cell(summary[name]) if name in summary else "" for name in names]
-        lines.append(f"| {method} | " + " | ".join(cells) + " |")
+        first = summary.get(names[0])
+        counts = [f"{first['count']:.0f}", f"{first['segments']:.0f}"] if first else ["", ""]
+        lines.append(_format_row([method, *counts, *cells]))
     return "\n".join(lines)
 
 
@@ -48,5 +55,12 @@ def plot_training(log: str | os.PathLike[str], path: str | os.PathLike[str]) -> 
     write_figure(figure, path)
 
 
+def _format_row(cells: list[str]) -> str:
+    return " ".join(f"| {cell}".rstrip() for cell in cells) + " |"
+
+
 def _format_cell(value: Mapping[str, float]) -> str:
+    """Format a mean with its interval, if it has one."""
+    if "low" not in value:
+        return f"{value['mean']:.3g}"
     return f"{value['mean']:.3g} ({value['low']:.3g} to {value['high']:.3g})"

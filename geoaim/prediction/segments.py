@@ -22,8 +22,9 @@ class Segments:
     sizes: Float[Tensor, "B N 2"]  # length and width, metres; 1 in padding
     layers: Int[Tensor, "B N"]  # the layer that the agent is drawn in, `VEHICLE` or `PEDESTRIAN`
     controlled: Bool[Tensor, "B N"]  # whether the model controls the agent; others replay
+    places: Int[Tensor, "B"]  # number of the segment's map in the ground of all maps
     stop_lines: Float[Tensor, "B L 2 2"]  # both ends of each light's line, metres
-    light_states: Int[Tensor, "B T L"]  # as in `geoaim.lights`
+    light_states: Int[Tensor, "B T L"]  # states, as in `geoaim.lights`
     dt: float  # time between steps, s
 
     def __len__(self) -> int:
@@ -65,14 +66,6 @@ def concat(parts: Sequence[Segments]) -> Segments:
     return Segments(**tensors, dt=parts[0].dt)
 
 
-def shift(segments: Segments, offset: Float[Tensor, "2"]) -> Segments:
-    """Shift segments in the plane, by metres x and y."""
-    change = torch.cat([offset, offset.new_zeros(2)])
-    return replace(
-        segments, states=segments.states + change, stop_lines=segments.stop_lines + offset
-    )
-
-
 def scale(segments: Segments, factors: Float[Tensor, "2"]) -> Segments:
     """Scale x and y of the plane, and speeds; a negative factor of y mirrors it. Sizes stay."""
     size, sign = factors.abs().mean(), factors.sign().prod()
@@ -91,6 +84,7 @@ def _pad(part: Segments, agents: int, lights: int) -> Segments:
         sizes=F.pad(part.sizes, (0, 0, 0, more_agents), value=1.0),
         layers=F.pad(part.layers, (0, more_agents)),
         controlled=F.pad(part.controlled, (0, more_agents)),
+        places=part.places,
         stop_lines=F.pad(part.stop_lines, (0, 0, 0, 0, 0, more_lights)),
         light_states=F.pad(part.light_states, (0, more_lights), value=UNKNOWN),
         dt=part.dt,

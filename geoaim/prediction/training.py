@@ -27,12 +27,12 @@ from geoaim.prediction.itra import ITRA, Losses
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.progress import Progress, notebook_progress
-from geoaim.simulation.ground import Ground, move_ground
+from geoaim.simulation.ground import Ground
 
-MAX_VAL_SEGMENTS = 256  # that are predicted for the log
-ANCHOR_WEIGHT = 12.0  # of metres, beside a likelihood in squared sigmas
+MAX_VAL_SEGMENTS = 256  # segments that are predicted for the log
+ANCHOR_WEIGHT = 12.0  # weight of an error in metres beside a negative log-likelihood
 MAX_GRADIENT_NORM = 1.0
-LOG_COLUMNS = ("step", "nll", "kl", "anchor", "minADE", "segments_per_s")
+LOG_COLUMNS = ("step", "nll", "kl", "anchor", "val_loss", "minADE", "segments_per_s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,10 @@ def train(
     each batch.
 
     Args:
-        model: to begin with, from `init_model` or `read_model`; it stays as it is.
+        model: the model to start from, from `init_model` or `read_model`; it is not changed.
         config: hyperparameters of the training.
         dataset: training and validation segments.
-        folder: of the files.
+        folder: folder in which the files are written.
         progress: takes stage, done and total.
 
     Returns:
@@ -93,12 +93,12 @@ def train(
     ):
         parts = _make_parts(copy.deepcopy(model).to(process.device).train(), config)
         log = _resume(path, parts, identity)
-        ground = move_ground(dataset.ground, process.device)
+        ground = dataset.ground.to(process.device)
         alone = process.world_size == 1
         network: nn.Module = parts.model if alone else DistributedDataParallel(parts.model)
         if config.log_start and not log:
-            min_ade = _validate(parts.model, dataset.val, ground, config)
-            log.append((0.0, math.nan, math.nan, math.nan, min_ade, math.nan))
+            validated = _validate(parts.model, dataset.val, ground, config)
+            log.append((0.0, math.nan, math.nan, math.nan, *validated, math.nan))
         began, losses = time.perf_counter(), []
         for step in range(int(log[-1][0]) if log else 0, config.steps):
             batch = draw_batch(config, dataset.train, ground, step, process)
@@ -112,8 +112,8 @@ def train(
             if due and process.rank == 0:
                 speed = len(losses) * config.batch_size / (time.perf_counter() - began)
                 means = torch.tensor(losses).mean(dim=0).tolist()
-                min_ade = _validate(parts.model, dataset.val, ground, config)
-                log.append((float(done), *means, min_ade, speed))
+                validated = _validate(parts.model, dataset.val, ground, config)
+                log.append((float(done), *means, *validated, speed))
                 _write_checkpoint(path, parts, identity, log)
                 began, losses = time.perf_counter(), []
         if process.rank == 0:
@@ -141,9 +141,13 @@ def _compute_kl_weight(config: TrainConfig, step: int) -> float:
     return config.kl_weight * min(1.0, (step + 1) / max(warmup_steps, 1.0))
 
 
+def _sum_losses(losses: Losses, kl_weight: float) -> torch.Tensor:
+    return losses.nll + losses.anchor * ANCHOR_WEIGHT + kl_weight * losses.kl
+
+
 def _update(parts: _Parts, losses: Losses, kl_weight: float, step: int) -> list[float]:
     """Take a step of the optimiser; the losses as numbers."""
-    loss = losses.nll + losses.anchor * ANCHOR_WEIGHT + kl_weight * losses.kl
+    loss = _sum_losses(losses, kl_weight)
     if not torch.isfinite(loss):
         raise ModelError(
             f"the loss of step {step} is {loss}: look for jumps in the tracks, or lower the "
@@ -158,15 +162,18 @@ def _update(parts: _Parts, losses: Losses, kl_weight: float, step: int) -> list[
 
 
 @torch.no_grad()
-def _validate(model: ITRA, val: Segments, ground: Ground, config: TrainConfig) -> float:
-    """Compute minADE on some of the validation segments."""
+def _validate(
+    model: ITRA, val: Segments, ground: Ground, config: TrainConfig
+) -> tuple[float, float]:
+    """Compute the loss, with the final weight of its KL term, and minADE on validation segments."""
     stride = -(-len(val) // MAX_VAL_SEGMENTS)
     segments = move_to(pick(val, slice(None, None, stride)), ground.image.device)
     generator = torch.Generator(ground.image.device).manual_seed(config.seed)
     history = config.history[1]
     futures = model.sample(segments, ground, history=history, samples=SAMPLES, generator=generator)
     errors = compute_ade(futures, segments, history).amin(dim=1)
-    return float(errors[segments.controlled].mean())
+    loss = _sum_losses(model(segments, ground, history, generator), config.kl_weight)
+    return float(loss), float(errors[segments.controlled].mean())
 
 
 def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[float, ...]]:
@@ -189,6 +196,8 @@ def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[f
         for name, part in vars(parts).items():
             part.load_state_dict(state[name])
         log = [tuple(map(float, row)) for row in state["log"]]
+        if any(len(row) != len(LOG_COLUMNS) for row in log):
+            raise ModelError(f"{path} is of another version of geoaim; name another folder")
         if not 0 <= log[-1][0] <= identity["training"]["steps"]:
             raise ModelError(f"{path} is damaged: its last step is {log[-1][0]}; delete it")
     if not all(value.isfinite().all() for value in parts.model.state_dict().values()):

@@ -8,7 +8,7 @@ A table has the resolution of each image (columns scene, metres_per_pixel).
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +20,9 @@ from torch import Tensor
 
 from geoaim.errors import TracksError
 from geoaim.limits import MAX_POSITION_M, check_memory, refuse_damaged
-from geoaim.prediction.atlas import PIXELS_PER_VIEW_PIXEL, make_atlas, make_grey_ground
+from geoaim.prediction.dataset import stack_maps
 from geoaim.prediction.segments import PEDESTRIAN, Segments
-from geoaim.simulation.ground import Ground, View, make_ground
+from geoaim.simulation.ground import GREY, Ground, View, make_ground
 from geoaim.track_files import read_table
 from geoaim.track_formats.shared import check_columns
 
@@ -31,14 +31,14 @@ DT_S = 0.4
 PEDESTRIAN_SIZE_M = 0.5
 MIN_HEADING_TRAVEL_M = 0.15  # a shorter displacement gives no reliable heading
 FORMATS = ("JPEG", "PNG")
-BYTES_PER_PIXEL = 90  # of an image and of the atlas that is made of it
+BYTES_PER_PIXEL = 90  # memory for a pixel of an image while its map is made
 
 ImageTransform = Callable[[Float32[Array, "H W 3"], float], Float32[Array, "H W 3"]]
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Windows of all scenes in one plane."""
+    """Windows of all scenes, and the scenes' maps."""
 
     # each with one pedestrian. No headings are measured: the heading at all steps is that of the
     # last observed displacement
@@ -67,13 +67,13 @@ def read_windows(
     """Read the windows of all scenes of a folder, or of some of them.
 
     Args:
-        files: where they lie.
-        view: of the model, `config.view`; its resolution decides that of the map.
-        scenes: names; none: all.
-        transform: makes another image of each (H, W, 3) image, 0 to 1, and its metres per pixel.
+        files: where the files lie.
+        view: the model's view, `config.view`; its resolution decides that of the map.
+        scenes: names of scenes; empty: all.
+        transform: takes a (H, W, 3) image, 0 to 1, and its metres per pixel; returns another image.
 
     Returns:
-        The windows, with their scenes side by side in an atlas.
+        The windows, and one ground of all scenes' maps.
 
     Raises:
         TracksError: a file is missing or malformed.
@@ -90,16 +90,18 @@ def read_windows(
             "in both"
         )
     if files.images is None:
-        ground, offsets = make_grey_ground(), torch.zeros(len(names), 2)
+        plain = make_ground(torch.full((3, 1, 1), GREY), torch.eye(3))
+        grounds = [replace(plain, averaged_over=view.resolution)] * len(names)
     else:
         images = Path(files.images)
-        grounds = [_read_ground(images, name, scales[name], view, transform) for name in names]
-        ground, offsets = make_atlas(grounds, view)
+        grounds = [_read_ground(images, name, scales[name], transform) for name in names]
     paths = [_read_paths(folder / f"{name}.csv", scales[name]) for name in names]
-    shifted = [torch.tensor(x).float() + d for x, d in zip(paths, offsets, strict=True)]
     scene_of = [name for name, path in zip(names, paths, strict=True) for _ in path]
     resolutions = torch.tensor([scales[name] for name in scene_of], dtype=torch.float32)
-    return Windows(make_path_segments(torch.cat(shifted)), ground, resolutions, tuple(scene_of))
+    segments = make_path_segments(torch.cat([torch.tensor(path).float() for path in paths]))
+    counts = torch.tensor([len(path) for path in paths])
+    segments = replace(segments, places=torch.repeat_interleave(counts))
+    return Windows(segments, stack_maps(grounds, view), resolutions, tuple(scene_of))
 
 
 def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
@@ -123,6 +125,7 @@ def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
         sizes=torch.full((count, 1, 2), PEDESTRIAN_SIZE_M),
         layers=torch.full((count, 1), PEDESTRIAN),
         controlled=every,
+        places=torch.zeros(count, dtype=torch.long),
         stop_lines=torch.zeros(count, 0, 2, 2),
         light_states=torch.zeros(count, steps, 0, dtype=torch.long),
         dt=DT_S,
@@ -131,7 +134,8 @@ def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
 
 def reverse_paths(segments: Segments) -> Segments:
     """Reverse the paths of `make_path_segments` in time, as an augmentation."""
-    return make_path_segments(segments.states[:, :, 0, :2].flip(1))
+    reversed_paths = make_path_segments(segments.states[:, :, 0, :2].flip(1))
+    return replace(reversed_paths, places=segments.places)
 
 
 def _read_resolutions(path: Path) -> dict[str, float]:
@@ -161,9 +165,9 @@ def _read_paths(path: Path, resolution: float) -> Float[Array, "B T 2"]:
 
 
 def _read_ground(
-    folder: Path, name: str, resolution: float, view: View, transform: ImageTransform | None
+    folder: Path, name: str, resolution: float, transform: ImageTransform | None
 ) -> Ground:
-    """Read a scene's image, which has to fit into memory both as it is and as it is drawn."""
+    """Read a scene's image, which has to fit into memory."""
     paths = [folder / f"{name}{suffix}" for suffix in (".jpg", ".png")]
     path = next((path for path in paths if path.exists()), None)
     if path is None:
@@ -171,9 +175,7 @@ def _read_ground(
     needed = "a JPEG or PNG that can be read"
     with refuse_damaged(path, TracksError, needed), Image.open(path, formats=FORMATS) as picture:
         width, height = picture.size
-        scale, margin = resolution / view.resolution, math.hypot(view.height, view.width)
-        sides = [PIXELS_PER_VIEW_PIXEL * (side * scale + margin) for side in picture.size]
-        needed_bytes = BYTES_PER_PIXEL * (height * width + math.prod(sides))
+        needed_bytes = BYTES_PER_PIXEL * height * width
         content = f"{height} x {width} pixels of {resolution:g} m"
         check_memory(path, needed_bytes, os.path.getsize(path), TracksError, content)
         image = np.asarray(picture.convert("RGB")).astype(np.float32) / 255

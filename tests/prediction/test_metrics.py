@@ -14,6 +14,8 @@ from geoaim.prediction.metrics import (
     bootstrap_interval,
     compute_metrics,
     concat,
+    keep_rates,
+    merge_segments,
     summarise,
 )
 from geoaim.prediction.report import format_markdown
@@ -53,7 +55,9 @@ def test_joint_metrics_choose_one_sample_for_all_agents():
 
 def test_rates_count_agents_samples_and_steps():
     segments = drive(10, 1, curve=0.0)
-    off = Drivable(torch.tensor([[-1.0, 3.0]]), torch.tensor([[0.0, 0.1, 0.5], [0.0, 0.0, 0.5]]))
+    off = Drivable(
+        torch.tensor([[-1.0] + [3.0] * 9]), torch.tensor([[0.0, 0.1, 0.5], [0.0, 0.0, 0.5]])
+    )
     # the drivable half ends a few metres to the left: a shift by 30 m leaves it
     metrics = compute_metrics(futures(segments, [0.0, 30.0]), segments, 4, RoadRules(drivable=off))
     assert metrics["off-road rate"].mean == pytest.approx(0.5)
@@ -94,7 +98,7 @@ def test_concatenated_metrics_average_over_all_segments():
     assert set(whole) == {"a", "b"}
     assert whole["b"].mean == 1
     assert whole["a"].mean == pytest.approx(1.5)
-    assert "| x | 1.5 (" in format_markdown({"x": summarise(whole)})
+    assert "| x | 4 | 2 | 1.5 (" in format_markdown({"x": summarise(whole)})
 
 
 @pytest.mark.parametrize("name", BASELINES)
@@ -127,11 +131,21 @@ def test_constant_turn_rate_continues_a_curve():
 
 
 def test_tables_have_the_columns_of_all_methods():
-    one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1}}
-    both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2}}
+    counts = {"count": 20, "segments": 3}
+    one = {"minADE": {"mean": 1.0, "low": 0.9, "high": 1.1, **counts}}
+    both = {**one, "off-road rate": {"mean": 0.1, "low": 0.0, "high": 0.2, **counts}}
     lines = format_markdown({"pedestrians": one, "vehicles": both}).splitlines()
-    assert lines[0] == "| | minADE | off-road rate |"
-    assert lines[2] == "| pedestrians | 1 (0.9 to 1.1) |  |"
+    assert lines[0] == "| | agents | segments | minADE | off-road rate |"
+    assert lines[2] == "| pedestrians | 20 | 3 | 1 (0.9 to 1.1) | |"
+
+
+def test_one_segment_has_no_interval():
+    whole = merge_segments(
+        {"a": Metric(np.array([2.0, 4.0]), np.ones(2)), "b rate": Metric(*np.ones((2, 1)))}
+    )
+    assert summarise(whole)["a"] == {"mean": 3.0, "count": 2.0, "segments": 1}
+    assert list(keep_rates(whole)) == ["b rate"]
+    assert format_markdown({"x": summarise(whole)}).endswith("| x | 2 | 1 | 3 | 1 |")
 
 
 def test_hidden_lights_change_futures_and_infractions_still_count():

@@ -25,6 +25,7 @@ def stand(count, *, spacing=8.0, steps=6):
         sizes=torch.tensor([4.5, 1.8]).expand(1, count, 2),
         layers=torch.full((1, count), VEHICLE),
         controlled=torch.ones(1, count, dtype=torch.bool),
+        places=torch.zeros(1, dtype=torch.long),
         stop_lines=torch.zeros(1, 0, 2, 2),
         light_states=torch.zeros(1, steps, 0, dtype=torch.long),
         dt=0.1,

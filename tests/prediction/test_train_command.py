@@ -1,20 +1,34 @@
+from pathlib import Path
+
+import pytest
 from typer.testing import CliRunner
 
 import geoaim
 from geoaim.cli import app
+from geoaim.cli.scene_tables import read_scene_sources, read_scenes
+from geoaim.errors import TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained
+from geoaim.progress import no_progress
+from geoaim.track_changes import cut_tracks
+from geoaim.track_files import write_tracks
 
 run = CliRunner().invoke
 
 
-def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(tmp_path, monkeypatch):
-    monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 8)
+@pytest.fixture(scope="module")
+def aim(tmp_path_factory):
+    """An AIM drawn from the bundled HD map."""
+    path = tmp_path_factory.mktemp("aim") / "aim.tif"
     world = geoaim.read_tracks("samples/tracks.csv").world
-    aim = str(tmp_path / "aim.tif")
-    geoaim.write_aim(draw_hdmap(read_hdmap("samples/map_full.osm", world), resolution=0.5), aim)
-    given = ["train", aim, "--tracks", "samples/tracks.csv", "-o", str(tmp_path / "mine")]
+    geoaim.write_aim(draw_hdmap(read_hdmap("samples/map_full.osm", world), resolution=0.5), path)
+    return path
+
+
+def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(aim, tmp_path, monkeypatch):
+    monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 8)
+    given = ["train", str(aim), "--tracks", "samples/tracks.csv", "-o", str(tmp_path / "mine")]
     few = ["--steps", "2", "--batch-size", "4", "--val-fraction", "0.4"]
     done = run(app, [*given, *few])
     assert done.exit_code == 0, done.output
@@ -31,3 +45,58 @@ def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(tmp_path
     assert late.exit_code == 1
     assert "no validation segments" in late.output
     assert not (tmp_path / "none").exists()
+
+
+def test_command_trains_on_a_table_of_recordings(aim, tmp_path, monkeypatch):
+    monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 4)
+    tracks = geoaim.read_tracks("samples/tracks.csv")
+    for name, start in (("early", 0.0), ("late", 30.0)):
+        write_tracks(cut_tracks(tracks, start, 30.0), tmp_path / f"{name}.csv")
+    table = tmp_path / "recordings.csv"
+    table.write_text(f"aim,tracks,lights\n{aim},early.csv,\n{aim},late.csv,\n")
+    sizes = ["--steps", "1", "--batch-size", "2", "--val-fraction", "0.4"]
+    others = ["--learning-rate", "1e-3", "--segment-duration", "3", "--view-size", "32"]
+    given = ["train", str(table), *sizes, *others, "-o", str(tmp_path / "mine")]
+    done = run(app, [*given, "--scratch", "--view-resolution", "1.5"])
+    assert done.exit_code == 0, done.output
+    config = read_model(tmp_path / "mine/model.pt").config
+    assert (config.view_size, config.resolution) == (32, 1.5)
+    for change, message in (
+        ([], "give --scratch with a view's options"),
+        (["--scratch", "--tracks", "a.csv"], "leave their options out"),
+    ):
+        refused = run(app, [*given[:-1], str(tmp_path / "none"), *change])
+        assert refused.exit_code == 1
+        assert message in " ".join(refused.output.split())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("aim,trucks\na.tif,b.csv\n", "columns aim, trucks; needed are aim and tracks"),
+        ("aim,tracks\n", "has no rows"),
+        ("aim,tracks\na.tif,\n", "line 2: it names no tracks"),
+        ("aim,tracks,tracks_frame_rate\na.tif,b.csv,fast\n", "tracks_frame_rate is 'fast'"),
+        ("", "is not a CSV of recordings"),
+    ],
+)
+def test_tables_that_cannot_be_read_are_refused(tmp_path, text, message):
+    path = tmp_path / "recordings.csv"
+    path.write_text(text)
+    with pytest.raises(TracksError, match=message):
+        read_scene_sources(path)
+
+
+def test_recordings_of_one_map_share_its_ground(aim, tmp_path):
+    path = tmp_path / "recordings.csv"
+    tracks = Path("samples/tracks.csv").resolve()
+    path.write_text(f"aim,tracks\n{aim},{tracks}\n{aim},{tracks}\n")
+    one, other = read_scenes(read_scene_sources(path), 2.5, no_progress)
+    assert one.ground is other.ground
+
+
+def test_commas_at_the_ends_of_rows_shift_no_columns(tmp_path):
+    path = tmp_path / "recordings.csv"
+    path.write_text("aim,tracks\na.tif,b.csv,\n")
+    (source,) = read_scene_sources(path)
+    assert (source.aim, source.tracks) == (tmp_path / "a.tif", tmp_path / "b.csv")

@@ -81,7 +81,8 @@ def test_another_training_in_the_folder_is_rejected(tmp_path):
     ("name", "value", "message"),
     [
         ("optimiser", {}, "is not a checkpoint"),
-        ("log", [[9, 0, 0, 0, 0, 0]], "last step is 9"),
+        ("log", [[9, 0, 0, 0, 0, 0, 0]], "last step is 9"),
+        ("log", [[2, 0, 0, 0, 0, 0]], "another version of geoaim"),
         ("model", None, "not a finite number"),
     ],
 )
@@ -148,7 +149,7 @@ def test_two_processes_end_with_the_same_weights(tmp_path):
 def test_half_of_the_batches_are_mirrored_when_asked(mirror, monkeypatch):
     seen = []
     monkeypatch.setattr(
-        "geoaim.prediction.batches.scale_ground",
+        "geoaim.prediction.augmentation.scale_ground",
         lambda ground, factors: [seen.append(factors), ground][1],
     )
     config = replace(TRAINING, mirror=mirror, scale_jitter=0.0, colour_jitter=0.0)

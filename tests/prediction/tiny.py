@@ -39,6 +39,7 @@ def drive(steps=12, count=3, curve=0.05, dtype=torch.float32):
         sizes=torch.tensor([[4.5, 1.8], [0.5, 0.5]], dtype=dtype).expand(count, 2, 2),
         layers=torch.tensor([VEHICLE, PEDESTRIAN]).expand(count, 2),
         controlled=torch.tensor([True, False]).expand(count, 2),
+        places=torch.zeros(count, dtype=torch.long),
         stop_lines=torch.tensor([[[9.0, -3.0], [9.0, 3.0]]], dtype=dtype).expand(count, 1, 2, 2),
         light_states=torch.full((count, steps, 1), GREEN),
         dt=0.1,

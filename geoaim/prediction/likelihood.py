@@ -1,0 +1,100 @@
+"""Likelihoods by histograms, with the ranges and weights of the WOSAC challenge.
+
+They are those of challenge_2023_config.textproto and challenge_2024_config.textproto in
+github.com/waymo-research/waymo-open-dataset.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """How the likelihood of a feature is estimated, and its weight in the meta-metric."""
+
+    low: float  # range of the histogram; values beyond it count at its ends
+    high: float
+    bins: int
+    weight: float
+    pseudocount: float = 0.1  # added to each bin
+
+
+def _make_config(
+    speeds: float, kinematics: Mapping[str, tuple[float, int]], weights: tuple[float, ...]
+) -> dict[str, Estimator]:
+    """Make a year's estimators of limits of kinematics, and weights of (binary) features."""
+    kinematic, other, binary = weights
+    ranges = {
+        "linear speed": (0.0, speeds, 10, kinematic),
+        **{name: (-limit, limit, bins, kinematic) for name, (limit, bins) in kinematics.items()},
+        "distance to nearest object": (-5.0, 40.0, 10, other),
+        "time to collision": (0.0, 5.0, 10, other),
+        "distance to road edge": (-20.0, 40.0, 10, other),
+    }
+    binary_features = {
+        name: Estimator(-0.5, 1.5, 2, binary, pseudocount=0.001)
+        for name in ("collision", "off-road")
+    }
+    return {name: Estimator(*values) for name, values in ranges.items()} | binary_features
+
+
+# the weights of 2023 add up to 0.99
+CONFIG_2023 = _make_config(
+    35.0,
+    {
+        "linear acceleration": (15.0, 10),
+        "angular speed": (31.5, 10),
+        "angular acceleration": (31.5, 10),
+    },
+    (0.09, 0.09, 0.18),
+)
+CONFIG_2024 = _make_config(
+    25.0,
+    {
+        "linear acceleration": (12.0, 11),
+        "angular speed": (0.628, 11),
+        "angular acceleration": (3.14, 11),
+    },
+    (0.05, 0.1, 0.25),
+)
+
+
+def estimate_log_likelihood(
+    logged: Float[Tensor, "E T"], simulated: Float[Tensor, "K E S"], estimator: Estimator
+) -> Float[Tensor, "E T"]:
+    """Estimate the log-likelihood of logged values under a histogram of simulated ones.
+
+    Each agent has its own histogram, of all samples and steps. As in the challenge's code, values
+    that do not exist, in the first and last steps, count in the last bin.
+
+    Args:
+        logged: values of E agents at T steps.
+        simulated: values of the same agents in K samples of S steps.
+        estimator: the histogram.
+
+    Returns:
+        For each logged value, the logarithm of the share of simulated values in its bin.
+
+    >>> simulated = torch.tensor([[[0.1, 0.2, 0.3, 0.9]]])
+    >>> estimator = Estimator(0.0, 1.0, bins=2, weight=1.0, pseudocount=0.0)
+    >>> estimate_log_likelihood(torch.tensor([[0.4, 2.0]]), simulated, estimator).exp().tolist()
+    [[0.75, 0.25]]
+    """
+    samples = simulated.transpose(0, 1).flatten(1)  # (E, K * S)
+    bins = _find_bins(samples, estimator)
+    counts = samples.new_full((len(samples), estimator.bins), estimator.pseudocount)
+    counts.scatter_add_(1, bins, torch.ones_like(samples))
+    shares = counts / counts.sum(dim=1, keepdim=True)
+    return shares.log().gather(1, _find_bins(logged, estimator))
+
+
+def _find_bins(values: Float[Tensor, "E M"], estimator: Estimator) -> Int[Tensor, "E M"]:
+    """The bin of each value; the last one for NaN."""
+    edges = torch.linspace(estimator.low, estimator.high, estimator.bins + 1).to(values)
+    clamped = values.clamp(estimator.low, estimator.high).contiguous()
+    bins = torch.bucketize(clamped, edges[1:-1], right=True)
+    return torch.where(values.isnan(), estimator.bins - 1, bins)

@@ -1,0 +1,168 @@
+"""No state that a predictor gets depends on what the file holds after the last observed step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from geoaim.aim import AIM
+from geoaim.prediction.baselines import BASELINES
+from geoaim.prediction.batches import Process, draw_batch
+from geoaim.prediction.config import TrainConfig
+from geoaim.prediction.cutting import cut_segments
+from geoaim.prediction.evaluation import make_window_predictor
+from geoaim.prediction.observation import index_controlled
+from geoaim.prediction.predict import predict
+from geoaim.prediction.training import init_model
+from geoaim.prediction.windows import HISTORY_STEPS, WINDOW_STEPS, WindowFiles, read_windows
+from geoaim.simulation.scene import make_scene, slice_scene
+from geoaim.track_changes import resample_tracks
+from geoaim.track_formats import formats, read_tracks
+from tests.prediction.tiny import TINY
+from tests.prediction.track_files import FORMS, make_rows
+
+FIRST, LAST, STEPS = 5, 12, 16  # first and last observed step, and the end of the predicted ones
+PAST = slice(FIRST, LAST + 1)
+HISTORY, HORIZON = LAST + 1 - FIRST, STEPS - LAST - 1
+
+
+@pytest.fixture(params=FORMS)
+def form(request, monkeypatch):
+    """A format of tracks; noise is read without the check that refuses what is implausible."""
+    monkeypatch.setattr(formats, "check_plausibility", lambda *_: None)
+    return FORMS[request.param]
+
+
+@pytest.fixture
+def scenes(form, tmp_path):
+    """The scene of a file, and that of the same file with noise after the last observed step.
+
+    Before the first observed step agents are seen for long enough to know their speeds.
+    """
+    dt, read = get_dt(form), []
+    for noise_after in (None, LAST * dt):
+        rows = make_rows(form, noise_after=noise_after, duration=(STEPS + 3) * dt)
+        folder = tmp_path / str(noise_after)
+        folder.mkdir()
+        read.append(read_tracks(form.write(rows, folder), **form.options))
+    aim = make_aim(read[0])
+    return [make_scene(aim, resample_tracks(tracks, 1 / dt)) for tracks in read]
+
+
+def get_dt(form):
+    return 0.4 if form.rate < 5 else 0.1
+
+
+def make_aim(tracks):
+    """A map of random colours about the tracks, in their world."""
+    low, high = (f(tracks.states[tracks.present, :2], axis=0) for f in (np.min, np.max))
+    size = int((high - low).max()) + 80
+    image = np.random.default_rng(0).integers(0, 255, (size, size, 3), np.uint8)
+    matrix = np.array([[1.0, 0, low[0] - 40], [0, -1, low[1] - 40 + size], [0, 0, 1]])
+    return AIM.from_image(image, matrix, tracks.world, "random")
+
+
+def list_models(form):
+    """Every motion model, with views, without them, and with proposals."""
+    config = replace(TINY, kind=form.kind, dt=get_dt(form))
+    proposals = {"num_anchors": 3, "anchor_points": 2, "history": HISTORY, "horizon": HORIZON}
+    return [
+        init_model(replace(config, motion=motion, **changes)).eval()
+        for motion in ("bicycle", "unicycle", "slide")
+        for changes in ({}, {"use_observations": False}, proposals)
+    ]
+
+
+def cut(scene, form, **options):
+    steps = STEPS - FIRST
+    part = slice_scene(scene, slice(FIRST, None))
+    return cut_segments(part, form.kind, steps=steps, stride=steps, **options)
+
+
+def noise():
+    return torch.Generator().manual_seed(0)
+
+
+def test_every_format_is_tested():
+    tested = {name.split(",")[0] for name in FORMS}
+    assert tested == {track_format.name for track_format in formats.FORMATS}
+
+
+def test_observed_states_and_predictions_ignore_the_future(form, scenes):
+    scene, other = scenes
+    assert (scene.poses[:, LAST + 2 :] - other.poses[:, LAST + 2 :]).abs().max() > 1
+    assert scene.observed[:, PAST].isfinite().all()
+    assert torch.equal(scene.observed[:, PAST], other.observed[:, PAST])
+    assert torch.equal(scene.sizes, other.sizes)
+    assert scene.types == other.types
+    given = {"samples": 2, "horizon": HORIZON, "start": LAST}
+    for model in list_models(form):
+        one, two = (predict(model, s, **given, generator=noise()).states for s in scenes)
+        assert torch.equal(one, two)
+
+
+def test_evaluations_ignore_the_future(form, scenes):
+    one, two = (cut(scene, form, joint=True) for scene in scenes)
+    assert one.controlled.all()
+    ground, given = scenes[0].ground, {"history": HISTORY, "samples": 2}
+    for predictor in (*BASELINES.values(), *(model.sample for model in list_models(form))):
+        futures, same = (predictor(s, ground, **given, generator=noise()) for s in (one, two))
+        assert torch.equal(futures, same)
+
+
+def test_trainings_observe_the_same_states_whatever_follows(form, scenes):
+    config = TrainConfig(steps=1, batch_size=4, history=(HISTORY, HISTORY), mirror=True)
+    observed = []
+    for scene in scenes:
+        segments = cut(scene, form)
+        process = Process(0, 1, torch.device("cpu"))
+        batch, *_ = draw_batch(config, segments, scene.ground, 0, process)
+        index = index_controlled(batch)
+        observed.append(batch.states[index.segment, :HISTORY, index.agent])
+    assert len(observed[0])
+    assert torch.equal(*observed)
+
+
+def test_predictions_ignore_what_other_agents_do_later(tmp_path):
+    """Pedestrians walk elsewhere and a car enters: views of predicted cars would show both."""
+    form = FORMS["plain"]
+    tracks = read_tracks(form.write(make_rows(form, duration=2.0), tmp_path))
+    tracks = replace(tracks, types=("car", "pedestrian", "pedestrian", "car"))
+    present, states = tracks.present.copy(), tracks.states.copy()
+    present[3, : LAST + 1], states[3, : LAST + 1] = False, np.nan
+    entering = replace(tracks, present=present, states=states)
+    present, states = present.copy(), states.copy()
+    present[3], states[3], states[1:3, LAST + 1 :, :2] = False, np.nan, 30.0
+    alone = replace(tracks, present=present, states=states)
+    model, given = list_models(form)[0], {"samples": 2, "horizon": 3, "start": LAST}
+    scenes = (make_scene(make_aim(tracks), part) for part in (entering, alone))
+    one, two = (predict(model, scene, **given, generator=noise()).states for scene in scenes)
+    assert torch.equal(one[:, :3], two[:, :3])
+    assert torch.isnan(one[:, 3]).all()
+
+
+def test_predictions_of_windows_ignore_the_future(tmp_path):
+    """Windows of the Stanford Drone Dataset are read without `Tracks`."""
+    config = replace(TINY, kind="pedestrian", motion="slide", dt=0.4, num_anchors=3)
+    horizon = WINDOW_STEPS - HISTORY_STEPS
+    model = init_model(replace(config, history=HISTORY_STEPS, horizon=horizon)).eval()
+    predictors = (make_window_predictor(model, 3), *BASELINES.values())
+    generator = np.random.default_rng(0)
+    pixels = generator.uniform(0, 300, (5, WINDOW_STEPS, 2)).cumsum(axis=1)
+    (tmp_path / "scenes.csv").write_text("scene,metres_per_pixel\na,0.05\n")
+    predicted = []
+    for _ in range(2):
+        rows = {"frame": np.tile(12 * np.arange(WINDOW_STEPS), 5)}
+        rows |= {"track": np.repeat(np.arange(5), WINDOW_STEPS)}
+        rows |= {"u_px": pixels[..., 0].ravel(), "v_px": pixels[..., 1].ravel()}
+        pd.DataFrame(rows).to_csv(tmp_path / "a.csv", index=False)
+        files = WindowFiles(tmp_path, None, tmp_path / "scenes.csv")
+        windows = read_windows(files, config.view, scenes=["a"])
+        given = windows.segments, windows.ground
+        options = {"history": HISTORY_STEPS, "samples": 3}
+        predicted.append([one(*given, **options, generator=noise()) for one in predictors])
+        pixels[:, HISTORY_STEPS:] += generator.normal(0, 100, (5, horizon, 2))
+    assert (predicted[0][0][:, 0, -1] - windows.segments.states[:, -1]).abs().max() > 1
+    assert all(map(torch.equal, *predicted))
