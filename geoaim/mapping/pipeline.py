@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
+from pathlib import Path
 from typing import TypeVar
 
 import cv2
@@ -42,9 +43,9 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.progress import Progress, notebook_progress, report_each
 
-MIN_USED_SHARE = 0.5  # of the frames, below which the build warns
-MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # of the registration, above which the build warns
-MAX_CONTESTED_SHARE = 0.1  # of the pixels, above which the build warns
+MIN_USED_SHARE = 0.5  # the build warns if a smaller share of the frames is used
+MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # the build warns if the registration is less certain
+MAX_CONTESTED_SHARE = 0.1  # the build warns if a greater share of the pixels is contested
 
 Accumulated = TypeVar("Accumulated", RunningMean, TrafficSearch)
 
@@ -67,11 +68,11 @@ def build_aim(
             places the map approximately by the telemetry beside the video.
         detections: vehicles to leave out, as `read_detections` reads them: a folder of YOLO text
             files, or a function of a frame. None removes traffic by the frames themselves.
-        frames: how many frames are used. A number samples as many over the video; "auto" up to 64,
-            until the background has converged. "all" averages every frame, and traffic too if there
-            are no detections; in a long video each frame adds one stripe, so that a pixel averages
-            at least 50 frames.
-        crs: of the map, projected and in metres, if control points place it; None keeps that of
+        frames: how many frames are used: a number, spread over the video; "auto", up to 64, until
+            the background has converged; or "all", which averages every frame, and traffic too if
+            there are no detections. With "all", each frame of a long video adds one stripe only, so
+            that a pixel averages at least 50 frames.
+        crs: CRS of the map, projected and in metres, if control points place it; None keeps that of
             the points, or takes their UTM zone.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
@@ -112,7 +113,7 @@ def build_aim(
         coverage=background.coverage,
         contested=background.contested,
         report={
-            "source": opened.source,
+            "source": Path(opened.source).name,
             "registration": report_registration(registration),
             "background": report_background(background, method),
             "georeference": report_georeference(georeference, points),
@@ -212,6 +213,9 @@ def _refuse_few_frames(registration: register.Registration) -> None:
 def _warn_of_limits(registration: register.Registration, background: Background) -> None:
     """Warn when much of the video could not be used, or the map is smaller than the flight."""
     reference, valid = registration.reference, registration.valid
+    if len(valid) == 1:
+        warn("the map is a single image: what stands or moves in it stays in it")
+        return
     if valid.mean() < MIN_USED_SHARE:
         warn(
             f"only {valid.sum()} of {len(valid)} frames could be registered to the reference at "

@@ -11,7 +11,7 @@ from geoaim.mapping.georeference.georeference import Georeference, world_from_pi
 from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty
 from geoaim.mapping.registration.register import Registration, count_reasons
 
-MAX_PATH_POINTS = 1000  # of the camera's drift
+MAX_PATH_POINTS = 1000  # points of the camera's drift that are stored
 
 
 def report_registration(registration: Registration) -> dict[str, Any]:
@@ -62,7 +62,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         "approximate": georeference.approximate,
         "radial": georeference.radial,
         "noise_m": georeference.noise,
-        "leave_one_out_by_model_m": dict(georeference.candidates),
+        "probability_by_model": dict(georeference.probabilities),
         "corner_sigma_m": sigma,
         "corner_uncertainty_m": bound,
         "uncertainty": map_uncertainty(georeference),

@@ -18,9 +18,9 @@ FrameCount = int | Literal["auto", "all"]
 
 FIRST_BATCH_FRAMES = 16  # doubled until the background has converged
 MAX_AUTO_FRAMES = 64
-CONVERGED_GREY_LEVELS = 3.0  # by which the second half of the frames may change the background
-MAX_KEPT_BYTES = 1_600_000_000  # of frames that are not decoded twice: 64 RGB frames of 4K
-MIN_FRAMES_PER_BAND = 50  # of "all"; each frame fills one band of rows: twice as fast
+CONVERGED_GREY_LEVELS = 3.0  # largest change of the background by the second half of the frames
+MAX_KEPT_BYTES = 1_600_000_000  # memory for frames that are not decoded twice: 64 RGB frames of 4K
+MIN_FRAMES_PER_BAND = 50  # with "all", each frame fills one band of rows, which is twice as fast
 MAX_BANDS = 12
 
 
@@ -38,6 +38,22 @@ class Sampling:
     bands: int = 1
     plain_mean: bool = False  # whether the mean includes traffic that no detections mask
     fits_memory: bool = False  # whether the frames may be kept, so that they are decoded once
+
+
+def parse_frame_count(text: str) -> FrameCount:
+    """Parse "auto", "all" or a number of frames.
+
+    Raises:
+        ValueError: it is something else.
+
+    >>> parse_frame_count("16")
+    16
+    """
+    if text in ("auto", "all"):
+        return "auto" if text == "auto" else "all"
+    if not text.isdecimal() or int(text) < 1:
+        raise ValueError(f"{text!r} is not auto, all or a number")
+    return int(text)
 
 
 def sample_video(video: Video, frames: FrameCount) -> Sampling:

@@ -10,9 +10,7 @@ import numpy as np
 from geoaim.aim import AIM
 from geoaim.files import atomic_files
 from geoaim.rectification import rectify
-
-VERSION = 1  # of the corner frame: docs/schemas/corner_frame-1.json
-CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
+from geoaim.texture_files import CORNERS, FRAME_FILE, PICTURE_FILE, VERSION
 
 
 def export_texture(
@@ -44,7 +42,7 @@ def export_texture(
     pixel_width, pixel_height = np.linalg.norm(aim.world_from_image[:2, :2], axis=0)
     frame = {
         "version": VERSION,
-        "image": "texture.png",
+        "image": PICTURE_FILE,
         "height": height,
         "width": width,
         "pixel_height": float(pixel_height),
@@ -53,6 +51,6 @@ def export_texture(
         "corners": aim.corners.tolist(),
         "world": {"crs": aim.world.crs, "origin": list(aim.world.origin)},
     }
-    with atomic_files(Path(folder, "texture.json"), Path(folder, "texture.png")) as (text, picture):
+    with atomic_files(Path(folder, FRAME_FILE), Path(folder, PICTURE_FILE)) as (text, picture):
         picture.write_bytes(png.tobytes())
         text.write_text(json.dumps(frame, indent=2) + "\n")

@@ -94,7 +94,7 @@ def test_points_on_an_unknown_frame_are_refused(frames):
 
 def test_without_points_and_telemetry_the_message_says_what_to_give(frames):
     with pytest.raises(
-        GeoreferenceError, match=r"four or more control points, .* \(--frame-resolution\)"
+        GeoreferenceError, match=r"four or more control points, .* \(--frame-resolution"
     ):
         build_aim(frames)
 
@@ -104,7 +104,7 @@ def test_a_resolution_gives_a_local_map_marked_as_approximate(frames):
     aim = build_aim(frames, place)
     assert aim.world.crs is None
     assert aim.report["georeference"]["approximate"]
-    np.testing.assert_allclose(aim.corners[0], [-32, 18], atol=1e-6)
+    np.testing.assert_allclose(aim.corners[[0, 2]], [[0, 0], [64, -36]], atol=1e-6)
 
 
 def test_progress_reports_each_stage(frames):

@@ -10,20 +10,20 @@ from numpy import ndarray as Array
 from geoaim.geometry import to_opencv
 from geoaim.mapping.video.frames import Frame
 
-GRID_POINTS = 120  # along the longest side, at which exposure is compared
-MIN_POINTS = 50  # with fewer, exposure is not compared
+GRID_POINTS = 120  # points along the longer side at which exposure is compared
+MIN_POINTS = 50  # exposure is not compared at fewer points
 MIN_GAIN_CHANGE = 0.002  # less changes no pixel by half a grey level
-RATIO_BINS = 350  # of 2 % each, about a ratio of 1
-MODE_HALF_WIDTH = 0.05  # of the logarithm of a ratio
+RATIO_BINS = 350  # number of bins, 2 % each, centred on a ratio of 1
+MODE_HALF_WIDTH = 0.05  # half the width of the mode, as a logarithm of the ratio
 
 
 @dataclass(eq=False)
 class Exposure:
     """Grey levels above black where frames first showed the points of a grid; filled in place."""
 
-    spacing: int  # of the grid, pixels of the image
+    spacing: int  # distance between points of the grid, pixels of the image
     level: Float32[Array, "h w"]  # grey levels, 0 where no frame has shown the point
-    gain: float = 1.0  # of the last frame
+    gain: float = 1.0  # gain of the last frame
 
 
 def start_exposure(size: tuple[int, int]) -> Exposure:
@@ -39,7 +39,8 @@ def estimate_gain(exposure: Exposure, frame: Frame, image_from_frame: Float[Arra
     drone's step in exposure was 0.983, 0.984 and 0.986 in red, green and blue.
 
     Args:
-        exposure: of the frames before; points that this frame shows first are filled in, in place.
+        exposure: exposure of the frames before; points that this frame shows first are filled in,
+            in place.
         frame: the frame.
         image_from_frame: (3, 3) its registration.
 
@@ -81,11 +82,11 @@ def apply_gain(
         neutral: the value that stays as it is: `black_level`, or 128 for chroma.
 
     Returns:
-        The pixels, rounded and limited; the same array where the gain is within 0.002 of 1.
+        The pixels, rounded, from 0 to 255; the same array where the gain is within 0.002 of 1.
     """
     if abs(gain - 1) < MIN_GAIN_CHANGE:
         return pixels
-    return np.asarray(cv2.convertScaleAbs(pixels, alpha=gain, beta=neutral * (1 - gain)), np.uint8)
+    return np.asarray(cv2.addWeighted(pixels, gain, pixels, 0.0, neutral * (1 - gain)), np.uint8)
 
 
 def black_level(frame: Frame) -> float:

@@ -27,13 +27,13 @@ from geoaim.mapping.background.warping import (
     sharpen_mean,
     warp,
 )
-from geoaim.mapping.video.detections import Detections, grow_boxes
+from geoaim.mapping.video.detections import Detections, convert_boxes, grow_boxes
 from geoaim.mapping.video.frames import Frame, image_from_planes
 
 MAX_COUNT = 65_535  # frames that a pixel of uint16 can count
 BLOCK_PX = 8  # change is measured on means of such blocks, which average noise but keep vehicles
 FIRST_CHECK_FRAMES = 16  # frames before change is first measured
-CHANGE_QUANTILE = 0.999  # of the blocks
+CHANGE_QUANTILE = 0.999  # quantile over the blocks
 
 Registered = tuple[Frame, Float[Array, "3 3"]]  # a frame and its image_from_frame
 
@@ -61,10 +61,11 @@ class Accumulation:
 
     size: tuple[int, int]  # (height, width) of the image, pixels
     tolerance: float = 0.0  # `change` at which it has converged, grey levels; 0 takes all frames
-    exposure: Exposure = field(init=False)  # of the frames so far
+    exposure: Exposure = field(init=False)  # exposure of the frames so far
     # means of blocks when `change` was last measured
     blocks: Float32[Array, "h w c"] | None = field(init=False, default=None)
-    change: float = field(init=False, default=np.nan)  # as in `Background`
+    # change of the background, as in `Background`
+    change: float = field(init=False, default=np.nan)
 
     def __post_init__(self) -> None:
         self.exposure = start_exposure(self.size)
@@ -81,7 +82,7 @@ class RunningMean(Accumulation):
 
     detections: Detections | None = None  # what to leave out of each frame, or None
     bands: int = 1  # horizontal bands of the image that the frames fill in turn
-    # of the image's planes; none before the first frame
+    # sums over the frames for each of the image's planes; none before the first frame
     sums: tuple["_PlaneSums", ...] = field(init=False, default=())
     # factors that bring each frame to the exposure of the first
     gains: list[float] = field(init=False, default_factory=list)
@@ -90,9 +91,9 @@ class RunningMean(Accumulation):
 
 @dataclass(frozen=True, eq=False)
 class _PlaneSums:
-    """Sums over one plane of the image, filled in place; masked ones until there are others."""
+    """Sums over a plane of the image, filled in place; masked pixels count where no others do."""
 
-    scale: int  # of the image's size over the plane's: 2 for the chroma of a video, else 1
+    scale: int  # size of the image divided by the plane's: 2 for the chroma of a video, else 1
     neutral: float  # the value that a change of exposure leaves as it is
     total: Float32[Array, "h w c"]
     count: UInt16[Array, "h w"]
@@ -144,13 +145,14 @@ def add_to_mean(
         mean: the mean; if it has detections, a frame without an entry in them is skipped.
         frame: the frame.
         image_from_frame: (3, 3) its registration.
-        mask: (H, W) of the image, 0 where the frame is left out; None leaves out the boxes of
-            the detections.
+        mask: (H, W) pixels of the image, 0 where the frame is left out; None leaves out the boxes
+            of the detections.
     """
     if mask is None and mean.detections is not None:
-        if (boxes := mean.detections(frame)) is None:
+        if (boxes := convert_boxes(mean.detections(frame))) is None:
             return
-        mask = 1 - draw_polygons(transform_boxes(image_from_frame, grow_boxes(boxes)), mean.size)
+        grown = transform_boxes(image_from_frame, grow_boxes(boxes.boxes))
+        mask = 1 - draw_polygons(grown, mean.size)
     mean.sums = mean.sums or _start_sums(frame, mean.size)
     gain = estimate_gain(mean.exposure, frame, image_from_frame)
     rows = _select_band(len(mean.gains) % mean.bands, mean.bands, mean.size[0])
@@ -209,15 +211,15 @@ def finish_mean(mean: RunningMean) -> Background:
 def is_time_to_check(count: int, bands: int = 1) -> bool:
     """Tell whether change is measured after this number of frames: 16, 32, 64, ...
 
-    With several bands the first is the next power of two from 16 times their number on.
+    With several bands, the first is the smallest power of two from 16 times their number on.
     """
     return count >= FIRST_CHECK_FRAMES * bands and count.bit_count() == 1
 
 
 def measure_change(accumulation: Accumulation, blocks: Float32[Array, "h w c"]) -> None:
-    """Set `change` to the 99.9 % quantile of the differences of block means from the last call's.
+    """Set `change`: by how much block means differ from those at the last call, 99.9 % quantile.
 
-    Blocks without data in either (NaN) are left out; without any other the change is NaN.
+    Blocks without data (NaN) at either call are left out; if none is left, the change is NaN.
     """
     if accumulation.blocks is not None:
         change = np.abs(blocks - accumulation.blocks)
@@ -228,7 +230,7 @@ def measure_change(accumulation: Accumulation, blocks: Float32[Array, "h w c"]) 
 
 
 def average_blocks(pixels: Float32[Array, "H W *c"], reduction: int = 1) -> Float32[Array, "h w c"]:
-    """Average blocks of 8 x 8 pixels of an image, `pixels` being it shrunk by `reduction`."""
+    """Average blocks of 8 x 8 pixels of an image; `pixels` is it, shrunk by `reduction`."""
     size = [max(extent * reduction // BLOCK_PX, 1) for extent in pixels.shape[1::-1]]
     blocks = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.float32)
     return blocks.reshape(size[1], size[0], -1)

@@ -18,7 +18,7 @@ from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_
 from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
 from geoaim.mapping.video.frames import Frame
 
-MAX_SMALL_SIDE_PX = 1024  # of the frames in which traffic is searched
+MAX_SMALL_SIDE_PX = 1024  # longest side of the small frames in which traffic is searched
 
 
 @dataclass(eq=False)
@@ -27,9 +27,11 @@ class TrafficSearch(running_mean.Accumulation):
 
     # the small frames, warped to the image
     stack: list[UInt8[Array, "h w 3"]] = field(init=False, default_factory=list)
-    # where each of them shows the image
+    # the pixels of the image that each small frame shows
     seen: list[Bool[Array, "h w"]] = field(init=False, default_factory=list)
-    # in these frames, if it was searched after the last of them
+    # their times, s
+    times: list[float] = field(init=False, default_factory=list)
+    # the traffic in these frames; None if it was not searched since the last one was added
     traffic: Traffic | None = field(init=False, default=None)
 
     @property
@@ -77,6 +79,7 @@ def add_to_search(
     matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
     search.stack.append(warp(pixels, matrix, small))
     search.seen.append(draw_footprint(pixels.shape, matrix, small).view(bool))
+    search.times.append(frame.time)
     search.traffic = None
     if search.tolerance > 0 and running_mean.is_time_to_check(len(search.stack)):
         search.traffic = _find_traffic(search)
@@ -116,7 +119,7 @@ def _find_traffic(search: TrafficSearch) -> Traffic:
     """Find traffic in the small frames, which become views of one array: nothing is held twice."""
     stack, seen = np.stack(search.stack), np.stack(search.seen)
     search.stack[:], search.seen[:] = stack, seen
-    return find_traffic(stack, seen)
+    return find_traffic(stack, seen, np.argsort(search.times, kind="stable"))
 
 
 def _shrink_frame(

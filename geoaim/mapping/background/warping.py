@@ -21,8 +21,8 @@ def warp(
 
     Args:
         pixels: (H, W) or (H, W, C).
-        matrix: (3, 3) target from source, of pixels with the origin at the image's corner.
-        size: (height, width) of the target.
+        matrix: (3, 3) transform from pixels of the source to pixels of the target (corner origin).
+        size: (height, width) of the target, pixels.
 
     Returns:
         The target; pixels outside the source repeat its edge.
@@ -72,7 +72,7 @@ def draw_footprint(
     Args:
         frame_size: height and width of the frame; further entries are ignored.
         image_from_frame: (3, 3) its registration.
-        size: (height, width) of the image.
+        size: (height, width) of the image, pixels.
 
     Returns:
         (h, w) 1 inside the frame without its rim, else 0.

@@ -1,1 +1,1 @@
-"""Where the reference frame lies in the world."""
+"""Georeference: where the reference frame lies in the world, by control points or telemetry."""

@@ -1,5 +1,6 @@
-"""Ground control points: pixels with known coordinates; docs/formats/control_points.md lists all
-formats, their pixel origins and how they state a CRS.
+"""Ground control points: pixels with known coordinates.
+
+docs/formats/control_points.md lists all formats, their pixel origins and how they state a CRS.
 """
 
 import re
@@ -25,8 +26,8 @@ class ControlPoints:
 
     pixels: Float[Array, "m 2"]  # u right, v down, origin at the image's corner
     coordinates: Float[Array, "m 2"]  # x, y (or longitude, latitude) in `crs`
-    crs: str | None  # of the coordinates; None for a local metric plane
-    names: tuple[str, ...]  # (M,) of the points, for messages
+    crs: str | None  # CRS of the coordinates; None for a local metric plane
+    names: tuple[str, ...]  # (M,) names of the points, for messages
     # (M,) image name or frame index that each was picked on; None is the video's first
     frames: tuple[str | int | None, ...]
     # one sigma of the coordinates, metres; it counts where it is more than picking is off (2 px)

@@ -7,16 +7,19 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.georeference import normalised_plane, point_checks
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
+from geoaim.mapping.georeference.model_choice import (
+    Candidate,
+    choose_model,
+    compute_probabilities,
+    fit_candidates,
+)
 from geoaim.mapping.georeference.outliers import reject_outlier
 from geoaim.mapping.georeference.posterior import fit_posterior
 from geoaim.mapping.georeference.transform_models import (
-    Candidate,
     PointPairs,
     Posterior,
     apply_terms,
-    choose_model,
     compose_world_from_image,
-    fit_candidates,
     select_pairs,
 )
 from geoaim.world import (
@@ -28,10 +31,12 @@ from geoaim.world import (
     world_from_crs,
 )
 
-MAX_NOISE = 0.1  # of the points' distance from their centre: beyond any surveying error
+# as a share of the points' distance from their centre: more than any surveying error
+MAX_NOISE = 0.1
 MIN_POINTS_UNUSUAL = 6  # points that prove more stretch or perspective than these two:
 MAX_STRETCH, MAX_PERSPECTIVE = 0.08, 0.45
-MIN_DENOMINATOR = 0.1  # of the transform at the image's corners: above the horizon's 0
+# smallest denominator of the transform at the image's corners; at the horizon it is 0
+MIN_DENOMINATOR = 0.1
 MAX_RADIAL = 0.3  # lens term; beyond it the lens folds the image
 
 
@@ -45,14 +50,14 @@ def estimate_georeference(
 ) -> Georeference:
     """Estimate the transform from an image to the world from control points picked on it.
 
-    The simplest transform model with a leave-one-out error near the best is chosen. One clearly
+    The transform model that the points make most probable is chosen (`model_choice`). One clearly
     wrong point is left out, with a warning. Tilt, stretch and lens that the points cannot show
     enter the uncertainty at their expected size (`posterior`).
 
     Args:
-        points: at least four on one image, better six or more, spread over it.
-        height: of the image, pixels.
-        width: of the image, pixels.
+        points: at least four points on one image, better six or more, spread over it.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
         world: the target plane; None: `choose_world` with the points' CRS if it is metric, else
             with their UTM zone; a local plane for local points.
         outside: whether points may lie outside the image, since other images showed them.
@@ -94,10 +99,7 @@ def estimate_georeference(
         residuals=residuals @ scale.T,
         leave_one_out=leave_one_out * metres,
         used=used,
-        candidates={
-            c.model: float(np.sqrt(np.mean(np.sum(c.leave_one_out**2, axis=1)))) * metres
-            for c in candidates
-        },
+        probabilities=compute_probabilities(candidates),
         noise=posterior.noise * metres,
         terms=best.terms,
         posterior=posterior,
@@ -136,7 +138,7 @@ def _fit_models(
 ) -> tuple[Posterior, list[Candidate]]:
     """Fit the posterior and each transform model, and check that they are possible."""
     posterior = fit_posterior(pairs, sigma, 0.0)
-    candidates = fit_candidates(pairs, posterior)
+    candidates = fit_candidates(pairs, posterior, sigma)
     _check_horizon(choose_model(candidates), posterior, size)
     spread = float(np.linalg.norm(pairs.image - pairs.image.mean(axis=0), axis=1).mean())
     _check_plausibility(names, posterior, spread)

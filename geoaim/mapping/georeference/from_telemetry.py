@@ -12,9 +12,9 @@ from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
 from geoaim.mapping.georeference.transform_models import Posterior, compose_world_from_image
 from geoaim.world import World, choose_world, world_from_lonlat
 
-GPS_SIGMA_M = 3.0  # per axis
+GPS_SIGMA_M = 3.0  # standard deviation of a GPS position in each axis
 COMPASS_SIGMA = np.radians(5.0)
-TILT_SIGMA = np.radians(3.0)  # of a camera that telemetry says looks straight down
+TILT_SIGMA = np.radians(3.0)  # tilt of a camera that telemetry says looks straight down
 SCALE_SIGMA = 0.05  # share: height above the ground, field of view
 
 
@@ -30,12 +30,12 @@ def approximate_georeference(
     """Approximate the georeference of a camera that looks straight down, by telemetry alone.
 
     Args:
-        latitude: of the image's centre, degrees (WGS 84).
-        longitude: of the image's centre, degrees.
-        height_above_ground: of the camera, metres.
+        latitude: latitude of the image's centre, degrees (WGS 84).
+        longitude: longitude of the image's centre, degrees.
+        height_above_ground: height of the camera above the ground, metres.
         yaw: direction of the image's top, radians counter-clockwise from east; for a compass
             heading h in degrees, pi / 2 - radians(h).
-        field_of_view: across the image's width, radians.
+        field_of_view: angle that the image's width spans, radians.
         size: height and width of the image, pixels.
 
     Returns:
@@ -65,10 +65,18 @@ def approximate_georeference(
     return _assume_georeference(world, size, world_from_plane, sigmas)
 
 
-def make_local_georeference(*, resolution: float, size: tuple[int, int]) -> Georeference:
-    """Make a georeference in a local plane: origin at the image's centre, x right, y up.
+def make_local_georeference(
+    *, resolution: float, size: tuple[int, int], origin: tuple[float, float] = (0.0, 0.0)
+) -> Georeference:
+    """Make a georeference in a local plane, x right and y up.
 
-    `resolution` is in metres per pixel, `size` is (height, width) in pixels.
+    Args:
+        resolution: metres per pixel.
+        size: height and width of the image, pixels.
+        origin: u and v of the pixel at x = y = 0; the default is that of tracks in pixels.
+
+    Returns:
+        The georeference.
 
     Raises:
         ValueError: the resolution is not positive.
@@ -77,7 +85,10 @@ def make_local_georeference(*, resolution: float, size: tuple[int, int]) -> Geor
         raise ValueError(f"resolution is {resolution}; it is a positive number of metres.")
     unit = resolution * half_diagonal(*size)
     sigmas = np.array([0.0, 0.0, SCALE_SIGMA, 0.0])
-    return _assume_georeference(World(None), size, np.diag([unit, unit, 1.0]), sigmas)
+    height, width = size
+    east, north = (width / 2 - origin[0]) * resolution, (origin[1] - height / 2) * resolution
+    world_from_plane = np.array([[unit, 0.0, east], [0.0, unit, north], [0.0, 0.0, 1.0]])
+    return _assume_georeference(World(None), size, world_from_plane, sigmas)
 
 
 def _assume_georeference(
@@ -100,7 +111,7 @@ def _assume_georeference(
         residuals=np.empty((0, 2)),
         leave_one_out=np.empty(0),
         used=np.empty(0, bool),
-        candidates={},
+        probabilities={},
         noise=np.nan,
         terms=np.zeros(9),
         posterior=posterior,

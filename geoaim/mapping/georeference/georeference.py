@@ -26,20 +26,20 @@ class Georeference(Display):
     # (`undistort_points`)
     world_from_image: Float[Array, "3 3"]
     world: World  # the plane of those metres
-    model: str  # "similarity", "affine" or "homography"
+    model: str  # "similarity" or "homography"
     radial: float  # k of p' = p (1 + k |p|^2) in the normalised plane
-    height: int  # of the image, pixels
-    width: int  # of the image, pixels
-    pixels: Points  # (M, 2) of every control point, used or not
+    height: int  # height of the image, pixels
+    width: int  # width of the image, pixels
+    pixels: Points  # (M, 2) pixels of all control points, used or not
     residuals: Points  # (M, 2) fitted minus given, metres, of every control point
     leave_one_out: Float[Array, "m"]  # distance of each point from a fit without it, metres
     used: Bool[Array, "m"]  # False for a point that was found to be wrong
-    # root mean square leave-one-out error of each model that was tried, metres
-    candidates: Mapping[str, float] = field(repr=False)
+    # probability of each model, given the points; empty where the points did not choose the model
+    probabilities: Mapping[str, float] = field(repr=False)
     noise: float  # one sigma of one coordinate of a control point, metres
     # the terms of the chosen model (`transform_models`), zero where it has none
     terms: Float[Array, "9"] = field(repr=False)
-    posterior: Posterior = field(repr=False)  # of all nine terms, in the normalised plane
+    posterior: Posterior = field(repr=False)  # posterior of all nine terms, in the normalised plane
     # similarity from the normalised plane to world metres
     world_from_plane: Float[Array, "3 3"] = field(repr=False)
     # True when it comes from telemetry or an assumed resolution, not from points

@@ -1,4 +1,4 @@
-"""The normalised image plane: origin at the image's centre, x right, y up, half a diagonal long.
+"""The normalised image plane: origin at the image's centre, x right, y up, unit half a diagonal.
 
 The radial lens term is defined in this plane too, so it does not depend on the resolution.
 """
@@ -35,9 +35,9 @@ def fit_similarity(
     One point that is kilometres off would otherwise spoil the scale of everything that follows.
 
     Args:
-        points: two or more; of four or more, one is left out.
-        targets: where each lies, in any other plane.
-        mirrored: mirror the points first, y to -y.
+        points: (M, 2) two points or more; of four or more, the one that fits worst is left out.
+        targets: (M, 2) where each point lies in any other plane.
+        mirrored: whether to mirror the points first, y to -y.
 
     Returns:
         The (3, 3) matrix that maps points to targets, and the sum of squared residuals without the
@@ -67,8 +67,8 @@ def undistort_points(pixels: Points, radial: float, height: int, width: int) -> 
     Args:
         pixels: u, v as they lie in the image.
         radial: k, positive where the lens moves points towards the centre.
-        height: of the image, pixels.
-        width: of the image, pixels.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
 
     Returns:
         Undistorted pixels.
@@ -88,8 +88,8 @@ def distort_points(pixels: Points, radial: float, height: int, width: int) -> Po
     Args:
         pixels: undistorted u, v.
         radial: k of `undistort_points`.
-        height: of the image, pixels.
-        width: of the image, pixels.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
 
     Returns:
         Pixels as they lie in the image.

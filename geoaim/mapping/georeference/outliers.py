@@ -1,4 +1,4 @@
-"""Wrong control points: found by how much the misfit falls when a point is left out."""
+"""Find a wrong control point: by how much the misfit falls when a point is left out."""
 
 import numpy as np
 from jaxtyping import Bool
@@ -16,16 +16,16 @@ from geoaim.mapping.georeference.transform_models import (
 )
 
 SIGMA_DOF = 3.0  # degrees of freedom that the expected noise counts for
-MAX_CHANCE = 0.005  # points are inconsistent when chance explains them less often than this
-CLEAR_CHANCE = 0.3  # above this, to first order, the test with refits is not needed
-MIN_SUSPICION = 0.05  # least likelihood of a further suspect, relative to the first
+OUTLIER_SIGNIFICANCE = 0.005  # significance level of the test, after Bonferroni's correction
+SKIP_REFITS_ABOVE = 0.3  # p-value of the first-order test; the test with refits is then skipped
+MIN_RELATIVE_LIKELIHOOD = 0.05  # likelihood of a further suspect, relative to that of the first one
 
 
 def reject_outlier(names: tuple[str, ...], pairs: PointPairs, sigma: float) -> Bool[Array, "m"]:
     """Leave out one point that is clearly wrong, with a warning.
 
     Args:
-        names: (M,) of the points, for messages.
+        names: (M,) names of the points, for messages.
         pairs: the points.
         sigma: expected noise of a coordinate, in units of the normalised plane.
 
@@ -60,7 +60,7 @@ def reject_outlier(names: tuple[str, ...], pairs: PointPairs, sigma: float) -> B
 
 
 def _find_suspects(pairs: PointPairs, sigma: float) -> list[int]:
-    """Indices of points of which one must be wrong, the most suspicious first.
+    """Indices of points of which one must be wrong, the likeliest first.
 
     Leaving out a point is judged by an F test of the fall in misfit with 2 and n degrees of freedom
     (Cook and Weisberg 1982, 2.2.2), with Bonferroni's correction for the number of points.
@@ -74,10 +74,10 @@ def _find_suspects(pairs: PointPairs, sigma: float) -> list[int]:
     misfits = np.array(
         [fit_posterior(select_pairs(pairs, o), sigma, SIGMA_DOF).misfit for o in others]
     )
-    if count * _fall_by_chance(posterior.misfit, misfits.min(), freedom) > MAX_CHANCE:
+    if count * _fall_by_chance(posterior.misfit, misfits.min(), freedom) > OUTLIER_SIGNIFICANCE:
         return []
     likelihood = (misfits / misfits.min()) ** (-freedom / 2.0)
-    return [int(i) for i in np.argsort(misfits) if likelihood[i] >= MIN_SUSPICION]
+    return [int(i) for i in np.argsort(misfits) if likelihood[i] >= MIN_RELATIVE_LIKELIHOOD]
 
 
 def _is_clearly_consistent(pairs: PointPairs, posterior: Posterior, freedom: float) -> bool:
@@ -89,7 +89,7 @@ def _is_clearly_consistent(pairs: PointPairs, posterior: Posterior, freedom: flo
     lowest = max(posterior.misfit - float(falls.max()), 1e-30)
     usual = (np.abs(posterior.mean[4:]) <= 3.0 * PRIOR_SIGMA).all()
     chance = _fall_by_chance(posterior.misfit, lowest, freedom)
-    return bool(usual and len(error) * chance > CLEAR_CHANCE)
+    return bool(usual and len(error) * chance > SKIP_REFITS_ABOVE)
 
 
 def _fall_by_chance(misfit: float, lowest: float, freedom: float) -> float:

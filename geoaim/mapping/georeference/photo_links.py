@@ -59,7 +59,7 @@ def chain_links(links: PhotoLinks, photo: int, reference: int) -> Float[Array, "
     """Compose the transform of a photo to the reference along the shortest path of links.
 
     Args:
-        links: between the photos.
+        links: the links between the photos.
         photo: index of the photo.
         reference: index of the reference.
 

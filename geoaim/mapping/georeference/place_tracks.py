@@ -11,7 +11,8 @@ from geoaim.mapping.registration.register import Registration
 from geoaim.track_formats.motion import derive_motion
 from geoaim.tracks import Tracks
 
-MAX_TIME_OFFSET_S = 0.02  # between a track's time and that of its frame: half a frame at 25 Hz
+# largest difference between the times of a track and its frame: half a frame at 25 Hz
+MAX_TIME_OFFSET_S = 0.02
 
 
 def place_tracks(
@@ -25,19 +26,20 @@ def place_tracks(
     """Transform tracks in pixels of a video's frames to the world of its map.
 
     Args:
-        tracks: as readers of files in pixels give them: x is u and y is -v of each frame, times
-            `resolution`; times are those of the video.
-        registration: of all frames of the video to the georeferenced one.
-        georeference: of that frame.
+        tracks: tracks as the readers of files in pixels return them: x is u and y is -v of each
+            frame, times `resolution`; the times are those of the video.
+        registration: registration of all frames of the video to the georeferenced frame.
+        georeference: georeference of that frame.
         resolution: metres per pixel with which the tracks were read.
         half_window: seconds to each side over which `derive_motion` computes headings and speeds.
 
     Returns:
-        The tracks in the world of the georeference, of the same sizes; agents are absent at frames
+        The tracks in the world of the georeference; sizes stay, and agents are absent at frames
         that are not registered.
 
     Raises:
-        TracksError: a time is not that of a frame, or no agent is present at a registered one.
+        TracksError: a track has a time at which there is no frame, or no agent is present at a
+            registered one.
     """
     time = registration.time
     nearest = np.rint(np.interp(tracks.times, time, np.arange(len(time)))).astype(int)

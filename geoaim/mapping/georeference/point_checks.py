@@ -1,4 +1,4 @@
-"""Checks of control points before any fit; `estimate.py` refuses those that disagree with it.
+"""Checks of control points before any fit; `estimate.py` refuses points that disagree with it.
 
 Errors name the points and the remedy.
 """
@@ -23,8 +23,10 @@ PICKING_SIGMA_PX = 2.0  # assumed of a picked point's coordinates
 MIN_PIXEL_DISTANCE = 0.5  # px between two points
 MIN_GROUND_DISTANCE = 1e-3  # m between two points
 MIN_EXTENT = 0.1  # m; degrees that are taken for metres have less
-MAX_SMALLER = 2 / 3  # of the image's sides: where all points may be of a smaller picture
-MAX_CORNER_ERROR = 0.15  # of half the diagonal: the 95 % region of an affine fit, worst corner
+# share of the image's sides; if no point lies beyond it, the points may be of a smaller picture
+MAX_SMALLER = 2 / 3
+# share of half the diagonal: 95 % region of an affine fit in the worst corner
+MAX_CORNER_ERROR = 0.15
 GAUSSIAN_ELLIPSE = 2.45  # standard deviations to the ellipse that holds 95 % in the plane
 RESOLUTION_RANGE = (1e-4, 100.0)  # metres per pixel of any picture of the ground
 AREA_MARGIN = 5.0  # degrees that coordinates may lie outside their CRS's area of use
@@ -34,7 +36,7 @@ def check_coordinates(points: ControlPoints) -> None:
     """Check that the coordinates lie in their CRS's area of use.
 
     Raises:
-        GeoreferenceError: they do not; the message says so where x and y are swapped.
+        GeoreferenceError: they do not; the message says if x and y seem to be swapped.
     """
     if points.crs is None or _is_in_area(points.crs, points.coordinates):
         return
@@ -70,8 +72,8 @@ def check_layout(
 
     Args:
         points: the control points.
-        targets: where they lie, metres.
-        size: of the image, pixels.
+        targets: (M, 2) where they lie, metres.
+        size: (height, width) of the image, pixels.
         outside: whether points may lie outside the image.
 
     Raises:
@@ -98,7 +100,8 @@ def check_distinctness(points: ControlPoints, targets: Points) -> None:
     """Check that no two control points have the same pixel or place; targets are in metres.
 
     Raises:
-        GeoreferenceError: two do, or all places lie together as degrees taken for metres do.
+        GeoreferenceError: two have, or all places lie as close together as degrees taken for
+            metres.
     """
     _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
     _check_extent(points, targets)

@@ -42,7 +42,7 @@ def write_control_points(points: ControlPoints, path: str | Path) -> None:
 
 
 def format_points(points: ControlPoints, suffix: str) -> str:
-    """The text of a file of control points: `suffix` is ".csv", ".txt" or ".points".
+    """Format control points as the text of a file; `suffix` is ".csv", ".txt" or ".points".
 
     Raises:
         GeoreferenceError: see `write_control_points`.
@@ -51,7 +51,7 @@ def format_points(points: ControlPoints, suffix: str) -> str:
 
 
 def clean_text(text: str) -> str:
-    """A name as one line without control characters, which every file can hold."""
+    """Make a name one line without control characters, which every format can hold."""
     printable = "".join(c if c.isprintable() else " " for c in text)
     return " ".join(printable.split())
 

@@ -27,7 +27,7 @@ QGIS_COLUMNS = ("mapx", "mapy", "pixelx", "pixely")
 ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre, to its corner
 
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
-Lines = list[tuple[int, str]]  # with their numbers in the file
+Lines = list[tuple[int, str]]  # lines and their numbers in the file
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ is too small at the corners.
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.special import fdtri
+from scipy.special import fdtri, gammaln
 
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,
@@ -23,7 +23,7 @@ from geoaim.mapping.georeference.transform_models import (
 # One sigma for a camera that looks straight down: stretch and shear 1 %, perspective 5 % over half
 # the diagonal (a tilt of 3 degrees), a lens that moves the corners by 0.5 %.
 PRIOR_SIGMA = np.array([0.01, 0.01, 0.05, 0.05, 0.005])
-PRIOR_DOF = 3.0  # of Student's t; its heavy tails give way to what the points show clearly
+PRIOR_DOF = 3.0  # degrees of freedom of Student's t; clear evidence outweighs its heavy tails
 PRIOR_GROUPS = ([4, 5], [6, 7], [8])  # terms that share a scale
 MAX_ITERATIONS = 30
 
@@ -75,6 +75,19 @@ def _reweight_prior(terms: Float[Array, "9"]) -> Float[Array, "9"]:
     return precision
 
 
+def compute_log_prior(terms: Float[Array, "9"], free: list[int]) -> float:
+    """Compute the logarithm of the prior's density of the terms that a model frees."""
+    density = 0.0
+    for group in PRIOR_GROUPS:
+        if group[0] in free:
+            count, scale = len(group), PRIOR_DOF * PRIOR_SIGMA[group[0] - 4] ** 2
+            half = (PRIOR_DOF + count) / 2.0
+            density += gammaln(half) - gammaln(PRIOR_DOF / 2.0)
+            density -= count / 2.0 * np.log(np.pi * scale)
+            density -= half * np.log1p(np.sum(terms[group] ** 2) / scale)
+    return float(density)
+
+
 def _estimate_noise(
     squares: float, freedom: float, sigma: float, sigma_dof: float
 ) -> tuple[float, float]:
@@ -99,7 +112,7 @@ def _estimate_noise(
 
 
 def ellipse_factor(dof: float) -> float:
-    """Compute how many standard deviations the ellipse that holds 95 % of errors in the plane has.
+    """Compute the semi-axes, in standard deviations, of the ellipse that holds 95 % of errors.
 
     sqrt(2 F), with F the quantile of the F distribution with 2 and `dof` degrees of freedom.
 

@@ -1,4 +1,4 @@
-"""A first georeference from two or three control points, or from a bad layout: a similarity."""
+"""A preliminary georeference, a similarity: from two or three points, or from badly spread ones."""
 
 import numpy as np
 
@@ -27,19 +27,19 @@ def estimate_preliminary(
     """Estimate a similarity from control points that do not suffice for `estimate_georeference`.
 
     No point is tested for mistakes. Tilt, stretch and lens enter the uncertainty at their expected
-    size (`posterior`), the noise at that of picking.
+    size (`posterior`), and the noise is that of picking points.
 
     Args:
-        points: two or more on one image.
-        height: of the image, pixels.
-        width: of the image, pixels.
+        points: two points or more on one image.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
         world: the target plane; None: see `estimate_georeference`.
 
     Returns:
         The georeference, marked approximate; leave-one-out errors are NaN.
 
     Raises:
-        GeoreferenceError: there are fewer than two, or two have the same pixel or place.
+        GeoreferenceError: there are fewer than two points, or two have the same pixel or place.
     """
     if len(points.names) < MIN_PRELIMINARY_POINTS:
         raise GeoreferenceError(
@@ -67,7 +67,7 @@ def estimate_preliminary(
         residuals=(apply_terms(terms, plane) - pairs.ground) @ scale.T,
         leave_one_out=np.full(len(plane), np.nan),
         used=np.ones(len(plane), bool),
-        candidates={},
+        probabilities={},
         noise=posterior.noise * float(np.sqrt(np.linalg.det(scale))),
         terms=terms,
         posterior=posterior,

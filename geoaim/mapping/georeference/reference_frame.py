@@ -19,20 +19,26 @@ from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.photo_links import chain_links, choose_central_photo, link_photos
 from geoaim.mapping.georeference.point_checks import MIN_POINTS, check_inside, warn_of_small_part
-from geoaim.mapping.registration.register import Reference, choose_reference, register_frames
+from geoaim.mapping.registration.register import (
+    TIME_TOLERANCE_S,
+    Reference,
+    choose_reference,
+    register_frames,
+)
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.mapping.video.video import Video
 from geoaim.world import LONLAT, choose_world, transform_crs
 
-MAX_TILT = np.radians(10.0)  # of a camera from straight down, without control points
-FILM_DIAGONAL_MM = 43.27  # to which a 35 mm equivalent focal length refers
-MAX_GAP_S = 1.0  # to the entry that states a position, beyond which a warning says so
-FrameName = str | int | None  # of the frame that a control point was picked on
+# largest angle between the camera and straight down, without control points
+MAX_TILT = np.radians(10.0)
+FILM_DIAGONAL_MM = 43.27  # diagonal of the film to which a 35 mm equivalent focal length refers
+MAX_GAP_S = 1.0  # a warning is given where the nearest entry that states a position is further away
+FrameName = str | int | None  # names the frame that a control point was picked on
 
 
 def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | None:
-    """Choose the reference's time: 0.0 where `gcps` are of the first frame; None leaves it open."""
+    """Choose the reference's time: 0.0 if `gcps` are of the first frame; None leaves it open."""
     if isinstance(gcps, ControlPoints):
         return 0.0 if all(frame in (None, 0) for frame in gcps.frames) else None
     return None if gcps is None else 0.0
@@ -48,15 +54,16 @@ def georeference_reference_frame(
     """Georeference the reference frame by control points, or without them by telemetry.
 
     Args:
-        points: picked on any frames of the video.
-        video: with its telemetry.
+        points: control points, picked on any frames of the video.
+        video: the video, with its telemetry.
         reference: the reference frame.
         detections: vehicles that registration leaves out.
-        crs: of the world, projected and in metres; None keeps the points' own, or their UTM zone.
+        crs: CRS of the world, projected and in metres; None keeps the points' own, or their UTM
+            zone.
 
     Returns:
         The georeference; one control point for each place, with pixels of the reference frame; and
-        the reference, which is another one where photos overlap in a chain only.
+        the reference, which is another frame where photos overlap in a chain only.
 
     Raises:
         GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
@@ -87,7 +94,11 @@ def _place_points(
     frames = {picked: _find_frame_index(picked, video) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
-        frame = next(iter(video.frames_at([index / video.rate])))
+        time = index / video.rate
+        if abs(time - reference.time) < TIME_TOLERANCE_S:
+            transforms[picked] = np.eye(3)
+            continue
+        frame = next(iter(video.frames_at([time])))
         [(_, placement)] = register_frames([frame], reference, detections=detections)
         if placement.valid:
             transforms[picked] = placement.reference_from_frame
@@ -162,7 +173,7 @@ def _find_frame_index(picked: FrameName, video: Video) -> int:
 def override_telemetry(
     video: Video, *, height: float | None = None, yaw: float | None = None
 ) -> Video:
-    """Take the camera's height or heading from the caller instead of from the telemetry.
+    """Replace the height or heading that the telemetry of a video states.
 
     Where either is given, a camera whose pitch is not stated is taken to look straight down.
 
@@ -211,7 +222,7 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
             f"{video.source}: no control points were given and no telemetry can be read beside it "
             "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
             "points, or for a map in a local plane the metres per pixel of the frames "
-            "(--frame-resolution)"
+            "(--frame-resolution, or --resolution of a single image)"
         )
     image = "" if video.names is None else f", {video.names[reference.index]}"
     source, time = f"{video.source}{image}", reference.time

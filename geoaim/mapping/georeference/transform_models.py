@@ -1,4 +1,4 @@
-"""Transform models from the image to the ground: similarity, affine and homography.
+"""Transform models from the image to the ground: similarity and homography.
 
 They are fitted in the normalised plane p (`normalised_plane`), to ground points that the best
 similarity has brought onto it. Every parameter is then small. There are nine, called terms: shift
@@ -6,8 +6,8 @@ and similarity (tx, ty, s, r), stretch and shear (a, b), perspective (c), one ra
 
     q = (A p' + t) / (1 + c . p'),   p' = p (1 + k |p|^2),   A = [[1+s+a, b-r], [b+r, 1+s-a]]
 
-Each model frees the first 4, 6 or 8 terms, and the lens term where the points show one. The model
-for the map is chosen by leave-one-out error (`choose_model`).
+A similarity frees the first 4 terms, a homography the first 8, each with or without the lens term
+(`model_choice`).
 """
 
 from dataclasses import dataclass
@@ -19,19 +19,15 @@ from scipy.optimize import least_squares
 
 from geoaim.mapping.georeference.normalised_plane import Points, plane_from_image
 
-Terms = Float[Array, "9"]  # in the order above
+Terms = Float[Array, "9"]  # the nine terms in the order above
 
-TERM_COUNTS = {"similarity": 4, "affine": 6, "homography": 8}  # free terms, simplest model first
-MIN_POINTS_LENS = 6  # fewer points cannot carry the radial term
-MIN_LENS_SIGMAS = 3.0  # standard deviations of the radial term that count as a lens
-MIN_MISFIT_DROP = 5.0  # noise variances by which each further term must lower the misfit
-MAX_EVALUATIONS = 30  # of a fit; 6 are usual, and only grossly wrong points take more
-LEAVE_ONE_OUT_MARGIN = 2.0  # a simpler model's error may exceed the best by this / M, as a share
+TERM_COUNTS = {"similarity": 4, "homography": 8}  # free terms without the lens
+MAX_EVALUATIONS = 30  # evaluations of a fit; 6 are usual, and only grossly wrong points take more
 
 
 @dataclass(frozen=True)
 class PointPairs:
-    """Control points in the normalised plane: in the image, and on the ground by a similarity."""
+    """Control points in the normalised plane: their pixels, and their ground by a similarity."""
 
     image: Points
     ground: Points
@@ -42,21 +38,11 @@ class Posterior:
     """All nine terms with their uncertainty, and the noise of the control points."""
 
     mean: Terms  # most probable terms
-    covariance: Float[Array, "9 9"]  # at the estimated noise
+    covariance: Float[Array, "9 9"]  # covariance at the estimated noise
     precision: Terms  # inverse variances of the prior, zero for the free similarity terms
     noise: float  # standard deviation of one coordinate of one point
     dof: float  # degrees of freedom of the noise estimate
     misfit: float  # squared residuals, and terms over their prior, in the plane; outliers raise it
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One transform model fitted to the points."""
-
-    model: str  # "similarity", "affine" or "homography"
-    terms: Terms  # zero where the model has no such term
-    leave_one_out: Points  # residual of each point from a fit without it
-    misfit: float  # squared residuals, and terms over their prior, in noise variances
 
 
 def select_pairs(pairs: PointPairs, keep: Bool[Array, "m"]) -> PointPairs:
@@ -72,7 +58,7 @@ def apply_terms(terms: Terms, points: Points) -> Points:
 
 
 def term_jacobian(terms: Terms, points: Points) -> Float[Array, "m 2 9"]:
-    """Differentiate `apply_terms`: [:, i, k] is the derivative of x (i = 0) or y by term k."""
+    """Differentiate `apply_terms`: [:, i, k] is the derivative of x or y to term k."""
     square = np.sum(points**2, axis=1, keepdims=True)
     undistorted = points * (1.0 + terms[8] * square)
     denominator = 1.0 + undistorted @ terms[6:8]
@@ -101,7 +87,7 @@ def compose_world_from_image(
 
     Args:
         world_from_plane: similarity from the normalised plane to world metres.
-        terms: of which the lens term is not part of a homography.
+        terms: the nine terms; the lens term is not part of a homography.
         size: height and width of the image, pixels.
 
     Returns:
@@ -151,47 +137,3 @@ def invert_normal_matrix(normal: Float[Array, "k k"]) -> Float[Array, "k k"]:
     scale = 1.0 / np.sqrt(np.diag(normal) + 1e-30)
     even = normal * scale * scale[:, None] + 1e-12 * np.eye(len(normal))
     return np.asarray(np.linalg.inv(even) * scale * scale[:, None])
-
-
-def fit_candidates(pairs: PointPairs, posterior: Posterior) -> list[Candidate]:
-    """Fit similarity, affine and homography, each with its leave-one-out residuals."""
-    sigmas = abs(posterior.mean[8]) / np.sqrt(posterior.covariance[8, 8])
-    lens = [8] if len(pairs.image) >= MIN_POINTS_LENS and sigmas > MIN_LENS_SIGMAS else []
-    return [
-        _fit_candidate(model, pairs, [*range(count), *lens], posterior)
-        for model, count in TERM_COUNTS.items()
-    ]
-
-
-def _fit_candidate(
-    model: str, pairs: PointPairs, free: list[int], posterior: Posterior
-) -> Candidate:
-    """Fit one model; a leave-one-out residual is (I - H)^-1 e, H the point's hat matrix block."""
-    ridge = posterior.precision * posterior.noise**2
-    terms = fit_terms(pairs, free, ridge)
-    error = pairs.ground - apply_terms(terms, pairs.image)
-    misfit = np.sum(error**2) + np.sum(ridge * terms**2)
-    design = term_jacobian(terms, pairs.image)[:, :, free]
-    flat = design.reshape(-1, len(free))
-    inverse = invert_normal_matrix(flat.T @ flat + np.diag(ridge[free]))
-    leverage = np.eye(2) * (1.0 + 1e-12) - design @ inverse @ design.transpose(0, 2, 1)
-    leave_one_out = np.linalg.solve(leverage, error[:, :, None])[:, :, 0]
-    return Candidate(model, terms, leave_one_out, float(misfit / posterior.noise**2))
-
-
-def choose_model(candidates: list[Candidate]) -> Candidate:
-    """Choose the simplest model whose mean leave-one-out distance is near the lowest.
-
-    Only models that lower the misfit by more than chance are considered. For few points,
-    leave-one-out alone takes too rich a model, and AICc and GRIC on plain fits do worse still
-    (`geoaim.bench.georeference`).
-    """
-    first = candidates[0]
-    considered = [
-        candidate
-        for candidate in candidates
-        if first.misfit - candidate.misfit >= MIN_MISFIT_DROP * (TERM_COUNTS[candidate.model] - 4)
-    ]
-    errors = [float(np.linalg.norm(c.leave_one_out, axis=1).mean()) for c in considered]
-    limit = (1.0 + LEAVE_ONE_OUT_MARGIN / len(first.leave_one_out)) * min(errors)
-    return next(c for c, error in zip(considered, errors, strict=True) if error <= limit)

@@ -22,7 +22,8 @@ def predict_uncertainty(
     """Predict how far pixels may be off in the world, metres, along the worst direction.
 
     The squared error is J S J^T with the posterior covariance S of all nine terms (Criminisi, Reid
-    and Zisserman 1997), plus the squared difference of the posterior's mean and the chosen model.
+    and Zisserman 1997), plus the squared difference of the posterior's mean and the chosen model
+    times the probability that this model is wrong.
 
     Returns:
         One standard deviation (M,), and the semi-major axis (M,) of the ellipse that holds the true
@@ -77,8 +78,8 @@ def suggest_point(georeference: Georeference) -> tuple[Float[Array, "2"], float,
     """Find where one more control point would lower the largest uncertainty in the image most.
 
     Returns:
-        Its pixel, and the largest radius that holds the true place in 95 % of cases, metres, now
-        and with that point.
+        (2,) the pixel to pick next, and two radii in metres: at the worst place of the image, the
+        radius that holds the true place in 95 % of cases, without and with that point.
     """
     places = _list_places(georeference)
     design = _design_errors(georeference, places)
@@ -115,14 +116,15 @@ def _predict_with_points(
 def _design_errors(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 10"]:
     """Errors in metres by ten independent unknowns of unit variance.
 
-    These are the nine terms, decorrelated, and the share of the difference between the posterior's
-    mean and the chosen model.
+    These are the nine terms, decorrelated, and whether another model than the chosen one holds: the
+    posterior's mean then lies nearer.
     """
     terms, posterior = georeference.terms, georeference.posterior
     plane = normalise_pixels(pixels, (georeference.height, georeference.width))
     values, vectors = np.linalg.eigh(posterior.covariance)
     jacobian = term_jacobian(posterior.mean, plane) @ (vectors * np.sqrt(values.clip(0.0)))
-    bias = apply_terms(terms, plane) - apply_terms(posterior.mean, plane)
+    doubt = 1.0 - georeference.probabilities.get(georeference.model, 0.0)
+    bias = np.sqrt(doubt) * (apply_terms(terms, plane) - apply_terms(posterior.mean, plane))
     scale = georeference.world_from_plane[:2, :2]
     return np.asarray(scale @ np.concatenate([jacobian, bias[:, :, None]], axis=2))
 

@@ -1,4 +1,4 @@
-"""The drift of a hovering camera, drawn."""
+"""Draw the drift of a hovering camera."""
 
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +12,7 @@ def draw_drift(
     """Draw where the middles of frames lie, seen from the middle of one of them.
 
     Args:
-        axes: to draw in.
+        axes: the axes to draw in.
         times: (T,) seconds.
         offsets: (T, 2) pixels to the right and down.
         origin: name of the frame at (0, 0).

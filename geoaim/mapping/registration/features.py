@@ -1,4 +1,4 @@
-"""Match ORB features: finds the transform between two images at any rotation and position."""
+"""Match ORB features to find the transform between two images at any rotation and position."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ DETECTION_WIDTH_PX = 960  # about the width to which images are reduced before d
 MAX_DETECTED = 10_000
 MAX_FEATURES = 2500  # kept, spread over a grid; OpenCV's default of 500 fails in dense traffic
 GRID_CELLS = 400
-TOLERANCES_PER_WIDTH = 500  # a match is an inlier within this part of the image's width
-MIN_MATCHES = 12  # inliers without which there is no transform
+INLIER_TOLERANCE_SHARE = 1 / 500  # of the image width, within which a match is an inlier
+MIN_INLIER_MATCHES = 12  # inliers without which there is no transform
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
     """Key points of an image, and their binary descriptors."""
 
-    points: Float[Array, "M 2"]  # in pixels of the full image
+    points: Float[Array, "M 2"]  # positions in pixels of the full image
     descriptors: UInt8[Array, "M 32"]  # bytes
 
 
@@ -68,19 +68,19 @@ def match_features(
     Returns:
         reference_from_frame in pixels, or None when too few matches agree.
     """
-    if min(len(reference.points), len(frame.points)) < MIN_MATCHES:
+    if min(len(reference.points), len(frame.points)) < MIN_INLIER_MATCHES:
         return None
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(
         frame.descriptors, reference.descriptors
     )
-    if len(pairs) < MIN_MATCHES:
+    if len(pairs) < MIN_INLIER_MATCHES:
         return None
     source = frame.points[[pair.queryIdx for pair in pairs]]
     target = reference.points[[pair.trainIdx for pair in pairs]]
-    tolerance = size[1] / TOLERANCES_PER_WIDTH
+    tolerance = size[1] * INLIER_TOLERANCE_SHARE
     # points on both sides have the corner origin, and so has the transform between them
     matrix, mask = cv2.findHomography(source, target, cv2.USAC_MAGSAC, tolerance, maxIters=3000)
-    if matrix is None or mask.sum() < MIN_MATCHES or np.linalg.det(matrix[:2, :2]) <= 0:
+    if matrix is None or mask.sum() < MIN_INLIER_MATCHES or np.linalg.det(matrix[:2, :2]) <= 0:
         return None
     if model == "homography":
         return matrix

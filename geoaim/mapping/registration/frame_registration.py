@@ -6,7 +6,7 @@ features matched.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -25,27 +25,28 @@ from geoaim.mapping.registration.patches import (
     predict_corner_uncertainty,
     shrink_image,
 )
+from geoaim.mapping.registration.placement_comparison import Overview, make_overview
 from geoaim.mapping.registration.placements import (
     AmbiguousPlacementError,
     choose_placement,
     is_at_rest,
 )
-from geoaim.mapping.registration.rivals import Overview, make_overview
-from geoaim.mapping.video.detections import Detections, mask_boxes
+from geoaim.mapping.video.detections import Detections, convert_boxes, mask_boxes
 from geoaim.mapping.video.frames import Frame
 
-COARSE_WIDTH_PX = 480  # of the pyramid level that widens the search
+COARSE_WIDTH_PX = 480  # width of the pyramid level that widens the search
 COARSE_ITERATIONS = 10
-MIN_PATCHES = 16  # inliers without which a frame is rejected, of about 300 patches
-MIN_INLIER_SHARE = 0.2  # of the patches in view
-SUFFICIENT_INLIER_SHARE = 0.5  # at which the search is not widened
-UNDOUBTED_INLIER_SHARE = 0.7  # below which a placement is always compared with others
+MIN_INLIERS = 16  # inliers without which a frame is rejected, of about 300 patches
+MIN_INLIER_SHARE = 0.2  # share of the patches in view that must be inliers
+SUFFICIENT_INLIER_SHARE = 0.5  # the search is not widened at this share or more
+UNDOUBTED_INLIER_SHARE = 0.7  # a placement with a smaller share is always compared with others
 MAX_CORNER_UNCERTAINTY_PX = 10.0
-# chosen on the validation part of `geoaim.bench.stability`: of frames that state 0.02 to 0.04 px
-# 90 % are within 1.6 times that, of frames that would state 0.15 to 0.25 px only within 8 times
-MISLEADING_UNCERTAINTY_PX = 0.12
-INTERPOLATION_ERROR_PX = 0.012  # the least that is stated
-MISLEADING_MISFIT_PX = 0.4  # misfit that misleads by as much
+# chosen on the validation part of `geoaim.bench.stability`: without it, 90 % of the frames with an
+# estimated 0.02 to 0.04 px are off by less than 1.6 times that, with 0.15 to 0.25 px by less than 8
+UNCERTAINTY_INFLATION_PX = 0.12
+INTERPOLATION_ERROR_PX = 0.012  # lower bound of the uncertainty
+BASE_RESIDUAL_PX = 0.08  # residual of plain video, which widens nothing
+RESIDUAL_INFLATION_PX = 0.2  # residual that widens the uncertainty by nearly as much
 MISFIT_QUANTILE = 0.8  # of the residuals, so that a fifth of the patches may lie on vehicles
 MAX_MISFIT_PX = 4.0  # a larger residual is another motion
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
@@ -55,11 +56,13 @@ MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another
 class FrameRegistration:
     """The registration of one frame to the reference."""
 
-    reference_from_frame: Float[Array, "3 3"]  # in pixels; NaN when invalid
-    reason: str  # why it is invalid; empty when it is valid
+    reference_from_frame: Float[Array, "3 3"]  # transform in pixels; NaN if rejected
+    reason: str  # why it is rejected; empty if it is not
     quality: float  # median correlation of the patches with the frame, 0 to 1
     inlier_share: float  # share of inliers among the patches in view
     uncertainty: float  # standard deviation of the transformed image corners, pixels
+    # placement that fits what moves by itself; None if nothing does, or if it was not looked for
+    other_placement: Float[Array, "3 3"] | None = None
 
     @property
     def valid(self) -> bool:
@@ -75,7 +78,8 @@ class Keyframe:
     fine: PatchTemplate  # its patches at full size
     features: Features  # its ORB features
     overview: Overview  # its small image, in which other placements of a frame are found
-    reference_from_keyframe: Float[Array, "3 3"]  # in pixels; the identity for the reference itself
+    # transform in pixels; the identity for the reference itself
+    reference_from_keyframe: Float[Array, "3 3"]
     uncertainty: float  # standard deviation of the transformed image corners, pixels
 
 
@@ -123,10 +127,13 @@ def register_frame(
     if not (compare or is_doubtful or is_at_rest(alignment, chosen.fine)):
         return best
     try:
-        alignment = choose_placement(grey, chosen.fine, chosen.overview, alignment)
+        alignment, other = choose_placement(grey, chosen.fine, chosen.overview, alignment)
     except AmbiguousPlacementError as error:
         return _reject(str(error)), alignment
-    return _check_alignment(chosen, alignment), alignment
+    registration = _check_alignment(chosen, alignment)
+    if other is not None:
+        registration = replace(registration, other_placement=chosen.reference_from_keyframe @ other)
+    return registration, alignment
 
 
 def make_keyframe(
@@ -143,7 +150,7 @@ def make_keyframe(
         features: its ORB features.
         detections: vehicles to leave out.
         reference_from_keyframe: its transform to the reference, pixels.
-        uncertainty: of that transform at the image corners, pixels.
+        uncertainty: uncertainty of that transform at the image corners, pixels.
 
     Returns:
         The keyframe.
@@ -167,7 +174,7 @@ def select_keyframe(
     """Select the earliest keyframe that overlaps enough with a frame, or else the one most in view.
 
     Args:
-        keyframes: in order of time.
+        keyframes: keyframes in order of time.
         prior: reference_from_frame of the frame, pixels.
         size: (height, width) of the frame, pixels.
 
@@ -198,9 +205,9 @@ def compute_overlap(
 
 
 def mask_detections(frame: Frame, detections: Detections | None) -> Bool[Array, "H W"] | None:
-    """Mark the pixels of detected vehicles in a frame; None without detections of it."""
-    boxes = detections(frame) if detections else None
-    return None if boxes is None else mask_boxes(boxes, frame.grey.shape)
+    """Mark the pixels of detected vehicles in a frame; None if no detections are known for it."""
+    boxes = convert_boxes(detections(frame)) if detections else None
+    return None if boxes is None else mask_boxes(boxes.boxes, frame.grey.shape)
 
 
 def _propose_starts(
@@ -232,9 +239,9 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     stated = _widen_uncertainty(spread, _measure_misfit(alignment))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
-    if in_view < MIN_PATCHES:
-        reason = f"too little overlap: {in_view} patches in view, {MIN_PATCHES} needed"
-    elif inliers < MIN_PATCHES or share < MIN_INLIER_SHARE:
+    if in_view < MIN_INLIERS:
+        reason = f"too little overlap: {in_view} patches in view, {MIN_INLIERS} needed"
+    elif inliers < MIN_INLIERS or share < MIN_INLIER_SHARE:
         reason = f"too few inliers: {inliers} of {in_view} patches agree"
     elif not alignment.converged:
         reason = "the alignment did not converge"
@@ -258,8 +265,8 @@ def _widen_uncertainty(uncertainty: float, misfit: float) -> float:
 
     What displaces some parts (compression, waves, a rolling shutter) also misleads the others.
     """
-    widened = uncertainty * (1 + (uncertainty / MISLEADING_UNCERTAINTY_PX) ** 2)
-    misled = misfit**2 / MISLEADING_MISFIT_PX
+    widened = uncertainty * (1 + (uncertainty / UNCERTAINTY_INFLATION_PX) ** 2)
+    misled = np.maximum(misfit**2 - BASE_RESIDUAL_PX**2, 0.0) / RESIDUAL_INFLATION_PX
     return float(np.linalg.norm([widened, misled, INTERPOLATION_ERROR_PX]))
 
 

@@ -16,8 +16,8 @@ from numpy import ndarray as Array
 from geoaim.geometry import transform_points
 
 Model = Literal["translation", "rigid", "similarity", "affine", "homography"]
-MIN_GAIN_PX = 0.01  # in accuracy, for which a model with more parameters is chosen
-BLOCK_COLUMNS, BLOCK_ROWS = 4, 3  # of the jackknife
+MIN_ACCURACY_GAIN_PX = 0.01  # a model with more parameters is chosen for a greater gain in accuracy
+BLOCK_COLUMNS, BLOCK_ROWS = 4, 3  # blocks of the jackknife
 MODELS: tuple[Model, ...] = ("translation", "similarity", "affine", "homography")
 NONLINEAR_MODELS = ("rigid", "homography")  # fitted iteratively
 
@@ -36,7 +36,7 @@ _GENERATORS: dict[Model, Float[Array, "k 8"]] = {
 class PointMatches(NamedTuple):
     """Points of an image and where they lie in the reference."""
 
-    source: Float[Array, "M 2"]  # in pixels of the image
+    source: Float[Array, "M 2"]  # pixels of the image
     target: Float[Array, "M 2"]  # the same points in pixels of the reference
     information: Float[Array, "M 2 2"]  # inverse covariance of each target, 1/px^2
 
@@ -45,9 +45,9 @@ class PointMatches(NamedTuple):
 class Motion:
     """A fitted motion."""
 
-    model: Model  # of the motion
+    model: Model  # the motion model
     matrix: Float[Array, "3 3"]  # the transform of pixels
-    covariance: Float[Array, "k k"]  # of the parameters, in normalised coordinates
+    covariance: Float[Array, "k k"]  # covariance of the parameters, in normalised coordinates
     residuals: Float[Array, "M 2"]  # measured minus fitted displacements, pixels
     weights: Float[Array, " M"]  # robust weight of each point, 0 to 1
     noise: float  # standard deviation of the residuals of the inliers, pixels
@@ -65,7 +65,7 @@ def _compute_normalisation(size: tuple[int, int]) -> Float[Array, "3 3"]:
 def compute_basis(
     points: Float[Array, "M 2"], model: Model, *, size: tuple[int, int]
 ) -> Float[Array, "M 2 k"]:
-    """Compute the derivative of each point's displacement by each parameter of a small motion.
+    """Compute derivatives of the points' displacements with respect to a motion's parameters.
 
     Args:
         points: (M, 2) x, y in pixels, corner origin.
@@ -162,14 +162,14 @@ def jackknife_covariance(
     Kott (2001), "The delete-a-group jackknife".
 
     Args:
-        points: in pixels.
+        points: (M, 2) pixels.
         information: inverse covariance of each displacement, 1/px^2.
-        motion: fitted to them.
+        motion: the motion that was fitted to them.
         size: (height, width) of the image, which is divided into 4 x 3 blocks.
 
     Returns:
-        The covariance of the k parameters, in normalised coordinates; infinite when one block alone
-        holds the motion.
+        The covariance of the k parameters, in normalised coordinates; infinite when a single block
+        determines the motion.
     """
     height, width = size
     column = (points[:, 0] * BLOCK_COLUMNS / width).astype(int).clip(0, BLOCK_COLUMNS - 1)
@@ -212,7 +212,7 @@ def choose_model(
     size: tuple[int, int],
     models: Sequence[Model] = MODELS,
     redundancy: float = 1.0,
-    min_gain: float = MIN_GAIN_PX,
+    min_gain: float = MIN_ACCURACY_GAIN_PX,
 ) -> ModelChoice:
     """Choose the motion model with the smallest predicted error over the image.
 
@@ -224,15 +224,21 @@ def choose_model(
     in pixels, so that immaterial gains can be ignored.
 
     Args:
-        matches: of each image.
+        matches: matches of each image.
         size: (height, width) of the reference, pixels.
-        models: from the simplest to the homography.
+        models: models, from the simplest to the homography.
         redundancy: number of points with the same information, as in overlapping windows.
         min_gain: pixels of accuracy for which a richer model is chosen.
 
     Returns:
         The chosen model and the predicted error of each.
     """
+    # a majority of points without information would leave no scale for the robust weights
+    known = [match.information.any((1, 2)) for match in matches]
+    matches = [
+        PointMatches(*(part[used] for part in match))
+        for match, used in zip(matches, known, strict=True)
+    ]
     squared = [_predict_squared_errors(match, models, redundancy, size=size) for match in matches]
     errors = np.sqrt(np.array(squared).mean(0))
     simplest = int(np.argmax(errors < errors.min() + min_gain))
@@ -244,7 +250,7 @@ def fit_matches(matches: PointMatches, model: Model, *, size: tuple[int, int]) -
 
     Args:
         matches: the points.
-        model: to fit.
+        model: the model to fit.
         size: (height, width) of the reference, pixels.
 
     Returns:

@@ -26,14 +26,14 @@ from geoaim.mapping.registration.motion_models import (
 
 PATCH_SIDE_PX = 13  # 9 halves the range of convergence, 17 covers more vehicles
 PATCH_COUNT = 340  # aimed at: one for each cell of a grid over the reference
-LOCAL_MOTION_PX = 0.03  # by which a patch may move by itself: parallax, lens, rolling shutter
-MIN_FIT_CORRELATION = 0.25  # of a patch that takes part in the fit
-MIN_INLIER_CORRELATION = 0.5  # of a patch that counts as an inlier
+PATCH_MOTION_SIGMA_PX = 0.03  # how far a patch may move by itself: parallax, lens, rolling shutter
+MIN_FIT_CORRELATION = 0.25  # correlation of a patch that takes part in the fit
+MIN_INLIER_CORRELATION = 0.5  # correlation of a patch that counts as an inlier
 MIN_FITTED_PATCHES = 10
 MAX_STEP_PX = 4 * PATCH_SIDE_PX  # a larger step is a divergence
 CONVERGED_STEP_PX = 0.1  # a smaller step ends the iteration; the error left is about a tenth of it
-MAX_SATURATED_SHARE = 0.3  # of the pixels of a usable patch that may be 255
-MAX_PATCH_NOISE_PX = 0.25  # by which image noise may displace a usable patch
+MAX_SATURATED_SHARE = 0.3  # share of a usable patch's pixels that may be 255
+MAX_PATCH_NOISE_PX = 0.25  # how far image noise may displace a usable patch
 MIN_INLIER_LIMIT_PX, MAX_INLIER_LIMIT_PX = 0.3, 1.5  # residual of an inlier, three sigma between
 
 
@@ -41,11 +41,13 @@ MIN_INLIER_LIMIT_PX, MAX_INLIER_LIMIT_PX = 0.3, 1.5  # residual of an inlier, th
 class PatchTemplate:
     """The reference as patches, prepared for the search in a frame."""
 
-    height: int  # of this pyramid level, pixels
-    width: int  # of this pyramid level, pixels
+    height: int  # height of this pyramid level, pixels
+    width: int  # width of this pyramid level, pixels
     scale: float  # pixels of this level per pixel of the full image
     points: Float[Array, "M 2"]  # patch centres in pixels of this level
-    pixels: Float[Array, "3 Q"]  # homogeneous pixel positions (OpenCV's origin) of all patches
+    pixels: Float[
+        Array, "3 Q"
+    ]  # homogeneous positions of all pixels of the patches (OpenCV's origin)
     contrast: Float[Array, "M P"]  # the patches minus their means
     energy: Float[Array, " M"]  # sums of squares of `contrast`
     extractor: Float[Array, "M 3 P"]  # maps a sampled patch to its displacement and gain
@@ -58,12 +60,13 @@ class PatchAlignment:
     """A frame aligned to a template."""
 
     matrix: Float[Array, "3 3"]  # reference_from_frame in pixels of the full image
-    motion: Motion  # the last fit; its residuals and covariance are in pixels of the level
+    # the last fit; residuals and covariance are in pixels of the template's pyramid level
+    motion: Motion
     in_view: Bool[Array, " M"]  # patches that lie inside the frame and are not saturated there
     fitted: Bool[Array, " M"]  # patches that took part in the fit
     inliers: Bool[Array, " M"]  # patches that correlate with the frame and follow the motion
-    correlation: Float[Array, " M"]  # of each patch with the frame
-    converged: bool  # whether the last step was smaller than the uncertainty
+    correlation: Float[Array, " M"]  # correlation of each patch with the frame
+    converged: bool  # whether the last step was below 0.1 px or the uncertainty
 
 
 class _Measurement(NamedTuple):
@@ -92,7 +95,7 @@ def make_template(
 
     Args:
         grey: the reference at full size.
-        factor: by which the reference is reduced; 1 is full size.
+        factor: factor by which the reference is reduced; 1 is full size.
         exclude: pixels of the full image that must not be used, such as vehicles.
 
     Returns:
@@ -141,11 +144,11 @@ def align_patches(
     """Refine the transform of a frame to the reference, on one pyramid level.
 
     Args:
-        template: of the same level as `grey`.
+        template: template of the same pyramid level as `grey`.
         grey: the frame, reduced like the template by `shrink_image`.
         prior: reference_from_frame to start from, in pixels of the full image.
         model: motion model to fit.
-        iterations: at most; fewer once the steps are small.
+        iterations: largest number of iterations; fewer are done once the steps are small.
 
     Returns:
         The alignment, or None when too few patches lie in the frame, or it diverges.
@@ -182,7 +185,7 @@ def align_patches(
 
 
 def predict_corner_uncertainty(template: PatchTemplate, motion: Motion) -> float:
-    """Standard deviation of the mapped image corners in pixels of the full image: S = J C J'.
+    """Predict the standard deviation of the mapped image corners, px of the full image: S = J C J'.
 
     Criminisi (1997), "Accurate visual metrology from single and multiple uncalibrated images".
     """
@@ -208,7 +211,7 @@ def _measure_motion(
     if measured is None or measured.fitted.sum() < MIN_FITTED_PATCHES:
         return None
     covariance = template.inverse[measured.fitted] * measured.variance[:, None, None]
-    covariance[:, (0, 1), (0, 1)] += LOCAL_MOTION_PX**2
+    covariance[:, (0, 1), (0, 1)] += PATCH_MOTION_SIGMA_PX**2
     information = np.linalg.inv(covariance)
     points, size = template.points[measured.fitted], (template.height, template.width)
     try:

@@ -1,7 +1,7 @@
-"""Decide whether a placement of a frame can be told from others.
+"""Decide whether the placement of a frame, its transform to the reference, is unambiguous.
 
-It is refused if too large a part of the image fits at another placement instead, whichever of them
-the patches follow: coherent traffic, overlays, water, another view on a part of the screen.
+A frame is rejected if too large a part of the image fits at another placement: coherent traffic,
+overlays, water, another view on a part of the screen.
 """
 
 import numpy as np
@@ -16,17 +16,22 @@ from geoaim.mapping.registration.patches import (
     align_patches,
     shrink_image,
 )
-from geoaim.mapping.registration.rivals import Overview, compare_placements
+from geoaim.mapping.registration.placement_comparison import Overview, compare_placements
 
 # chosen on the validation part of `geoaim.bench.stability`
-MIN_TEXTURED_SHARE = 0.4  # of the image
-MAX_MOVING_SHARE = 0.13  # of the image that may fit at another placement
+MIN_TEXTURED_SHARE = 0.4  # smallest textured share of the image
+MAX_COMPETING_FIT_RATIO = 0.13  # share of the image that may fit at another placement
 # more if a camera hovers, so that the rest moves at least twice as far as the placement
-MAX_MOVING_SHARE_HOVERING = 0.2
+MAX_COMPETING_FIT_RATIO_HOVERING = 0.2
 # less if the placement does not move at all, like overlays and frozen images
-MAX_MOVING_SHARE_AT_REST = 0.065
-REST_PX = 0.05  # mean displacement of the corners
-MAX_RIVAL_STRENGTH = 0.4  # of another peak in the phase correlation, relative to the one found
+MAX_COMPETING_FIT_RATIO_AT_REST = 0.065
+MAX_REST_SHIFT_PX = 0.05  # mean displacement of the corners
+# a camera that hovers moves more; frozen blocks of H.264 move less
+MIN_HOVERING_SHIFT_PX = 1.0
+MIN_MOVING_SHARE = 0.025  # that tells another placement from chance
+MAX_OTHER_PEAK_STRENGTH = 0.4  # of another peak in the phase correlation, relative to the one found
+
+MOVING_PART = "a part moves by itself"  # begins the reason of a rejection
 
 
 class AmbiguousPlacementError(GeoaimError):
@@ -38,8 +43,10 @@ def choose_placement(
     template: PatchTemplate,
     overview: Overview,
     alignment: PatchAlignment,
-) -> PatchAlignment:
-    """Choose the right period of repeating texture, and check that nothing speaks for others.
+) -> tuple[PatchAlignment, Float[Array, "3 3"] | None]:
+    """Accept a placement unless another fits nearly as well.
+
+    On repeating texture it is first moved to the period that fits best.
 
     Args:
         grey: the frame.
@@ -48,36 +55,36 @@ def choose_placement(
         alignment: the placement found.
 
     Returns:
-        The placement, usually the one found.
+        `alignment`, or that of another period of the texture; and the placement that fits most of
+        what moves by itself, None if nothing does.
 
     Raises:
         AmbiguousPlacementError: another placement is as likely, or there is too little texture.
     """
     small = shrink_image(grey, round(1 / overview.scale))
     compared = compare_placements(overview, small, alignment.matrix)
-    if compared.rival_strength > 1:
-        other = align_patches(template, grey, compared.rival, alignment.motion.model)
+    if compared.other_peak_strength > 1:
+        other = align_patches(template, grey, compared.other_peak, alignment.motion.model)
         if other is not None and other.converged:
             alignment, compared = other, compare_placements(overview, small, other.matrix)
     if compared.textured_share < MIN_TEXTURED_SHARE:
         raise AmbiguousPlacementError(
             f"too little texture: on {compared.textured_share:.0%} of the image"
         )
-    limit = MAX_MOVING_SHARE
+    limit, travel = MAX_COMPETING_FIT_RATIO, _measure_travel(alignment.matrix, template)
     if is_at_rest(alignment, template):
-        limit = MAX_MOVING_SHARE_AT_REST
-    elif 2 * _measure_travel(alignment.matrix, template) < _measure_travel(
-        compared.moving, template
-    ):
-        limit = MAX_MOVING_SHARE_HOVERING
-    if compared.moving_share > limit:
-        share = min(compared.moving_share, 1.0)
+        limit = MAX_COMPETING_FIT_RATIO_AT_REST
+    elif travel > MIN_HOVERING_SHIFT_PX and _measure_travel(compared.moving, template) > 2 * travel:
+        limit = MAX_COMPETING_FIT_RATIO_HOVERING
+    if compared.competing_fit_ratio > limit:
+        share = min(compared.competing_fit_ratio, 1.0)
         raise AmbiguousPlacementError(
-            f"a part moves by itself: another placement fits {share:.0%} as much of the image"
+            f"{MOVING_PART}: another placement fits {share:.0%} as much of the image"
         )
-    if compared.rival_strength > MAX_RIVAL_STRENGTH:
+    if compared.other_peak_strength > MAX_OTHER_PEAK_STRENGTH:
         raise AmbiguousPlacementError("texture repeats: another placement fits as well")
-    return alignment
+    moves = compared.competing_fit_ratio > MIN_MOVING_SHARE and not overview.repeats
+    return alignment, compared.moving if moves else None
 
 
 def is_at_rest(alignment: PatchAlignment, template: PatchTemplate) -> bool:
@@ -85,7 +92,7 @@ def is_at_rest(alignment: PatchAlignment, template: PatchTemplate) -> bool:
 
     Behind an overlay the ground may move on, so that such a placement is compared in every frame.
     """
-    return _measure_travel(alignment.matrix, template) < REST_PX
+    return _measure_travel(alignment.matrix, template) < MAX_REST_SHIFT_PX
 
 
 def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:

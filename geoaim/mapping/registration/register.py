@@ -25,8 +25,8 @@ from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.registration.drift import draw_drift
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
+    MIN_INLIERS,
     MIN_OVERLAP,
-    MIN_PATCHES,
     FrameRegistration,
     Keyframe,
     compute_overlap,
@@ -37,6 +37,7 @@ from geoaim.mapping.registration.frame_registration import (
 )
 from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
 from geoaim.mapping.registration.patches import PatchAlignment
+from geoaim.mapping.registration.sequence import check_ground, find_jumps
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
@@ -46,13 +47,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COMPARE_EVERY = 10  # frames, after which a placement is compared with others again
-COMPARE_SHIFT = 1 / 240  # of the image's width, after which it is compared sooner
-PROBE_FRAMES = 5  # from which the reference and the model are chosen
-PROBE_FEATURES = 800  # of each, that are matched between them
-SAME_TIME_S = 1e-3  # two frames are not nearer
+COMPARE_SHIFT_SHARE = 1 / 240  # shift, in image widths, after which it is compared sooner
+PROBE_FRAMES = 5  # number of frames from which the reference and the model are chosen
+PROBE_FEATURES = 800  # features of each probe that are matched between probes
+TIME_TOLERANCE_S = 1e-3  # two frames are not nearer
 MIN_LINKED_SHARE = 0.5  # of the probes that must match the reference, unless it is the first frame
-MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error
-MIN_FRAMES_FOR_JUMPS = 5
 
 Row = tuple[int, float, FrameRegistration]  # index, time (s) and registration of a frame
 
@@ -66,8 +65,8 @@ class Reference:
     time: float  # seconds
     model: Model  # motion model of the registration
     choice: ModelChoice | None  # how the model was chosen; None when it was given
-    height: int  # of the frames, pixels
-    width: int  # of the frames, pixels
+    height: int  # height of the frames, pixels
+    width: int  # width of the frames, pixels
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,10 +74,10 @@ class Registration(Display):
     """The transform of each frame to the reference."""
 
     is_map: ClassVar[bool] = False  # it is drawn in pixels of the reference
-    reference_from_frame: Float[Array, "T 3 3"]  # in pixels; NaN where `valid` is False
+    reference_from_frame: Float[Array, "T 3 3"]  # transforms in pixels; NaN where `valid` is False
     index: Int[Array, " T"]  # number of each frame in the video
     time: Float[Array, " T"]  # seconds
-    reason: tuple[str, ...]  # why a frame is invalid, else empty
+    reason: tuple[str, ...]  # why each frame is rejected; empty if it is not
     quality: Float[Array, " T"]  # median correlation of the patches with the frame, 0 to 1
     inlier_share: Float[Array, " T"]  # share of inliers among the patches in view
     uncertainty: Float[Array, " T"]  # standard deviation of the transformed image corners, pixels
@@ -89,8 +88,8 @@ class Registration(Display):
         """(T,) whether each registration can be trusted."""
         return np.array([not reason for reason in self.reason], bool)
 
-    def to_frame(self) -> pd.DataFrame:
-        """Table with a row per frame, and the matrix in nine columns, m00 to m22."""
+    def to_dataframe(self) -> pd.DataFrame:
+        """Make a table with a row for each frame, and the matrix in nine columns, m00 to m22."""
         names = ["index", "time", "valid", "reason", "quality", "inlier_share", "uncertainty"]
         table = pd.DataFrame({name: getattr(self, name) for name in names})
         table[[f"m{row}{column}" for row in range(3) for column in range(3)]] = (
@@ -137,7 +136,7 @@ def register(
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
-        The registration of each frame, in order; invalid ones have a reason.
+        The registration of each frame, in order; rejected frames have a reason.
 
     Raises:
         VideoError: the video cannot be opened.
@@ -154,11 +153,11 @@ def register(
 
 
 def write_registration(registration: Registration, path: str | os.PathLike[str]) -> None:
-    """Write `registration.to_frame()` as .csv or .parquet; ValueError for another suffix."""
+    """Write `registration.to_dataframe()` as .csv or .parquet; ValueError for another suffix."""
     path = Path(path)
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise ValueError(f"{path}: the name must end in .csv or .parquet")
-    table = registration.to_frame()
+    table = registration.to_dataframe()
     with atomic_write(path) as part:
         if path.suffix.lower() == ".csv":
             table.to_csv(part, index=False)
@@ -167,7 +166,7 @@ def write_registration(registration: Registration, path: str | os.PathLike[str])
 
 
 def count_reasons(reasons: Iterable[str]) -> dict[str, int]:
-    """Count the frames of each kind of reason, the commonest first, without the figures in it.
+    """Count the frames rejected for each reason, the commonest first, without figures in reasons.
 
     >>> count_reasons(["", "too few inliers: 3 of 90", "too few inliers: 5 of 80"])
     {'too few inliers': 2}
@@ -183,6 +182,7 @@ def collect_registration(rows: Iterable[Row], reference: Reference) -> Registrat
         RegistrationError: no frame is valid.
     """
     index, time, frames = zip(*rows, strict=True)
+    check_ground(frames, (reference.height, reference.width))
     reasons = tuple(frame.reason for frame in frames)
     if all(reasons):
         common = next(iter(count_reasons(reasons)))
@@ -218,9 +218,9 @@ def choose_reference(
         video: the video.
         detections: vehicles whose pixels are left out; None uses all pixels.
         model: the motion model; None chooses the simplest that the frames need.
-        time: of the reference, seconds; None chooses it.
+        time: time of the reference, seconds; None chooses it.
         probes: frames from the whole video, in order of time, that have been read already; five of
-            them are used. Without any, five are read.
+            them are used. Without any, five are read, unless time and model are given.
 
     Returns:
         The reference.
@@ -228,15 +228,17 @@ def choose_reference(
     Raises:
         RegistrationError: the reference has too little texture.
     """
-    read = list(probes) or list(video.sample(PROBE_FRAMES))
-    spread = np.linspace(0, len(read) - 1, PROBE_FRAMES).round().astype(int)
-    probes = [read[i] for i in np.unique(spread)]
-    frame = probes[len(probes) // 2]
-    if time is not None:
-        known = (one for one in read if abs(one.time - time) < SAME_TIME_S)
+    is_given = time is not None and model is not None
+    read = list(probes) or ([] if is_given else list(video.sample(PROBE_FRAMES)))
+    spread = np.linspace(0, len(read) - 1, min(PROBE_FRAMES, len(read))).round().astype(int)
+    probes = [read[i] for i in spread]
+    if time is None:
+        frame = probes[len(probes) // 2]
+    else:
+        known = (one for one in read if abs(one.time - time) < TIME_TOLERANCE_S)
         frame = next(known, None) or next(iter(video.frames_at([time])))
     reference = _make_reference(frame, detections, model)
-    placed = _register_probes(reference, probes) if time is None or model is None else []
+    placed = [] if is_given else _register_probes(reference, probes)
     if time is None and not all(result.valid for result, _ in placed):
         features = [
             detect_features(probe.grey, exclude=mask_detections(probe, detections))
@@ -246,10 +248,10 @@ def choose_reference(
         reference = _make_reference(best, detections, model)
         placed = _register_probes(reference, probes)
     patches = len(reference.keyframe.fine.points)
-    if patches < MIN_PATCHES:
+    if patches < MIN_INLIERS:
         raise RegistrationError(
             f"the frame at {reference.time:.2f} s has {patches} patches with enough texture, "
-            f"{MIN_PATCHES} are needed; pass the reference_time of a sharper frame"
+            f"{MIN_INLIERS} are needed; pass the reference_time of a sharper frame"
         )
     return reference if model else _choose_model(reference, placed)
 
@@ -260,12 +262,12 @@ def register_frames(
     """Register frames to the reference one after another, each starting from the one before.
 
     Args:
-        frames: in order of time.
+        frames: frames in order of time.
         reference: the reference, near which the first frame is searched.
         detections: vehicles to leave out.
 
     Yields:
-        Each frame with its registration, which may be invalid.
+        Each frame with its registration, or the reason why it is rejected.
     """
     keyframes = [reference.keyframe]
     prior = compared = np.eye(3)
@@ -273,7 +275,9 @@ def register_frames(
     for frame in frames:
         size = frame.grey.shape
         keyframe = select_keyframe(keyframes, prior, size)
-        compare = since >= COMPARE_EVERY or _measure_shift(prior, compared, size) > COMPARE_SHIFT
+        compare = (
+            since >= COMPARE_EVERY or _measure_shift(prior, compared, size) > COMPARE_SHIFT_SHARE
+        )
         registration, _ = register_frame(
             frame.grey, keyframes, keyframe, prior, reference.model, compare=compare
         )
@@ -289,7 +293,7 @@ def register_frames(
         if compute_overlap(select_keyframe(keyframes, prior, size), prior, size) < MIN_OVERLAP:
             features = detect_features(frame.grey, exclude=mask_detections(frame, detections))
             new = make_keyframe(frame, features, detections, prior, registration.uncertainty)
-            if len(new.fine.points) >= MIN_PATCHES:
+            if len(new.fine.points) >= MIN_INLIERS:
                 keyframes.append(new)
 
 
@@ -364,24 +368,11 @@ def _choose_model(
 
 
 def _reject_jumps(registration: Registration) -> Registration:
-    """Mark frames invalid that lie far from both neighbours while these agree.
-
-    The limit is relative to the median jitter of the sequence.
-    """
-    height, width = registration.reference.height, registration.reference.width
+    """Reject frames that lie far from both neighbours while these agree."""
     valid = np.flatnonzero(registration.valid)
-    if len(valid) < MIN_FRAMES_FOR_JUMPS:
-        return registration
-    corners = transform_points(
-        registration.reference_from_frame[valid], image_corners(height, width)
-    )
-    between = (corners[:-2] + corners[2:]) / 2
-    distance = np.abs(corners[1:-1] - between).max((1, 2))
-    span = np.abs(corners[2:] - corners[:-2]).max((1, 2))
-    limit = max(10 * float(np.median(distance)), MIN_JUMP_SHARE * width)
-    jumps = valid[1:-1][(distance > limit) & (distance > 3 * span)]
+    size = registration.reference.height, registration.reference.width
     reason, matrix = list(registration.reason), registration.reference_from_frame.copy()
-    for jump in jumps:
+    for jump in valid[find_jumps(matrix[valid], size)]:
         reason[jump] = "inconsistent with its neighbours in time"
         matrix[jump] = np.nan
     return replace(registration, reason=tuple(reason), reference_from_frame=matrix)

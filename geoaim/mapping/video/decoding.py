@@ -17,15 +17,16 @@ from geoaim.mapping.video.frames import Frame
 
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 DEFAULT_RATE = 25  # frames per second, where a file states none
-KEYFRAMES_TOGETHER = 8  # that are decoded in one go: as many 4K frames take 100 MB
+KEYFRAMES_TOGETHER = 8  # keyframes whose packets are read in one go
+SKIPPING_FRAMES = 2.0  # frames of slack, from which frames that no other needs are not decoded
 # FFmpeg's containers and raw streams; playlists and lists of files would name others
 FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,"
     "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
 )
 READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
-MAX_FAILURES_AT_END = 64  # of frames that a decoder still holds; some repeat them for ever
-MIN_END_TOLERANCE_S = 0.25  # by which a file may last beyond the time of its last frame
+MAX_FAILURES_AT_END = 64  # frames that a decoder holds at the end; some repeat errors for ever
+MIN_END_TOLERANCE_S = 0.25  # a file may last so much longer than its last frame
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,12 @@ class VideoFile:
     """A video file that can be decoded, and the properties that it states."""
 
     path: Path
-    threads: int | None  # for decoding; None leaves the number to the decoder
+    threads: int | None  # threads for decoding; None leaves the number to the decoder
     stored_size: tuple[int, int]  # (height, width) of decoded frames, before they are turned
     quarter_turns: int  # counter-clockwise, that turn a decoded frame upright
     start: float  # presentation time of the first frame, seconds; NaN where frames carry none
     rate: float  # frames per second, on average
-    count: int  # of frames that the file states; 0 when it states none
+    count: int  # number of frames that the file states; 0 when it states none
     count_is_exact: bool  # whether `count` is a count of frames, not duration times rate
     seekable: bool  # whether frames can be found by time; not in raw streams and AVI
     keyframe_interval: float = math.inf  # seconds in the middle of the file; inf if not seekable
@@ -122,8 +123,9 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
     """Yield the frames displayed at given times, each once.
 
     For each time only the frames from the preceding keyframe on are decoded, and no frame twice. A
-    keyframe within `slack` seconds of a time replaces the frame, and is decoded alone where no
-    other frame after it is needed.
+    keyframe within `slack` seconds of a time replaces the frame at that time, so that it can be
+    decoded alone. From a slack of two frames on, a frame that no other is predicted from is
+    replaced by the one before it.
 
     Args:
         file: the file.
@@ -149,15 +151,16 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
                 if frame.time > last:
                     last = frame.time
                     yield frame
+                    if slack * file.rate >= SKIPPING_FRAMES:  # not before the first frame
+                        stream.codec_context.skip_frame = "NONREF"
             ended = not run.alone and next(frames, None) is None
             end = last + _compute_end_tolerance(file) if ended else math.inf
             unread += [time for time in run.times if not any_read or time > end]
     if unread:
-        message = (
+        warn(
             f"{file.path}: {len(unread)} of {len(times)} requested frames cannot be read, the "
             f"first at {unread[0]:.3f} s: the file ends earlier, or is damaged"
         )
-        warn(message)
 
 
 def _open_container(path: Path) -> Any:
@@ -181,9 +184,7 @@ def _select_stream(container: Any, path: Path, threads: int | None) -> Any:
     cover = av.stream.Disposition.attached_pic
     streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
-        kinds = (
-            ", ".join(sorted({stream.type for stream in container.streams})) or "no stream at all"
-        )
+        kinds = ", ".join(sorted({one.type for one in container.streams})) or "no stream at all"
         raise VideoError(f"{path}: no video in this file, but {kinds}; give a video file")
     if streams[0].codec_context is None:
         raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
@@ -272,7 +273,7 @@ def _compute_end_tolerance(file: VideoFile) -> float:
 
 
 def _select_shown(frames: Iterable[Frame], times: list[float]) -> Iterator[Frame]:
-    """Of frames in order of time, yield those that are displayed at the given ordered times."""
+    """Yield those of the frames, in order of time, that are displayed at the ordered times."""
     current, pending = None, deque(times)
     for following in chain(frames, [None]):
         until = math.inf if following is None else following.time - TIMESTAMP_STEP_S
@@ -368,18 +369,17 @@ def _decode_runs(
 def _decode_keyframes(
     file: VideoFile, container: Any, stream: Any, keyframes: list[_Keyframe]
 ) -> Iterator[Iterator[Frame]]:
-    """Decode keyframes one after another, which the decoder's threads do at the same time."""
-    packets = [
-        packet
-        for keyframe in keyframes
-        for packet in islice(_demux_from(container, stream, keyframe), 1)
-    ]
-    frames = _decode_frames(file, stream, iter(packets), math.nan)
-    together = {frame.time: frame for frame in frames}
+    """Decode keyframes one after another; the decoder's threads work on the next ones meanwhile."""
+    packets = [next(_demux_from(container, stream, keyframe), None) for keyframe in keyframes]
+    frames = _decode_frames(file, stream, filter(None, packets), math.nan)
+    decoded: dict[float, Frame] = {}
     for keyframe in keyframes:
-        if keyframe.time in together:
-            yield iter([together.pop(keyframe.time)])
-        else:  # of an open group of pictures: its decoding starts only after a seek
+        if keyframe.time not in decoded:
+            decoded |= {frame.time: frame for frame in islice(frames, 1)}
+        if keyframe.time in decoded:
+            yield iter([decoded.pop(keyframe.time)])
+        else:  # frames of an open group of pictures are decoded only after a seek
+            decoded |= {frame.time: frame for frame in frames}  # kept: the seek drops them
             packet = islice(_demux_from(container, stream, keyframe), 1)
             yield _decode_frames(file, stream, packet, keyframe.time)
 

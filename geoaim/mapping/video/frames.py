@@ -95,7 +95,7 @@ def image_from_planes(
         y: (H, W) luma, integer or float.
         u: (H / 2, W / 2), rounded up: blue difference, 128 for grey.
         v: the same for red.
-        encoding: of the planes, as `Frame.encoding` states it.
+        encoding: encoding of the planes, as `Frame.encoding` states it.
 
     Returns:
         (H, W, 3) RGB.

@@ -140,7 +140,7 @@ def _check_changes(telemetry: Telemetry, path: str | Path) -> None:
         first = int(np.argmax(wrong))
         entry, dt = stated[first + 1] + 1, float(np.diff(telemetry.time[stated])[first])
         message = f"{path}: entry {entry}: {name} changes by {change[first]:.0f} {unit} in {dt:.3g}"
-        runs = np.split(stated, np.flatnonzero(wrong) + 1)  # between jumps
+        runs = np.split(stated, np.flatnonzero(wrong) + 1)  # entries between jumps
         few = MAX_LEFT_OUT * len(stated)
         left_out = np.concatenate([stated[:0], *(run for run in runs if len(run) <= few)])
         others = np.setdiff1d(stated, left_out)

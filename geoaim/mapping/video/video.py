@@ -23,7 +23,7 @@ from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.raster_files import open_raster_file
 
-BYTES_PER_PIXEL = 16  # while an image is decoded
+BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})
 Pixels = UInt8[Array, "H W 3"] | UInt8[Array, "H W"]
 INDEX_TOLERANCE = 1e-6  # frames: in floats, 0.3 s at 10 frames a second is frame 2.999...
@@ -37,16 +37,16 @@ class Video:
 
     Attributes:
         source: name of what was opened, for messages.
-        height: of an upright frame, pixels.
-        width: of an upright frame, pixels.
+        height: height of an upright frame, pixels.
+        width: width of an upright frame, pixels.
         rate: frames per second, on average.
         frame_count: number of frames that the source states; None when it states none.
         read_all: reads every frame in order.
         read_at: reads the frames at times (s, ascending), or keyframes within some seconds of them.
         read_telemetry: reads the state of the camera over time; None where there is none.
         names: file names of images, None for other sources.
-        keyframe_interval: seconds between the frames of which none but themselves is decoded; 0
-            where that is every frame, inf where all are read from the first on.
+        keyframe_interval: seconds between keyframes, which are decoded alone; 0 where every frame
+            is, inf where frames are only read from the first on.
     """
 
     source: str

@@ -32,7 +32,12 @@ def test_telemetry_looking_straight_down_gives_an_approximate_georeference():
                                  field_of_view=1, size=(1, 1))  # fmt: skip
 
 
-def test_a_local_georeference_has_its_origin_at_the_centre():
-    result = make_local_georeference(resolution=0.1, size=(HEIGHT, WIDTH))
-    np.testing.assert_allclose(world_from_pixels(result, np.array([[0.0, 0.0]])), [[-96.0, 54.0]])
+def test_a_local_georeference_has_its_origin_at_the_corner_unless_said():
+    result, centred = (
+        make_local_georeference(resolution=0.1, size=(HEIGHT, WIDTH), **origin)
+        for origin in ({}, {"origin": (WIDTH / 2, HEIGHT / 2)})
+    )
+    pixels = np.array([[0.0, 0.0], [WIDTH, HEIGHT]])
+    np.testing.assert_allclose(world_from_pixels(result, pixels), [[0, 0], [192, -108]], atol=1e-9)
+    np.testing.assert_allclose(world_from_pixels(centred, pixels), [[-96, 54], [96, -54]])
     assert result.world == World(None)

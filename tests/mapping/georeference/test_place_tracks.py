@@ -37,8 +37,8 @@ def place(tracks, registration):
 def test_tracks_in_pixels_of_a_moving_camera_lie_in_the_world(registration):
     placed = place(make_tracks(np.arange(4) / RATE), registration)
     x, y, heading, speed = placed.states[0].T
-    np.testing.assert_allclose(x, RESOLUTION * (100 + 10 * np.arange(4) - 240), atol=0.02)
-    np.testing.assert_allclose(y, RESOLUTION * (160 - 80), atol=0.02)
+    np.testing.assert_allclose(x, RESOLUTION * (100 + 10 * np.arange(4)), atol=0.02)
+    np.testing.assert_allclose(y, -RESOLUTION * 80, atol=0.02)
     np.testing.assert_allclose(heading, 0, atol=0.02)
     np.testing.assert_allclose(speed, RESOLUTION * 10 * RATE, rtol=0.02)
 

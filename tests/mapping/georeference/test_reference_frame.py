@@ -9,17 +9,34 @@ from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.georeference.reference_frame import (
     _georeference_by_telemetry,
     choose_reference_time,
+    georeference_reference_frame,
     override_telemetry,
 )
+from geoaim.mapping.registration.register import choose_reference
 from geoaim.mapping.video.telemetry import PLAUSIBLE, Telemetry
 from geoaim.mapping.video.video import open_video
-from tests.mapping.georeference.points import make_points
+from tests.conftest import textured
+from tests.mapping.georeference.points import SIZE, make_points
 
 
 @pytest.mark.parametrize(("frame", "time"), [(None, 0.0), (0, 0.0), (7, None), ("b.jpg", None)])
 def test_points_on_the_first_frame_make_it_the_reference(frame, time):
     points = make_points()
     assert choose_reference_time(replace(points, frames=(frame,) * len(points.names))) == time
+
+
+def test_points_on_the_reference_need_no_registration():
+    video = open_video([textured(np.random.default_rng(1), 300, 400)] * 5)
+    reference = choose_reference(video, time=0.0)
+
+    def refuse(*_):
+        raise AssertionError("the reference was read again")
+
+    points = replace(make_points(), pixels=make_points().pixels * (400 / SIZE["width"]))
+    _, placed, _ = georeference_reference_frame(
+        points, replace(video, read_at=refuse), reference, None, None
+    )
+    np.testing.assert_array_equal(placed.pixels, points.pixels)
 
 
 def test_a_given_georeference_refers_to_the_first_frame():

@@ -83,3 +83,12 @@ def test_the_least_model_that_explains_the_motion_is_chosen(model, parameters):
         target = transform_points(truth, source) + generator.normal(0, 0.1, (200, 2))
         matches.append(PointMatches(source, target, identities(200)))
     assert choose_model(matches, **SIZE).model == model
+
+
+def test_points_without_information_do_not_choose_the_model():
+    """As in a still, compressed video: most patches lie off the motion by next to nothing."""
+    source = scattered(100)
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(source.shape)
+    information = identities(100) * (np.arange(100) < 40)[:, None, None]
+    choice = choose_model([PointMatches(source, source + noise, information)], **SIZE)
+    assert choice.model == "translation"

@@ -5,8 +5,8 @@ from geoaim.geometry import translation
 from geoaim.mapping.registration.features import Features
 from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
+from geoaim.mapping.registration.placement_comparison import compare_placements, make_overview
 from geoaim.mapping.registration.placements import AmbiguousPlacementError, choose_placement
-from geoaim.mapping.registration.rivals import compare_placements, make_overview
 from geoaim.mapping.video.frames import Frame
 from tests.conftest import textured
 
@@ -21,7 +21,7 @@ def place(reference, frame, start):
     template = make_template(reference)
     found = align_patches(template, frame, start, "homography")
     overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
-    return choose_placement(frame, template, overview, found)
+    return choose_placement(frame, template, overview, found)[0]
 
 
 def film_traffic(shift, share, seed=0):
@@ -46,7 +46,7 @@ def tile(border):
 
 
 @pytest.mark.parametrize("found", [-40.0, 0.0])
-def test_a_placement_that_a_part_of_the_image_contradicts_is_refused(found):
+def test_a_placement_that_a_part_of_the_image_contradicts_is_rejected(found):
     reference, frame = film_traffic(shift=40, share=0.6)
     with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
         place(reference, frame, translation(found, 0.0))
@@ -95,8 +95,8 @@ def test_plain_ground_has_no_rival():
     compared = compare_placements(overview, shrink_image(frame, FACTOR), translation(8.0, 0.0))
     assert not overview.repeats
     assert compared.textured_share > 0.6
-    assert compared.moving_share < 0.05
-    assert compared.rival_strength < 0.2
+    assert compared.competing_fit_ratio < 0.05
+    assert compared.other_peak_strength < 0.2
 
 
 @pytest.mark.parametrize("noise", [0, 6])
@@ -108,8 +108,8 @@ def test_the_share_that_moves_by_itself_is_measured_in_spite_of_noise(noise):
     )
     overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
     compared = compare_placements(overview, shrink_image(frame, FACTOR), np.eye(3))
-    assert 0.2 < compared.moving_share < 0.25 / 0.75
-    assert abs(compared.rival[0, 2] + 40) < 2
+    assert 0.2 < compared.competing_fit_ratio < 0.25 / 0.75
+    assert abs(compared.other_peak[0, 2] + 40) < 2
 
 
 def test_tiles_repeat():

@@ -50,12 +50,12 @@ def test_stated_uncertainty_is_of_the_size_of_the_error(registration, clip):
 
 
 def test_table_has_a_row_a_frame_and_its_matrix(registration, frames):
-    table = registration.to_frame()
+    table = registration.to_dataframe()
     assert len(table) == len(frames)
     np.testing.assert_allclose(table.m22, 1)
 
 
-def test_noise_in_place_of_a_frame_is_refused_and_the_rest_is_not(frames, clip):
+def test_noise_in_place_of_a_frame_is_rejected_and_the_rest_is_not(frames, clip):
     spoilt = list(frames)
     spoilt[5] = np.random.default_rng(0).integers(0, 256, frames[5].shape).astype(np.uint8)
     registration = register(spoilt, reference_time=0)
@@ -66,7 +66,7 @@ def test_noise_in_place_of_a_frame_is_refused_and_the_rest_is_not(frames, clip):
     assert np.nanmax(errors) < 0.3
 
 
-def test_frames_after_a_cut_to_another_place_are_refused(frames):
+def test_frames_after_a_cut_to_another_place_are_rejected(frames):
     other = textured(np.random.default_rng(99), *frames[0].shape[:2])
     registration = register([*frames[:4], other, other], reference_time=0)
     assert registration.valid.tolist() == [True] * 4 + [False] * 2
@@ -144,7 +144,7 @@ def test_narrow_and_small_images_are_registered(height, width):
     assert register([image] * 3).valid.all()
 
 
-def test_one_frame_that_jumps_is_refused(frames):
+def test_one_frame_that_jumps_is_rejected(frames):
     ground = textured(np.random.default_rng(4), 400, 700)
     lefts = [20, 22, 24, 26, 90, 30, 32, 34, 36]
     registration = register([ground[:, left : left + 500] for left in lefts], reference_time=0)
@@ -172,3 +172,17 @@ def test_probes_that_were_read_already_are_not_read_again(frames):
         reference = choose_reference(silent, time=time, probes=list(video))
         again = choose_reference(video, time=time)
         assert (reference.index, reference.model) == (again.index, again.model)
+
+
+def test_a_given_time_and_model_leave_nothing_to_read_but_the_reference(frames):
+    read = []
+
+    def note(times, slack):
+        read.append((times.tolist(), slack))
+        return video.read_at(times, slack)
+
+    video = open_video(frames)
+    noted = replace(video, read_at=note)
+    reference = choose_reference(noted, time=3.0, model="similarity")
+    assert (reference.index, reference.model) == (3, "similarity")
+    assert read == [([3.0], 0.0)]

@@ -207,6 +207,19 @@ def test_samples_decode_keyframes_only(tmp_path: Path, decoded_packets: list[obj
     assert spent[1] <= spent[0]
 
 
+@pytest.mark.parametrize(("bframes", "share"), [(0, 1.0), (2, 2 / 3)])
+def test_frames_that_no_other_needs_are_decoded_without_slack_only(
+    tmp_path: Path, bframes: int, share: float
+) -> None:
+    video = open_video(write_clip(tmp_path / "b.mp4", 120, gop=1000, bframes=bframes))
+    times = np.arange(120) / RATE
+    exact, close = (list(video.read_at(times, slack / RATE)) for slack in (0.0, 3.0))
+    assert [number_of(frame) for frame in exact] == list(range(120))
+    assert number_of(close[0]) == 0
+    assert len(close) <= 120 * share
+    assert all(number_of(frame) == frame.index for frame in close)
+
+
 def test_keyframes_of_open_groups_are_those_of_the_whole_pass(tmp_path: Path) -> None:
     video = open_video(write_clip(tmp_path / "open.mp4", 100, x264="open-gop=1"))
     whole = {frame.index: frame.image for frame in video}

@@ -1,4 +1,4 @@
-"""Compare a placement of a frame with all others that are displaced from it.
+"""Compare the placement of a frame, its transform to the reference, with all shifted ones.
 
 A local search accepts the first placement on which enough patches agree. Vehicles, overlays and
 repeating texture offer others, and a correlation of the reference and the registered frame shows
@@ -16,35 +16,39 @@ from numpy import ndarray as Array
 from geoaim.geometry import to_opencv, translation
 from geoaim.mapping.registration.patches import estimate_noise
 
-PEAK_RADIUS_PX = 2  # within which there is no other peak, pixels of the small image
-SMOOTHING_PX = 0.7  # of peaks and details, pixels of the small image
-DETAIL_SIDE_PX = 9  # of the window whose mean is subtracted, pixels of the small image
-MIN_NOISE = 0.05  # variance; that of rounding to grey levels
-REPEATING_SHARE = 0.6  # of an image that is alike at another place of it, if its texture repeats
+PEAK_RADIUS_PX = 2  # two peaks are further apart, pixels of the small image
+SMOOTHING_PX = 0.7  # smoothing of peaks and details, pixels of the small image
+DETAIL_SIDE_PX = 9  # side of the window whose mean is subtracted, pixels of the small image
+MIN_NOISE_VARIANCE = 0.05  # variance; that of rounding to grey levels
+# a texture repeats if a greater share of an image is alike at another place of it
+REPEATING_SHARE = 0.6
 
 
 class Overview(NamedTuple):
     """A small image of the reference, prepared for correlation."""
 
-    detail: Float[Array, "h w"]  # of even contrast, see `_extract_detail`
+    detail: Float[Array, "h w"]  # detail of even contrast, see `_extract_detail`
     spectrum: Complex[Array, "h k"]  # the Fourier transform of `detail`
     phases: Complex[Array, "h k"]  # the same, whitened and low-pass filtered
-    power: Float[Array, "h k"]  # of `spectrum`, relative to the energy of `detail`
+    power: Float[Array, "h k"]  # power of `spectrum`, relative to the energy of `detail`
     repeats: bool  # whether the texture repeats
     scale: float  # pixels of the small image per pixel of the full image
 
 
 class Comparison(NamedTuple):
-    """A placement of a frame compared with others, in area and in phase.
+    """A placement of a frame compared with others, by the area that fits and by phase correlation.
 
     Matrices are reference_from_frame, in pixels of the full image.
     """
 
-    textured_share: float  # of the common area
-    moving_share: float  # the largest area that fits elsewhere instead, relative to what fits here
-    moving: Float[Array, "3 3"]  # where that area fits
-    rival_strength: float  # of the strongest other peak in the phase correlation, relative
-    rival: Float[Array, "3 3"]  # placement of that peak
+    textured_share: float  # share of the common area that is textured
+    competing_fit_ratio: (
+        float  # the largest area that fits elsewhere instead, relative to what fits here
+    )
+    moving: Float[Array, "3 3"]  # placement at which that area fits
+    # strength of the strongest other peak in the phase correlation, relative to the one found
+    other_peak_strength: float
+    other_peak: Float[Array, "3 3"]  # placement of that peak
 
 
 def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
@@ -73,13 +77,14 @@ def compare_placements(
 ) -> Comparison:
     """Compare a placement with all that are displaced from it.
 
-    Where the detail of both images is even in contrast, their correlation at a displacement is the
-    area that fits there. The autocorrelations are subtracted, so that the likeness of an image with
-    itself does not count. The phase correlation tells the right one among periods of texture, which
-    differ little in area: Kuglin and Hines (1975), "The phase correlation image alignment method".
+    Both images are reduced to detail of even contrast, so that their correlation at a displacement
+    measures the area that fits there. The autocorrelations are subtracted, so that the likeness of
+    an image with itself does not count. The phase correlation selects the right period of repeating
+    texture, since periods differ little in area: Kuglin and Hines (1975), "The phase correlation
+    image alignment method".
 
     Args:
-        overview: of the reference.
+        overview: overview of the reference.
         small: the frame, reduced like the overview.
         reference_from_frame: the placement found, in pixels of the full image.
 
@@ -101,8 +106,8 @@ def compare_placements(
     share, *moving = _find_peak(scipy.fft.irfft2(others, s=shape))
     surface = scipy.fft.irfft2(overview.phases * _whiten(spectrum).conj(), s=shape)
     main = float(surface[_index_surroundings(surface, 0, 0)].max())
-    peak, *rival = _find_peak(surface)
-    places = [translation(x / overview.scale, y / overview.scale) for x, y in (moving, rival)]
+    peak, *other_peak = _find_peak(surface)
+    places = [translation(x / overview.scale, y / overview.scale) for x, y in (moving, other_peak)]
     placements = [place @ reference_from_frame for place in places]
     return Comparison(textured, share, placements[0], peak / max(main, 1e-9), placements[1])
 
@@ -116,7 +121,7 @@ def _extract_detail(small: UInt8[Array, "h w"]) -> Float[Array, "h w"]:
     smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), SMOOTHING_PX)
     noise = estimate_noise(small, least=0.0) ** 2 / (4 * np.pi * SMOOTHING_PX**2)
     detail = smooth - cv2.blur(smooth, side)
-    return detail / np.sqrt(cv2.blur(detail * detail, side) + max(noise, MIN_NOISE))
+    return detail / np.sqrt(cv2.blur(detail * detail, side) + max(noise, MIN_NOISE_VARIANCE))
 
 
 def _whiten(spectrum: Complex[Array, "h k"]) -> Complex[Array, "h k"]:
