@@ -27,15 +27,17 @@ from geoaim.imagery.rasters import (
     make_region,
     measure_resolution,
 )
-from geoaim.imagery.sources import Layer, Source, Tiles, describe_source
+from geoaim.imagery.sources import Layer, Source, describe_source
+from geoaim.imagery.tiles import Tiles
 from geoaim.limits import check_memory, name_file
 from geoaim.world import World
 
-BYTES_PER_PIXEL = 8  # of an image and its coverage
+BYTES_PER_PIXEL = 8  # memory for a pixel of an image and its coverage
 BLOCK_PX = 1024  # side of the blocks to begin with
 MIN_BLOCK_PX = 16  # side below which blocks are not divided
-MAX_AFFINE_ERROR_PX = 0.005  # of the affine map from a block to a CRS
-MAX_UPSAMPLING = 3.0  # of a source's pixels to those of the image, without a warning
+MAX_AFFINE_ERROR_PX = 0.005  # largest error of the affine map from a block to a CRS
+# a source whose pixels are larger than the image's by a greater factor gives a warning
+MAX_UPSAMPLING = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +61,26 @@ def read_imagery(
 ) -> AIM:
     """Read imagery from one or several sources as one north-up image.
 
-    A source is a GeoTIFF, an image with a world file, an MBTiles file, a folder or a pattern of
-    such files, a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`), or the address of a tile
-    service (`https://host/{z}/{x}/{y}.png`); `Tiles` has options for tiles. Colours are resampled
-    by cubic convolution, after means over what is finer than the grid. Nodata, masks and alpha
-    leave holes; so do missing tiles and, among many files, those that cannot be read (with a
-    warning). Values of more than 8 bits are stretched from their 1st to 99th percentile in the
-    region, jointly over the bands and rasters of a source. Alpha bands are recognised by their
-    colour interpretation; other bands after the third are ignored.
+    A source is one of these:
+
+    - a GeoTIFF, an image with a world file, or an MBTiles file,
+    - a folder or a pattern of such files,
+    - a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`),
+    - the address of a tile service (`https://host/{z}/{x}/{y}.png`).
+
+    `Tiles` has options for tiles. Colours are averaged where a source is finer than the grid, then
+    resampled by cubic convolution. Nodata, masks and alpha leave holes; so do missing tiles and,
+    among many files, those that cannot be read (with a warning). Values of more than 8 bits are
+    stretched from their 1st to 99th percentile in the region, jointly over the bands and rasters of
+    a source. Alpha bands are recognised by their colour interpretation; other bands after the third
+    are ignored.
 
     Args:
         sources: one or several, the topmost first.
         world: plane of the image, with a CRS; None: the UTM zone of the imagery.
         corners: (N, 2) metres of `world`, whose bounds are covered; None: all the imagery.
         resolution: metres per pixel; None: that of the finest source there, to four digits.
-        crs: for sources that name no CRS, such as images with world files.
+        crs: CRS of sources that name none, such as images with world files.
         bands: number of the grey band or of the red, green and blue ones, from 1; None: by their
             colour interpretation, else the first three (the first of fewer).
 

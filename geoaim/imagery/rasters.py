@@ -22,9 +22,11 @@ from geoaim.raster_files import IMAGE_DRIVERS, open_raster_file
 from geoaim.world import LONLAT, World, choose_world, crs_from_world, transform_crs, world_from_crs
 
 SEQUENTIAL_DRIVERS = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # decode a file from its start
-MAX_BLOCK_PIXELS = 1_000_000_000  # of one block, which can only be decoded as a whole
-MIN_PIXEL_AREA = 1e-15  # in the units of a CRS; of a degree, 0.003 mm a side
-MAX_EXTENT_DEGREES = 6.0  # of longitude or latitude, read without a region: a UTM zone is as wide
+MAX_BLOCK_PIXELS = 1_000_000_000  # largest block; a block can only be decoded as a whole
+# smallest area of a pixel in units of the CRS; in degrees, pixels of 0.003 mm
+MIN_PIXEL_AREA = 1e-15
+# largest extent of longitude or latitude that is read without a region: the width of a UTM zone
+MAX_EXTENT_DEGREES = 6.0
 
 Outline = tuple[str, Float[Array, "m 2"]]  # a CRS, and points along an outline in it
 
@@ -38,7 +40,7 @@ class Raster:
     grid: Grid  # its pixels, mapped to coordinates in that CRS, x first
     bands: tuple[int, ...]  # number of the grey band, or of the red, green and blue ones, from 1
     dtype: str  # data type of these bands
-    options: Mapping[str, int] = field(default_factory=dict)  # of GDAL's driver
+    options: Mapping[str, int] = field(default_factory=dict)  # options of GDAL's driver
 
 
 def describe_raster(
@@ -53,12 +55,12 @@ def describe_raster(
 
     Args:
         path: the file.
-        crs: for a raster that names no CRS.
+        crs: CRS of a raster that names none.
         bands: one or three band numbers, from 1; None: by colour interpretation.
         georeference: CRS, and a (3, 3) matrix that maps the unit square, (0, 0) at the raster's
             top left and (1, 1) at its bottom right, to coordinates in that CRS, x first. None: the
             file's own, or that of the world file beside it.
-        options: of GDAL's driver.
+        options: options of GDAL's driver.
 
     Returns:
         The raster: its size, bands, data type and CRS, and the map from its pixels to the CRS.
@@ -240,7 +242,7 @@ def describe_extent(outlines: Sequence[Outline]) -> str:
 
 
 def measure_resolution(raster: Raster, region: Region) -> float:
-    """Measure metres a pixel of a raster in the middle of a region: the root of a pixel's area."""
+    """Measure metres per pixel of a raster in the middle of a region: root of a pixel's area."""
     middle = (region.points.min(axis=0) + region.points.max(axis=0)) / 2.0
     cross = middle + 5.0 * np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0], [0.0, 1.0]])
     points = Region(region.world, cross).to_crs(raster.crs)

@@ -17,7 +17,7 @@ from geoaim.errors import ImageryError
 from geoaim.geometry import image_corners, transform_points
 from geoaim.imagery.rasters import Raster, open_raster
 
-MIN_ALPHA = 0.5  # from which a pixel counts as covered
+MIN_ALPHA = 0.5  # a pixel of at least this alpha counts as covered
 KERNEL_PAD_PX = 6  # empty cells around what is read: beyond the kernel's reach at twice the cells
 STRETCH_SAMPLES_PX = 1000  # a side, of the pixels whose percentiles give the stretch
 PIXEL_CRS = rasterio.crs.CRS.from_wkt('LOCAL_CS["pixels",UNIT["metre",1]]')
@@ -59,7 +59,7 @@ def estimate_stretch(
 
 
 def unpremultiply(rgba: Float32[Array, "4 h w"]) -> UInt8[Array, "h w 3"]:
-    """Divide the colours of `resample_raster` by alpha; black where it is below `MIN_ALPHA`."""
+    """Divide the colours of `resample_raster` by alpha; black where alpha is below `MIN_ALPHA`."""
     colours = np.clip(np.rint(rgba[:3] / np.maximum(rgba[3], MIN_ALPHA)), 0, 255)
     return np.moveaxis(np.where(rgba[3] >= MIN_ALPHA, colours, 0), 0, -1).astype(np.uint8)
 

@@ -2,50 +2,35 @@
 
 import glob
 import os
-import re
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.errors import ImageryError, warn
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
 from geoaim.imagery.tile_service import Service, fetch_tiles
+from geoaim.imagery.tiles import (
+    MAX_ZOOM,
+    MERCATOR,
+    Georeference,
+    Tiles,
+    choose_zoom,
+    compute_tile_corners,
+    compute_world_fractions,
+    georeference_tile,
+    intersect_tiles,
+    list_tiles,
+)
 from geoaim.limits import refuse_damaged
 
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
-MERCATOR = "EPSG:3857"
-HALF_WORLD_M = 20037508.342789244  # from the middle of that CRS to its edges
-MAX_ZOOM = 30
-ZOOM_TOLERANCE = 0.02  # levels by which a zoom may be too coarse: 1.4 % of the resolution
-NUMBERS = r"(\d+){0}(\d+){0}(\d+)\.(?:png|jpe?g|webp)$"
-NESTED = re.compile("(?:^|/)" + NUMBERS.format("/"), re.IGNORECASE)  # z/x/y.png
-FLAT = re.compile("(?:^|[^0-9])" + NUMBERS.format("-"), re.IGNORECASE)  # NAME-x-y-z.png
-
-
-@dataclass(frozen=True)
-class Tiles:
-    """Square tiles in web Mercator (EPSG:3857), and how to read them."""
-
-    # a folder of `z/x/y.png` or `NAME-x-y-z.png` (or jpg, jpeg, webp), an MBTiles file, or a
-    # service's address with {z}, {x} and {y}
-    path: str | os.PathLike[str]
-    # level to read; when None, the coarsest that is not coarser than the wanted resolution, or else
-    # the finest that exists
-    zoom: int | None = None
-    tms: bool = False  # whether y counts from the south, as in the Tile Map Service scheme
-    tile_size: int = 256  # of a service, pixels
-    # folder in which a service's tiles are kept for 30 days
-    cache: str | os.PathLike[str] = "~/.cache/geoaim/tiles"
-
-
 Source = str | os.PathLike[str] | Tiles
-Georeference = tuple[str, Float[Array, "3 3"]]  # CRS, and the unit square to coordinates in it
 Describer = Callable[[str, Georeference | None], Raster]
 
 
@@ -53,10 +38,10 @@ Describer = Callable[[str, Georeference | None], Raster]
 class Layer:
     """The rasters of one source."""
 
-    name: str  # of the source in messages and reports
+    name: str  # the source's name in messages and reports
     rasters: tuple[Raster, ...]  # all of them, or the tiles that show the region
-    outlines: tuple[Outline, ...]  # of all that the source has, wherever it lies
-    zoom: int | None = None  # of tiles
+    outlines: tuple[Outline, ...]  # outlines of all data of the source, wherever they lie
+    zoom: int | None = None  # zoom level of tiles
     single: bool = False  # whether it is one file or service, which must be readable
     # names of those of many files that were left out with a warning
     unreadable: tuple[str, ...] = ()
@@ -74,10 +59,11 @@ def describe_source(
 
     Args:
         source: a file, folder, pattern, address of a service, or `Tiles`.
-        region: where imagery is wanted; None: everywhere, which a tile service refuses.
+        region: the ground for which imagery is wanted; None: all of it, which a tile service
+            refuses.
         resolution: wanted metres per pixel, which chooses the zoom level of tiles if a region is
             given; None: the finest there is. A tile service needs it, or `Tiles` with a zoom.
-        crs: of rasters that state none; None: such rasters are refused.
+        crs: CRS of rasters that name none; None: such rasters are refused.
         bands: numbers, from 1, of a grey band or of the red, green and blue bands; None: by the
             file's colour interpretation.
 
@@ -97,7 +83,7 @@ def describe_source(
         return describe_raster(file, crs=crs, bands=bands, georeference=georeference)
 
     if Path(path).is_dir():
-        numbered = sorted(_number_tiles(Path(path), tiles.tms))
+        numbered = sorted(list_tiles(Path(path), tiles.tms))
         if numbered:
             return _describe_tiles(tiles, numbered, region, resolution, describe)
         files = [f for f in sorted(Path(path).rglob("*")) if f.suffix.lower() in GEOTIFF_SUFFIXES]
@@ -141,7 +127,7 @@ def _outline_mbtiles(path: str, zoom: int | None) -> Float[Array, "4 2"]:
                 f"{path} has tile {right}/{top} at zoom {level}, which has none such"
             )
         low, high = np.array([left, 2**level - 1 - top]), np.array([right, 2**level - 1 - bottom])
-        return _compute_tile_corners(level, low, high + 1)
+        return compute_tile_corners(level, low, high + 1)
 
 
 def _describe_files(name: str, files: Sequence[str], describe: Describer) -> Layer:
@@ -182,15 +168,15 @@ def _describe_tiles(
 ) -> Layer:
     name = os.fspath(tiles.path)
     numbers = np.array([tile[:3] for tile in numbered])
-    inside = _intersect_tiles(numbers, region)
+    inside = intersect_tiles(numbers, region)
     levels = np.unique(numbers[inside if inside.any() else slice(None), 0])
-    zoom = _choose_zoom(tiles, levels, region, resolution)
+    zoom = choose_zoom(tiles, levels, region, resolution)
     if zoom not in levels:
         raise ImageryError(f"{name} has no tile of zoom {zoom} there; it has {levels.tolist()}")
     level = numbers[numbers[:, 0] == zoom, 1:]
-    corners = _compute_tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
+    corners = compute_tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
     chosen = [tile for tile, use in zip(numbered, inside, strict=True) if use and tile[0] == zoom]
-    files = ((path, _georeference_tile(z, x, y)) for z, x, y, path in chosen)
+    files = ((path, georeference_tile(z, x, y)) for z, x, y, path in chosen)
     rasters, unreadable = _describe_all(files, describe, name)
     return Layer(name, rasters, ((MERCATOR, corners),), zoom=zoom, unreadable=unreadable)
 
@@ -204,85 +190,27 @@ def _describe_service(
             f"{name} is a service of the whole Earth without a resolution of its own: give the "
             "world, the corners, and a resolution or Tiles(..., zoom=...)"
         )
-    zoom = _choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
+    zoom = choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
     service = Service(
         address=address.replace("{y}", "{-y}") if tiles.tms else address,
         name=name,
         tile_size=tiles.tile_size,
         cache=Path(tiles.cache),
     )
-    low, high = (limit * 2.0**zoom for limit in _compute_world_fractions(region))
+    low, high = (limit * 2.0**zoom for limit in compute_world_fractions(region))
     low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)
     high = np.clip(np.ceil(high) + 1, low + 1, 2**zoom).astype(int)
     numbers = [(x, y) for x in range(low[0], high[0]) for y in range(low[1], high[1])]
     rasters = tuple(
-        describe_raster(str(file), georeference=_georeference_tile(zoom, x, y))
+        describe_raster(str(file), georeference=georeference_tile(zoom, x, y))
         for x, y, file in fetch_tiles(service, zoom, numbers)
     )
     if not rasters:
         raise ImageryError(f"{name} has nothing but missing tiles there; choose another zoom")
-    outlines = ((MERCATOR, _compute_tile_corners(zoom, low, high)),)
+    outlines = ((MERCATOR, compute_tile_corners(zoom, low, high)),)
     return Layer(name, rasters, outlines, zoom=zoom, single=True)
 
 
 def _hide_query(address: str) -> str:
     """Remove the query of an address, which may hold keys."""
     return address.split("?")[0] if "://" in address else address
-
-
-def _number_tiles(folder: Path, tms: bool) -> Iterator[tuple[int, int, int, str]]:
-    """Zoom, x, y from the north, and path of each tile in a folder."""
-    for file in folder.rglob("*"):
-        name = file.relative_to(folder.parent).as_posix()
-        nested, flat = NESTED.search(name), FLAT.search(name)
-        if nested:
-            zoom, x, y = map(int, nested.groups())
-        elif flat:
-            x, y, zoom = map(int, flat.groups())
-        else:
-            continue
-        if zoom <= MAX_ZOOM and max(x, y) < 2**zoom:
-            yield zoom, x, 2**zoom - 1 - y if tms else y, str(file)
-
-
-def _intersect_tiles(tiles: Int[Array, "n 3"], region: Region | None) -> Bool[Array, "n"]:
-    """Which tiles (zoom, x, y) show a part of a region; None: all do."""
-    if region is None:
-        return np.ones(len(tiles), bool)
-    low, high = _compute_world_fractions(region)
-    size = np.exp2(tiles[:, :1])
-    return ((tiles[:, 1:] + 1 > low * size) & (tiles[:, 1:] < high * size)).all(axis=1)
-
-
-def _compute_world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-    """Least and greatest x and y of a region; times 2^zoom they are tile numbers."""
-    shares = (region.to_crs(MERCATOR) * [1.0, -1.0] + HALF_WORLD_M) / (2.0 * HALF_WORLD_M)
-    return shares.min(axis=0), shares.max(axis=0)
-
-
-def _compute_tile_corners(zoom: int, low: Array, high: Array) -> Float[Array, "4 2"]:
-    """Corners in EPSG:3857 of tiles from the first x and y to the last ones plus one."""
-    (left, top), (right, bottom) = (np.stack([low, high]) / 2.0**zoom * 2.0 - 1.0) * HALF_WORLD_M
-    return np.array([[left, -top], [right, -top], [right, -bottom], [left, -bottom]])
-
-
-def _georeference_tile(zoom: int, x: int, y: int) -> tuple[str, Float[Array, "3 3"]]:
-    """EPSG:3857, and the matrix from the unit square over a tile to metres in it."""
-    side = 2.0 * HALF_WORLD_M / 2**zoom
-    left, top = x * side - HALF_WORLD_M, HALF_WORLD_M - y * side
-    return MERCATOR, np.array([[side, 0.0, left], [0.0, -side, top], [0.0, 0.0, 1.0]])
-
-
-def _choose_zoom(
-    tiles: Tiles, levels: Int[Array, "n"], region: Region | None, resolution: float | None
-) -> int:
-    """The coarsest zoom level that is not coarser than wanted, or else the finest that exists."""
-    if tiles.zoom is not None:
-        return tiles.zoom
-    if resolution is None or region is None:
-        return int(levels.max())
-    low, high = _compute_world_fractions(region)
-    latitude = np.arctan(np.sinh(np.pi * (1.0 - low[1] - high[1])))
-    pixel = 2.0 * HALF_WORLD_M * np.cos(latitude) / tiles.tile_size  # metres, at zoom 0
-    fine = levels[levels >= np.log2(pixel / resolution) - ZOOM_TOLERANCE]
-    return int(fine.min() if fine.size else levels.max())

@@ -1,4 +1,4 @@
-"""Fetch tiles of a service into a cache; no host but that of its address is contacted."""
+"""Fetch tiles of a service into a cache; only the host in its address is contacted."""
 
 import hashlib
 import re
@@ -20,10 +20,10 @@ from geoaim.raster_files import open_raster_file
 
 CONNECTIONS = 4
 TIMEOUT_S = 20
-RETRIES = 2  # of a failed request
-MAX_AGE_S = 30 * 24 * 3600.0  # of a tile in the cache
+RETRIES = 2  # how often a failed request is repeated
+MAX_AGE_S = 30 * 24 * 3600.0  # older tiles in the cache are fetched again
 MAX_TILE_BYTES = 20_000_000
-MISSING_CODES = (204, 404)  # with which services answer for tiles that they do not have
+MISSING_CODES = (204, 404)  # HTTP codes by which services say that they do not have a tile
 TILE_DRIVERS = ("PNG", "JPEG", "WEBP")
 
 
@@ -31,7 +31,7 @@ TILE_DRIVERS = ("PNG", "JPEG", "WEBP")
 class Service:
     """A tile service."""
 
-    address: str  # with {z}, {x} and {y}, or {-y} where y counts from the south
+    address: str  # its URL with {z}, {x} and {y}, or {-y} where y counts from the south
     name: str  # used in messages; without access keys
     tile_size: int  # pixels
     cache: Path  # folder

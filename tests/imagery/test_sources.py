@@ -4,7 +4,7 @@ from rasterio.enums import Resampling
 
 from geoaim.errors import ImageryError
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.sources import Tiles
+from geoaim.imagery.tiles import Tiles
 from geoaim.world import transform_crs
 from tests.imagery.painted_ground import (
     BOX,

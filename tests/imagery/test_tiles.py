@@ -11,7 +11,7 @@ from geoaim.errors import GeoaimWarning, ImageryError
 from geoaim.geometry import transform_points
 from geoaim.imagery import tile_service
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.sources import Tiles
+from geoaim.imagery.tiles import Tiles
 from geoaim.world import choose_world, transform_crs, world_from_crs
 from tests.http_servers import run_servers
 from tests.imagery.painted_ground import (

@@ -19,7 +19,7 @@ from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
 from geoaim.world import World
 
-STRIP_ROWS = 2048  # that are read at a time
+STRIP_ROWS = 2048  # rows that are read at a time
 MASKED_SUFFIXES = {".png", ".tif", ".tiff"}  # may have masks; other pictures are turned upright
 
 
@@ -29,10 +29,10 @@ def georeference_picture(
     """Georeference a picture by control points.
 
     Args:
-        path: of the picture.
+        path: path of the picture.
         gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
         world: plane of the AIM; None: that which `estimate_georeference` chooses.
-        crs: of control points that name none.
+        crs: CRS of control points that name none.
 
     Returns:
         The picture as an AIM, not resampled; coverage is 1 where it is not masked.

@@ -40,19 +40,21 @@ from geoaim.mapping.registration.motion_models import (
 )
 
 MODELS: tuple[Model, ...] = ("translation", "rigid", "similarity", "affine", "homography")
-REFINEMENTS = 2  # on the finest grid
-MIN_MODEL_GAIN_PX = 0.1  # of the finest grid: a smaller gain is not worth a richer model
-MIN_SIGMA_PX = 0.1  # of the finest grid: a sensor's own geometry is no better known
+REFINEMENTS = 2  # number of refinements on the finest grid
+MIN_MODEL_GAIN_PX = 0.1  # pixels of the finest grid; a richer model must gain more than this
+MIN_SIGMA_PX = 0.1  # pixels of the finest grid; a sensor's own geometry is no better known
 CORRELATED_WINDOWS = 3.0  # windows that shadows and changes shift together
-SEARCH_STEP_PX = 1.5  # of the coarsest grid, at the ends of its longer side: rotations and scales
-MIN_SEPARATION_PX = 4  # of the coarsest grid, between candidates
-MAX_CANDIDATES = 4  # that are refined
-MAX_REFINED = 2  # that are kept after a refinement
-MIN_WINDOWS = 8  # that a refinement needs
-MAX_RIVAL_SHARE = 0.6  # of the best candidate's windows: a candidate with fewer is dropped
-REFINE_SEARCH_PX = 6  # in which windows are found when a candidate is refined
-AGREEMENT_PX = 1.5  # of the finest grid, within which a window agrees with a candidate
-VERIFY_SEARCH_PX = 10  # in which windows are found when agreements are counted
+# pixels of the coarsest grid at the ends of its longer side: step between rotations and scales
+SEARCH_STEP_PX = 1.5
+MIN_SEPARATION_PX = 4  # distance between candidates, pixels of the coarsest grid
+MAX_CANDIDATES = 4  # candidates that are refined
+MAX_REFINED = 2  # candidates that are kept after a refinement
+MIN_WINDOWS = 8  # windows that a refinement needs
+MAX_RIVAL_SHARE = 0.6  # a candidate with a smaller share of the best candidate's windows is dropped
+REFINE_SEARCH_PX = 6  # search radius for windows when a candidate is refined
+# a window within this distance agrees with a candidate, pixels of the finest grid
+AGREEMENT_PX = 1.5
+VERIFY_SEARCH_PX = 10  # search radius for windows when agreements are counted
 LOG10_TESTS = 2.0  # log10 of the number of places that are refined and tested
 MAX_LOG10_FALSE_ALARMS = -2.0  # log10 of the expected number of agreements by chance
 PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refused
@@ -75,8 +77,8 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
     """Estimate how imagery has to be moved to lie on an AIM of the same place.
 
     Args:
-        imagery: georeferenced roughly; of any sensor, day and resolution.
-        aim: georeferenced well, in the same world.
+        imagery: roughly georeferenced imagery of any sensor, day and resolution.
+        aim: an accurately georeferenced AIM in the same world.
         prior: how far off the imagery may be.
 
     Returns:
@@ -92,34 +94,36 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
 
 
 class MatchedWindows(NamedTuple):
-    """Windows of an AIM that were found in imagery and agree with one place of it."""
+    """Windows of a reference that were found in an image, and are inliers of one alignment."""
 
-    true: Float[Array, "M 2"]  # centres of the windows on the AIM, world metres
-    stated: Float[Array, "M 2"]  # where the imagery places the same ground, world metres
-    residuals: Float[Array, "M 2"]  # to the motion model that fits them, metres
+    in_reference: Float[Array, "M 2"]  # centres of the windows, world metres
+    in_image: Float[Array, "M 2"]  # where the image shows the same ground, world metres
+    residuals: Float[Array, "M 2"]  # distances from the fitted alignment, metres; y down
 
 
-def match_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> MatchedWindows:
-    """Find windows of an AIM in imagery of the same place, as `align_image` does.
+def match_image(image: AIM, reference: AIM, *, prior: Prior = DEFAULT_PRIOR) -> MatchedWindows:
+    """Find windows of a reference in an image of the same place, as `align_image` does.
 
     Args:
-        imagery: georeferenced roughly.
-        aim: in the same world.
-        prior: how far off the imagery may be.
+        image: a roughly georeferenced image.
+        reference: an AIM in the same world, which the image is matched to.
+        prior: how far off the image may be.
 
     Returns:
-        The windows that agree.
+        The windows that agree with the best alignment.
 
     Raises:
         AlignmentError: see `align_image`.
         ValueError: they lie in different worlds.
     """
-    best, finest, _ = _find_place(imagery, aim, prior)
+    best, finest, _ = _find_place(image, reference, prior)
     grid, (source, target, _) = finest.grid, best.matches
     motion = _fit_motion(best, finest)
     near = np.linalg.norm(motion.residuals, axis=1) < AGREEMENT_PX
-    true, stated = (transform_points(grid.world_from_grid, x[near]) for x in (source, target))
-    return MatchedWindows(true, stated, motion.residuals[near] * grid.resolution)
+    in_reference, in_image = (
+        transform_points(grid.world_from_grid, points[near]) for points in (source, target)
+    )
+    return MatchedWindows(in_reference, in_image, motion.residuals[near] * grid.resolution)
 
 
 def _find_place(imagery: AIM, aim: AIM, prior: Prior) -> tuple[_Candidate, Level, float]:
@@ -265,12 +269,12 @@ def _verify_candidates(candidates: list[_Candidate], level: Level, prior: Prior)
     return false_alarms
 
 
-def count_false_alarms(windows: float, agreeing: float) -> float:
-    """Compute log10 of the expected number of tests in which as many windows agree by chance.
+def compute_log_false_alarms(windows: float, agreeing: float) -> float:
+    """Compute log10 of the expected number of tests in which `agreeing` or more windows agree.
 
     A contrario (Desolneux, Moisan and Morel 2000): windows of unrelated images are found anywhere
     in the square that is searched. Two of them always agree with a fitted similarity.
-    `windows` and `agreeing` count windows that do not overlap.
+    `windows` and `agreeing` are effective numbers of independent windows, hence floats.
     """
     agreeing_by_chance = np.pi * AGREEMENT_PX**2 / (2 * VERIFY_SEARCH_PX + 1) ** 2
     hits = int(agreeing) - 2
@@ -282,7 +286,7 @@ def count_false_alarms(windows: float, agreeing: float) -> float:
 
 def _refuse_chance(best: _Candidate, level: Level, prior: Prior) -> float:
     independent = best.windows / level.overlap
-    false_alarms = count_false_alarms(independent, best.agreeing / level.overlap)
+    false_alarms = compute_log_false_alarms(independent, best.agreeing / level.overlap)
     if false_alarms <= MAX_LOG10_FALSE_ALARMS:
         return false_alarms
     counts = f"{best.agreeing} of {best.windows}"

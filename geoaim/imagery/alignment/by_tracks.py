@@ -29,26 +29,29 @@ from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
 from geoaim.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel of the grid
-ROTATION_STEP_M = 1.0  # between rotations, at the ends of the tracks
-TEMPERATURE = 120.0  # of the score, in the likelihood
-MIN_POSES = 100  # of moving vehicles
-MAX_SIGMA_SHARE = 0.6  # of the prior's standard deviation that may remain
+ROTATION_STEP_M = 1.0  # step between rotations, measured at the ends of the tracks
+TEMPERATURE = 120.0  # divides the score in the likelihood
+MIN_POSES = 100  # number of poses of moving vehicles
+# the result is too uncertain beyond this share of the prior's standard deviation
+MAX_SIGMA_SHARE = 0.6
 MIN_SIGMA_M = 0.2  # vehicles' boxes and paint are no better known
 VEHICLE_TYPES = (*AGENT_GROUPS["vehicle"], "motorcycle")
 MIN_SPEED_M_S = 1.0  # the heading of a standing vehicle says nothing of the road
 CELL_SIZE = (1.0, 1.0, np.pi / 8)  # m, m and rad: poses within one cell count once
-HALF_LANE_M = 1.65  # from a path to the lane's markings
-MARKING_SIGMA_M = 0.45  # of that distance
-CENTER_SIGMA_M = 0.55  # around a path, where no edges are
-HALF_BODY_M = 1.0  # to each side of a path that is driven over
-TEMPLATE_REACH_M = 6.0  # to each side of a path
-CLASSES = 16  # of surfaces
-FEATURE_WEIGHTS = (0.5, 2.0, 2.0, 12.0)  # of lightness, both of colour, and roughness
-COLOUR_SIGMA_M = 0.35  # of the Gaussian before colours are compared
+HALF_LANE_M = 1.65  # distance from a path to the lane's markings
+MARKING_SIGMA_M = 0.45  # standard deviation of that distance
+# standard deviation of the strip around a path in which no edges are expected
+CENTER_SIGMA_M = 0.55
+HALF_BODY_M = 1.0  # half the width of the strip that vehicles drive over
+TEMPLATE_REACH_M = 6.0  # half the width of the template along a path
+CLASSES = 16  # number of surface classes
+# weights of lightness, the two colour components and roughness
+FEATURE_WEIGHTS = (0.5, 2.0, 2.0, 12.0)
+COLOUR_SIGMA_M = 0.35  # standard deviation of the Gaussian filter before colours are compared
 ROUGHNESS_PX = 9  # side of the square whose standard deviation is the roughness
 CLASS_PIXELS = 20_000  # pixels from which the classes are learned
 MIN_CLASS_SHARE = 0.003  # added to the share of each class, so that none is impossible
-MIN_GRID_VALID_SHARE = 0.05  # of the ground around the tracks
+MIN_GRID_VALID_SHARE = 0.05  # share of the ground around the tracks that the imagery must show
 
 
 class _PathTemplate(NamedTuple):
@@ -63,13 +66,13 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
     """Estimate how imagery has to be moved to lie under the tracks of vehicles.
 
     Args:
-        imagery: georeferenced roughly.
-        tracks: in the same world; only moving vehicles are used.
+        imagery: roughly georeferenced imagery.
+        tracks: tracks in the same world; only moving vehicles are used.
         prior: how far off the imagery may be; its scale is taken as right.
 
     Returns:
-        The mean of the posterior, with its covariance; along a direction in which the tracks do not
-        tell the place the imagery stays where it is. `evidence` has the keys poses and
+        The mean of the posterior, with its covariance; in a direction in which the tracks do not
+        determine the place, the imagery is not moved. `evidence` has the keys poses and
         rotation_sigma_degrees.
 
     Raises:
@@ -147,7 +150,7 @@ def _draw_template(poses: Float[Array, "M 3"], grid: Grid) -> _PathTemplate:
     left, top = (int(n) - 1 for n in np.floor(pixels.min(axis=0)))
     right, bottom = (int(n) + 1 for n in np.ceil(pixels.max(axis=0)))
     marking = np.exp(-(((np.abs(sides) - HALF_LANE_M) / MARKING_SIGMA_M) ** 2) / 2)
-    doubled = -2 * heading - np.pi  # of an edge along the path, v down
+    doubled = -2 * heading - np.pi  # doubled orientation of an edge along the path, v down
     shape = len(poses), len(sides)
     wanted = [
         np.cos(doubled) * marking,

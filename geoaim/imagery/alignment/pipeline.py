@@ -26,7 +26,7 @@ from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.world import World
 
-TRACK_MARGIN_M = 20.0  # around tracks that the map shows
+TRACK_MARGIN_M = 20.0  # distance from the tracks to the edges of the map
 
 
 class _ReadOptions(TypedDict, total=False):
@@ -34,7 +34,7 @@ class _ReadOptions(TypedDict, total=False):
 
     # metres per pixel; with control points the picture is resampled north up
     resolution: float | None
-    crs: str | None  # of imagery, or of control points, that name none
+    crs: str | None  # CRS of imagery or of control points that name none
     # numbers of the grey band, or of the red, green and blue ones, from 1
     bands: Sequence[int] | None
 
@@ -65,8 +65,8 @@ def align_tiles(
     Args:
         tiles: what `read_imagery` takes; with control points one picture, which needs no
             georeference.
-        tracks: of vehicles.
-        aim: of the same place, on any day.
+        tracks: tracks of vehicles.
+        aim: an AIM of the same place, from any day.
         gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
         prior: how far off the imagery may be.
         options: `resolution` (metres per pixel; None: that of the imagery), `crs` (of imagery or

@@ -22,13 +22,13 @@ WINDOW_PX = 64  # side of a window
 COARSEST_PX = 128  # longer side of the coarsest grid, at most about
 MIN_COARSEST_PX = 32  # shorter side of the coarsest grid
 FINEST_STEP = 0.8  # pixels of the coarser image for one of the finest grid
-MAX_WINDOWS = 300  # on one grid, about
+MAX_WINDOWS = 300  # approximate number of windows on one grid
 
 
 class Level(NamedTuple):
     """A grid of the pyramid."""
 
-    grid: Grid  # in the world
+    grid: Grid  # the grid in the world
     reference: Float32[Array, "H W 2"]  # orientation channels of the AIM on the grid
     image: GreyImage  # the imagery, smoothed for the grid
 
@@ -53,8 +53,8 @@ def build_pyramid(imagery: AIM, aim: AIM, prior: Prior) -> list[Level]:
     """Build grids over the ground that both may share, from coarse to fine.
 
     Args:
-        imagery: to be aligned.
-        aim: that it is aligned to.
+        imagery: the imagery to align.
+        aim: the AIM that it is aligned to.
         prior: how far off the imagery may be.
 
     Returns:

@@ -26,8 +26,8 @@ class ImageryAlignment(Display):
 
     true_from_stated: Float[Array, "3 3"]  # metres; stated = by the image's own georeference
     model: Model  # the simplest motion model that the evidence supports
-    covariance: Float[Array, "2 2"]  # of a point of the imagery, square metres
-    center: Float[Array, "2"]  # of the ground that the evidence comes from, metres
+    covariance: Float[Array, "2 2"]  # covariance of a point of the imagery, square metres
+    center: Float[Array, "2"]  # centre of the ground that the evidence comes from, metres
     # numbers that the alignment rests on, for the report
     evidence: Mapping[str, Any] = field(default_factory=dict)
 
@@ -42,7 +42,7 @@ class ImageryAlignment(Display):
 
     @property
     def undetermined_direction(self) -> float | None:
-        """Radians from east of the direction in which the place is unknown; None if it is known."""
+        """Direction in which the place is unknown, radians from east; None if it is known."""
         variances, directions = np.linalg.eigh(self.covariance)
         if variances[1] < MAX_SIGMA_M**2:
             return None

@@ -20,25 +20,26 @@ from geoaim.aim import AIM
 from geoaim.geometry import to_opencv
 from geoaim.grid import Grid
 
-SHADOW_RADIUS_M = 10.0  # of the local mean, to which darker pixels are raised
-GRADIENT_SIGMA_PX = 0.7  # of the Gaussian before the gradient
+SHADOW_RADIUS_M = 10.0  # radius of the local mean, to which darker pixels are raised
+GRADIENT_SIGMA_PX = 0.7  # standard deviation of the Gaussian filter before the gradient
 EROSION_PX = 5  # side of the square of valid pixels that a gradient needs around it
-MIN_WINDOW_VALID_SHARE = 0.6  # of a window's pixels
-STEP_TOLERANCE = 1e-6  # of a grid's pixels to those of an image, whose resolution is rounded
-MIN_CURVATURE = 1e-4  # of a correlation peak: a flatter one has no position
+MIN_WINDOW_VALID_SHARE = 0.6  # smallest share of valid pixels in a window
+# tolerance of the ratio of a grid's pixel size to an image's, whose resolution is rounded
+STEP_TOLERANCE = 1e-6
+MIN_CURVATURE = 1e-4  # a correlation peak that is flatter has no position
 
 
 class WindowShifts(NamedTuple):
     """Where windows of one image were found in another."""
 
-    centers: Float[Array, "M 2"]  # of the windows, pixels of the grid
-    # to where they were found, pixels; NaN where the peak has no position
+    centers: Float[Array, "M 2"]  # centres of the windows, pixels of the grid
+    # shifts to where the windows were found, pixels; NaN where the peak has no position
     shifts: Float[Array, "M 2"]
     information: Float[Array, "M 2 2"]  # sharpness of the peaks: low along a straight edge
 
 
 class GreyImage(NamedTuple):
-    """Grey values of an image, smoothed for grids of one resolution."""
+    """Grey values of an image, low-pass filtered for sampling at one resolution."""
 
     grey: Float32[Array, "H W"]  # brightness
     valid: UInt8[Array, "H W"]  # 255 where the image shows ground
@@ -46,7 +47,11 @@ class GreyImage(NamedTuple):
 
 
 def reduce_to_grey(aim: AIM, resolution: float) -> GreyImage:
-    """Convert an AIM to grey, smoothed (and shrunk) for grids of `resolution` metres per pixel."""
+    """Convert an AIM to grey, for sampling every `resolution` metres without aliasing.
+
+    The image is low-pass filtered, and first reduced by a whole factor where its pixels are at most
+    half as large.
+    """
     grey: Array = cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY)
     valid: Array = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
     matrix, step = aim.grid.grid_from_world, resolution / aim.resolution
@@ -76,7 +81,7 @@ def resample_grey(
     """Resample a misplaced image to a grid as if its position had been corrected.
 
     Args:
-        image: to be resampled.
+        image: the image to resample.
         stated_from_true: (3, 3) true world metres of the ground to those where the image places it.
         grid: H x W pixels in the world.
 
@@ -103,7 +108,7 @@ def compute_orientation(
 
     Args:
         grey: (H, W) brightness.
-        valid: (H, W) where it is valid.
+        valid: (H, W) which pixels are valid.
         resolution: metres per pixel.
 
     Returns:
@@ -137,14 +142,15 @@ def match_windows(
 ) -> WindowShifts:
     """Find windows of a reference in an image, each within a few pixels of its own place.
 
-    Windows without edges in much of either are left out. A paraboloid refines each peak.
+    Windows are left out unless both images have edges in `MIN_WINDOW_VALID_SHARE` of their pixels.
+    A paraboloid refines each peak.
 
     Args:
         reference: (H, W, 2) orientation channels that are divided into windows.
         image: (H, W, 2) orientation channels on the same grid.
-        side: of a window, pixels.
+        side: side of a window, pixels.
         search: largest shift in x and in y, pixels.
-        stride: between windows, pixels.
+        stride: distance between windows, pixels.
 
     Returns:
         The shifts; NaN for a window whose best place is at the end of the search or on a ridge.

@@ -6,7 +6,7 @@ from scipy.stats import binom
 
 from geoaim.errors import AlignmentError
 from geoaim.geometry import transform_points
-from geoaim.imagery.alignment.by_image import align_image, count_false_alarms
+from geoaim.imagery.alignment.by_image import align_image, compute_log_false_alarms
 from geoaim.imagery.alignment.pipeline import apply_alignment
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.world import World
@@ -122,8 +122,8 @@ def test_different_worlds_are_refused():
 
 def test_false_alarms_follow_the_binomial_tail():
     share = 3.14159265 * 1.5**2 / 21**2
-    assert count_false_alarms(40, 12) == pytest.approx(
+    assert compute_log_false_alarms(40, 12) == pytest.approx(
         2 + binom.logsf(9, 40, share) / 2.302585093, abs=1e-6
     )
-    assert count_false_alarms(40, 2) == 2.0
-    assert count_false_alarms(600, 600) == -298.0
+    assert compute_log_false_alarms(40, 2) == 2.0
+    assert compute_log_false_alarms(600, 600) == -298.0
