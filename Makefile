@@ -45,7 +45,7 @@ test: lint
 # old versions beside new ones warn; the documentation and the layers need tools of their own
 test-lowest: .venv-lowest/installed
 	$(LOWEST_BIN)/python -m pytest -n auto --dist loadfile -o filterwarnings=default \
-		--disable-warnings --ignore tests/test_docs.py --ignore tests/test_architecture.py $(TESTS)
+		--disable-warnings --doctest-ignore-import-errors --ignore tests/test_docs.py --ignore tests/test_architecture.py $(TESTS)
 
 coverage: install
 	$(BIN)/python -m pytest -n auto --dist loadfile --cov=geoaim \
@@ -64,7 +64,7 @@ layers: install
 	$(BIN)/lint-imports
 
 docs: install
-	$(BIN)/python -m mkdocs build --strict --quiet
+	$(BIN)/python -m mkdocs build --strict
 	@echo "Open build/site/index.html"
 
 install: .venv/installed

@@ -57,7 +57,7 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Fill in tables, lists and formulas."""
     # what stands before a comment on its line is for readers of the sources
     writers = {"options": write_options, "table": write_results}
-    pattern = r"^.*<!-- (options|table): (\w+) -->$"
+    pattern = r"^.*<!-- (options|table): (\w+(?: \w+)?) -->$"
     markdown = re.sub(pattern, lambda m: writers[m[1]](m[2]), markdown, flags=re.M)
     lists = {"decisions": write_decisions, "packages": write_packages}
     pattern = r"^.*<!-- (decisions|packages) -->$"
@@ -130,11 +130,15 @@ class Parameter:
 
 
 def list_commands() -> dict[str, Callable[..., Any]]:
-    """The function of each command by the command's name."""
+    """The function of each command by the command's name; of a group's, by both names."""
     commands = {}
-    for info in app.registered_commands:
-        assert info.callback is not None
-        commands[info.name or info.callback.__name__.replace("_", "-")] = info.callback
+    groups = [("", app)]
+    groups += [(f"{g.typer_instance.info.name} ", g.typer_instance) for g in app.registered_groups]
+    for prefix, group in groups:
+        for info in group.registered_commands:
+            assert info.callback is not None
+            name = info.name or info.callback.__name__.replace("_", "-")
+            commands[prefix + name] = info.callback
     return commands
 
 

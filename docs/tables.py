@@ -141,6 +141,8 @@ def write_stability(results: Row) -> str:
 
 
 SOURCES = {"robustness": "registration", "length": "pipeline"}
+SOURCES |= {f"catalog_{name}": "catalog" for name in ("losses", "store", "rows")}
+SOURCES |= {"plan_country": "unit_costs", "plan_recordings": "unit_costs"}
 SOURCES |= {f"{name}_sizes": name for name in ("registration", "background", "georeference")}
 TABLES: dict[str, Callable[[Row], str]] = {
     "registration": write_registration,
@@ -154,6 +156,11 @@ TABLES: dict[str, Callable[[Row], str]] = {
     "registration_sizes": write_sizes,
     "background_sizes": write_sizes,
     "stability": write_stability,
+    "catalog_losses": lambda results: write_rows(results["losses"]),
+    "catalog_store": lambda results: write_rows(results["store"]),
+    "catalog_rows": lambda results: write_rows(results["rows_of_tables"]),
+    "plan_country": lambda results: write_rows(results["country"]),
+    "plan_recordings": lambda results: write_rows(results["recordings"]),
 }
 
 

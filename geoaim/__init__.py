@@ -40,6 +40,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from geoaim import catalog as catalog
     from geoaim import hdmap as hdmap
     from geoaim import imagery as imagery
     from geoaim import mapping as mapping
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from geoaim import simulation as simulation
     from geoaim import synthetic as synthetic
     from geoaim import track_formats as track_formats
+    from geoaim import tracking as tracking
     from geoaim.aim import AIM as AIM
     from geoaim.aim_files import read_aim as read_aim
     from geoaim.aim_files import write_aim as write_aim
@@ -73,8 +75,10 @@ if TYPE_CHECKING:
     from geoaim.rectification import rectify as rectify
     from geoaim.simulation.scene import Scene as Scene
     from geoaim.simulation.scene import make_scene as make_scene
+    from geoaim.texture_files import read_texture as read_texture
     from geoaim.track_files import write_tracks as write_tracks
     from geoaim.track_formats.formats import read_tracks as read_tracks
+    from geoaim.tracking.pipeline import track_video as track_video
     from geoaim.tracks import Tracks as Tracks
     from geoaim.web.widget import explore as explore
     from geoaim.web.widget import pick as pick
@@ -102,6 +106,7 @@ _MODULE_OF_NAME = {
     "make_scene": "geoaim.simulation.scene",
     "open_video": "geoaim.mapping.video.video",
     "read_aim": "geoaim.aim_files",
+    "read_texture": "geoaim.texture_files",
     "read_control_points": "geoaim.mapping.georeference.control_points",
     "read_detections": "geoaim.mapping.video.detections",
     "read_hdmap": "geoaim.hdmap.lanelet2",
@@ -110,10 +115,14 @@ _MODULE_OF_NAME = {
     "read_tracks": "geoaim.track_formats.formats",
     "rectify": "geoaim.rectification",
     "register": "geoaim.mapping.registration.register",
+    "track_video": "geoaim.tracking.pipeline",
     "write_aim": "geoaim.aim_files",
     "write_tracks": "geoaim.track_files",
 }
-_ROOMS = ["hdmap", "imagery", "mapping", "prediction", "simulation", "synthetic", "track_formats"]
+_ROOMS = [
+    *("catalog", "hdmap", "imagery", "mapping", "prediction", "simulation", "synthetic"),
+    *("track_formats", "tracking"),
+]
 __all__ = [*_MODULE_OF_NAME, *_ROOMS]
 
 

@@ -1,4 +1,4 @@
-"""Which agent types are vehicles, pedestrians and cyclists."""
+"""Agent types: their groups (vehicle, pedestrian, cyclist), typical sizes and colours."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,15 +6,15 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray as Array
 
-# types by group: models control groups, and `make_layers` draws them; the colours of pictures are
-# by type (`TYPE_COLOURS`). All other types, motorcycles too, are OTHER
+# types by group: a model controls one group, and `make_layers` draws each group as a layer. Types
+# that are in no group, motorcycles too, are OTHER
 AGENT_GROUPS: Mapping[str, tuple[str, ...]] = {
     "vehicle": ("car", "van", "truck", "bus"),
     "pedestrian": ("pedestrian",),
     "cyclist": ("cyclist",),
 }
 OTHER = "other"
-# red, green and blue, 0 to 1; unlike those of lights and of markings, which are yellow and white
+# red, green and blue, 0 to 1; unlike the colours of lights and markings, which are yellow and white
 TYPE_COLOURS: Mapping[str, tuple[float, float, float]] = {
     "car": (0.1, 0.35, 0.9),
     "van": (0.3, 0.6, 1.0),
@@ -24,6 +24,16 @@ TYPE_COLOURS: Mapping[str, tuple[float, float, float]] = {
     "cyclist": (0.0, 0.85, 0.85),
 }
 OTHER_COLOUR = (0.55, 0.2, 0.75)
+# length and width in metres of agents whose size a file does not give
+TYPICAL_SIZES: Mapping[str, tuple[float, float]] = {
+    "car": (4.5, 1.8),
+    "van": (5.5, 2.0),
+    "truck": (8.0, 2.5),
+    "bus": (12.0, 2.5),
+    "motorcycle": (2.1, 0.8),
+    "cyclist": (1.8, 0.65),
+}
+OTHER_SIZE = (0.5, 0.5)
 
 
 def find_group(agent_type: str) -> str:
@@ -42,7 +52,7 @@ def get_colour(agent_type: str) -> tuple[float, float, float]:
 
 
 def select_group(agent_types: Sequence[str], group: str) -> Bool[Array, "N"]:
-    """Mark the agents that belong to a group.
+    """Select the agents of a group, as a mask.
 
     >>> select_group(("car", "pedestrian", "bus"), "vehicle")
     array([ True, False,  True])

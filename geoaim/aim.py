@@ -61,8 +61,8 @@ class AIM(Display):
         object.__setattr__(self, "report", plain)
 
     def explore(self, **contents: Any) -> Any:
-        """Show it in a notebook, to move in, zoom and play; `geoaim.explore` has the arguments."""
-        # by name: the widget stands above maps, which never import torch
+        """Show the map in a notebook, to pan, zoom and play; arguments as in `geoaim.explore`."""
+        # imported by name, since the widget uses torch, which maps never import
         return import_module("geoaim.web.widget").explore(self, **contents)
 
     @classmethod
@@ -79,7 +79,7 @@ class AIM(Display):
             image: (H, W, 3) RGB.
             world_from_image: (3, 3) pixels to world metres.
             world: the plane that those metres lie in.
-            source: where the image comes from; the only entry of the report.
+            source: where the image comes from, such as a file's name; the only entry of the report.
 
         Returns:
             The AIM.
@@ -95,7 +95,10 @@ class AIM(Display):
 
     @property
     def corners(self) -> Float[Array, "4 2"]:
-        """Corner frame: image corners in world metres, top-left, then clockwise in the image."""
+        """(4, 2) world coordinates (m) of the image's corners.
+
+        Top-left, top-right, bottom-right, bottom-left.
+        """
         return self.grid.corners
 
     @property
@@ -109,7 +112,7 @@ class AIM(Display):
         return bool(np.array_equal(self.world_from_image[2], [0.0, 0.0, 1.0]))
 
     def summarize(self) -> dict[str, str]:
-        """Summarize its size, its world, how it was made and how accurate it is."""
+        """Summarize the map's size, its world, how it was made and how accurate it is."""
         height, width = self.image.shape[:2]
         edges = np.roll(self.corners, -1, axis=0) - self.corners
         across, down = np.linalg.norm(edges, axis=1).reshape(2, 2).mean(axis=0)

@@ -29,7 +29,7 @@ from geoaim.rectification import rectify
 from geoaim.world import World
 
 FORMAT = FileFormat("AIM", 1, 2, first_checked=2, error=AimError, editable=True)
-BYTES_PER_PIXEL = 12  # while an AIM is read
+BYTES_PER_PIXEL = 12  # memory needed to read an AIM
 BANDS = ("red", "green", "blue", "alpha", "contested", "coverage, low byte", "coverage, high byte")
 
 

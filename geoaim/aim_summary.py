@@ -14,8 +14,8 @@ def summarize_report(report: Mapping[str, Any]) -> Lines:
     """Summarize the report of an AIM: how it was made and how accurate it is.
 
     Returns:
-        Text of a value with its unit, by its name, such as "worst corner": "top left of the frame,
-        0.40 m"; in the order of the stages. Stages that the report lacks are left out.
+        For each name, a value with its unit as text, such as "worst corner": "top left of the
+        frame, 0.40 m"; in the order of the stages. Stages that the report lacks are left out.
     """
     lines: Lines = {}
     if registration := report.get("registration"):
@@ -50,7 +50,7 @@ def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
             f"{uncertainty['worst_corner']} of the frame, {uncertainty['worst_corner_m']:.2f} m; "
             f"with a point there {uncertainty['worst_corner_with_point_there_m']:.2f} m"
         )
-    else:  # of version 0.1
+    else:  # a report of version 0.1
         bound = max(georeference["corner_uncertainty_m"])
         lines["corner uncertainty"] = f"{bound:.2f} m (95 %)"
     if georeference["points"]:

@@ -3,7 +3,7 @@
     dv/dt = a [1 - (v / v0)^4 - (s* / s)^2],    s* = s0 + max(0, v T + v dv / (2 sqrt(a b)))
 
 v is the speed, v0 the desired one, s the gap to the leader and dv the speed at which it closes.
-This file computes s* / s, for numpy arrays and torch tensors alike; `simulation/policies.py` and
+This file computes s* / s, for numpy arrays and torch tensors alike; `simulation/idm.py` and
 `synthetic/traffic/driving.py` compute the acceleration from it.
 """
 
@@ -19,7 +19,7 @@ ArrayOrTensor = Any  # numpy.ndarray or torch.Tensor; torch must not be imported
 class DriverParameters:
     """How a driver follows others.
 
-    The simulator's values are `DRIVER` in `simulation/policies.py`. Those of synthetic traffic are
+    The simulator's values are `DRIVER` in `simulation/idm.py`. Those of synthetic traffic are
     in `synthetic/traffic`: `MAX_ACCELERATION` and `STANDSTILL_GAP_M` in `driving.py`,
     `COMFORTABLE_BRAKING` in `vehicles.py`; `simulate.py` draws the headway of each driver.
     """
@@ -33,13 +33,14 @@ class DriverParameters:
 def compute_gap_ratio(
     driver: DriverParameters, speed: ArrayOrTensor, closing_speed: ArrayOrTensor, gap: ArrayOrTensor
 ) -> ArrayOrTensor:
-    """Divide the gap that a driver desires by the one it has: s* / s.
+    """Compute the ratio of the gap that a driver desires to the actual gap, s* / s.
 
     Args:
         driver: its parameters.
-        speed: (...) of the driver, m/s.
+        speed: (...) the driver's speed, m/s.
         closing_speed: (...) its speed minus that of the leader, m/s.
-        gap: (...) to the leader, metres; infinite without one, and at least `MIN_GAP_M`.
+        gap: (...) gap to the leader, metres; infinite where there is none. Gaps below `MIN_GAP_M`
+            count as `MIN_GAP_M`.
 
     Returns:
         (...) the ratio; its square times the maximum acceleration is the braking term. Arguments

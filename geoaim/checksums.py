@@ -49,11 +49,11 @@ def write_checksum(path: Path) -> None:
 
 
 def verify_checksum(path: str | os.PathLike[str], file_format: FileFormat) -> bool:
-    """Tell whether a file has a checksum.
+    """Verify the checksum of a file; return False if it has none.
 
     Raises:
-        GeoaimError: it has one that does not match (`file_format.error`). In an editable format, a
-            file that another program rewrote is accepted.
+        GeoaimError: the checksum does not match; the type is `file_format.error`. In an editable
+            format, a file that another program rewrote is accepted.
     """
     check_regular(path, file_format.error)
     if os.path.getsize(path) == 0:
@@ -90,8 +90,8 @@ def check_version(
         has_checksum: whether `verify_checksum` found one.
 
     Raises:
-        GeoaimError: the version cannot be read, or has a checksum that this file lacks
-            (`file_format.error`).
+        GeoaimError: this version cannot be read, or its files have checksums and this one has none;
+            the type is `file_format.error`.
     """
     name, oldest, newest = file_format.name, file_format.oldest, file_format.newest
     if not isinstance(stated, int) or not oldest <= stated <= newest:

@@ -1,3 +1,3 @@
-"""Defaults that the command shares with the library, where it can read them without torch."""
+"""Defaults of `geoaim.prediction` that commands show in their help without importing torch."""
 
-SAMPLES = 6  # futures that a prediction draws, as in the paper
+SAMPLES = 6  # futures that a prediction samples, as in the paper

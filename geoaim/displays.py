@@ -1,4 +1,4 @@
-"""What maps, tracks and results show of themselves: facts, a plot, and both in Jupyter."""
+"""How maps, tracks and results show themselves: a line of facts, a plot, and both in Jupyter."""
 
 import base64
 import io
@@ -9,25 +9,25 @@ from typing import TYPE_CHECKING, ClassVar
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-REPR_FACTS = 4  # in a repr
+REPR_FACTS = 4  # number of facts in a repr
 THUMBNAIL_INCHES, THUMBNAIL_DPI = (5.6, 3.6), 80
 
 
 class Display(ABC):
-    """A class of data that shows its facts in one line, and beside a picture in Jupyter."""
+    """Base class of data: its repr is a line of facts, and Jupyter shows them beside a plot."""
 
     is_map: ClassVar[bool] = True  # whether it is drawn in metres of a world
 
     @abstractmethod
     def summarize(self) -> dict[str, str]:
-        """Summarize it: text of a value with its unit, by its name."""
+        """Summarize the object: for each name, a value with its unit as text."""
 
     @abstractmethod
     def _draw(self, axes: "Axes") -> None:
         """Draw it in axes; maps in metres of the axes' world (`move_to_axes`)."""
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
-        """Draw it in matplotlib axes; maps in metres, x east and y north.
+        """Draw the object in matplotlib axes; maps in metres, x east and y north.
 
         Axes keep the world of what is drawn in them first; what lies in another world is moved
         there. So an AIM and tracks with different origins come to lie on each other:
@@ -42,7 +42,7 @@ class Display(ABC):
             The axes.
 
         Raises:
-            GeoreferenceError: only one of the two has a CRS.
+            GeoreferenceError: only one of the axes' world and the object's world has a CRS.
         """
         from geoaim.map_axes import add_legend, add_scale_bar
 

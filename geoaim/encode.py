@@ -10,6 +10,8 @@ from numpy import ndarray as Array
 
 from geoaim.files import atomic_write
 
+ENCODER_THREADS = 2  # of x264, whose output depends on their number: else on the machine's cores
+
 
 def write_video(
     frames: Iterable[UInt8[Array, "H W 3"]],
@@ -28,7 +30,7 @@ def write_video(
         frame_rate: frames per second.
         crf: constant rate factor of x264, 0 to 51; lower is better.
         megabits: bit rate in Mbit/s instead of `crf`.
-        keyframe_interval: frames from one keyframe to the next; None makes it a second.
+        keyframe_interval: frames from one keyframe to the next; None: those of one second.
 
     Returns:
         `path`.
@@ -40,6 +42,7 @@ def write_video(
         options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
         stream = container.add_stream("libx264", rate, options=options)
         stream.pix_fmt = "yuv420p"
+        stream.thread_count = ENCODER_THREADS
         for index, frame in enumerate(frames):
             if index == 0:
                 stream.height, stream.width = frame.shape[:2]

@@ -54,6 +54,10 @@ class ImageryError(GeoaimError):
     """Imagery cannot be read, or lies elsewhere than needed."""
 
 
+class CatalogError(GeoaimError):
+    """A table of recordings, or a catalogue, cannot be read."""
+
+
 class ModelError(GeoaimError):
     """A file is not a prediction model, or has another version."""
 

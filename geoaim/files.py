@@ -59,7 +59,8 @@ def atomic_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
     No file that exists is changed or removed.
 
     Raises:
-        ValueError: `check_new_folder` refuses the folder, before the block or after it.
+        ValueError: the folder holds files, is a file, or is not writable; checked before and after
+            the block.
     """
     folder = Path(folder).resolve()
     check_new_folder(folder)
@@ -90,7 +91,7 @@ def check_writable(path: Path) -> None:
     """Check that a file or folder may be made in the folder in which it lies, or would lie.
 
     Raises:
-        ValueError: that is a file, or may not be written to.
+        ValueError: that folder is a file, or may not be written to.
     """
     folder = next(parent for parent in path.absolute().parents if parent.exists())
     if not folder.is_dir():

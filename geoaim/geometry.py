@@ -47,7 +47,7 @@ def transform_boxes(
 
 
 def image_corners(height: float, width: float) -> Float[Array, "4 2"]:
-    """Corners of an image in pixels: top-left, top-right, bottom-right, bottom-left."""
+    """List the corners of an image in pixels: top-left, top-right, bottom-right, bottom-left."""
     return np.array([[0.0, 0.0], [width, 0.0], [width, height], [0.0, height]])
 
 

@@ -44,7 +44,7 @@ class Grid:
 
     @property
     def resolution(self) -> float:
-        """Metres a pixel in the middle of the grid: the root of the area of a pixel."""
+        """Metres per pixel in the middle of the grid: the square root of a pixel's area."""
         matrix = self.world_from_grid
         *point, scale = matrix @ [self.width / 2, self.height / 2, 1.0]
         jacobian = (matrix[:2, :2] - np.outer(np.divide(point, scale), matrix[2, :2])) / scale
@@ -95,9 +95,9 @@ def fit_affine(grid: Grid, world: World, crs: str) -> tuple[Float[Array, "3 3"],
     """Fit an affine map from the pixels of a grid to a CRS.
 
     Args:
-        grid: whose coordinates are metres of the world.
-        world: with a CRS of its own.
-        crs: of the map's coordinates.
+        grid: a grid whose coordinates are metres of the world.
+        world: a world with a CRS.
+        crs: CRS of the map's coordinates.
 
     Returns:
         (3, 3) least-squares fit at 5 x 5 places of the grid, and its largest error there in pixels.

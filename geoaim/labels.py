@@ -18,9 +18,9 @@ def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) 
     """Write each point's name beside it, where it covers no point and no other name.
 
     Args:
-        axes: whose figure has its layout.
-        points: in the axes' data.
-        names: of the points.
+        axes: axes of a figure whose layout is done.
+        points: (M, 2) points in the data coordinates of the axes.
+        names: the names to write beside the points.
 
     Returns:
         The texts; none of points that are not finite.

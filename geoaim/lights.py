@@ -7,7 +7,8 @@ The plain table has a row for each change; a light keeps its state until its nex
     24.5,east,yellow
 
 SinD's tables (github.com/SOTIF-AVLab/SinD) have a row for each time at which any light changes and
-a column for each light, whose name is that of the signal.
+a column for each light, whose name is that of the signal. KIT's `signal_phases` have a row for each
+signal group and time, with a movement state of SAE J2735.
 """
 
 import os
@@ -39,6 +40,17 @@ COLUMNS = ["time", "signal", "state"]
 MIN_STOP_LINE_M = 0.1  # degrees mistaken for metres are shorter
 SIND_TIME = "timestamp(ms)"
 SIND_LIGHT = "traffic light"
+KIT_COLUMNS = ["timestamp_ms", "signal_group_id", "movement_state"]
+KIT_STATES = {
+    "STOP_AND_REMAIN": "red",
+    "STOP_THEN_PROCEED": "red",
+    "PRE_MOVEMENT": "red",  # red and yellow, just before green
+    "PERMISSIVE_MOVEMENT_ALLOWED": "green",
+    "PROTECTED_MOVEMENT_ALLOWED": "green",
+    "PERMISSIVE_CLEARANCE": "yellow",
+    "PROTECTED_CLEARANCE": "yellow",
+}
+MAX_LISTED_LINES = 8
 SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
 
 
@@ -46,7 +58,7 @@ SIND_STATES = {"0": "red", "1": "green", "3": "yellow"}
 class StopLine:
     """A line at which a signal stops traffic; a signal may have several."""
 
-    signal: str
+    signal: str  # its name, as in `Lights`
     ends: Float[Array, "2 2"]  # both ends, metres in the world
 
 
@@ -99,7 +111,7 @@ def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLin
     """Read stop lines drawn by hand in GeoJSON: lines with the property `signal`, its name.
 
     The file is in longitude and latitude, or in metres for a world without a CRS. Of a line with
-    bends the two ends count.
+    bends, only the two ends are used.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -129,10 +141,10 @@ def read_stop_lines(path: str | os.PathLike[str], world: World) -> tuple[StopLin
 
 
 def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: World) -> Lights:
-    """Read states of traffic lights from a plain table or one of SinD's.
+    """Read states of traffic lights from a plain table, one of SinD's or KIT's `signal_phases`.
 
     Args:
-        path: a CSV file with the columns time (s), signal and state, or a table of SinD with
+        path: a CSV file with the columns time (s), signal and state, or a table of SinD or KIT with
             times in milliseconds.
         lines: stop lines of the signals, from `read_stop_lines` or `HDMap.stop_lines`; signals of
             the table without a line are left out.
@@ -151,11 +163,11 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
     signals = list(dict.fromkeys(rows["signal"]))
     used = [line for signal in signals for line in lines if line.signal == signal]
     if not used:
-        given = ", ".join(dict.fromkeys(line.signal for line in lines))
-        available = f"stop lines were given of {given}" if given else "no stop lines were given"
+        example = str(signals[0]) if signals else "east"
         raise TracksError(
             f"{path}: none of the signals {', '.join(map(str, signals))} has a stop line; "
-            f"{available}"
+            f"{_describe_lines(lines)}. Draw a line for each signal in GeoJSON, with the property "
+            f"'signal' such as {example!r}, and give that as stop lines (--stop-lines)"
         )
     rows = rows.drop_duplicates().assign(state=rows["state"].map(STATES.index))
     states = rows.pivot(index="time", columns="signal", values="state").ffill().fillna(UNKNOWN)
@@ -169,12 +181,21 @@ def read_lights(path: str | os.PathLike[str], lines: Sequence[StopLine], world: 
     )
 
 
+def _describe_lines(lines: Sequence[StopLine]) -> str:
+    """Describe which stop lines there are, and where."""
+    if not lines:
+        return "no stop lines were given"
+    places = [(line.signal, *line.ends.mean(axis=0)) for line in lines[:MAX_LISTED_LINES]]
+    named = ", ".join(f"{name} at ({x:.0f}, {y:.0f}) m" for name, x, y in places)
+    return f"stop lines were given of {named}{', ...' if len(lines) > len(places) else ''}"
+
+
 def read_light_changes(path: str | os.PathLike[str]) -> pd.DataFrame:
     """Read the changes of lights, without their places: the columns time (s), signal and state.
 
     Raises:
         FileNotFoundError: there is no such file.
-        TracksError: as of `read_lights`.
+        TracksError: as in `read_lights`.
     """
     path = Path(path)
     with name_file(path):
@@ -215,9 +236,19 @@ def _read_rows(path: Path) -> pd.DataFrame:
         rows["time"] = pd.to_numeric(rows[SIND_TIME], errors="coerce") / 1000
         rows = rows.melt("time", lights, "signal", "state").dropna(subset="state")
         rows["state"] = rows["state"].replace(SIND_STATES)
+    if set(KIT_COLUMNS) <= set(rows.columns):
+        rows = _convert_kit_rows(rows)
     if not set(COLUMNS) <= set(rows.columns):
         raise TracksError(
             f"{path} has the columns {', '.join(rows.columns)}; {', '.join(COLUMNS)} are needed, "
-            f"or SinD's {SIND_TIME} and lights"
+            f"or SinD's {SIND_TIME} and lights, or KIT's {', '.join(KIT_COLUMNS)}"
         )
     return rows[COLUMNS].assign(time=pd.to_numeric(rows["time"], errors="coerce"))
+
+
+def _convert_kit_rows(table: pd.DataFrame) -> pd.DataFrame:
+    """Convert KIT's signal phases to the changes among them."""
+    time = pd.to_numeric(table["timestamp_ms"], errors="coerce") / 1000
+    state = table["movement_state"].replace(KIT_STATES)
+    rows = pd.DataFrame({"time": time, "signal": table["signal_group_id"], "state": state})
+    return rows[rows["state"] != rows.groupby("signal")["state"].shift()]

@@ -8,9 +8,10 @@ from geoaim.errors import GeoaimError
 
 MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
 DEFAULT_MAX_GB = 1.0
-MAX_RATIO = 300  # of bytes in memory to bytes of the file; flat colours compress so well
+# bytes in memory per byte of the file at most; images of one colour compress this well
+MAX_RATIO = 300
 MAX_REASON_CHARS = 300
-MAX_POSITION_M = 1e8  # from the origin; the Earth's circumference is 4e7 m
+MAX_POSITION_M = 1e8  # distance from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
 
@@ -40,13 +41,13 @@ def check_memory(
     Args:
         path: the file.
         needed: bytes of memory that the file's header implies.
-        size: of the file, bytes.
+        size: size of the file, bytes.
         error_type: type of the error that is raised.
         content: what the header states, such as "60000 x 60000 pixels".
 
     Raises:
-        GeoaimError: it needs more than `read_memory_limit` and than `MAX_RATIO` times its size; of
-            the type `error_type`.
+        GeoaimError: the file needs more than both `read_memory_limit` and `MAX_RATIO` times its
+            size; the type is `error_type`.
     """
     if needed > max(read_memory_limit(), MAX_RATIO * size):
         raise error_type(
@@ -63,7 +64,7 @@ def check_regular(path: str | os.PathLike[str], error_type: type[GeoaimError]) -
 
 @contextmanager
 def name_file(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Make errors of data that are raised in the block one line that names the file."""
+    """Make the message of a `GeoaimError` in the block one line that names the file."""
     try:
         yield
     except GeoaimError as error:
@@ -87,15 +88,16 @@ def refuse_damaged(
         path: the file.
         error_type: type of the error that is raised.
         needed: what the file should be, such as "a GeoTIFF".
-        reads_once: whether the block reads the file from begin to end, so that it may be a pipe.
+        reads_once: whether the block reads the file once from start to end, so that it may be a
+            pipe.
 
     Yields:
         Nothing.
 
     Raises:
-        GeoaimError: of the type `error_type`, where the block raised any error other than a
-            GeoaimError, a warning, or one of a missing or forbidden file; these stay as they are,
-            but for the file's name.
+        GeoaimError: the block raised an error; the type is `error_type`. A GeoaimError, a warning,
+            and an error about a missing or forbidden file are raised as they are, with the file's
+            name.
     """
     if os.path.isdir(path):
         raise error_type(f"{path} is a folder; {needed} is needed")

@@ -14,21 +14,21 @@ from geoaim.geometry import transform_points
 from geoaim.grid import Grid, make_north_up_grid
 from geoaim.world import World, change_world
 
-LONGER_SIDE_PX = 1200  # of an image as it is drawn
-USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # of control points
-SCALE_BAR_SHARE = 0.3  # of the width of the axes, at most
+LONGER_SIDE_PX = 1200  # longer side of an image as it is drawn
+USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # colours of control points
+SCALE_BAR_SHARE = 0.3  # largest share of the axes' width
 _worlds: WeakKeyDictionary[Axes, World] = WeakKeyDictionary()
 
 
 def move_to_axes(
     axes: Axes, points: Float[Array, "*any 2"], world: World | None
 ) -> Float[Array, "*any 2"]:
-    """Move points to the world of the axes, which is that of what was first drawn in them.
+    """Move points to the world of the axes: the world of what was first drawn in them.
 
     Args:
-        axes: to draw in.
+        axes: the axes to draw in.
         points: (..., 2) metres.
-        world: the plane of the points; None: they are in that of the axes.
+        world: the plane of the points; None: they are in the world of the axes.
 
     Returns:
         (..., 2) metres in the world of the axes.
@@ -49,10 +49,10 @@ def draw_image(
     covered: Bool[Array, "H W"],
     bounds: Float[Array, "2 2"] | None = None,
 ) -> None:
-    """Draw an image of the ground north up, by nearest pixels; nothing where it is not covered.
+    """Draw an image of the ground north up, by nearest pixels; uncovered ground is left empty.
 
     Args:
-        axes: in whose world it is drawn.
+        axes: the axes to draw in; the image is drawn in their world.
         image: (H, W, 3) RGB.
         grid: its pixels in the world.
         covered: (H, W) pixels to draw.
@@ -87,11 +87,11 @@ def draw_lines(
     """Draw lines in metres of the axes' world, with one entry in the legend.
 
     Args:
-        axes: to draw in.
+        axes: the axes to draw in.
         lines: points along each of them, (..., 2).
-        colour: of all of them.
-        width: of a line, points.
-        label: in the legend; empty: none.
+        colour: colour of all lines.
+        width: line width, points.
+        label: name in the legend; empty: none.
     """
     drawn = LineCollection(list(lines), colors=[colour], linewidths=width, label=label or None)
     axes.add_collection(drawn)
@@ -102,7 +102,7 @@ def label_place(axes: Axes, name: str, place: Float[Array, "2"]) -> None:
     """Write a name beside a place, in white on a dark ground.
 
     Args:
-        axes: to draw in.
+        axes: the axes to draw in.
         name: what is written.
         place: (2,) metres of the axes' world.
     """

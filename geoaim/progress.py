@@ -8,7 +8,7 @@ from html import escape
 from importlib import import_module
 from typing import Any, TypeVar
 
-MIN_INTERVAL_S = 0.2  # between two drawings of the bars
+MIN_INTERVAL_S = 0.2  # time between two drawings of the bars
 Item = TypeVar("Item")
 Progress = Callable[[str, float, float | None], None]  # stage, done, total if it is known
 
@@ -53,10 +53,10 @@ def notebook_progress(stage: str, done: float, total: float | None) -> None:
 class _Cell:
     """The bars below a cell of a notebook."""
 
-    number: int  # of its execution
+    number: int  # number of the cell's execution
     stages: dict[str, tuple[float, float | None]] = field(default_factory=dict)  # done, total
-    handle: Any = None  # by which they are redrawn
-    drawn: float = 0.0  # when, s
+    handle: Any = None  # handle by which the bars are redrawn
+    drawn: float = 0.0  # time of the last drawing, s
 
 
 _cells: dict[str, _Cell] = {}
@@ -75,10 +75,10 @@ def _format_bars(cell: _Cell) -> str:
 def report_each(
     items: Iterable[Item], progress: Progress, stage: str, total: float | None
 ) -> Iterator[Item]:
-    """Yield items, and report the number of each before it is yielded.
+    """Yield items; before each, report how many have been yielded, this one included.
 
     Args:
-        items: of any kind.
+        items: items of any kind.
         progress: takes stage, done and total.
         stage: its name.
         total: number of items; None if unknown.

@@ -21,10 +21,11 @@ from geoaim.tracks import Tracks
 
 MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands beside it
 RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
-LONGEST_RESIDUAL = 0.2  # of the map's width, as drawn
-RASTER_STRIDE = 4  # of the pixels of the coverage that are drawn
+# length of the longest residual as it is drawn, as a share of the map's width
+LONGEST_RESIDUAL = 0.2
+RASTER_STRIDE = 4  # every fourth pixel of the coverage is drawn, in both directions
 LONGER_SIDE_PX = 900
-SQUARES_PER_SIDE = 10  # of the checkerboard, along the longer side
+SQUARES_PER_SIDE = 10  # squares of the checkerboard along the longer side
 TRACK_COLOUR = "#ff6a00"
 Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
 
@@ -74,7 +75,7 @@ def _draw_points(axes: Axes, points: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _draw_path(axes: Axes, registration: Mapping[str, Any]) -> None:
-    """Draw where the frames' centres lie, from that of the first one."""
+    """Draw where the frames' centres lie, relative to the first one's."""
     axes.set_title("no drift in the report", fontsize=9, loc="left")
     path = np.array(sorted(registration.get("path", [])), float).reshape(-1, 3)
     if len(path):
@@ -123,8 +124,8 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
 
     Args:
         imagery: the result of `align_tiles`; without an alignment in its report, both are alike.
-        aim: in the same world; shown in every other square of a checkerboard.
-        tracks: in the same world; drawn on top.
+        aim: an AIM in the same world, shown in every other square of a checkerboard.
+        tracks: tracks in the same world, drawn on top.
 
     Returns:
         The figure, with the stated position on the left and the aligned one on the right.

@@ -24,7 +24,7 @@ SIGNATURES = {  # first bytes of files, by GDAL's driver
 IMAGE_DRIVERS = tuple(SIGNATURES)
 SETTINGS = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # .ovr and .msk beside a file may name others
-    "GDAL_PAM_ENABLED": "NO",  # and so may .aux.xml
+    "GDAL_PAM_ENABLED": "NO",  # .aux.xml files may do the same
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
     "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",  # else a truncated JPEG ends in grey
 }

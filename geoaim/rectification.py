@@ -13,8 +13,8 @@ from geoaim.geometry import to_opencv, transform_points
 from geoaim.grid import make_north_up_grid
 
 BLOCK_PX = 1024  # side of the blocks that are resampled at a time
-SAMPLES_PER_SIDE = 33  # of the image, where pixel sizes are measured
-MIN_ALPHA = 0.01  # below it a pixel has no colour of its own
+SAMPLES_PER_SIDE = 33  # pixel sizes are measured at so many places along each side of the image
+MIN_ALPHA = 0.01  # a pixel of lower alpha has no colour of its own
 
 
 def rectify(aim: AIM, resolution: float | None = None) -> AIM:
@@ -75,7 +75,7 @@ def sample_nearest(
     Args:
         raster: (H, W) or (H, W, C), of a type that OpenCV warps: uint8, uint16 or float.
         image_from_grid: (3, 3) pixels of the grid to pixels of the raster (corner origin).
-        shape: (height, width) of the grid.
+        shape: (height, width) of the grid, pixels.
 
     Returns:
         (height, width) or (height, width, C) pixels of the grid.

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width")
+# further columns of tracks that state them
+OBSERVED_COLUMNS = ("observed_x", "observed_y", "observed_heading", "observed_speed")
+SEEN_COLUMN = "seen"
+UNCERTAINTY_COLUMNS = ("position_sigma", "heading_sigma")
 TICKS_PER_S = 1e6  # times that fall on the same tick are one time
 MIN_HEADING_SPEED = 0.3  # m/s; slower motion has no usable direction
 MAX_STATES = 200_000_000  # agents times steps; more is a broken file, or one that must be cut
@@ -41,6 +45,13 @@ class Tracks(Display):
             others are allowed, and belong to no group of `geoaim.agent_types`.
         ids: N unique names.
         world: the plane of x and y.
+        observed: (N, T, 4) the states as they are known at each time, from the rows until then;
+            NaN also where an agent was not yet seen for long enough. Predictions start from these.
+            None: they are `states`, since the file has headings and speeds.
+        seen: (N, T) whether the agent was detected at each time; where it is present and was not,
+            the state bridges a gap. None: not stated.
+        uncertainty: (N, T, 2) standard deviations of each coordinate of the position (m) and of the
+            heading (rad); pi where the heading may be any, or its opposite. None: not stated.
 
     Raises:
         ValueError: shapes do not match, times do not increase, a present state is not finite, a
@@ -54,6 +65,9 @@ class Tracks(Display):
     types: tuple[str, ...]
     ids: tuple[str, ...]
     world: World
+    observed: Float[Array, "N T 4"] | None = None
+    seen: Bool[Array, "N T"] | None = None
+    uncertainty: Float[Array, "N T 2"] | None = None
 
     def __post_init__(self) -> None:
         agents, steps = len(self.ids), len(self.times)
@@ -74,16 +88,36 @@ class Tracks(Display):
             raise ValueError("a length or width is not a positive number of metres")
         if not (np.diff(self.times) > 0).all() or not np.isfinite(self.times).all():
             raise ValueError("times do not increase; sort the steps and drop repeated ones")
+        if np.shape(observed := self.get_observed()) != (agents, steps, 4):
+            raise ValueError(f"observed has the shape {observed.shape}; that of states is needed")
+        for name, shape in {"seen": (agents, steps), "uncertainty": (agents, steps, 2)}.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise ValueError(f"{name} has the shape {np.shape(value)}; {shape} is needed")
         if not np.isfinite(self.states[self.present]).all():
             raise ValueError("a state is not finite where its agent is present")
 
-    def to_frame(self) -> pd.DataFrame:
-        """Make a table with a row for each agent and time at which it is present (`COLUMNS`)."""
+    def get_observed(self) -> Float[Array, "N T 4"]:
+        """Get the states as they are known at each time, from the rows until then."""
+        return self.states if self.observed is None else self.observed
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Make a table with a row for each agent and time at which it is present (`COLUMNS`).
+
+        Tracks that state them have the columns `OBSERVED_COLUMNS`, `SEEN_COLUMN` and
+        `UNCERTAINTY_COLUMNS` too.
+        """
         agent, step = np.nonzero(self.present)
         values = np.column_stack([self.times[step], self.states[agent, step], self.sizes[agent]])
         frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
         frame.insert(0, "id", np.array(self.ids, object)[agent])
         frame.insert(1, "type", np.array(self.types, object)[agent])
+        if self.observed is not None:
+            frame[list(OBSERVED_COLUMNS)] = self.observed[agent, step]
+        if self.seen is not None:
+            frame[SEEN_COLUMN] = self.seen[agent, step].astype(int)
+        if self.uncertainty is not None:
+            frame[list(UNCERTAINTY_COLUMNS)] = self.uncertainty[agent, step]
         return frame
 
     def summarize(self) -> dict[str, str]:
@@ -131,12 +165,20 @@ def describe_times(times: Float[Array, "T"]) -> str:
 
 
 def estimate_heading(
-    velocity: Float[Array, "N T 2"], *, min_speed: float = MIN_HEADING_SPEED
+    velocity: Float[Array, "N T 2"], *, min_speed: float = MIN_HEADING_SPEED, causal: bool = False
 ) -> Float[Array, "N T"]:
     """Estimate headings from velocities (m/s); below `min_speed` they have no usable direction.
 
     A slow agent keeps the direction of its last motion. Before its first motion it has the
     direction of that motion; an agent that never moves has 0.
+
+    Args:
+        velocity: m/s.
+        min_speed: m/s.
+        causal: whether agents have 0 before their first motion, so that no later step is used.
+
+    Returns:
+        Headings, radians.
 
     >>> estimate_heading(np.array([[[0.0, 2.0], [0.0, 0.0]]])).round(2)
     array([[1.57, 1.57]])
@@ -146,6 +188,6 @@ def estimate_heading(
     heading = np.where(moving, np.arctan2(north, east), np.nan)
     steps = np.arange(heading.shape[1])
     last = np.maximum.accumulate(np.where(moving, steps, -1), axis=1)
-    first = np.argmax(moving, axis=1)[:, None]
+    first = np.zeros_like(last) if causal else np.argmax(moving, axis=1)[:, None]
     filled = np.take_along_axis(heading, np.where(last < 0, first, last), axis=1)
     return np.where(np.isfinite(filled), filled, 0.0)

@@ -15,7 +15,8 @@ from geoaim.limits import MAX_POSITION_M
 
 LONLAT = "EPSG:4326"
 ORIGIN_STEP_M = 100.0  # origins are multiples of this
-MAX_SCALE_ERROR = 0.01  # of a metre in the CRS against one on the ground
+# largest difference between a metre in the CRS and one on the ground, as a share
+MAX_SCALE_ERROR = 0.01
 # what makes PROJ open files: grids and legacy definitions; "@null" is no grid
 CRS_FILES = re.compile(r"(?i)grids\s*=\s*(?!@null\b)|init\s*=\s*(?!epsg:\d)|PARAMETERFILE")
 MAX_NAME_CHARS = 40  # a longer CRS text, such as WKT, is called by its name
@@ -91,7 +92,7 @@ def find_utm_crs(longitude: float, latitude: float) -> str:
 
 
 def describe_crs_problem(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> str:
-    """Describe why a CRS cannot be that of a `World`, and what to use; "" when it can.
+    """Describe why a CRS cannot be the CRS of a `World`, and what to use; "" when it can.
 
     Raises:
         GeoreferenceError: it is no CRS at all.
@@ -199,7 +200,7 @@ def world_from_crs(
     Args:
         world: the world to convert to.
         points: (M, 2), x first whatever the CRS's axis order.
-        crs: the CRS of the points; None for that of the world.
+        crs: the CRS of the points; None for the world's CRS.
 
     Returns:
         (M, 2) metres from the world's origin.
@@ -225,7 +226,7 @@ def crs_from_world(
     Args:
         world: the world of the points.
         points: (M, 2) metres from its origin.
-        crs: the CRS to convert to; None for that of the world.
+        crs: the CRS to convert to; None for the world's CRS.
 
     Returns:
         (M, 2) coordinates, x first whatever the CRS's axis order.

@@ -21,6 +21,17 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
+@pytest.fixture(params=["compiled", "torch"])
+def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Draw by the compiled loops, then by torch alone."""
+    from geoaim.simulation import birdview
+
+    if request.param == "compiled":
+        pytest.importorskip("numba")
+    monkeypatch.setattr(birdview, "_has_kernel", lambda: request.param == "compiled")
+    return request.param
+
+
 @pytest.fixture
 def decoded_packets(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     """The packets of videos that are decoded from now on."""

@@ -77,6 +77,20 @@ def test_sinds_recordings_have_three_seconds_of_yellow(data_folder, table, count
     assert not (lights.states == GREEN).all(axis=1).any()
 
 
+def test_kits_signal_phases_are_read(tmp_path):
+    phases = ["STOP_AND_REMAIN", "STOP_AND_REMAIN", "PRE_MOVEMENT", "PERMISSIVE_MOVEMENT_ALLOWED"]
+    phases += ["PROTECTED_MOVEMENT_ALLOWED", "PERMISSIVE_CLEARANCE", "STOP_AND_REMAIN"]
+    rows = [f"{group},{100 * k},{state}\n" for group in (1, 2) for k, state in enumerate(phases)]
+    table = "signal_group_id,timestamp_ms,movement_state\n" + "".join(rows)
+    line = StopLine("2", np.array([[0.0, 0], [3, 0]]))
+    lights = _read(tmp_path, table, [line])
+    assert lights.names == ("2",)
+    np.testing.assert_allclose(lights.times, [0, 0.3, 0.5, 0.6])
+    assert lights.states[:, 0].tolist() == [RED, GREEN, YELLOW, RED]
+    with pytest.raises(TracksError, match=r"no time in seconds or a state other than.*DARK"):
+        _read(tmp_path, table + "2,900,DARK\n", [line])
+
+
 def test_hand_drawn_stop_lines_are_read(tmp_path):
     world, path = World("EPSG:32635", (500000.0, 5900000.0)), tmp_path / "lines.geojson"
     lines = [Feature(LineString(line.ends), {"signal": "east"}) for line in LINES]
@@ -134,7 +148,11 @@ def test_bundled_lights_stop_traffic_at_the_maps_lines():
         ("time,signal,state\n1e39,a,red\n", "1 rows have no time"),
         ("time,signal,state\n0,a,red\n0,a,green\n", "two states at one time.*red.*green"),
         ("time,signal,state\n0,a,red,9\n", "is not a table of traffic lights"),
-        ("time,signal,state\n0,c,red\n", "none of the signals c has a stop line.*a, b"),
+        (
+            "time,signal,state\n0,c,red\n",
+            r"none of the signals c has a stop line; stop lines were given of a at \(2, 0\) m, "
+            r"b at \(2, 9\) m. Draw a line .* property 'signal' such as 'c', and give that as stop",
+        ),
         ("", "is not a table of traffic lights"),
     ],
 )

@@ -28,6 +28,7 @@ from geoaim.mapping.registration.patches import align_patches, make_template, sh
 from geoaim.mapping.video.frames import Frame
 from geoaim.rectification import rectify
 from geoaim.synthetic import exact
+from geoaim.tracking.frame_poses import view_aim
 from geoaim.web.picking.snap import snap_to_corner
 from geoaim.world import World
 from tests.conftest import textured
@@ -43,6 +44,7 @@ PROBED = {  # files that warp or match, and the tests here that would see a bias
     "mapping/registration/features.py": ["test_features_of_a_turned_image_match_without_bias"],
     "mapping/registration/patches.py": ["test_patches_find_a_known_transform_without_bias"],
     "rectification.py": ["test_rectified_pixels_lie_where_the_grid_says"],
+    "tracking/frame_poses.py": ["test_view_of_an_aim_lies_where_its_transform_says"],
     "web/picking/snap.py": ["test_a_click_moves_to_the_corner_of_drawn_squares"],
 }
 EXEMPT = {  # measurements, whose results their own checks would show
@@ -56,7 +58,7 @@ EXEMPT = {  # measurements, whose results their own checks would show
     "bench/stability/warped.py": "tests/bench/test_stability.py compares frames with the truth",
     "bench/georeference.py": "control points on both sides have the corner origin",
     "bench/queue_clips.py": "places of cars, which need no fraction of a pixel",
-    "mapping/registration/rivals.py": "peaks of whole pixels; patches measure the rest",
+    "mapping/registration/placement_comparison.py": "whole pixels; patches measure the rest",
 }
 SHIFTED = np.array([[2.0, 0.1, 3.3], [-0.1, 2.0, -4.6], [0, 0, 1.0]])  # twice as large, and turned
 OBLIQUE = np.array([[2.0, 0, 3.3], [0, 2.0, -4.6], [2e-4, 1e-4, 1.0]])
@@ -140,6 +142,14 @@ def test_rectified_pixels_lie_where_the_grid_says(aim, resolution):
     places = transform_points(image.world_from_image, coordinates(*image.coverage.shape))
     expected = transform_points(np.linalg.inv(aim.world_from_image), places)
     assert bias(image.image, expected) < MAX_BIAS_PX
+
+
+@pytest.mark.parametrize("frame_from_aim", [SHIFTED, OBLIQUE])
+def test_view_of_an_aim_lies_where_its_transform_says(frame_from_aim):
+    aim_from_frame, covered = np.linalg.inv(frame_from_aim), np.ones((100, 120), bool)
+    view, _ = view_aim(ramp(), covered, aim_from_frame, (200, 240))
+    expected = transform_points(aim_from_frame, coordinates(200, 240))
+    assert bias(view, expected) < MAX_BIAS_PX
 
 
 def grid_over(aim: AIM, resolution: float) -> tuple[Grid, np.ndarray]:

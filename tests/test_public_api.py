@@ -23,8 +23,10 @@ FUNCTIONS = [
     "make_scene",
     "open_video",
     "read_aim",
+    "read_texture",
     "read_control_points",
     "read_detections",
+    "track_video",
     "read_hdmap",
     "read_imagery",
     "read_lights",
@@ -35,6 +37,7 @@ FUNCTIONS = [
     "write_tracks",
 ]
 SUBPACKAGES = [
+    "catalog",
     "hdmap",
     "imagery",
     "mapping",
@@ -42,6 +45,7 @@ SUBPACKAGES = [
     "simulation",
     "synthetic",
     "track_formats",
+    "tracking",
 ]
 ERRORS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass)]
 PACKAGE = Path(geoaim.__file__).parent
@@ -116,8 +120,8 @@ def test_a_notebook_needs_only_the_package():
 
 
 def test_name_that_does_not_exist_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'build_map'"):
-        geoaim.build_map  # noqa: B018
+    with pytest.raises(AttributeError, match="no attribute 'no_such_name'"):
+        geoaim.no_such_name  # noqa: B018
 
 
 def test_one_except_clause_catches_every_error_about_data():

@@ -1,1 +1,1 @@
-"""Speed against accuracy, and where methods break: one script a question."""
+"""Benchmarks: speed against accuracy, and where methods break; one script per question."""

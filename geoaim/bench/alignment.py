@@ -1,4 +1,4 @@
-r"""Accuracy, refusals and speed of aligning imagery to an AIM or to tracks.
+r"""Accuracy, failures and speed of aligning imagery to an AIM or to tracks.
 
     python -m geoaim.bench.alignment --json docs/bench/alignment.json \
         --chart docs/images/alignment.png
@@ -33,8 +33,8 @@ from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
 
 PLACES_PER_KIND, TRIALS = 4, 4  # synthetic places of each kind; misplacements of each pair
-MIN_INLIERS = 10  # of feature matches
-MAX_REPROJECTION_ERROR_PX = 2.0  # of an inlier
+MIN_INLIERS = 10  # number of feature matches
+MAX_REPROJECTION_ERROR_PX = 2.0  # largest error of an inlier
 FEATURES = 5000
 
 Method = Callable[[Pair], tuple[Float[Array, "3 3"], float]]
@@ -168,7 +168,7 @@ def main(json: JsonFile = None, chart: ChartFile = None) -> None:
         print(format_table(measured) + "\n", flush=True)
     write_rows(rows, json, command="python -m geoaim.bench.alignment")
     if chart is not None:
-        # of the others, over half of the cases were refused
+        # methods that refused over half of the cases are not shown
         shown = [row for row in compared if row["median, px"] is not None]
         panels = {f"{compared[0]['cases']} synthetic pairs of other days and sensors": shown}
         labels = ("s for a pair", "median error, px")

@@ -29,7 +29,7 @@ class Pair:
     aim: AIM  # the AIM
     picture: AIM  # misplaced
     stated_from_true: Float[Array, "3 3"]  # metres, by which it is misplaced
-    tracks: Tracks | None = None  # of a minute of traffic there
+    tracks: Tracks | None = None  # a minute of traffic there
 
 
 def misplace_picture(pair: Pair, generator: np.random.Generator) -> Pair:

@@ -29,7 +29,7 @@ from geoaim.tracks import Tracks
 ECC_RESOLUTION = 0.5  # m a pixel
 MAX_SHIFT_M, MAX_ROTATION_DEGREES = 10.0, 3.0
 SONGDO_ROAD_RADIANS = np.radians(50.2)  # direction of the road from east
-SONGDO_MARGIN_M = 40.0  # of the orthophoto around the tracks
+SONGDO_MARGIN_M = 40.0  # margin of the orthophoto around the tracks
 
 
 def measure_rotterdam(folder: Path, trials: int = 5) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""Backgrounds of real sequences, which have no truth: methods are compared with each other."""
+"""Backgrounds of real sequences without ground truth: methods are compared with each other."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

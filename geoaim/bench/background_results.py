@@ -1,4 +1,4 @@
-"""Backgrounds beside other methods and by the number of frames: tables and charts."""
+"""Backgrounds of several methods and by the number of frames: tables and charts."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ import pandas as pd
 from geoaim.bench.background import SEEDS, STANDING, make_clips, measure_methods
 from geoaim.bench.background_real import measure_real
 from geoaim.bench.charts import draw_fronts, draw_sizes
-from geoaim.bench.curves import average_methods, judge_choices, mark_fronts, summarise_sizes
+from geoaim.bench.curves import average_methods, judge_choices, mark_pareto_fronts, summarise_sizes
 from geoaim.bench.data import find_data
 from geoaim.bench.drawn_queue import draw_queue
 from geoaim.bench.queue_clips import QueueClip, paste_queue
@@ -22,10 +22,10 @@ from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.sampling import FrameCount
 from geoaim.progress import Progress
 
-FRAMES = 64  # of a clip, as many as "auto" takes at most
+FRAMES = 64  # frames of a clip, as many as "auto" takes at most
 COUNTS = (8, 16, 32, 64)
 TOLERANCE = 1.0  # grey levels, of the choice of the number of frames
-SHARES = (0.0, 0.2, 0.4, STANDING)  # of the time that queues stand
+SHARES = (0.0, 0.2, 0.4, STANDING)  # shares of the time that queues stand
 AXES = ("ms of a processor a frame", "RMSE where queues stood, grey levels")
 
 
@@ -49,7 +49,7 @@ def measure_backgrounds(quick: bool, progress: Progress) -> Results:
     panels = {str(name): average_methods(own, ["ms", "stood"]) for name, own in clips}
     tables: dict[str, Sequence[Row]] = {
         "rows": rows,
-        "fronts": mark_fronts(panels, "ms", "stood"),
+        "fronts": mark_pareto_fronts(panels, "ms", "stood"),
         "defaults": summarise_sizes(sizes),
         "choice of the number of frames": [judge_choices(cases, TOLERANCE)],
         "real": list(measure_real(data)) if data and not quick else [],

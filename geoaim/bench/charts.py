@@ -11,7 +11,7 @@ from geoaim.bench.curves import find_best_size, find_pareto_front
 from geoaim.bench.report import Row
 from geoaim.labels import label_points
 
-# of Okabe and Ito, told apart by colour-blind readers; the marks differ as well
+# colours of Okabe and Ito, which colour-blind readers can tell apart; the marks differ as well
 OURS, OTHERS, KNEE = "#D55E00", "#0072B2", "#009E73"
 
 
@@ -24,7 +24,7 @@ def draw_fronts(
         panels: rows by title, each with "method"; names that begin with "geoaim" are ours.
         cost: key of the cost.
         error: key of the error.
-        labels: of the two axes.
+        labels: labels of the two axes.
 
     Returns:
         The chart, with logarithmic axes.
@@ -58,8 +58,8 @@ def draw_sizes(rows: Sequence[Row], labels: Mapping[str, str]) -> Figure:
     """Draw the error and the time of each setting against its size; mark default and knee.
 
     Args:
-        rows: those that `summarise_sizes` takes, with their times as "ms".
-        labels: of the error axis, by the name of the setting.
+        rows: the rows that `summarise_sizes` takes, with their times as "ms".
+        labels: labels of the error axis, by the name of the setting.
 
     Returns:
         The chart: a column for each setting, error above time.

@@ -13,11 +13,11 @@ from geoaim.bench.report import Row
 
 NEAR_BEST = 1.05  # times the best error: as good as the best
 NEAR_KNEE = 1.25  # times the knee's size: at the knee
-MIN_DEPTH = 0.05  # of both ranges, by which a knee lies below the line between the ends
+MIN_DEPTH = 0.05  # how far a knee lies below the line between the ends, as a share of both ranges
 
 
 def find_pareto_front(cost: Float[Array, " n"], error: Float[Array, " n"]) -> Bool[Array, " n"]:
-    """Find the points that no other point beats: none is better in one and as good in the other.
+    """Find the Pareto front: points to which no other is better in one and as good in the other.
 
     >>> find_pareto_front(np.array([1.0, 2.0, 3.0]), np.array([5.0, 6.0, 4.0]))
     array([ True, False,  True])
@@ -58,8 +58,8 @@ def summarise_sizes(rows: Sequence[Row]) -> list[Row]:
     """Compare the default of each setting with the knee of its sizes.
 
     Args:
-        rows: with "setting", "size", "error", "cost" and "default" (whether it is the default);
-            those marked "automatic" are not compared as sizes.
+        rows: rows with "setting", "size", "error", "cost" and "default" (whether it is the
+            default); rows marked "automatic" are not compared as sizes.
 
     Returns:
         A row for each setting.
@@ -89,9 +89,9 @@ def judge_choices(cases: Sequence[Row], tolerance: float) -> dict[str, Any]:
     """Compare an automatic choice with the best one, found afterwards, and with the most complex.
 
     Args:
-        cases: with "errors" and "sizes" of all choices, the most complex last, and the "error" and
-            "size" of the automatic one.
-        tolerance: by which an error may always exceed the best, in its unit.
+        cases: cases with "errors" and "sizes" of all choices, the most complex last, and the
+            "error" and "size" of the automatic one.
+        tolerance: an error may always exceed the best one by this much, in its unit.
 
     Returns:
         A row: shares of the cases within 5 % of the best error, and mean sizes.
@@ -128,16 +128,18 @@ def average_methods(rows: pd.DataFrame, keys: list[str]) -> list[Row]:
     return [{str(key): value for key, value in row.items()} for row in means.to_dict("records")]
 
 
-def mark_fronts(groups: Mapping[str, Sequence[Row]], cost: str, error: str) -> list[dict[str, Any]]:
-    """List the methods of each group, with whether they lie on its Pareto front.
+def mark_pareto_fronts(
+    groups: Mapping[str, Sequence[Row]], cost: str, error: str
+) -> list[dict[str, Any]]:
+    """Copy the rows, adding the dataset's name and whether the method is Pareto-optimal in it.
 
     Args:
-        groups: rows of methods on the same data, by its name.
+        groups: the rows of each dataset, one for each method, by the dataset's name.
         cost: key of the cost.
         error: key of the error.
 
     Returns:
-        The rows, with "data" and "on the front".
+        The rows, with the keys "data" and "on the front" ("yes" or "no").
     """
     marked = []
     for name, rows in groups.items():

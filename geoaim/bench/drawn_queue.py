@@ -12,7 +12,7 @@ from geoaim.bench.queue_clips import QueueClip
 
 HEIGHT, WIDTH = 540, 960
 LANE_PX = 34.0
-QUEUE_LANES = (1, 2, 4)  # of the six drawn ones
+QUEUE_LANES = (1, 2, 4)  # three of the six drawn lanes
 PAINTS = np.array(
     [[35, 35, 38], [90, 92, 95], [225, 225, 222], [150, 152, 155], [140, 25, 30], [30, 50, 110]]
 )
@@ -51,7 +51,7 @@ def draw_queue(*, standing: float, seed: int, count: int = 32) -> QueueClip:
 
 @dataclass(frozen=True, eq=False)
 class _Car:
-    x: float  # along the road, pixels from the middle of the picture
+    x: float  # position along the road, pixels from the middle of the picture
     y: float
     length: float
     width: float

@@ -3,7 +3,6 @@
 python -m geoaim.bench.drivable --json docs/bench/drivable.json
 """
 
-import csv
 from typing import Any
 
 import numpy as np
@@ -21,11 +20,9 @@ from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.track_formats import read_interaction
 from geoaim.tracks import Tracks
-from geoaim.world import LONLAT, World, transform_crs
 
 JUNCTIONS = ("k729_2022-03-16", "k733_2018-05-02")
-JUNCTION_CRS = "EPSG:32632"
-NEAR_M = 0.7  # from the area: half a lane beside a queue
+NEAR_M = 0.7  # distance from the area: half a lane beside a queue
 
 
 def _list_positions(tracks: Tracks) -> Float[Array, "m 2"]:
@@ -37,13 +34,10 @@ def _list_positions(tracks: Tracks) -> Float[Array, "m 2"]:
 def _read_junction(junction: str) -> tuple[MultiPolygon, Float[Array, "m 2"]]:
     """Read the drivable area of a junction of Karlsruhe, and the positions of its vehicles."""
     folder = require_data("tracks/karlsruhe")
-    with open(folder / "tracks" / junction / "meta_data.csv", encoding="utf-8") as file:
-        meta = next(csv.DictReader(file))
-    corner = np.array([[float(meta["originLon"]), float(meta["originLat"])]])
-    east, north = transform_crs(LONLAT, JUNCTION_CRS, corner)[0].tolist()
-    hdmap = read_hdmap(folder / "maps" / f"{junction}.osm", World(JUNCTION_CRS, (east, north)))
     files = sorted((folder / "tracks" / junction).glob("vehicle_tracks*.csv"))
-    positions = [_list_positions(read_interaction(file)) for file in files]
+    recordings = [read_interaction(file) for file in files]
+    hdmap = read_hdmap(folder / "maps" / f"{junction}.osm", recordings[0].world)
+    positions = [_list_positions(tracks) for tracks in recordings]
     return find_drivable_area(hdmap), np.concatenate(positions)
 
 
@@ -61,7 +55,7 @@ def _measure_share(name: str, area: MultiPolygon, positions: Float[Array, "m 2"]
 
 
 def main(json: JsonFile = None) -> None:
-    """Count vehicles on the drivable areas of the sample's map and of real ones."""
+    """Measure how often vehicles are on the drivable areas of the sample's map and of real maps."""
     tracks = read_tracks("samples/tracks.csv")
     sample = find_drivable_area(read_hdmap("samples/map_full.osm", tracks.world))
     cases = {"sample": (sample, _list_positions(tracks))}

@@ -13,19 +13,18 @@ from geoaim.bench.simulated_points import HEIGHT, LAYOUTS, WIDTH, make_pinhole_c
 from geoaim.mapping.georeference import estimate
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.transform_models import (
-    TERM_COUNTS,
-    Candidate,
-    choose_model,
-    compose_world_from_image,
-)
+from geoaim.mapping.georeference.model_choice import Candidate, choose_model
+from geoaim.mapping.georeference.transform_models import TERM_COUNTS, compose_world_from_image
 
 # Tilt in degrees, OpenCV's first lens term, number of points, noise in px.
 Case = tuple[float, float, int, float]
 
 
 def fit_georeferences(points: ControlPoints) -> dict[str, Georeference]:
-    """Estimate a georeference, "geoaim", and what each of its transform models would have given."""
+    """Estimate the georeference that each transform model gives, and the chosen one ("geoaim").
+
+    The result has them by the name of the model.
+    """
     fitted: list[list[Candidate]] = []
 
     def record(candidates: list[Candidate]) -> Candidate:

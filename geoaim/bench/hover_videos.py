@@ -53,7 +53,9 @@ class HoverVideo:
 
     clip: HoverClip  # the rendered scene and its true transforms
     kind: Kind  # the difficulty
-    is_valid: Bool[Array, "T"]  # whether a frame shows the clip's scene; the others must be refused
+    is_valid: Bool[
+        Array, "T"
+    ]  # whether a frame shows the clip's scene; the others must be rejected
     other: HoverClip | None = None  # the scene that the invalid frames of a "cut" show
 
     def __len__(self) -> int:
@@ -112,7 +114,7 @@ def film_place(kind: PlaceKind, *, size: str, count: int) -> HoverVideo:
     """Render a hover video over a drawn place with its traffic, which needs no real data.
 
     Args:
-        kind: of the place.
+        kind: kind of the place.
         size: "720p", "1080p" or "4k"; drift grows with it.
         count: number of frames, at 30 frames/s.
 

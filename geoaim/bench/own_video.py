@@ -1,4 +1,4 @@
-"""Registration of a video without truth: how consistent and how fast each setting is.
+"""Registration of a video without ground truth: how consistent and how fast each setting is.
 
 The patches of the reference are divided like a chessboard into two halves. Each half registers the
 frames by itself; half of their distance at the image's corners is the standard error of both
@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
 from geoaim.bench.charts import draw_fronts
-from geoaim.bench.curves import mark_fronts
+from geoaim.bench.curves import mark_pareto_fronts
 from geoaim.bench.registration_settings import Setting, prepare, register_with
 from geoaim.bench.report import Results, collect
 from geoaim.errors import RegistrationError
@@ -31,7 +31,7 @@ from geoaim.progress import Progress
 
 FRAMES, QUICK_FRAMES = 60, 20
 PER_PATCH = ("points", "contrast", "energy", "extractor", "inverse")  # arrays of a template
-BLOCKS = 6  # of the chessboard along the width
+BLOCKS = 6  # blocks of the chessboard along the width
 SETTINGS = {
     "geoaim": Setting(),
     "a quarter of the patches": Setting(count=Setting.count // 4),
@@ -70,7 +70,7 @@ def measure_own_video(source: VideoSource, quick: bool, progress: Progress) -> R
     panels = {f"{len(frames)} frames of {video.width} x {video.height} px": rows}
     labels = ("ms of a processor a frame", "expected error at the corners, px")
     charts = {"fronts": draw_fronts(panels, cost="ms", error="expected error, px", labels=labels)}
-    marked = mark_fronts(panels, "ms", "expected error, px")
+    marked = mark_pareto_fronts(panels, "ms", "expected error, px")
     return Results(f"Registration of {video.source}, without truth", {"rows": marked}, charts)
 
 
@@ -84,8 +84,8 @@ def measure_settings(
     of both variances, and at least 0.
 
     Args:
-        frames: in order of time.
-        settings: by name.
+        frames: frames in order of time.
+        settings: settings by name.
 
     Yields:
         Rows of the table. Errors are root mean squares over frames and corners.

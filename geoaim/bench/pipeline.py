@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import typer
 
+from geoaim.aim import AIM
 from geoaim.bench.hover_videos import make_hover_video
 from geoaim.bench.report import (
     JsonFile,
@@ -34,7 +35,7 @@ from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import write_video
 
 THREADS = 2
-SIZE, FRAMES = "4k", 90  # of the rendered clip, at 30 frames/s
+SIZE, FRAMES = "4k", 90  # size and length of the rendered clip, at 30 frames/s
 DURATION = 20.0  # s of the video whose throughput is measured
 MINUTES = (1, 10)  # durations of the videos that are built
 MEGABITS = 60.0  # Mbit/s of the clip; drones record 4K at 60 to 100
@@ -125,7 +126,7 @@ def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
     Args:
         clip: video to repeat.
         path: video to write.
-        duration: of the video to write, seconds.
+        duration: duration of the video to write, seconds.
 
     Returns:
         `path`.
@@ -149,14 +150,14 @@ def repeat_packets(clip: Path, path: Path, duration: float) -> Path:
                 offset += span
 
 
-def build(path: Path, *, frames: FrameCount = "auto") -> None:
-    """Build an AIM of a video with five made-up control points, and drop it."""
+def build(path: Path, *, frames: FrameCount = "auto") -> AIM:
+    """Build an AIM of a video with five made-up control points."""
     video = open_video(path, threads=THREADS)
     pixels = np.array([[0.1, 0.1], [0.9, 0.1], [0.9, 0.9], [0.1, 0.9], [0.5, 0.5]])
     pixels *= [video.width, video.height]
     points = np.hstack([pixels, transform_points(GROUND, pixels)])
     gcps = [dict(zip("uvxy", row, strict=True), crs="local") for row in points]
-    build_aim(video, gcps, frames=frames)
+    return build_aim(video, gcps, frames=frames)
 
 
 def _measure_cost(method: Callable[[Path], object], path: Path) -> tuple[float, float]:

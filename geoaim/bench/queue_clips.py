@@ -15,10 +15,12 @@ class QueueClip:
     """Registered frames with their truth."""
 
     frames: UInt8[Array, "K h w 3"]  # RGB, spread over the clip
-    ground: UInt8[Array, "h w 3"]  # without traffic
-    share: Float32[Array, "h w"]  # of the time in which traffic covers a pixel; NaN: not judged
+    ground: UInt8[Array, "h w 3"]  # the ground without traffic
+    # share of the time in which traffic covers a pixel; NaN: not judged
+    share: Float32[Array, "h w"]
     transforms: Float[Array, "K 3 3"] | None = None  # image_from_frame; None for a still camera
-    boxes: tuple[Float[Array, "_ 4"], ...] | None = None  # of the traffic in each frame, if known
+    # boxes of the traffic in each frame, if known
+    boxes: tuple[Float[Array, "_ 4"], ...] | None = None
 
 
 def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> QueueClip:

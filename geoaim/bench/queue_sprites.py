@@ -9,7 +9,7 @@ from geoaim.bench.data import require_data
 from geoaim.bench.stills import cut_car
 from geoaim.mapping import average_frames, open_video, read_detections, register
 
-WIDTH = 960  # of the pictures, at most
+WIDTH = 960  # largest width of the pictures
 
 
 def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _ 4"]]]:
@@ -32,7 +32,7 @@ def cut_place(place: str) -> tuple[UInt8[Array, "h w 3"], list[UInt8[Array, "_ _
         known = boxes(frame)
         if known is None:
             continue
-        for left, top, right, bottom in np.rint(known).astype(int).tolist():
+        for left, top, right, bottom in np.rint(known.boxes).astype(int).tolist():
             inside = left > 2 and top > 2 and right < video.width - 2 and bottom < video.height - 2
             long, short = max(right - left, bottom - top), min(right - left, bottom - top)
             if not inside or not 1.9 < long / max(short, 1) < 3.0 or short * scale < 12:

@@ -36,7 +36,7 @@ from geoaim.synthetic import make_sample, tracks_of
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks import Tracks
 
-MIN_VALUES = 50  # below which a statistic is not compared
+MIN_VALUES = 50  # a statistic of fewer values is not compared
 Groups = dict[str, tuple[list[Statistics], dict[str, Statistics]]]  # synthetic, real by source
 
 

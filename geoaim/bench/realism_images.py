@@ -1,4 +1,4 @@
-"""Statistics of images, real and synthetic ones alike, and where the real ones come from."""
+"""Image statistics that are compared between real and rendered images, and those images."""
 
 from pathlib import Path
 
@@ -18,11 +18,21 @@ WINDOW = 256  # px, side of the squares whose spectra are measured
 
 
 def sample_statistics(image: UInt8[Array, "H W 3"]) -> Statistics:
-    """Sample what tells drawn images from real ones, by name, of an RGB image at `RESOLUTION`.
+    """Sample image statistics that differ between rendered and real images.
 
-    "gradient" and "grey level" (grey levels) and "colourfulness" (distance from grey in Lab) are of
-    40,000 random pixels, "edge direction" (radians) of the 5 % with the largest gradients,
-    "spectrum" is the amplitude of each octave in each window.
+    Args:
+        image: (H, W, 3) RGB of `RESOLUTION` metres per pixel.
+
+    Returns:
+        A 1-D sample for each name:
+
+        - "grey level" and "colourfulness" (distance from grey in Lab): at the same 40,000 pixels,
+          or all of a smaller image.
+        - "gradient": grey levels per pixel at 40,000 pixels, drawn anew with replacement.
+        - "edge direction": up to 20,000 of the strongest 5 % of edges, radians in [-pi/4, pi/4)
+          from the commonest direction.
+        - "spectrum": amplitude of each octave in half-overlapping windows of 256 px; empty for
+          smaller images.
     """
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float64)
     right, down = grey[1:-1, 2:] - grey[1:-1, :-2], grey[2:, 1:-1] - grey[:-2, 1:-1]

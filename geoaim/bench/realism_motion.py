@@ -1,4 +1,4 @@
-"""Statistics of motion, of real and synthetic tracks alike, and where the real ones come from."""
+"""Motion statistics of real and synthetic tracks, and the real tracks."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ DT = 0.1  # s between resampled positions
 SMOOTH = 7  # steps of the window over which positions are averaged
 MOVING_SPEED = 0.5  # m/s from which an agent moves
 CURVATURE_SPEED = 2.0  # m/s from which a vehicle's curvature and headway are measured
-MAX_LATERAL_OFFSET_M = 1.75  # to either side, within which a vehicle ahead is a leader
+MAX_LATERAL_OFFSET_M = 1.75  # a vehicle ahead is a leader up to this distance to either side
 MAX_LEADER_DISTANCE_M = 60.0
 Statistics = Mapping[str, Float[Array, "_"]]
 
@@ -40,7 +40,7 @@ def read_real_vehicles(folder: Path) -> dict[str, list[Tracks]]:
 
 def read_real_pedestrians(folder: Path) -> dict[str, list[Tracks]]:
     """Read the Stanford Drone Dataset's raw tracks, at the resolutions that it estimates."""
-    scales = _read_sdd_resolutions(folder / "tracks/sdd_raw/estimated_scales.yaml")
+    scales = read_sdd_resolutions(folder / "tracks/sdd_raw/estimated_scales.yaml")
     recordings: dict[str, list[Tracks]] = {}
     for path in sorted((folder / "tracks/sdd_raw").glob("*/*/annotations.txt.gz")):
         scene, video = path.parts[-3:-1]
@@ -49,7 +49,7 @@ def read_real_pedestrians(folder: Path) -> dict[str, list[Tracks]]:
     return recordings
 
 
-def _read_sdd_resolutions(path: Path) -> dict[tuple[str, str], float]:
+def read_sdd_resolutions(path: Path) -> dict[tuple[str, str], float]:
     """Read the resolution of each scene's videos from a YAML file of three levels."""
     scales, scene, video = {}, "", ""
     for line in path.read_text().splitlines():
@@ -97,9 +97,10 @@ def _measure_recording(tracks: Tracks, types: tuple[str, ...]) -> dict[str, Floa
 
 
 def resample_positions(tracks: Tracks, chosen: Bool[Array, "N"]) -> Float[Array, "n T 2"]:
-    """Resample the chosen agents' positions every `DT`, averaged over `SMOOTH` steps.
+    """Resample the positions of the chosen agents, averaged over `SMOOTH` steps.
 
-    NaN near gaps and at the ends of a track.
+    The result is (n, T, 2) metres every `DT` seconds of the recording; NaN near gaps and at the
+    ends of a track.
     """
     times = np.arange(tracks.times[0], tracks.times[-1], DT)
     positions = np.full((int(chosen.sum()), len(times), 2), np.nan)

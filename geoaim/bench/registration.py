@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.bench.charts import draw_fronts, draw_sizes
-from geoaim.bench.curves import average_methods, judge_choices, mark_fronts, summarise_sizes
+from geoaim.bench.curves import average_methods, judge_choices, mark_pareto_fronts, summarise_sizes
 from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import HoverVideo, Kind, film_place, make_hover_video
 from geoaim.bench.registration_methods import Matrices, Method, list_methods, to_grey
@@ -21,7 +21,7 @@ from geoaim.bench.registration_settings import SETTINGS, measure_models, measure
 from geoaim.bench.report import Results, Row, collect
 from geoaim.bench.stills import STILLS
 from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.registration.motion_models import MIN_GAIN_PX
+from geoaim.mapping.registration.motion_models import MIN_ACCURACY_GAIN_PX
 from geoaim.mapping.registration.patches import align_patches, make_template
 from geoaim.mapping.video.video import open_video
 from geoaim.progress import Progress
@@ -29,10 +29,10 @@ from geoaim.synthetic import list_boxes, reference_from_frames, write_video
 from geoaim.synthetic.roads.layouts import PlaceKind
 
 Frames = list[UInt8[Array, "H W 3"]]
-Videos = dict[tuple[str, str], HoverVideo]  # by size and what they show
+Videos = dict[tuple[str, str], HoverVideo]  # videos by size and what they show
 SIZES = ("1080p", "4k")
-FRAMES, QUICK_FRAMES = 60, 12  # of each video
-THREADS = 2  # of OpenCV, for the comparison with other methods
+FRAMES, QUICK_FRAMES = 60, 12  # length of each video
+THREADS = 2  # OpenCV's threads, for the comparison with other methods
 HARD: tuple[Kind, ...] = ("cars", "shadow", "gain", "cut", "noise")
 MAX_RIGHT_ERROR_PX = 0.3  # a frame with a larger error counts as wrong
 MAX_AVERAGED_ERROR_PX = 100  # larger ones would hide all others in a mean
@@ -44,12 +44,12 @@ def measure_corner_distances(
     """Measure how far apart two transforms map the corners of a frame.
 
     Args:
-        actual: (T, 3, 3) reference_from_frame, NaN where a frame is refused.
+        actual: (T, 3, 3) reference_from_frame, NaN where a frame is rejected.
         expected: (T, 3, 3) the same by other means, or (1, 3, 3).
         size: (height, width) of the frame, pixels.
 
     Returns:
-        (T,) mean distance over the four corners, pixels; NaN where refused.
+        (T,) mean distance over the four corners, pixels; NaN where rejected.
     """
     corners = image_corners(*size)
     distance = transform_points(actual, corners) - transform_points(expected, corners)
@@ -69,7 +69,7 @@ def measure_rate_and_errors(method: Method, video: HoverVideo, frames: Frames) -
 
     Returns:
         Figures of a row of the table, by name. Errors (px) are of frames that show the scene and
-        are not refused; "right" are those below `MAX_RIGHT_ERROR_PX`.
+        are not rejected; "right" are those below `MAX_RIGHT_ERROR_PX`.
     """
     boxes = [list_boxes(video.clip, index) for index in range(len(video))]
     matrices, seconds = method(frames, boxes)
@@ -174,9 +174,9 @@ def measure_registration(quick: bool, progress: Progress) -> Results:
     tables: dict[str, Sequence[Row]] = {
         "rows": rows,
         "robustness": hard,
-        "fronts": mark_fronts(panels, "ms", "error, px"),
+        "fronts": mark_pareto_fronts(panels, "ms", "error, px"),
         "defaults": summarise_sizes(sizes),
-        "choice of the motion model": [judge_choices(cases, MIN_GAIN_PX)],
+        "choice of the motion model": [judge_choices(cases, MIN_ACCURACY_GAIN_PX)],
         "sizes": sizes,
         "cases": cases,
     }

@@ -22,12 +22,12 @@ Grey = UInt8[Array, "h w"]
 Matrix = Float[Array, "3 3"]
 Matrices = Float[Array, "T 3 3"]
 Registered = tuple[Matrices, list[float]]
-# A method takes frames and vehicle boxes, and returns matrices (NaN where it refuses a frame) and
+# A method takes frames and vehicle boxes, and returns matrices (NaN where it rejects a frame) and
 # the seconds that each frame took.
 Method = Callable[[Any, list[Array]], Registered]
 MIN_PAIRS = 4  # a homography needs no fewer
 # A rival takes the reference, grey, and returns what registers grey frames to it: a function that
-# returns reference_from_frame, or None where it refuses a frame.
+# returns reference_from_frame, or None where it rejects a frame.
 RegisterGrey = Callable[[Grey], Matrix | None]
 Rival = Callable[[Grey], RegisterGrey]
 
@@ -177,7 +177,7 @@ def _track_corners(reference: Grey) -> RegisterGrey:
 def list_methods() -> dict[str, Method]:
     """List all methods that can run here by name; each takes RGB frames and their (n, 4) boxes.
 
-    It gives reference_from_frame (T, 3, 3), NaN where refused, and the seconds of each frame.
+    It gives reference_from_frame (T, 3, 3), NaN where rejected, and the seconds of each frame.
     """
     orb = _match_by_detector(lambda: cv2.ORB.create(2000), cv2.NORM_HAMMING)
     sift = _match_by_detector(lambda: cv2.SIFT.create(2000), cv2.NORM_L2)

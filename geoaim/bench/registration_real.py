@@ -1,4 +1,4 @@
-"""Registration of real sequences without truth: how consistent it is with itself.
+"""Registration of real sequences without ground truth: how consistent it is with itself.
 
     python -m geoaim.bench.registration_real --json docs/bench/registration_real.json
 
@@ -39,13 +39,13 @@ def measure_consistency(folder: Path, boxes: Detections | None) -> dict[str, Any
     pairs = list(permutations(others, 2))
     backward = np.concatenate([_measure_forward_backward(*pair) for pair in pairs])
     loops = np.concatenate([_measure_loop(*pair) for pair in pairs])
-    refused = {reason for reason in first.reason if reason}
+    rejected = {reason for reason in first.reason if reason}
     return {
         "sequence": folder.name,
         "boxes": "yes" if boxes else "no",
         "model": model,
         "registered": f"{first.valid.sum()} of {len(first.valid)}",
-        "refused_because": "; ".join(sorted(refused)) or "-",
+        "rejected_because": "; ".join(sorted(rejected)) or "-",
         "uncertainty_px": float(np.median(first.uncertainty[first.valid])),
         "forward_backward_px": float(np.nanmedian(backward)),
         "loop_px": float(np.nanmedian(loops)),

@@ -1,4 +1,4 @@
-"""The settings of the registration by their size: patches, their side, image width, motion model.
+"""Settings of the registration at several values: patches, their side, image width, motion model.
 
 Sizes are no options of the library, since no scene needs others than the defaults: here the
 constants of `patches` are replaced while a video is registered.
@@ -37,9 +37,9 @@ PARAMETERS: dict[Model, int] = {"translation": 2, "similarity": 4, "affine": 6, 
 class Setting:
     """A setting of the registration; the defaults are the library's."""
 
-    count: int = patches.PATCH_COUNT  # of patches that is aimed at
-    side: int = patches.PATCH_SIDE_PX  # of a patch, pixels
-    reduction: int = 1  # of the image, an integer factor
+    count: int = patches.PATCH_COUNT  # target number of patches
+    side: int = patches.PATCH_SIDE_PX  # side of a patch, pixels
+    reduction: int = 1  # integer factor by which the frame is shrunk
     model: Model | None = None  # the motion model; None chooses it by the data
 
 
@@ -47,10 +47,10 @@ class Setting:
 class Placements:
     """Frames registered with a setting."""
 
-    matrices: Float[Array, "T 3 3"]  # (T, 3, 3) reference_from_frame, pixels; NaN where refused
-    seconds: Float[Array, " T"]  # (T,) of a processor
+    matrices: Float[Array, "T 3 3"]  # (T, 3, 3) reference_from_frame, pixels; NaN where rejected
+    seconds: Float[Array, " T"]  # (T,) processor time of each frame
     stated: Float[Array, " T"]  # (T,) uncertainty of the corners, pixels
-    reference: Reference  # to which they are registered
+    reference: Reference  # the frame that they are registered to
 
 
 SETTINGS: dict[str, dict[float, Setting]] = {
@@ -75,7 +75,7 @@ def register_with(
     """Register frames with a setting.
 
     Args:
-        frames: in order of time.
+        frames: frames in order of time.
         setting: the setting.
         reference: prepared for it; None prepares it.
 
@@ -101,7 +101,7 @@ def _shrink(frame: Frame, reduction: int) -> Frame:
 
 
 def measure_error(placed: Placements, video: HoverVideo) -> float:
-    """Mean error of the corners in all frames but the first, px; infinite if a frame is refused."""
+    """Measure the corners' mean error after the first frame, px; infinite if one is rejected."""
     corners = image_corners(video.clip.height, video.clip.width)
     truth = transform_points(reference_from_frames(video.clip), corners)
     error = np.linalg.norm(transform_points(placed.matrices, corners) - truth, axis=-1)[1:]
@@ -109,11 +109,11 @@ def measure_error(placed: Placements, video: HoverVideo) -> float:
 
 
 def measure_sizes(videos: Sequence[HoverVideo], progress: Progress) -> list[Row]:
-    """Measure error and time by the size of each setting, means over videos.
+    """Measure error and time at several values of each setting, as means over videos.
 
     Args:
-        videos: raw.
-        progress: called with what is measured, what is done and all there is.
+        videos: uncompressed hover videos with exact truth.
+        progress: called with the name of the setting, the values done and the values in all.
 
     Returns:
         Rows as `summarise_sizes` takes them.

@@ -156,8 +156,8 @@ def write_results(results: Results, folder: Path, name: str, command: str) -> li
 
     Args:
         results: what was measured.
-        folder: to write to.
-        name: with which the files' names begin.
+        folder: the folder to write to.
+        name: how the files' names begin.
         command: the command that measured it.
 
     Returns:

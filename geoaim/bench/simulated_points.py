@@ -25,9 +25,9 @@ LAYOUTS = (  # boxes of the points, shares of the sides: left, top, right, botto
 )
 NOISE_PX = (0.5, 5.0)
 NOISES = ("normal", "heavy tails", "one wrong")
-HEAVY_DOF = 3  # of Student's t
+HEAVY_DOF = 3  # degrees of freedom of Student's t
 WRONG_PX = (10.0, 1000.0)  # error of the wrong point
-# where pixels lie on the ground (metres), and metres per pixel
+# a function that maps pixels to the ground (metres), and metres per pixel
 Camera = tuple[Callable[[Points], Points], float]
 
 
@@ -35,13 +35,13 @@ Camera = tuple[Callable[[Points], Points], float]
 class PointSet:
     """Control points of one image."""
 
-    points: ControlPoints  # as picked
-    corners: Points  # (4, 2) where the image's corners lie, metres
+    points: ControlPoints  # the points as picked
+    corners: Points  # (4, 2) places of the image's corners, metres
     resolution: float  # metres per pixel
 
 
 def sample_terms_camera(generator: np.random.Generator) -> Camera:
-    """Choose a camera of the method's own nine terms, up to three times the expected sizes."""
+    """Draw a camera of the method's own nine terms, of 0, 1 or 3 times their expected sizes."""
     terms = np.zeros(9)
     terms[4:] = generator.choice([0.0, 1.0, 3.0]) * PRIOR_SIGMA * generator.normal(size=5)
     unit = 0.05 * half_diagonal(HEIGHT, WIDTH)
@@ -55,7 +55,7 @@ def sample_terms_camera(generator: np.random.Generator) -> Camera:
 
 
 def sample_pinhole_camera(generator: np.random.Generator) -> Camera:
-    """Choose a pinhole camera: tilt (3 degrees, every fifth up to 20), lens and pixel aspect."""
+    """Draw a pinhole camera: tilt (sigma 3 degrees; 5 to 20 for a fifth), lens and pixel aspect."""
     tilt = abs(generator.normal()) * 3.0
     if generator.random() < 0.2:
         tilt = generator.uniform(5.0, 20.0)

@@ -66,8 +66,7 @@ def _read_still(still: str) -> tuple[UInt8[Array, "2160 3840 3"], Array]:
     folder = require_data("hover/songdo_stills")
     image = read_image(folder / f"{still}.jpg")
     centres = np.loadtxt(folder / f"{still}.txt")[:, 1:]
-    half = centres[:, 2:] / 2
-    boxes = np.hstack([centres[:, :2] - half, centres[:, :2] + half])
+    boxes = centres[:, [0, 1, 0, 1]] + centres[:, [2, 3, 2, 3]] * [-0.5, -0.5, 0.5, 0.5]
     return image, np.rint(boxes.clip(0, 1) * [3840, 2160, 3840, 2160]).astype(int)
 
 
@@ -117,6 +116,5 @@ def _find_patch(
 
 def _make_ramp(height: int, width: int) -> Float[Array, "h w"]:
     """1 inside, falling to 0 over the outer 10 px."""
-    y = np.minimum(np.arange(height), np.arange(height)[::-1])[:, None]
-    x = np.minimum(np.arange(width), np.arange(width)[::-1])[None, :]
-    return np.asarray((np.minimum(y, x) / 10.0).clip(0, 1))
+    y, x = (np.minimum(np.arange(n), np.arange(n)[::-1]) for n in (height, width))
+    return np.asarray((np.minimum(y[:, None], x) / 10.0).clip(0, 1))

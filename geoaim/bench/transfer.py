@@ -5,8 +5,9 @@
 - Registration: five methods on hover videos over drawn ground and over two real stills (both with
   synthetic cameras, so that the truth is known), with similar numbers of vehicles. Mean corner
   error, pixels.
-- Prediction: positions of agents after 3 s by five rules, on synthetic and on real tracks. Mean
-  displacement, metres. Synthetic tracks are used with a tracker's noise as well.
+- Prediction: positions of agents after 3 s by five rules, on synthetic and on real tracks, from
+  observed positions alone. Mean displacement, metres. Synthetic tracks are used with a tracker's
+  noise as well.
 
 Two sources agree on a pair of methods if they rank it in the same order. Pairs count where both
 sources tell the methods apart by a tenth.
@@ -26,28 +27,23 @@ from scipy.stats import gmean
 
 from geoaim.bench.data import find_data
 from geoaim.bench.hover_videos import HoverVideo, make_lane_traffic
-from geoaim.bench.realism_motion import (
-    DT,
-    SMOOTH,
-    VEHICLES,
-    read_real_pedestrians,
-    read_real_vehicles,
-    resample_positions,
-)
+from geoaim.bench.realism_motion import DT, VEHICLES, read_real_pedestrians, read_real_vehicles
 from geoaim.bench.registration import measure_rate_and_errors
 from geoaim.bench.registration_methods import list_methods
 from geoaim.bench.report import JsonFile, format_table, write_rows
 from geoaim.bench.stills import STILLS, read_clean_still
 from geoaim.synthetic import Hover, film, make_sample, tracks_of
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS
+from geoaim.track_changes import resample_tracks
 from geoaim.tracks import Tracks
 
-MIN_RELATIVE_DIFFERENCE = 0.1  # below it, methods are not told apart
+MIN_RELATIVE_DIFFERENCE = 0.1  # methods that differ by less are not told apart
 MIN_FIGURE = 1e-3  # keeps logarithms finite
 HISTORY_STEPS, HORIZON_STEPS = 10, 30
+MAX_GAP_S = 0.3  # between positions, which ends a window
 TRACKER_NOISE_M = 0.2
 MIN_SPEED_M_S = 0.5
-METHODS = {  # of registration, and their names in `list_methods`
+METHODS = {  # methods of registration, and their names in `list_methods`
     "geoaim": "geoaim",
     "ORB": "ORB 2000 + MAGSAC",
     "SIFT half": "SIFT 2000 half + MAGSAC",
@@ -55,7 +51,7 @@ METHODS = {  # of registration, and their names in `list_methods`
     "ECC quarter": "ECC quarter",
 }
 VEHICLES_ON_STILLS = {"moving": 15, "queue": 2}
-Figures = dict[str, dict[str, float]]  # by source and method
+Figures = dict[str, dict[str, float]]  # figures by source and method
 
 
 def main(
@@ -155,7 +151,7 @@ def _add_noise(tracks: Tracks) -> Tracks:
     states = tracks.states.copy()
     noise = np.random.default_rng(0).standard_normal(states[..., :2].shape)
     states[..., :2] += TRACKER_NOISE_M * noise
-    return replace(tracks, states=states)
+    return replace(tracks, states=states, observed=None)
 
 
 def measure_rules(recordings: list[Tracks], types: tuple[str, ...]) -> dict[str, float]:
@@ -187,13 +183,19 @@ def measure_rules(recordings: list[Tracks], types: tuple[str, ...]) -> dict[str,
 
 
 def _cut_windows(tracks: Tracks, types: tuple[str, ...]) -> Float[Array, "n S 2"]:
-    """Cut a window each second, of all agents of some types that are present in it."""
-    positions = resample_positions(tracks, np.array([kind in types for kind in tracks.types]))
-    length, windows = HISTORY_STEPS + HORIZON_STEPS, []
-    for start in range(SMOOTH // 2, positions.shape[1] - length - SMOOTH // 2 + 1, 10):
-        window = positions[:, start : start + length]
+    """Cut a window each second, of all agents of some types that are present in it.
+
+    The history is as observed, without later positions.
+    """
+    even = resample_tracks(tracks, 1 / DT, max_gap=MAX_GAP_S)
+    chosen = np.isin(even.types, types)
+    observed, recorded = (states[chosen, :, :2] for states in (even.get_observed(), even.states))
+    windows = []
+    for start in range(0, len(even.times) - HISTORY_STEPS - HORIZON_STEPS + 1, 10):
+        now, end = start + HISTORY_STEPS, start + HISTORY_STEPS + HORIZON_STEPS
+        window = np.concatenate([observed[:, start:now], recorded[:, now:end]], axis=1)
         windows.append(window[np.isfinite(window).all(axis=(1, 2))])
-    return np.concatenate(windows) if windows else np.empty((0, length, 2))
+    return np.concatenate(windows or [np.empty((0, HISTORY_STEPS + HORIZON_STEPS, 2))])
 
 
 def _rotate(vectors: Float[Array, "n 2"], angle: Float[Array, "n"]) -> Float[Array, "n 2"]:

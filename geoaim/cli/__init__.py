@@ -9,7 +9,9 @@ from geoaim import __version__
 from geoaim.cli.align import align
 from geoaim.cli.bench import bench
 from geoaim.cli.build import build
+from geoaim.cli.catalog import app as catalog
 from geoaim.cli.console import DEBUG, stop_when_terminated
+from geoaim.cli.convert import convert
 from geoaim.cli.doctor import doctor
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.experiment import experiment
@@ -21,12 +23,13 @@ from geoaim.cli.predict import predict
 from geoaim.cli.register import register
 from geoaim.cli.sample import sample
 from geoaim.cli.simulate import render, simulate
+from geoaim.cli.track import track
 from geoaim.cli.train import train
 from geoaim.cli.view import view
 
 COMMANDS = (
-    *(frame, pick, build, align, draw, register, info, view, texture, render, simulate),
-    *(predict, evaluate, train, experiment, sample, bench, doctor),
+    *(frame, pick, build, align, draw, register, track, info, convert, view, texture, render),
+    *(simulate, predict, evaluate, train, experiment, sample, bench, doctor),
 )
 
 app = typer.Typer(
@@ -59,3 +62,4 @@ def prepare(
 
 for command in COMMANDS:
     app.command()(command)
+app.add_typer(catalog)

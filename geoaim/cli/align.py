@@ -24,6 +24,7 @@ def align(
     tracks: options.OptionalTracks = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
     aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
     gcps: options.ControlPoints = None,
     resolution: Annotated[float | None, options.resolution()] = None,
@@ -44,9 +45,8 @@ def align(
     """Correct the position of orthophotos or map tiles, and write them as an AIM.
 
     The position comes from control points, else from an AIM of the same place, else from tracks
-    of vehicles; whichever of these are given besides check that position. Without any of them the
-    imagery stays at its stated position. A .png beside the output shows the imagery before and
-    after.
+    of vehicles; further ones that are given check that position. Without any of them the imagery
+    stays at its stated position. A .png beside the output shows the imagery before and after.
 
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
@@ -61,7 +61,7 @@ def align(
         reference = None if aim is None else read_aim(aim)
         agents = None
         if tracks is not None:
-            agents = read_any_tracks(tracks, tracks_world, tracks_resolution)
+            agents = read_any_tracks(tracks, tracks_world, tracks_resolution, tracks_frame_rate)
         aligned = align_tiles(
             imagery[0] if len(imagery) == 1 else imagery,
             tracks=agents,

@@ -20,8 +20,9 @@ from rich.text import Text
 from geoaim.errors import GeoaimError, GeoaimWarning
 from geoaim.progress import Progress
 
-LINE_CHARS = 10_000  # where the output is no terminal: each message stays on one line
-# without markup, as file names may have brackets
+# line length where the output is no terminal, so that each message stays on one line
+LINE_CHARS = 10_000
+# markup is off, as file names may have brackets
 console = Console(stderr=True, markup=False, width=None if sys.stderr.isatty() else LINE_CHARS)
 TERMINATED = 143  # exit code
 stopping = Event()  # set once SIGTERM has arrived
@@ -30,7 +31,7 @@ DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their tracebac
 
 @contextmanager
 def show_progress() -> Iterator[Progress]:
-    """Show a progress bar for each stage; the block calls what is yielded to advance them."""
+    """Show a progress bar for each stage; yield the function that advances them."""
     columns = (*rich.progress.Progress.get_default_columns(), rich.progress.TimeElapsedColumn())
     tasks: dict[str, rich.progress.TaskID] = {}
     with rich.progress.Progress(*columns, console=console) as bars:
@@ -76,7 +77,7 @@ def report_errors() -> Iterator[None]:
             expected = isinstance(error, GeoaimError | OSError | ValueError)
             hint = "" if expected else " (geoaim --debug COMMAND ... shows where)"
             message = f": {' '.join(str(error).split())}{hint}"
-            message = message.encode(errors="backslashreplace").decode()  # of undecodable names
+            message = message.encode(errors="backslashreplace").decode()  # for undecodable names
             console.print(Text.assemble((type(error).__name__, "bold red"), message))
             sys.exit(1)
 
@@ -111,10 +112,10 @@ def print_result(
     """Print what was written, on standard error; or as JSON on standard output.
 
     Args:
-        files: those written, or the one that is described.
-        lines: of the table.
+        files: the files that were written, or the one that is described.
+        lines: the lines of the table.
         as_json: whether to print JSON: the files, the table as "summary", and `more`.
-        more: what only the JSON has.
+        more: further values for the JSON alone.
     """
     if as_json:
         content = {"files": [str(path) for path in files], "summary": dict(lines), **more}

@@ -1,4 +1,4 @@
-"""The command that says what a file is and what can be done with it."""
+"""The command that says what a file is and which commands use it."""
 
 import shlex
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Reading of the inputs that several commands share: tracks, scenes and prediction models."""
+"""Read the inputs that several commands share: tracks, scenes and prediction models."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from geoaim.web.explore import Contents
     from geoaim.world import World
 
-DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0}  # that are predicted
+DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0}  # how long futures are predicted
 
 
 @dataclass(frozen=True)
@@ -26,26 +26,37 @@ class SceneSource:
     tracks: Path | None
     tracks_world: str | None = None
     tracks_resolution: float | None = None
+    tracks_frame_rate: float | None = None
     lights: Path | None = None
     hdmap: Path | None = None
     stop_lines: Path | None = None
 
 
-def read_any_tracks(path: Path, world: str | None, resolution: float | None) -> "Tracks":
-    """Read tracks by `read_tracks`.
+def read_any_tracks(
+    path: Path,
+    world: str | None = None,
+    resolution: float | None = None,
+    frame_rate: float | None = None,
+    scenario: str | None = None,
+) -> "Tracks":
+    """Read tracks with the options of a command.
 
     Args:
         path: the file or folder.
         world: value of --tracks-world: a CRS and two numbers, or None.
         resolution: value of --tracks-resolution: metres per pixel, or None.
+        frame_rate: value of --tracks-frame-rate: frames per second, or None.
+        scenario: value of --scenario: id of one of the file's scenarios, or None.
 
     Returns:
         The tracks.
     """
     from geoaim.track_formats import read_tracks
 
-    plane = None if world is None else _parse_world(world)
-    return read_tracks(path, world=plane, resolution=resolution)
+    plane = None if world is None else parse_world(world)
+    return read_tracks(
+        path, world=plane, resolution=resolution, frame_rate=frame_rate, scenario=scenario
+    )
 
 
 def read_scene(
@@ -54,21 +65,21 @@ def read_scene(
     """Read a scene, its HD map (None without one) and its world; a rate (Hz) resamples tracks.
 
     Raises:
-        ValueError: lights are given without the places of their stop lines, or the other way.
+        ValueError: only one of the lights and the places of their stop lines is given.
     """
-    from geoaim.aim_files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.limits import name_file
     from geoaim.simulation.scene import make_scene
+    from geoaim.texture_files import read_map
     from geoaim.track_changes import resample_tracks
 
-    _check_lights(source)
+    _check_lights(source.lights, source.stop_lines, source.hdmap)
     if source.tracks is None:
         raise ValueError("a scene needs --tracks")
-    aim = read_aim(source.aim)
+    aim = read_map(source.aim)
     hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, aim.world)
-    lights = _read_lights(source, hdmap, aim.world)
-    tracks = read_any_tracks(source.tracks, source.tracks_world, source.tracks_resolution)
+    lights = read_any_lights(source.lights, source.stop_lines, hdmap, aim.world)
+    tracks = _read_source_tracks(source, source.tracks)
     if rate is not None:
         tracks = resample_tracks(tracks, rate)
     with name_file(source.tracks):
@@ -82,21 +93,26 @@ def read_contents(source: SceneSource, world: "World", drivable: Path | None = N
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.web.explore import Contents
 
-    _check_lights(source)
+    _check_lights(source.lights, source.stop_lines, source.hdmap)
     hdmap = None if source.hdmap is None else read_hdmap(source.hdmap, world)
     tracks = None
     if source.tracks is not None:
-        tracks = read_any_tracks(source.tracks, source.tracks_world, source.tracks_resolution)
+        tracks = _read_source_tracks(source, source.tracks)
     return Contents(
         tracks=tracks,
-        lights=_read_lights(source, hdmap, world),
+        lights=read_any_lights(source.lights, source.stop_lines, hdmap, world),
         hdmap=hdmap,
         drivable=None if drivable is None else read_drivable_area(drivable, world),
     )
 
 
+def _read_source_tracks(source: SceneSource, path: Path) -> "Tracks":
+    options = source.tracks_world, source.tracks_resolution, source.tracks_frame_rate
+    return read_any_tracks(path, *options)
+
+
 def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
-    """Load the model of a file; None: the pretrained one of the kind ("vehicles" if None).
+    """Load the model of a file; None: the pretrained one of `kind` ("vehicles" if None).
 
     Raises:
         ValueError: the file's model predicts agents of another kind than the given one.
@@ -115,7 +131,8 @@ def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
 def get_horizon(model: "ITRA", duration: float | None = None) -> int:
     """Get the number of steps, at least 1, in a predicted duration (s, rounded to steps).
 
-    None: the horizon of the model's proposals, or else 4 s of vehicles and 8 s of pedestrians.
+    For None, it is the horizon of the model's proposals, or else 4 s for vehicles and 8 s for
+    pedestrians.
     """
     config = model.config
     if duration is None and config.horizon:
@@ -124,25 +141,47 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
     return max(1, round(duration / config.dt))
 
 
-def _check_lights(source: SceneSource) -> None:
-    if source.lights is not None and source.hdmap is None and source.stop_lines is None:
+def read_any_lights(
+    lights: Path | None, stop_lines: Path | None, hdmap: "HDMap | None", world: "World"
+) -> "Lights | None":
+    """Read traffic lights, with hand-drawn stop lines or those of an HD map.
+
+    Args:
+        lights: value of --lights: a table of states, or None.
+        stop_lines: value of --stop-lines, which replace those of the map.
+        hdmap: the HD map of --hdmap, or None.
+        world: the plane of the lights.
+
+    Returns:
+        The lights; None where no --lights are given.
+
+    Raises:
+        ValueError: only one of the lights and the places of their stop lines is given.
+    """
+    from geoaim.lights import read_lights, read_stop_lines
+
+    _check_lights(lights, stop_lines, hdmap)
+    if lights is None:
+        return None
+    lines = () if hdmap is None else hdmap.stop_lines
+    if stop_lines is not None:
+        lines = read_stop_lines(stop_lines, world)
+    return read_lights(lights, lines, world)
+
+
+def _check_lights(lights: Path | None, stop_lines: Path | None, hdmap: object | None) -> None:
+    if lights is not None and hdmap is None and stop_lines is None:
         raise ValueError("--lights needs --hdmap or --stop-lines, for the places of the lights")
-    if source.stop_lines is not None and source.lights is None:
+    if stop_lines is not None and lights is None:
         raise ValueError("--stop-lines needs --lights, for the states of the lights")
 
 
-def _read_lights(source: SceneSource, hdmap: "HDMap | None", world: "World") -> "Lights | None":
-    from geoaim.lights import read_lights, read_stop_lines
+def parse_world(text: str) -> "World":
+    """Parse the value of --tracks-world: a CRS and two numbers.
 
-    if source.lights is None:
-        return None
-    lines = () if hdmap is None else hdmap.stop_lines
-    if source.stop_lines is not None:
-        lines = read_stop_lines(source.stop_lines, world)
-    return read_lights(source.lights, lines, world)
-
-
-def _parse_world(text: str) -> "World":
+    Raises:
+        ValueError: the value has another form.
+    """
     from geoaim.world import World
 
     try:

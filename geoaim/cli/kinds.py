@@ -2,7 +2,7 @@
 
 A describer takes a path and gives the kind, facts (value by name) and commands, in which FILE
 stands for the path. `describe_file` chooses it by the suffix or the columns of a table, never by
-reading a large file whole to see whether that works.
+trying to read a large file whole.
 """
 
 import json
@@ -15,6 +15,7 @@ from geoaim.errors import GeoaimError
 Facts = dict[str, str]
 Description = tuple[str, Facts, tuple[str, ...]]
 
+MAX_LISTED = 5  # scenarios of a file
 IMAGES = {".png", ".jpg", ".jpeg"}
 ON_A_MAP = "render map.tif --tracks tracks.csv --ego ID"
 MAP_COMMANDS = (
@@ -31,6 +32,7 @@ VIDEO_COMMANDS = (
     "pick FILE --imagery ortho.tif -o points.csv",
     "build FILE --gcps points.csv -o map.tif",
 )
+STILL_COMMAND = "build FILE --resolution 0.04 -o map.tif"
 IMAGERY_COMMANDS = (
     "pick video.mp4 --imagery FILE -o points.csv",
     "align FILE --aim map.tif -o aligned.tif",
@@ -51,12 +53,12 @@ def describe_file(source: str) -> Description:
     """Describe a file, folder, pattern or address.
 
     Returns:
-        Its kind; facts: text of a value with its unit, by its name; and the commands that use it,
-        without the word geoaim.
+        Its kind; its facts: for each name, a value with its unit as text; and the commands that use
+        it, without the word geoaim.
 
     Raises:
         FileNotFoundError: there is no such file or folder.
-        GeoaimError: it is damaged, or nothing that geoaim reads.
+        GeoaimError: it is damaged, or of no kind that geoaim reads.
     """
     path = Path(source)
     if "://" in source:
@@ -65,6 +67,8 @@ def describe_file(source: str) -> Description:
         raise FileNotFoundError(f"{source}: no such file or folder")
     if path.is_dir():
         return _describe_folder(path)
+    if ".tfrecord" in path.name:
+        return _describe_scenarios(source)
     return DESCRIBERS.get(path.suffix.lower(), _describe_video)(source)
 
 
@@ -141,7 +145,7 @@ def _describe_video(source: str) -> Description:
         facts["telemetry"] = "yes" if video.telemetry is not None else "none beside it"
         return "video", facts, VIDEO_COMMANDS
     if video.frame_count == 1:
-        return "image", facts, VIDEO_COMMANDS[2:]
+        return "image", facts, (*VIDEO_COMMANDS[2:], STILL_COMMAND)
     return "images", {"number": str(video.frame_count), **facts}, VIDEO_COMMANDS
 
 
@@ -152,7 +156,8 @@ def _describe_table(source: str) -> Description:
         return "registration of the frames of a video", {}, ()
     if {"sample", "id", "time"} <= columns:
         return "futures that predict wrote", {}, ()
-    if {"signal", "state"} <= columns or any("traffic light" in name for name in columns):
+    has_lights = any("traffic light" in name or name == "movement_state" for name in columns)
+    if has_lights or {"signal", "state"} <= columns:
         return _describe_lights(source)
     if _has_point_columns(columns) or Path(source).suffix.lower() in (".txt", ".points"):
         return _describe_points(source)
@@ -189,8 +194,21 @@ def _describe_tracks(source: str) -> Description:
     if "resolution" not in found.required:
         return name, read_tracks(source).summarize(), TRACK_COMMANDS
     needs = {"units": "pixels: commands need --tracks-resolution, metres per pixel"}
-    commands = (f"{command} --tracks-resolution 0.04" for command in TRACK_COMMANDS)
+    options = "--tracks-resolution 0.04"
+    if "frame_rate" in found.options:
+        options += " --tracks-frame-rate 29.97"
+    commands = (f"{command} {options}" for command in TRACK_COMMANDS)
     return name, needs, tuple(commands)
+
+
+def _describe_scenarios(source: str) -> Description:
+    from geoaim.track_formats import list_waymo_scenarios
+
+    names = list_waymo_scenarios(source)
+    listed = ", ".join(names[:MAX_LISTED]) + (", ..." if len(names) > MAX_LISTED else "")
+    facts = {"scenarios": f"{len(names)}: {listed}"}
+    command = f"convert FILE --scenario {names[0]} -o tracks.csv"
+    return "tracks (Waymo Open Motion format)", facts, (command,)
 
 
 def _describe_lights(source: str) -> Description:
@@ -274,6 +292,7 @@ DESCRIBERS: dict[str, Callable[[str], Description]] = {
     **dict.fromkeys(IMAGES, _describe_image),
     **dict.fromkeys((".csv", ".parquet", ".gz", ".txt", ".points"), _describe_table),
     **dict.fromkeys((".mbtiles", ".webp", ".vrt", ".jp2"), _describe_imagery),
+    **dict.fromkeys((".pkl", ".gpkg"), _describe_tracks),
     ".osm": _describe_hdmap,
     ".pt": _describe_model,
     ".json": _describe_json,

@@ -5,14 +5,16 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-AimFile = Annotated[Path, typer.Argument(help="AIM: a .tif that build, align or draw wrote")]
+AimFile = Annotated[
+    Path, typer.Argument(help="AIM: a .tif that build, align or draw wrote, or a texture folder")
+]
 VideoSource = Annotated[str, typer.Argument(help="video file, or folder or glob of images")]
 ControlPoints = Annotated[
     Path | None,
     typer.Option(help="control points: .csv, OpenDroneMap gcp_list.txt or QGIS .points"),
 ]
 DetectionsFolder = Annotated[
-    Path | None, typer.Option(help="folder of detected boxes: a YOLO .txt for each frame")
+    Path | None, typer.Option(help="detected boxes: a folder of YOLO .txt, or a file of all frames")
 ]
 
 TRACKS_HELP = "tracks: .csv or .parquet of geoaim, or a file of a public dataset"
@@ -27,6 +29,9 @@ TracksWorld = Annotated[
 ]
 TracksResolution = Annotated[
     float | None, typer.Option(help="metres per pixel of tracks in image pixels")
+]
+TracksFrameRate = Annotated[
+    float | None, typer.Option(help="frames per second of tracks that have frames and no times")
 ]
 
 HDMapFile = Annotated[

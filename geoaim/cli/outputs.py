@@ -1,4 +1,4 @@
-"""Checks of output paths before the work, so that no result is lost and no input replaced."""
+"""Check output paths before the work, so that no result is lost and no input replaced."""
 
 import glob
 from collections.abc import Iterable, Sequence
@@ -17,11 +17,11 @@ def check_output(
 
     Args:
         output: the file to write.
-        suffixes: those allowed, in lower case; empty allows all.
+        suffixes: suffixes that are allowed, in lower case; empty allows all.
         inputs: files that are read; None is skipped.
 
     Raises:
-        ValueError: it is refused.
+        ValueError: the output is one of these.
     """
     if suffixes and output.suffix.lower() not in suffixes:
         raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")

@@ -21,9 +21,10 @@ def sample(
 ) -> None:
     """Generate a synthetic place with ground truth: video, tracks, lights, HD map and imagery.
 
-    The same seed gives the same data on every machine. The video has 12 s, whatever the minutes
-    of traffic. README.md in the folder describes each file. The folder appears when it is
-    complete; no existing file is replaced or deleted, earlier samples included.
+    The same seed gives the same data and rendered frames on every machine; the encoded video may
+    differ. The video lasts 12 s, whatever the minutes of traffic. README.md in the folder describes
+    each file. The folder appears when it is complete; no existing file is replaced or deleted,
+    earlier samples included.
 
     Example: geoaim sample place --seed 2 --kind roundabout
     """

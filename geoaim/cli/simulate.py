@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import console, report_errors, show_progress
+from geoaim.cli.console import console, print_table, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, read_scene
 from geoaim.cli.outputs import TRACKS, check_output
 from geoaim.progress import Progress, report_each
@@ -14,11 +14,13 @@ from geoaim.progress import Progress, report_each
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from geoaim.simulation.episodes import Episode
     from geoaim.simulation.scene import Scene
 
 PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
 DEFAULT_SIZE_PX, DEFAULT_EXTENT_M = 512, 80.0  # sides of a view
-VIDEO = {"size": DEFAULT_SIZE_PX, "extent": DEFAULT_EXTENT_M, "trail": 2.0}  # of a simulation
+# options of a simulation's video
+VIDEO = {"size": DEFAULT_SIZE_PX, "extent": DEFAULT_EXTENT_M, "trail": 2.0}
 
 
 def render(
@@ -41,6 +43,7 @@ def render(
     stop_lines: options.StopLinesFile = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
 ) -> None:
     """Render the bird's-eye view of an agent: the map with all agents, heading up.
 
@@ -54,7 +57,16 @@ def render(
     with show_progress() as progress, report_errors():
         check_output(output, (".mp4", ".gif", ".png"))
         scene, _, _ = read_scene(
-            SceneSource(aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines)
+            SceneSource(
+                aim,
+                tracks,
+                tracks_world,
+                tracks_resolution,
+                tracks_frame_rate,
+                lights,
+                hdmap,
+                stop_lines,
+            )
         )
         agent = find_agent(scene, ego)
         steps = scene.present[agent].nonzero()[:, 0]
@@ -90,8 +102,9 @@ def simulate(
     drivable: options.DrivableFile = None,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
 ) -> None:
-    """Simulate agents by a policy, and count collisions and traffic violations.
+    """Simulate agents by a policy, and count infractions beside those of the recording.
 
     All agents that are not controlled replay their tracks. Policies: idm (intelligent driver
     model on the recorded path), constant-velocity, constant-turn-rate, replay. --drivable and
@@ -114,7 +127,14 @@ def simulate(
             if ego is None:
                 raise ValueError("--video needs --ego, the agent at its centre")
         source = SceneSource(
-            aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+            aim,
+            tracks,
+            tracks_world,
+            tracks_resolution,
+            tracks_frame_rate,
+            lights,
+            hdmap,
+            stop_lines,
         )
         scene, roads, world = read_scene(source)
         area = None if drivable is None else read_drivable_area(drivable, world)
@@ -128,9 +148,20 @@ def simulate(
                 agent = find_agent(episode.scene, ego)
                 steps = episode.scene.present[agent].nonzero()[:, 0]
                 _film_agent(episode.scene, agent, steps, parts[1], progress, **VIDEO)
-    rates = ", ".join(f"{name} {100 * share:.2f} %" for name, share in episode.rates.items())
-    count = int(episode.controlled.sum())
-    console.print(f"{output}: {count} agents by {policy}. {rates or 'no violation can be counted'}")
+    title = f"{output}: {int(episode.controlled.sum())} agents by {policy}; shares of their steps:"
+    print_table(title, _list_rates(episode))
+
+
+def _list_rates(episode: "Episode") -> dict[str, str]:
+    """List the rates of a simulation beside those of its recording."""
+    both = episode.rates, episode.recorded_rates
+    names = dict.fromkeys(name for rates in both for name in rates)
+    return {
+        name: ", recorded ".join(
+            f"{100 * rates[name]:.3g} %" if name in rates else "not counted" for rates in both
+        )
+        for name in names
+    }
 
 
 def _film_agent(

@@ -32,8 +32,9 @@ def view(
     browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
     tracks_world: options.TracksWorld = None,
     tracks_resolution: options.TracksResolution = None,
+    tracks_frame_rate: options.TracksFrameRate = None,
 ) -> None:
-    """Show a map and what moves on it in the browser: play, follow agents, compare imagery.
+    """Show a map and its traffic in the browser: play, follow agents, compare imagery.
 
     The page is served to this machine alone, until it is closed or Ctrl-C is pressed.
 
@@ -51,7 +52,14 @@ def view(
         if html is not None:
             check_output(html, (".html",), [aim, tracks, futures])
         source = SceneSource(
-            aim, tracks, tracks_world, tracks_resolution, lights, hdmap, stop_lines
+            aim,
+            tracks,
+            tracks_world,
+            tracks_resolution,
+            tracks_frame_rate,
+            lights,
+            hdmap,
+            stop_lines,
         )
         contents = read_contents(source, read_map_world(aim), drivable)
         contents = replace(contents, imagery=imagery or None, futures=futures)

@@ -16,9 +16,9 @@ from geoaim.world import World
 
 NOT_DRIVABLE = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
 DRIVABLE_AREAS = ("parking",)
-MAX_GAP_M = 0.3  # between lanes: narrower gaps are drivable
-LANE_SPACING_M = 1.0  # between points along a lane
-MIN_AREA_M2 = 0.1  # of a drawn area: degrees taken for metres enclose less
+MAX_GAP_M = 0.3  # narrower gaps between lanes count as drivable
+LANE_SPACING_M = 1.0  # distance between points along a lane
+MIN_AREA_M2 = 0.1  # smallest area that may be drawn: degrees taken for metres enclose less
 
 
 def outline_lanelet(lanelet: Lanelet) -> Polygon:
@@ -62,8 +62,8 @@ def sample_lane_directions(
     """Sample the directions of one-way lanes for vehicles.
 
     Returns:
-        Points about `LANE_SPACING_M` apart along the middles of lanes (m), the directions there
-        (rad), and the distance from each to the border of its lane (m), or to the next point.
+        (m, 2) points about `LANE_SPACING_M` apart along the middles of lanes (m), (m,) directions
+        there (rad), and (m,) the radius around each point (m) that covers its piece of the lane.
     """
     points, directions, reaches = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)]
     for lanelet in hdmap.lanelets:

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 MAX_LOCAL_DEGREES = 0.1  # about (0, 0), within which degrees stand for local metres
 WALKING = ("crosswalk", "walkway", "stairs")  # lanelets of pedestrians
-LOCAL_CRS = "EPSG:32631"  # to which lanelet2's projector maps such degrees
+LOCAL_CRS = "EPSG:32631"  # the CRS in which lanelet2's projector places such degrees
 XML_DECLARATIONS = (b"<!DOCTYPE", b"<!ENTITY")  # maps need none; entity expansion attacks do
 
-Ways = Mapping[str | None, "MapLine"]  # by the id in the file
+Ways = Mapping[str | None, "MapLine"]  # keys: the ids in the file
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class HDMap(Display):
         lines: borders, markings and stop lines.
         lanelets: lanes, walkways and crossings.
         areas: car parks, for instance.
-        stop_lines: of traffic lights.
+        stop_lines: the stop lines of traffic lights.
         world: plane of the metres.
     """
 
@@ -154,7 +154,7 @@ class _Element:
 
     id: str | None
     tags: dict[str | None, str] = field(default_factory=dict)
-    nodes: list[str | None] = field(default_factory=list)  # of a way
+    nodes: list[str | None] = field(default_factory=list)  # a way's nodes
     members: list[tuple[str | None, str | None]] = field(default_factory=list)  # role, reference
 
 
@@ -163,7 +163,8 @@ class _File:
     """The elements of a file."""
 
     nodes: dict[str | None, int] = field(default_factory=dict)  # number of each id
-    lonlat: list[str | None] = field(default_factory=list)  # of one node after another
+    # longitude and latitude of each node in turn
+    lonlat: list[str | None] = field(default_factory=list)
     ways: list[_Element] = field(default_factory=list)
     relations: list[_Element] = field(default_factory=list)
 

@@ -39,13 +39,14 @@ LINES: dict[str, tuple[Colour, float]] = {  # kind, or kind and subtype: colour,
     "line_thick dashed": ((170, 170, 176), 0.3),
     "pedestrian_marking": ((206, 200, 180), 0.15),
     "zebra": ((206, 200, 180), 0.15),
+    "zebra_marking": ((206, 200, 180), 0.15),
     "stop_line": ((235, 60, 60), 0.4),
 }
 SUPERSAMPLING = 4  # pixels that are drawn for one, each way
-MARGIN_M = 10.0  # of the image around the map
-ARROW_SPACING_M = 12.0  # along a lane
+MARGIN_M = 10.0  # distance from the map to the edges of the image
+ARROW_SPACING_M = 12.0  # distance between arrows along a lane
 ARROW_LENGTH_M = 1.2
-MAX_DRAWN_PIXELS = 400_000_000  # for more, the map should be cut, or the resolution is wrong
+MAX_DRAWN_PIXELS = 400_000_000  # beyond this, the map should be cut, or the resolution is wrong
 
 
 def draw_hdmap(hdmap: HDMap, *, resolution: float = 0.2) -> AIM:

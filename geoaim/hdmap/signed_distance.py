@@ -12,21 +12,20 @@ from geoaim.errors import MapError, warn
 from geoaim.grid import Grid, make_north_up_grid
 
 SUPERSAMPLING = 4  # cells of the mask in one of the distance, each way
-MARGIN_M = 20.0  # of the grid around the area
+MARGIN_M = 20.0  # distance from the area to the edges of the grid
 MAX_CELLS = 9_000_000  # about a gigabyte of memory during the computation
 
 
 def compute_signed_distance(
-    area: MultiPolygon, *, resolution: float = 0.2
+    area: MultiPolygon, *, resolution: float
 ) -> tuple[Float32[Array, "H W"], Grid]:
-    """Compute the distance to the edge of an area (metres), on a grid of `resolution` m a cell.
+    """Compute the distance to the edge of an area, on a grid of `resolution` metres per cell.
 
-    A distance is that to the nearest cell of a mask `SUPERSAMPLING` times as fine, which is half a
-    cell of the mask from the edge on average. For more than `MAX_CELLS`, cells are made coarser,
-    with a warning.
+    Distances are measured to the nearest cell of a mask `SUPERSAMPLING` times as fine, less half
+    such a cell. For more than `MAX_CELLS`, cells are made coarser, with a warning.
 
     Returns:
-        (H, W) metres at the centers of cells, positive outside the area and negative inside; and
+        (H, W) metres at the centres of cells, positive outside the area and negative inside; and
         the north-up grid, which reaches `MARGIN_M` beyond the area.
 
     Raises:

@@ -17,7 +17,7 @@ from geoaim.synthetic.compositing import (
 from geoaim.synthetic.exact import ROWS, blur, pack, premultiply, resize, warp
 
 CORNERS = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
-SHADOW_ALPHA = 140  # of 255, opacity of a vehicle's shadow
+SHADOW_ALPHA = 140  # opacity of a vehicle's shadow, out of 255
 SUPERSAMPLING = 2  # the still is kept blurred at twice the frames' resolution, for linear warps
 NOISE_SHIFT = 256  # px, range of the random origin at which each frame crops the noise field
 
@@ -83,7 +83,7 @@ def film(
     width: int,
     generator: np.random.Generator,
 ) -> HoverClip:
-    """Plan a hover video over a still; frames show as much of it as they can, never beyond.
+    """Plan a hover video over a still; frames show as much of the still as fits, and nothing else.
 
     Args:
         background: the still, RGB.

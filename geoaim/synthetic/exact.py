@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8, UInt64
 from numpy import ndarray as Array
 
-ROUNDING_STEPS = 2.0**20  # per unit
-FRACTION_BITS = 8  # of a pixel in a warp
-CHANNEL_BITS = 21  # of each of three channels in one word
+ROUNDING_STEPS = 2.0**20  # steps per unit
+FRACTION_BITS = 8  # bits of a fraction of a pixel in a warp
+CHANNEL_BITS = 21  # bits of each of three channels in one word
 ROWS = 16  # warped at a time, so that they stay in the cache
 
 
@@ -65,7 +65,7 @@ def warp(
     Positions are rounded to 1/256 px; pixels have their origin at the corner.
 
     Args:
-        words: from `pack`.
+        words: words made by `pack`.
         source_from_image: pixels of the result to pixels of the source.
         height: rows of the result.
         width: columns of the result.

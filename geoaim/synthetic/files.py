@@ -17,7 +17,7 @@ from geoaim.synthetic.map_files import ZOOM, write_imagery, write_maps
 from geoaim.synthetic.place import RESOLUTION
 from geoaim.synthetic.roads.markings import list_landmarks
 from geoaim.synthetic.sample import HOVER, VIDEOS, Sample, tracks_of
-from geoaim.synthetic.traffic.signals import light_states_at
+from geoaim.synthetic.traffic.signals import compute_light_states
 from geoaim.synthetic.video_files import write_video_files
 from geoaim.track_files import write_tracks
 
@@ -65,7 +65,7 @@ def _write_traffic(sample: Sample, folder: Path, number: int) -> None:
     tracks = tracks_of(sample, number)
     write_tracks(tracks, folder / _format_name("tracks", number, ".csv"))
     signals = sample.recordings[number].signals
-    states = light_states_at(signals, tracks.times)
+    states = compute_light_states(signals, tracks.times)
     before = np.vstack([np.full((1, len(signals.names)), -1), states[:-1]])
     lines = ["time,signal,state"]
     for step, light in np.argwhere(states != before):

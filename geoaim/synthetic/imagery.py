@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from geoaim.geometry import image_corners, transform_points, translation
 from geoaim.grid import Grid, fit_affine
-from geoaim.imagery.sources import HALF_WORLD_M
+from geoaim.imagery.tiles import HALF_WORLD_M
 from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
 from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_image
@@ -86,7 +86,7 @@ def georeference_photo(
 
     Args:
         place: the place.
-        photo: from `photograph`: all of the drawn place.
+        photo: the result of `photograph`: a photo of the whole drawn place.
         crs: a projected CRS in metres.
         offset: metres east and north by which the stated position is off the true one.
 
@@ -96,7 +96,7 @@ def georeference_photo(
     rows, columns = photo.shape[:2]
     grid = Grid((rows, columns), world_from_image(place, WIDTH_M / columns))
     crs_from_photo, _ = fit_affine(grid, place.world, crs)
-    unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # of the CRS, for a pixel of the photo
+    unit = np.sqrt(abs(np.linalg.det(crs_from_photo)))  # units of the CRS per pixel of the photo
     pixel = float(np.float32(unit))  # the same number on every machine
     # north up, with its corner on whole units of the CRS
     corners = transform_points(crs_from_photo, image_corners(rows, columns))
@@ -112,7 +112,7 @@ def georeference_photo(
 
 
 def draw_offset(place: Place) -> tuple[float, float]:
-    """Draw by how many metres east and north imagery of a place is misplaced."""
+    """Draw at random how many metres east and north imagery of a place is misplaced."""
     generator = _make_generator(place, 0)
     reach, turn = generator.uniform(2.0, 6.0), generator.uniform(0, 2 * np.pi)
     return round(float(reach * np.cos(turn)), 2), round(float(reach * np.sin(turn)), 2)

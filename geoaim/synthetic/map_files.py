@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
 
 from geoaim.geometry import transform_points
-from geoaim.imagery.sources import MERCATOR
+from geoaim.imagery.tiles import MERCATOR
 from geoaim.raster_files import create_raster_file
 from geoaim.synthetic.imagery import (
     Imagery,
@@ -30,7 +30,7 @@ from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.sample import Sample, tracks_of
 from geoaim.world import lonlat_from_world
 
-ZOOM = 19  # of the tiles
+ZOOM = 19  # zoom level of the tiles
 
 
 def write_maps(sample: Sample, folder: Path) -> None:

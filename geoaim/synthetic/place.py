@@ -10,7 +10,7 @@ from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M, Roads, make_roads
 from geoaim.synthetic.scenery.canvas import make_canvas
 from geoaim.synthetic.scenery.day import Day
-from geoaim.synthetic.scenery.ground import draw_ground
+from geoaim.synthetic.scenery.ground import draw_ground_layers
 from geoaim.synthetic.scenery.objects import draw_objects, grade_colours
 from geoaim.synthetic.scenery.plots import place_scenery
 from geoaim.synthetic.scenery.scenery import Scenery
@@ -66,7 +66,7 @@ def draw_place(
     day = Day() if day is None else day
     canvas = make_canvas(resolution, np.random.default_rng([place.seed, GROUND]))
     generator = np.random.default_rng([place.seed, DAY, day.number])
-    draw_ground(canvas, place.roads, place.scenery, day, generator)
+    draw_ground_layers(canvas, place.roads, place.scenery, day, generator)
     draw_objects(canvas, place.scenery, day, generator)
     grade_colours(canvas, day)
     return np.rint(np.minimum(np.maximum(canvas.image, 0), 255)).astype(np.uint8)

@@ -47,7 +47,7 @@ class Sample:
     traffic_model: TrafficModel  # what its traffic is simulated from
     recordings: tuple[TrafficRecording, ...]  # one after the other, each of at most five minutes
     clip: HoverClip | None  # video of the first recording, from its start; None without a video
-    resolution: float  # at which the place is drawn, metres per pixel
+    resolution: float  # resolution at which the place is drawn, metres per pixel
 
 
 def make_sample(
@@ -62,7 +62,7 @@ def make_sample(
     """Make a place and simulate its traffic; `render_frames(sample.clip)` renders its video.
 
     Args:
-        seed: the same seed gives the same numbers and frames on every machine.
+        seed: the same seed gives the same data and rendered frames on every machine.
         kind: "junction", "t", "roundabout", "street", "park" or "campus".
         minutes: duration of the traffic, in recordings of at most five minutes.
         video: height and width of its frames, pixels; None for no video.

@@ -19,7 +19,7 @@ from geoaim.synthetic.sample import Sample
 from geoaim.world import lonlat_from_world
 
 CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files
-SENSOR_WIDTH_MM, FOCAL_LENGTH_MM = 36.0, 24.0  # as focal lengths are stated for 35 mm film
+SENSOR_WIDTH_MM, FOCAL_LENGTH_MM = 36.0, 24.0  # focal lengths are stated for 35 mm film
 CLOCK = "2026-05-14 10:{minute:02d}:{second:02d}.{milli:03d}"
 
 
@@ -29,7 +29,7 @@ def write_video_files(sample: Sample, clip: HoverClip, folder: Path, progress: P
     Args:
         sample: the sample.
         clip: its clip.
-        folder: where the files are written.
+        folder: folder in which the files are written.
         progress: called with the stage, the frames done and in all.
     """
     place = sample.place

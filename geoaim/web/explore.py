@@ -1,4 +1,4 @@
-"""Views of a map and of what moves on it."""
+"""Make the view of a map and its traffic that a page, a widget or an HTML file shows."""
 
 import os
 from collections.abc import Sequence
@@ -21,6 +21,7 @@ from geoaim.lights import Lights
 from geoaim.prediction.futures import Futures
 from geoaim.simulation.road_rules import make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
+from geoaim.texture_files import is_texture, read_map, read_texture
 from geoaim.track_changes import to_world
 from geoaim.tracks import Tracks
 from geoaim.web import map_layers, moving_layers
@@ -41,11 +42,11 @@ class Contents:
         tracks: agents, in any world that can be brought into the map's.
         lights: traffic lights.
         hdmap: lanes, borders and markings, in the map's world.
-        drivable: area that counts as road; None: that of the HD map.
+        drivable: area that counts as road; None: the HD map's drivable area.
         imagery: shown beneath the map, with a swipe between the two: an AIM, or what
             `geoaim.read_imagery` reads.
-        futures: of `predict`, or a file that `geoaim predict -o futures.csv` wrote; in the map's
-            world.
+        futures: the result of `predict`, or a file that `geoaim predict -o futures.csv` wrote; in
+            the map's world.
     """
 
     tracks: Tracks | None = None
@@ -60,15 +61,15 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
     """Make the view of a map.
 
     Args:
-        aim: the map; a file is read by its overviews, as far as it is looked at.
+        aim: the map, or its file, of which only the parts that are shown are read, from overviews.
         contents: what is shown on it.
-        stack: keeps the file open.
+        stack: exit stack that keeps the file open.
 
     Returns:
         What the viewer shows.
 
     Raises:
-        GeoaimError: something cannot be read, or lies elsewhere.
+        GeoaimError: something cannot be read, or lies at another place than the map.
     """
     grid, rasters, title = _open_map(aim, stack)
     world = grid.world
@@ -96,7 +97,9 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
 
 
 def read_map_world(path: str | os.PathLike[str]) -> World:
-    """Read the world of an AIM file."""
+    """Read the world of an AIM file, or of a texture."""
+    if is_texture(path):
+        return read_texture(path).world
     with open_aim(path) as (_, grid, _):
         assert grid.world is not None
         return grid.world
@@ -106,6 +109,8 @@ def _open_map(aim: MapSource, stack: ExitStack) -> tuple[Grid, dict[str, TiledRa
     """Open a map: its grid, its tiles by path, and a title."""
     if isinstance(aim, AIM):
         return aim.grid, map_layers.tile_aim(aim), "AIM"
+    if is_texture(aim):
+        return _open_map(read_texture(aim), stack)
     dataset, grid, report = stack.enter_context(open_aim(aim))
     if not map_layers.is_north_up(grid):
         stack.close()
@@ -163,7 +168,7 @@ def _add_moving(view: MapView, aim: MapSource, contents: Contents, world: World)
 
     @cache
     def get_scene() -> Scene:
-        whole = aim if isinstance(aim, AIM) else read_aim(aim)
+        whole = aim if isinstance(aim, AIM) else read_map(aim)
         return make_scene(whole, tracks, contents.lights)
 
     rules = make_road_rules(contents.hdmap, contents.drivable)

@@ -1,4 +1,4 @@
-"""Maps as layers of the viewer: an AIM, imagery, HD map, and places of points."""
+"""Map layers of the viewer: an AIM, imagery, HD map, and places of points."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -20,14 +20,15 @@ from geoaim.world import World, lonlat_from_world
 CONTESTED_COLOUR = (255, 0, 200, 170)
 COVERAGE_ALPHA = 200
 COVERAGE_COLOURS = (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).astype(np.uint8)
-LINE_COLOURS = {  # by lanelet2's kind of line
+LINE_COLOURS = {  # keys: lanelet2's kinds of line
     "curbstone": "#7c4a03",
     "stop_line": "#c1121f",
+    "zebra": "#f5f5f5",
     "zebra_marking": "#f5f5f5",
     "virtual": "#8888aa",
 }
 MARKING_COLOUR = "#ffffff"
-MAX_FITTED_POINTS = 9  # on a side, where longitude and latitude are fitted
+MAX_FITTED_POINTS = 9  # points on a side at which longitude and latitude are fitted
 Description = dict[str, Any]
 
 
@@ -73,11 +74,11 @@ def tile_aim(aim: AIM) -> dict[str, TiledRaster]:
 
 
 def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaster]:
-    """Make the same tiles of an open AIM file.
+    """Make the tiles of `tile_aim` from an open AIM file.
 
     Args:
-        dataset: stays open as long as the tiles are read.
-        grid: of its pixels, north up.
+        dataset: the open file; keep it open as long as the tiles are read.
+        grid: grid of its pixels, north up.
         most: the coverage of the brightest colour.
 
     Returns:
@@ -94,7 +95,7 @@ def describe_raster(name: str, path: str, raster: TiledRaster, **options: object
 
     Args:
         name: what the panel of layers calls it.
-        path: of its tiles.
+        path: path of its tiles.
         raster: the tiles.
         **options: `visible`, `opacity` and `swipe`.
 

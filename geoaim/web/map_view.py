@@ -8,7 +8,7 @@ from urllib.parse import unquote
 
 from geoaim.web.tiles import TiledRaster
 
-MAX_EMBEDDED_PIXELS = 16e6  # of a raster in an HTML file
+MAX_EMBEDDED_PIXELS = 16e6  # pixels of a raster in an HTML file
 Reply = dict[str, Any]
 
 

@@ -1,4 +1,4 @@
-"""What moves as layers of the viewer: tracks, traffic lights, futures and infractions."""
+"""Moving layers of the viewer: tracks, traffic lights, futures and infractions."""
 
 import json
 import os
@@ -18,18 +18,19 @@ from geoaim.lights import Lights
 from geoaim.limits import refuse_damaged
 from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.prediction.futures import Futures
-from geoaim.simulation.episodes import detect_infractions
-from geoaim.simulation.ground import View, prefilter_ground
+from geoaim.simulation.ground import View
 from geoaim.simulation.lines import LIGHT_COLOURS
 from geoaim.simulation.pictures import render_agent_video
+from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.simulation.scene import Scene, find_agent, slice_scene, transform_stop_lines
+from geoaim.simulation.scene_infractions import detect_infractions
 from geoaim.tracks import Tracks
 from geoaim.web.tiles import encode_picture
 from geoaim.world import World
 
 SHOWN_INFRACTIONS = ("collision", "off road", "red light")
-STEPS_AT_ONCE = 500  # that are searched for infractions
+STEPS_AT_ONCE = 500  # steps that are searched for infractions at once
 Description = dict[str, Any]
 
 
@@ -100,10 +101,10 @@ def describe_futures(futures: Futures) -> Description:
 
 
 def describe_futures_file(path: str | os.PathLike[str]) -> Description:
-    """Describe the futures that `geoaim predict -o futures.csv` wrote, all agents of them.
+    """Describe the futures of all agents in a file that `geoaim predict -o futures.csv` wrote.
 
     Raises:
-        TracksError: it is another file.
+        TracksError: it is not such a file.
     """
     with refuse_damaged(path, TracksError, "a .csv that `geoaim predict` wrote"):
         table = pd.read_csv(path, comment="#", dtype={"id": str})
@@ -121,7 +122,7 @@ def describe_futures_file(path: str | os.PathLike[str]) -> Description:
 
 
 def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
-    """List the begin of each infraction in a scene: time (s), agent and kind."""
+    """List when the infractions in a scene begin: time (s), agent and kind."""
     everyone = torch.ones(len(scene.ids), dtype=torch.bool)
     marks = []
     last = {kind: torch.zeros_like(everyone)[None] for kind in SHOWN_INFRACTIONS}
@@ -151,8 +152,8 @@ def render_model_view(scene: Scene, agent_id: str, step: int) -> bytes:
     """Render an agent's surroundings in the extent and at the resolution that models see.
 
     Args:
-        scene: with its map and lights.
-        agent_id: of the agent in the centre, heading up.
+        scene: the scene, with its map and lights.
+        agent_id: id of the agent in the centre, which heads up.
         step: index of the time.
 
     Returns:
@@ -171,6 +172,6 @@ def render_model_view(scene: Scene, agent_id: str, step: int) -> bytes:
     return encode_picture(next(render_agent_video(averaged, agent, view, torch.tensor([step]))))
 
 
-@lru_cache(maxsize=2)  # of the two kinds of models
+@lru_cache(maxsize=2)  # one entry for each of the two kinds of models
 def _average_ground(scene: Scene, resolution: float) -> Scene:
     return replace(scene, ground=prefilter_ground(scene.ground, resolution))

@@ -16,7 +16,8 @@ from geoaim.web.map_view import MapView
 
 HOST = "127.0.0.1"
 MAX_CALL_BYTES = 1_000_000
-CLOSED_S = 2.0  # without any page until the server stops; a page that is reloaded comes back
+# the server stops after this time without any page; a page that is reloaded comes back
+CLOSED_S = 2.0
 ALIVE_PERIOD_S = 0.5
 HEADERS = {
     "Cache-Control": "no-store",
@@ -31,7 +32,7 @@ HEADERS = {
 
 
 class ViewServer(ThreadingHTTPServer):
-    """Serves a view at an address with a secret; `with` starts it in a thread and closes it."""
+    """Serves a view at an address with a token; `with` starts it in a thread and closes it."""
 
     daemon_threads = True
 

@@ -56,8 +56,8 @@ class TiledRaster:
 
         Args:
             level: 0 is the coarsest.
-            column: of tiles, from the left.
-            row: of tiles, from the top.
+            column: column of tiles, from the left.
+            row: row of tiles, from the top.
 
         Returns:
             The file.
@@ -106,7 +106,7 @@ def encode_picture(picture: UInt8[Array, "h w c"]) -> bytes:
 
 
 def tile_array(pixels: Colours, grid: Grid) -> TiledRaster:
-    """Make tiles of colours in memory, whose grid is north up."""
+    """Make tiles of an image in memory; its grid is north up."""
     halved = [pixels]
 
     def read_block(
@@ -132,10 +132,10 @@ def tile_dataset(
     """Make tiles of an open rasterio dataset, north up, by its overviews.
 
     Args:
-        dataset: stays open as long as the tiles are read.
-        grid: of its pixels.
-        bands: that are read, from 1.
-        colour: makes colours of a block (bands, h, w).
+        dataset: the open dataset; keep it open as long as the tiles are read.
+        grid: grid of its pixels.
+        bands: bands that are read, from 1.
+        colour: converts a block (bands, h, w) to colours.
 
     Returns:
         The tiles.

@@ -26,23 +26,23 @@ def explore(
     imagery: ImagerySource | None = None,
     futures: FuturesSource | None = None,
 ) -> Any:
-    """Show a map and what moves on it in a notebook, as a widget to play and to look around in.
+    """Show a map and its traffic in a notebook, as an interactive widget.
 
     Args:
-        aim: the map, or its file, of which only what is looked at is read.
+        aim: the map, or its file, of which only the parts that are shown are read.
         tracks: agents, in any world that can be brought into the map's.
         lights: traffic lights.
         hdmap: lanes, borders and markings, in the map's world.
         imagery: shown beneath the map, with a swipe between the two: an AIM in its world, or what
             `read_imagery` reads.
-        futures: of `predict`, or a file that `geoaim predict -o futures.csv` wrote.
+        futures: the result of `predict`, or a file that `geoaim predict -o futures.csv` wrote.
 
     Returns:
         The widget (anywidget), which JupyterLab, VS Code, Colab and marimo show.
 
     Raises:
         ImportError: anywidget is not installed (`pip install 'geoaim[jupyter]'`).
-        GeoaimError: something cannot be read, or lies elsewhere.
+        GeoaimError: something cannot be read, or lies at another place than the map.
 
     Example:
         geoaim.explore(aim, tracks=geoaim.read_tracks("tracks.csv"))
@@ -64,10 +64,11 @@ def pick(
 
     Args:
         video: a video, images or one image.
-        path: the .csv that is written after each change; if it exists, picking goes on.
+        path: the .csv that is written after each change; if it exists, picking continues with its
+            points.
         imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
-        time: of the frame, s.
-        crs: of the coordinates; None for a local metric plane.
+        time: time of the frame, s.
+        crs: CRS of the coordinates; None for a local metric plane.
 
     Returns:
         The widget (anywidget).
@@ -109,7 +110,7 @@ def answer_message(view: MapView, send: Any, message: dict[str, Any]) -> None:
     Args:
         view: what is shown.
         send: takes a message and a list of buffers.
-        message: of the widget's page.
+        message: message of the widget's page.
     """
     number = message.get("id")
     try:

@@ -6,7 +6,7 @@ from geoaim.bench.curves import (
     find_knee,
     find_pareto_front,
     judge_choices,
-    mark_fronts,
+    mark_pareto_fronts,
     summarise_sizes,
 )
 from geoaim.bench.report import Results, write_results
@@ -87,7 +87,7 @@ def test_names_on_a_chart_cover_no_mark_and_no_name():
 def test_results_are_written_as_json_markdown_and_charts(tmp_path):
     sizes = make_sizes(2)
     chart = draw_sizes(sizes, {"n": "error, px"})
-    tables = {"rows": mark_fronts({"all": sizes}, "cost", "error"), "none": []}
+    tables = {"rows": mark_pareto_fronts({"all": sizes}, "cost", "error"), "none": []}
     paths = write_results(Results("Title", tables, {"sizes": chart}), tmp_path, "n", "geoaim x")
     assert {path.name for path in paths} == {"n.json", "n.md", "n-sizes.svg", "n-sizes.png"}
     assert all(path.stat().st_size > 100 for path in paths)

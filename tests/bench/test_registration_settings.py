@@ -52,7 +52,7 @@ def test_settings_register_in_pixels_of_the_full_image(video, frames, setting, l
     assert measure_error(register_with(frames, setting), video) < limit
 
 
-def test_refused_frames_have_an_infinite_error(video, frames):
+def test_rejected_frames_have_an_infinite_error(video, frames):
     blank = [*frames[:-1], next(iter(open_video([np.zeros((720, 1280), np.uint8)])))]
     assert measure_error(register_with(blank, Setting(model="similarity")), video) == np.inf
 

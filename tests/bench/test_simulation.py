@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 
-from geoaim.bench import birdview, simulator
+from geoaim.bench import birdview, birdview_batches, simulator
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def ground():
 
 def test_renderers_are_timed_and_compared(ground, monkeypatch):
     monkeypatch.setattr(birdview, "MIN_TIMED_PIXELS", 1)
-    row = birdview._time_renderer(ground, pixels=16, views=2, repeats=1)
+    row = birdview._time_renderer(ground, (16, 2, 20), repeats=1)
     assert all(value > 0 for value in row.values())
     methods = birdview._compare_renderers(ground, pixels=16, views=2, repeats=1)
     errors = {row["method"]: row["mean error at edges of boxes"] for row in methods}
@@ -25,6 +25,16 @@ def test_renderers_are_timed_and_compared(ground, monkeypatch):
     figure = birdview._draw_chart(methods)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles == ["mean error", "mean error at edges of boxes"]
+
+
+def test_batches_are_timed(ground, monkeypatch):
+    monkeypatch.setattr(birdview_batches, "VIEWS", 2)
+    rows = [
+        birdview_batches.time_maps(16, repeats=1, side=64),
+        birdview_batches.time_threads(ground, 16, repeats=1),
+        birdview_batches.time_stack(ground, 3, repeats=1),
+    ]
+    assert all(value > 0 for row in rows for value in row.values())
 
 
 def test_simulator_is_timed(tmp_path):

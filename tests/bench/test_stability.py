@@ -38,7 +38,7 @@ def list_effects():
 def test_frames_show_the_ground_where_the_truth_says(still, generator):
     clip = clips.make_clip(make_case("rotation", 10.0, generator=generator), count=4)
     truth = clip.find_truth(0, 3)
-    matrix, _ = cv2.findHomography(truth - 0.5, clips.make_grid(SMALL) - 0.5)
+    matrix, _ = cv2.findHomography(truth - 0.5, clips.make_check_points(SMALL) - 0.5)
     first, last = (cv2.GaussianBlur(clip.frames[i], (0, 0), 1).astype(float) for i in (0, 3))
     back = cv2.warpPerspective(last, matrix, SMALL[::-1], flags=cv2.INTER_CUBIC | 16)
     inside = slice(60, 120), slice(100, 220)
@@ -50,7 +50,7 @@ def test_frames_show_the_ground_where_the_truth_says(still, generator):
 @pytest.mark.parametrize("kind", ["lens", "rolling shutter", "torn frame"])
 def test_truth_of_a_frame_in_itself_is_the_identity(still, generator, kind):
     clip = clips.make_clip(make_case(kind, 0.05, generator=generator), count=3)
-    np.testing.assert_allclose(clip.find_truth(2, 2), clips.make_grid(SMALL), atol=1e-6)
+    np.testing.assert_allclose(clip.find_truth(2, 2), clips.make_check_points(SMALL), atol=1e-6)
 
 
 @pytest.mark.parametrize("generator", ["warped", "splines"])
@@ -93,12 +93,12 @@ def test_splits_share_no_seed_and_no_base():
 @pytest.mark.parametrize(
     ("error", "rms", "stated", "verdict"),
     [
-        (np.nan, np.nan, np.inf, "refused"),
+        (np.nan, np.nan, np.inf, "rejected"),
         (0.4, 0.2, 0.1, "right"),
         (0.4, 0.3, 0.05, "understated"),
-        (3.0, 2.0, 1.5, "wrong and said"),
-        (3.0, 2.0, 0.5, "wrong and sure"),
-        (3.0, 2.0, np.nan, "wrong and sure"),
+        (3.0, 2.0, 1.5, "wrong but uncertain"),
+        (3.0, 2.0, 0.5, "wrong and overconfident"),
+        (3.0, 2.0, np.nan, "wrong and overconfident"),
     ],
 )
 def test_verdicts(error, rms, stated, verdict):
@@ -112,20 +112,20 @@ def test_breakpoint_is_the_last_level_before_the_first_that_fails():
     assert judge.find_breakpoint(frames[frames["rank"] == 1]) == -1
 
 
-def test_refusals_are_counted_up_to_an_earlier_breakpoint_of_the_others():
+def test_rejections_are_counted_up_to_an_earlier_breakpoint_of_the_others():
     frames = pd.DataFrame(
         {
             "method": "geoaim",
             "kind": "noise",
             "level": [2.0, 2.0, 8.0, 20.0],
             "rank": [0, 0, 1, 2],
-            "verdict": ["right", "refused", "right", "refused"],
+            "verdict": ["right", "rejected", "right", "rejected"],
         }
     )
     rows = [{"kind": "noise", "geoaim up to": "20", "ORB up to": "8", "SIFT up to": "none"}]
     ranks = judge.read_best_ranks("validation", rows)
     assert ranks == {"noise": 1}
-    assert judge.measure_refusals(frames, ranks) == pytest.approx(1 / 3)
+    assert judge.measure_rejections(frames, ranks) == pytest.approx(1 / 3)
 
 
 def test_seeds_of_earlier_sweeps_are_left_out():

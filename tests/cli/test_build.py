@@ -6,6 +6,7 @@ import rasterio
 from PIL import Image
 from typer.testing import CliRunner
 
+from geoaim.aim_files import read_aim
 from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
 
@@ -22,6 +23,28 @@ def test_build_writes_the_map_and_a_quick_look(frames_folder, tmp_path):
     with rasterio.open(output) as file:
         assert file.transform.a == pytest.approx(0.05, rel=1e-3)
     assert output.with_suffix(".png").stat().st_size > 10_000
+
+
+def test_a_still_becomes_a_map_by_its_resolution_or_by_control_points(frames_folder, tmp_path):
+    still, output = str(next(frames_folder.glob("*0.png"))), tmp_path / "aim.tif"
+    with Image.open(still) as image:
+        width, height = image.size
+        pixels = np.asarray(image.convert("RGB"))
+    result = run(app, ["build", still, "--resolution", "0.05", "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    assert "the map is a single image" in " ".join(result.output.split())
+    aim = read_aim(output)
+    corners = 0.05 * np.array([[0, 0], [width, 0], [width, -height], [0, -height]])
+    np.testing.assert_allclose(aim.corners, corners, atol=1e-6)
+    assert np.abs(aim.image.astype(int) - pixels).max() <= 2
+    given = [still, "--resolution", "0.05", "--frame-origin", "middle"]
+    assert run(app, ["build", *given, "-o", str(output)]).exit_code == 0
+    np.testing.assert_allclose(read_aim(output).corners, corners - corners.mean(0), atol=1e-6)
+    (tmp_path / "gcps.csv").write_text((frames_folder / "gcps.csv").read_text())
+    given = [still, "--gcps", str(tmp_path / "gcps.csv")]
+    result = run(app, ["build", *given, "-o", str(output)])
+    assert result.exit_code == 0, result.output
+    assert read_aim(output).report["georeference"]["points"]
 
 
 def test_an_error_is_one_line_and_exit_code_1_and_writes_nothing(frames_folder, tmp_path):

@@ -33,7 +33,8 @@ def test_the_examples_in_the_help_run(tmp_path, monkeypatch):
     (tmp_path / "samples").symlink_to(Path("samples").absolute())
     monkeypatch.chdir(tmp_path)
     commands = typer.main.get_command(app).commands
-    for name in ("draw", "frame", "align", "register", "info", "texture", "simulate", "doctor"):
+    names = "draw frame align register info convert texture simulate doctor"
+    for name in names.split():
         example = shlex.split(commands[name].help.split("Example: ")[1])
         result = CliRunner().invoke(app, example[1:])
         assert result.exit_code == 0, f"{' '.join(example)}: {result.output}"

@@ -1,3 +1,4 @@
+import numpy as np
 from PIL import Image
 from shapely import LineString, MultiPolygon, box
 from typer.testing import CliRunner
@@ -66,7 +67,8 @@ def test_simulate_uses_hand_drawn_areas_and_stop_lines(tmp_path):
     write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "aim.tif")
     lines = [Feature(LineString(s.ends), {"signal": s.signal}) for s in hdmap.stop_lines]
     write_features(lines, hdmap.world, tmp_path / "lines.geojson")
-    area = MultiPolygon([box(0, 0, 1, 1)])
+    x, y = np.mean([line.ends for line in hdmap.stop_lines], axis=(0, 1))
+    area = MultiPolygon([box(x, y, x + 1, y + 1)])
     write_features([Feature(area)], hdmap.world, tmp_path / "area.geojson")
     given = ["simulate", f"{tmp_path}/aim.tif", "--tracks", "samples/tracks.csv", "--start", "4"]
     given += ["--stop-lines", f"{tmp_path}/lines.geojson", "--lights", "samples/lights.csv"]
@@ -74,6 +76,6 @@ def test_simulate_uses_hand_drawn_areas_and_stop_lines(tmp_path):
     result = run(app, [*given, "--duration", "2", "-o", f"{tmp_path}/out.csv"])
     assert result.exit_code == 0, result.output
     output = " ".join(result.output.split())
-    assert "off road 100.00 %" in output
+    assert "off road │ 100 %, recorded 100 %" in output
     assert "red light" in output
     assert "wrong way" not in output

@@ -24,8 +24,9 @@ from geoaim.mapping.pipeline import build_aim
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.training import init_model, train
-from geoaim.simulation.policies import make_idm_policy
-from geoaim.simulation.simulator import Scenario, extract_routes, rollout
+from geoaim.simulation.idm import make_idm_policy
+from geoaim.simulation.routes import extract_routes
+from geoaim.simulation.simulator import Scenario, rollout
 from tests.prediction.tiny import TINY, drive, hill
 
 FRAMES, STEPS, ROLLOUTS = 20_000, 2_000, 10_000
@@ -78,9 +79,11 @@ def simulate(folder: Path, count: int, sample: Sample) -> None:
     states = segments.states.repeat(1, 1, 3, 1) + torch.arange(6)[:, None] * torch.ones(4) * 3
     sizes, present = segments.sizes.repeat(1, 3, 1), segments.present.repeat(1, 1, 3)
     scenario = Scenario(states, present, sizes, sizes[..., 0] < 1, segments.dt)
-    policy = make_idm_policy(extract_routes(scenario), scenario.states[:, 0, :, 3])
+    everyone = ~scenario.pedestrian
+    given = extract_routes(scenario), scenario.states[:, 0, :, 3], sizes, everyone
+    policy = make_idm_policy(*given)
     for index in range(count):
-        rollout(scenario, policy, ~scenario.pedestrian)
+        rollout(scenario, policy, everyone)
         sample(index + 1)
 
 

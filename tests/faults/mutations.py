@@ -2,13 +2,15 @@
 
 import io
 import json
+import pickle
 import re
 import sqlite3
 import struct
 import tempfile
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +235,54 @@ def mutate_parquet(content: bytes, generator: np.random.Generator) -> bytes:
     return sink.getvalue()
 
 
+def mutate_tfrecord(content: bytes, generator: np.random.Generator) -> bytes:
+    """Mutate the messages of a TFRecord file, with checksums that match them."""
+    from geoaim.track_formats.tfrecord import make_record
+
+    (length,) = struct.unpack("<Q", content[:8])
+    mutate = _choose([mutate_bytes, mutate_numbers, _mutate_messages], generator)
+    return make_record(mutate(content[12 : 12 + length], generator))
+
+
+def _mutate_messages(content: bytes, generator: np.random.Generator) -> bytes:
+    """Overwrite doubles and bytes anywhere in a message: most are numbers, keys or lengths."""
+    changed = bytearray(content)
+    for _ in range(generator.integers(1, 9)):
+        start = int(generator.integers(len(changed)))
+        special = _choose([float("nan"), float("inf"), 1e308, -1e15, 0.0, 1e-320], generator)
+        if generator.random() < 0.5:
+            changed[start] = int(generator.integers(256))
+        else:
+            changed[start : start + 8] = struct.pack("<d", special)
+    return bytes(changed)
+
+
+def mutate_pickle(content: bytes, generator: np.random.Generator) -> bytes:
+    """Mutate values of a pickle, or the numbers, shape or type of one of its arrays."""
+    root = [pickle.loads(content)]
+    for _ in range(generator.integers(1, 4)):
+        if generator.random() < 0.5:
+            _replace_value(root, generator)
+            continue
+        arrays = list(_list_arrays(root[0]))
+        node, key = _choose(arrays, generator)
+        array = np.array(node[key])
+        special = _choose([float("nan"), float("inf"), 1e300, -1e12, 0.0], generator)
+        changed = array.astype(np.float64).ravel()
+        changed[int(generator.integers(len(changed)))] = special
+        others = [changed.reshape(array.shape), array[:-1], array[None], array.astype(str)]
+        node[key] = _choose([*others, array.astype(object), array * 0, array.T], generator)
+    return pickle.dumps(root[0], int(generator.integers(3, 6)))
+
+
+def _list_arrays(node: Any) -> Iterator[tuple[Any, Any]]:
+    """The places of all arrays in nested dicts."""
+    for key, value in node.items() if isinstance(node, dict) else ():
+        if isinstance(value, np.ndarray) and value.size:
+            yield node, key
+        yield from _list_arrays(value)
+
+
 def mutate_state(content: bytes, generator: np.random.Generator) -> bytes:
     """Mutate a value or a tensor of a file of torch."""
     import torch
@@ -287,6 +337,31 @@ def mutate_mbtiles(content: bytes, generator: np.random.Generator) -> bytes:
             number = _choose([*NUMBERS[:12], -1, None, "x"], generator)
             value = mutate_bytes(data or b"", generator) if column == "tile_data" else number
             connection.execute(f"UPDATE tiles SET {column}=? WHERE rowid=?", (value, row))
+    connection.commit()
+    return connection.serialize()
+
+
+def mutate_geopackage(content: bytes, generator: np.random.Generator) -> bytes:
+    """Mutate values, geometries and tables of a GeoPackage."""
+    connection = sqlite3.connect(":memory:")
+    connection.deserialize(content)
+    tables = ["states", "states", "gpkg_contents", "gpkg_spatial_ref_sys"]
+    for _ in range(generator.integers(1, 4)):
+        table = _choose(tables, generator)
+        rows = connection.execute(f"SELECT rowid, * FROM {table}").fetchall()
+        names = [row[1] for row in connection.execute(f"PRAGMA table_info({table})")]
+        column, row = int(generator.integers(len(names))), _choose(rows, generator)
+        value = row[column + 1]
+        if isinstance(value, bytes):
+            value = mutate_numbers(value, generator)
+        else:
+            value = _choose([*FIELDS[:20], None, -1, 2**62, 1e300, value, b"GP"], generator)
+        with suppress(sqlite3.IntegrityError):
+            connection.execute(
+                f"UPDATE {table} SET {names[column]} = ? WHERE rowid = ?", (value, row[0])
+            )
+    if generator.random() < 0.1:
+        connection.execute(f"DROP TABLE {_choose(tables, generator)}")
     connection.commit()
     return connection.serialize()
 

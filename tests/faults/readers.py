@@ -22,7 +22,8 @@ from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.windows import WindowFiles, read_windows
 from geoaim.simulation.ground import View
-from geoaim.track_formats import read_tracks
+from geoaim.texture_files import read_texture
+from geoaim.track_formats import read_scenarionet_lights, read_tracks, read_waymo_lights
 from tests.faults import mutations as by
 from tests.faults.seeds import WORLD, resume_training
 
@@ -30,8 +31,10 @@ TEXT = (by.mutate_fields, by.mutate_lines)
 JSON = (*TEXT, by.mutate_json)
 BINARY = (by.mutate_numbers,)
 PNG = (by.mutate_numbers, by.mutate_chunks)
+PICKLE = (by.mutate_numbers, by.mutate_pickle)
 STATE = (by.mutate_state,)
 VIEW = View(16, 16, 1.0)
+KIT_LINES = [StopLine("1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
 SIND_LINES = [StopLine("Traffic light 1", np.array([[0.0, 0.0], [3.0, 0.0]]))]
 
 
@@ -101,11 +104,14 @@ READERS = {
     "AIM": Reader(
         "aim.tif", (*BINARY, by.mutate_geotiff_tags), lambda folder: read_aim(folder / "aim.tif")
     ),
+    "texture: corner frame": Reader("texture.json", JSON, read_texture),
+    "texture: picture": Reader("texture.png", PNG, read_texture),
     "tracks: plain CSV": _tracks("plain.csv"),
     "tracks: Parquet": _tracks("plain.parquet", (*BINARY, by.mutate_parquet)),
     "tracks: SDD": _tracks("sdd.txt", resolution=0.04),
     "tracks: SDD, gzipped": _tracks("sdd.txt.gz", (by.mutate_gzipped,), resolution=0.04),
     "tracks: TrajNet": _tracks("trajnet.csv", resolution=0.04),
+    "tracks: pixel": _tracks("pixels.csv", resolution=0.04, frame_rate=24.0),
     "tracks: INTERACTION": _tracks("interaction.csv"),
     "tracks: SinD": _tracks("sind.csv"),
     "tracks: inD": _tracks("00_tracks.csv"),
@@ -114,11 +120,25 @@ READERS = {
     "tracks: highD": _tracks("01_tracks.csv"),
     "tracks: highD, agents": _tracks("01_tracksMeta.csv"),
     "tracks: geo-trax": _tracks("geotrax.csv"),
+    "tracks: geo-trax pixels": _tracks("geotrax.txt", resolution=0.05),
+    "tracks: Argoverse 2": _tracks("argoverse.parquet", (*BINARY, by.mutate_parquet)),
+    "tracks: Waymo": _tracks("waymo.tfrecord", (by.mutate_numbers, by.mutate_tfrecord)),
+    "lights: Waymo": Reader(
+        "waymo.tfrecord", (by.mutate_tfrecord,), lambda f: read_waymo_lights(f / "waymo.tfrecord")
+    ),
+    "tracks: GeoPackage": _tracks("tracks.gpkg", (*BINARY, by.mutate_geopackage)),
+    "tracks: ScenarioNet": _tracks("scenario.pkl", PICKLE),
+    "lights: ScenarioNet": Reader(
+        "scenario.pkl", PICKLE, lambda f: read_scenarionet_lights(f / "scenario.pkl")
+    ),
     "TrajNet windows": Reader("scenes/gates.csv", TEXT, _read_windows),
     "TrajNet scenes": Reader("scenes/scenes.csv", TEXT, _read_windows),
     "TrajNet image": Reader("image.jpg", BINARY, _read_image_ground),
     "lights: plain": Reader(
         "lights.csv", TEXT, lambda f: read_lights(f / "lights.csv", _read_lines(f), WORLD)
+    ),
+    "lights: KIT": Reader(
+        "phases.csv", TEXT, lambda f: read_lights(f / "phases.csv", KIT_LINES, WORLD)
     ),
     "lights: SinD": Reader(
         "sind_lights.csv", TEXT, lambda f: read_lights(f / "sind_lights.csv", SIND_LINES, WORLD)

@@ -14,14 +14,17 @@ from rasterio.transform import from_origin
 
 from geoaim.aim import AIM
 from geoaim.aim_files import write_aim
+from geoaim.mapping.texture import export_texture
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.training import init_model, train
 from geoaim.track_files import write_tracks
+from geoaim.track_formats import write_geopackage
 from geoaim.tracks import Tracks
 from geoaim.world import World
 from tests.prediction.tiny import TINY, drive, hill
+from tests.track_formats import scenarionet_files, test_argoverse, waymo_records
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 ORIGIN = 583000.0, 6062000.0
@@ -40,6 +43,10 @@ TABLES = {
     ),
     "trajnet.csv": "frame,track,u_px,v_px\n"
     + "".join(f"{12 * k},{i},{10 * k},{5 * k}\n" for i in (1, 2) for k in range(20)),
+    "pixels.csv": "id,frame,x,y,type\n"
+    + "".join(f"{i},{6 * k},{10 * k},{5 * k},car\n" for i in (1, 2) for k in range(20)),
+    "phases.csv": "signal_group_id,timestamp_ms,movement_state\n"
+    "1,0,STOP_AND_REMAIN\n1,900,PROTECTED_MOVEMENT_ALLOWED\n1,2000,PROTECTED_CLEARANCE\n",
     "interaction.csv": "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,psi_rad,length,width\n"
     + "".join(f"{i},{k},{100 * k},car,{k},{i},10,0,0,4.5,1.8\n" for i in (1, 2) for k in range(5)),
     "sind.csv": "track_id,frame_id,timestamp_ms,agent_type,x,y,vx,vy,yaw_rad,length,width,ax,ay\n"
@@ -62,6 +69,9 @@ TABLES = {
         f"{i},2022-10-07 17:52:13.{k}00,{k},0,0,{170000 + k},532000.0,37,126,4.9,1.9,0\n"
         for i in (1, 2)
         for k in range(5)
+    ),
+    "geotrax.txt": "".join(
+        f"{k},{i},{9 * k},50,40,20,{9 * k},50,40,20,0,0.9,45,18\n" for i in (1, 2) for k in range(6)
     ),
     "lights.csv": "time,signal,state\n0,east,green\n0,west,red\n5,east,yellow\n8,east,red\n",
     "sind_lights.csv": "RawFrameID,timestamp(ms),Traffic light 1,Traffic light 2\n0,0,1,0\n"
@@ -144,10 +154,15 @@ def write_seeds(folder: Path) -> None:
     (folder / "scenes" / "gates.csv").write_text(TABLES["trajnet.csv"])
     (folder / "sdd.txt.gz").write_bytes(gzip.compress(TABLES["sdd.txt"].encode()))
     write_aim(make_aim(), folder / "aim.tif")
+    export_texture(make_aim(), folder)
     for suffix in ("csv", "parquet"):
         write_tracks(make_tracks(), folder / f"plain.{suffix}")
     write_model(init_model(TINY), folder / "model.pt")
     resume_training(folder / "training")
+    test_argoverse.make_table().to_parquet(folder / "argoverse.parquet")
+    (folder / "waymo.tfrecord").write_bytes(waymo_records.make_file(waymo_records.make_scenario()))
+    write_geopackage(make_tracks(), folder / "tracks.gpkg")
+    scenarionet_files.write(folder / "scenario.pkl")
     _write_images(folder)
     _write_videos(folder)
 

@@ -14,7 +14,7 @@ import rasterio
 from geoaim.aim_files import write_aim
 from geoaim.errors import GeoaimError, ImageryError, VideoError
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.imagery.sources import Tiles
+from geoaim.imagery.tiles import Tiles
 from geoaim.mapping.video.video import open_video
 from geoaim.world import parse_crs
 from tests.faults.readers import READERS

@@ -14,10 +14,23 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is measu
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    """Outcomes of the mutations of all readers, counted in a process that forks."""
+def results(request, tmp_path_factory):
+    """Outcomes of the mutations of the chosen readers, counted in a process that forks."""
+    here = [item for item in request.session.items if item.path == request.path]
+    chosen = [
+        argument for item in here for argument in ("--reader", item.callspec.params["reader"])
+    ]
     path = tmp_path_factory.mktemp("faults") / "faults.json"
-    command = [sys.executable, "-m", "tests.faults.run", "--count", str(MUTATIONS), "-o", str(path)]
+    command = [
+        sys.executable,
+        "-m",
+        "tests.faults.run",
+        "--count",
+        str(MUTATIONS),
+        "-o",
+        str(path),
+        *chosen,
+    ]
     subprocess.run(command, timeout=400, stdout=subprocess.DEVNULL, check=False)
     return json.loads(path.read_text())
 

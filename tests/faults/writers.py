@@ -32,7 +32,7 @@ from geoaim.mapping.video import video
 from geoaim.prediction import dataset, pictures, predict, report, training
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.metrics import Metric
-from geoaim.simulation import episodes
+from geoaim.simulation import OrientedBoxes, View, birdview, episodes
 from geoaim.track_files import write_tracks
 from tests.faults import seeds
 from tests.prediction.tiny import TINY, drive, hill
@@ -42,6 +42,16 @@ torch.set_num_threads(1)
 gc.freeze()  # forks share the memory of what is imported
 PRELOADED = torch._dynamo, encode, raster_files, texture, pictures, predict, report, episodes
 STEPS = 2  # of the training
+
+
+def compile_renderer() -> None:
+    """Compile the renderer here: in forks it would take long, and write files of its own."""
+    poses = torch.zeros(1, 1, 3).requires_grad_()
+    boxes = OrientedBoxes(poses, torch.ones(2), torch.ones(3))
+    birdview.render(View(4, 4, 1.0), torch.zeros(1, 3), hill(), [boxes]).sum().backward()
+
+
+compile_renderer()
 
 
 def write_inputs(folder: Path, version: int) -> None:
@@ -101,6 +111,10 @@ def simulate(inputs: Path, target: Path) -> None:
     cli.simulate(inputs / "aim.tif", inputs / "tracks.csv", target, duration=0.8)
 
 
+def convert(inputs: Path, target: Path) -> None:
+    cli.convert(inputs / "tracks.csv", target)
+
+
 def film_simulation(inputs: Path, target: Path) -> None:
     files = inputs / "aim.tif", inputs / "tracks.csv", target
     with patch.dict(sys.modules["geoaim.cli.simulate"].VIDEO, size=32):
@@ -128,8 +142,8 @@ def train(inputs: Path, target: Path) -> None:
         ):
             owner = sys.modules[owner] if isinstance(owner, str) else owner
             stack.enter_context(patch.object(owner, name, value))
-        files = inputs / "aim.tif", inputs / "tracks.csv", target.parent
-        cli.train(*files, weights=inputs / "model.pt")
+        files = {"tracks": inputs / "tracks.csv", "weights": inputs / "model.pt"}
+        cli.train(inputs / "aim.tif", target.parent, **files)
 
 
 def repeat_experiment(inputs: Path, target: Path) -> None:
@@ -175,6 +189,7 @@ WRITERS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
     "render, picture": (render, ".png"),
     "render, animation": (render, ".gif"),
     "render, video": (render, ".mp4"),
+    "convert": (convert, ".gpkg"),
     "simulate": (simulate, ".csv"),
     "simulate, Parquet": (simulate, ".parquet"),
     "simulate, video": (film_simulation, ".csv"),

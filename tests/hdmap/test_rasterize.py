@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,18 @@ def test_drawn_map_lies_where_its_lines_are():
         assert len(near) > 10
         assert abs(across.mean()) < 0.04
     assert (aim.image[0, 0] == GROUND).all()
+
+
+def test_zebra_markings_are_drawn():
+    hdmap = read_hdmap("samples/map.osm")
+    ends = np.concatenate([lanelet.left for lanelet in hdmap.lanelets])[[0, -1]]
+
+    def draw(kind):
+        lines = (*hdmap.lines, MapLine(kind, "", ends))
+        return draw_hdmap(replace(hdmap, lines=lines), resolution=0.5).image
+
+    assert (draw("zebra_marking") == draw("zebra")).all()
+    assert (draw("zebra") != draw("a kind that is not drawn")).any()
 
 
 def test_absurd_resolution_is_refused():

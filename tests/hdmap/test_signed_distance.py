@@ -18,11 +18,11 @@ def test_distance_is_negative_on_the_road():
 def test_distance_of_nothing_is_refused():
     for nothing in (MultiPolygon(), MultiPolygon([box(0.01, 0, 0.02, 30)])):
         with pytest.raises(MapError, match=r"is empty|narrower than 0\.05 m"):
-            compute_signed_distance(nothing)
+            compute_signed_distance(nothing, resolution=0.2)
 
 
 def test_distance_of_a_large_area_is_coarser(monkeypatch):
     monkeypatch.setattr(signed_distance, "MAX_CELLS", 1000)
     with pytest.warns(GeoaimWarning, match=r"70 x 46 m are too large.*computed every 1\.8 m"):
-        distance, _ = compute_signed_distance(MultiPolygon([box(0, 0, 30, 6)]))
+        distance, _ = compute_signed_distance(MultiPolygon([box(0, 0, 30, 6)]), resolution=0.2)
     assert distance.size < 1200

@@ -65,7 +65,7 @@ def test_boxes_are_those_of_the_frames(sample, folder):
     assert float(rows[0][1]) == pytest.approx((left + right) / 2 / 320, abs=1e-5)
     assert {row[0] for row in rows} <= set("012345")
     frame = next(iter(open_video(folder / "hover.mp4").frames_at([6.0])))
-    np.testing.assert_allclose(read_detections(folder / "boxes")(frame), wanted, atol=0.01)
+    np.testing.assert_allclose(read_detections(folder / "boxes")(frame).boxes, wanted, atol=0.01)
 
 
 def test_background_is_the_first_frame_without_traffic(sample, folder):

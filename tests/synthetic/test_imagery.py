@@ -3,7 +3,7 @@ import pytest
 from pyproj import Transformer
 
 from geoaim.geometry import transform_points
-from geoaim.imagery.sources import MERCATOR
+from geoaim.imagery.tiles import MERCATOR
 from geoaim.synthetic.imagery import (
     TILE,
     cut_tiles,

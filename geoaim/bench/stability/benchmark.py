@@ -13,14 +13,14 @@ from geoaim.bench.stability.judge import (
     compare_methods,
     count_silent,
     find_best_ranks,
-    measure_refusals,
+    measure_rejections,
     summarise,
 )
 from geoaim.bench.stability.kinds import KINDS
 from geoaim.bench.stability.sweep import QUICK_KINDS, RIVALS, run_geoaim, run_rivals
 from geoaim.progress import Progress
 
-EVERY = 4  # of the clips of a kind, one is taken
+EVERY = 4  # one of so many clips of a kind is taken
 
 
 def measure_stability(quick: bool, progress: Progress) -> Results:
@@ -61,7 +61,7 @@ def make_results(frames: pd.DataFrame) -> Results:
     table = summarise(frames)
     totals = count_silent(frames) | {
         "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
-        "refused_below_best_breakpoint": measure_refusals(frames, find_best_ranks(frames)),
+        "rejected_below_best_breakpoint": measure_rejections(frames, find_best_ranks(frames)),
     }
     tables = {
         "methods": compare_methods(frames),

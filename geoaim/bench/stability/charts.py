@@ -1,4 +1,4 @@
-"""Tables and charts of a sweep: error against disturbance, breakpoints, and what was stated.
+"""Tables and charts of a sweep: error against disturbance, breakpoints, stated uncertainty.
 
 python -m geoaim.bench.stability.charts build/stability/*.json -o build/stability
 """
@@ -20,18 +20,19 @@ from geoaim.bench.stability.judge import (
     count_silent,
     find_best_ranks,
     is_of_rival,
-    measure_refusals,
+    measure_rejections,
     read_best_ranks,
     summarise,
 )
 from geoaim.files import atomic_write
 
 CASE = ["method", "kind", "rank", "level", "generator", "base", "size", "seed"]
-COLOURS = ("#009E73", "#DDDDDD", "#56B4E9", "#E69F00", "#000000")  # of the verdicts
-# of the methods, this library first; colour-blind readers tell them apart by their dashes as well
+COLOURS = ("#009E73", "#DDDDDD", "#56B4E9", "#E69F00", "#000000")  # colours of the verdicts
+# lines of the methods, this library first; colour-blind readers tell them apart by their dashes as
+# well
 LINES = (("#D55E00", "-"), ("#0072B2", "--"), ("#CC79A7", "-."), ("#009E73", ":"))
 PANEL_COLUMNS = 7
-SMALLEST_PX, LARGEST_PX = 0.003, 300.0  # of the charts' error axis
+SMALLEST_PX, LARGEST_PX = 0.003, 300.0  # limits of the charts' error axis
 
 
 def write_cases(frames: pd.DataFrame, path: Path) -> None:
@@ -43,7 +44,7 @@ def write_cases(frames: pd.DataFrame, path: Path) -> None:
 
 
 def read_cases(paths: list[Path]) -> pd.DataFrame:
-    """Read files of `write_cases` as one table with a row for each frame and method."""
+    """Read files that `write_cases` wrote as one table with a row for each frame and method."""
     cases = pd.concat([pd.read_json(path) for path in paths], ignore_index=True)
     lists = [name for name in cases.columns if name not in CASE]
     frames = cases.explode(lists, ignore_index=True)
@@ -56,21 +57,21 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
 
     Args:
         frames: rows of judged frames.
-        folder: to write to.
-        name: of the files, without suffix.
+        folder: the folder to write to.
+        name: name of the files, without suffix.
 
     Returns:
         The table, Markdown.
     """
     table = summarise(frames)
     silent = count_silent(frames)
-    refused = measure_refusals(frames, find_best_ranks(frames))
+    rejected = measure_rejections(frames, find_best_ranks(frames))
     lines = [
         format_table([dict(zip(table.columns, row, strict=True)) for row in table.to_numpy()]),
         "",
         f"{silent['frames']} frames, {silent['valid']} valid; silent failures: {silent['silent']} "
-        f"({silent['share']:.2%}), of these {silent['far']} over 10 px; right frames refused "
-        f"below the best rival's breakpoint: {refused:.2%}",
+        f"({silent['share']:.2%}), of these {silent['far']} over 10 px; right frames rejected "
+        f"below the best rival's breakpoint: {rejected:.2%}",
     ]
     text = "\n".join(lines)
     (folder / f"{name}.md").write_text(text + "\n", encoding="utf-8")
@@ -83,8 +84,8 @@ def write_report(frames: pd.DataFrame, folder: Path, name: str) -> str:
 def draw_errors(frames: pd.DataFrame) -> Figure:
     """Draw error against disturbance, a panel for each kind.
 
-    Lines are medians over the frames that a method did not refuse, bands reach to their 90th
-    percentile, a mark's size is the share of frames not refused, and the dotted line is what this
+    Lines are medians over the frames that a method did not reject, bands reach to their 90th
+    percentile, a mark's size is the share of frames not rejected, and the dotted line is what this
     library stated.
     """
     kinds = list(frames.kind.unique())
@@ -166,7 +167,7 @@ def main(
             "clips": frames[frames.method == "geoaim"].groupby(CASE).ngroups,
             "methods": methods,
             "totals": count_silent(frames)
-            | {"refused_below_best_breakpoint": measure_refusals(frames, best_ranks)},
+            | {"rejected_below_best_breakpoint": measure_rejections(frames, best_ranks)},
             "rows": rows,
         }
         write_json(content, json)

@@ -38,20 +38,20 @@ BASES: dict[str, tuple[tuple[str, str, bool], ...]] = {
         ("splines", "fields", False),
     ),
 }
-CORNERS = [0, 4, 24, 20]  # of the grid of `make_grid`
-TEST_STEP = 0.3  # by which levels of the test split lie towards the next level
+CORNERS = [0, 4, 24, 20]  # indices of the points of `make_check_points` that are corners
+TEST_STEP = 0.3  # how far levels of the test split lie towards the next level
 
 
-Scene = WarpedScene | SplineScene
+SyntheticScene = WarpedScene | SplineScene
 
 
 @dataclass(frozen=True)
 class SweepCase:
     """One clip of the sweep."""
 
-    kind: str  # of disturbance
+    kind: str  # kind of disturbance
     rank: int  # number of the level
-    level: float  # in the kind's unit
+    level: float  # level in the kind's unit
     generator: str  # "warped" or "splines"
     base: str  # what the ground is
     size: tuple[int, int]  # height and width of the frames, px
@@ -63,27 +63,27 @@ class Clip:
     """Frames, and where their pixels lie on the ground."""
 
     frames: list[Image]  # grey or RGB
-    shown: list[int]  # number of the scene's frame that each of them shows
-    scene: Scene  # gives the truth
+    shown: list[int]  # index, in the scene, of each frame
+    scene: SyntheticScene  # source of the true frame positions
     size: tuple[int, int]  # height and width of the frames, px
 
     def find_truth(self, reference: int, index: int) -> Float[Array, "25 2"]:
-        """Where in the reference the ground lies that a frame shows at `make_grid`'s points."""
-        ground = self.scene.ground_from_frame(self.shown[index], make_grid(self.size))
+        """Compute where (u, v) the reference shows the ground of a frame's `make_check_points`."""
+        ground = self.scene.ground_from_frame(self.shown[index], make_check_points(self.size))
         return _invert(self.scene, self.shown[reference], ground, self.size)
 
 
-def make_grid(size: tuple[int, int]) -> Float[Array, "25 2"]:
-    """Make 5 x 5 points over a frame of (height, width), with its corners; u varies fastest."""
+def make_check_points(size: tuple[int, int]) -> Float[Array, "25 2"]:
+    """Make 5 x 5 points (u, v) from corner to corner of a frame (height, width), row by row."""
     x, y = np.meshgrid(np.linspace(0, size[1], 5), np.linspace(0, size[0], 5))
     return np.stack([x, y], axis=-1).reshape(-1, 2)
 
 
 def _invert(
-    scene: Scene, index: int, ground: Float[Array, "n 2"], size: tuple[int, int]
+    scene: SyntheticScene, index: int, ground: Float[Array, "n 2"], size: tuple[int, int]
 ) -> Float[Array, "n 2"]:
     """Find the pixels of a frame that show points of the ground, by Newton's method."""
-    grid = make_grid(size)
+    grid = make_check_points(size)
     known = scene.ground_from_frame(index, grid)
     matrix, _ = cv2.findHomography(known, grid)  # exact but for lens and rolling shutter
     pixels = cv2.perspectiveTransform(ground[None], matrix)[0]
@@ -140,7 +140,7 @@ def make_clip(case: SweepCase, count: int = FRAMES) -> Clip:
 
 def _make_scene(
     case: SweepCase, disturbance: Disturbance, motion: CameraMotion, generator: np.random.Generator
-) -> Scene:
+) -> SyntheticScene:
     if case.generator == "splines":
         return SplineScene(case.base, disturbance, motion, case.size, generator)
     return WarpedScene(_read_still(case.base), disturbance, motion, case.size, generator)

@@ -28,7 +28,7 @@ def apply_effects(
     Args:
         frames: the clip.
         effects: names and levels.
-        seed: of the clip.
+        seed: seed of the clip.
 
     Returns:
         The frames, and the number of the original frame that each of them shows.

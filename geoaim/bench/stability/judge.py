@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.bench.stability.clips import CORNERS, Clip, list_cases, make_grid
+from geoaim.bench.stability.clips import CORNERS, Clip, list_cases, make_check_points
 from geoaim.geometry import transform_points
 
 MAX_RIGHT_ERROR_PX = 1.0
@@ -18,8 +18,8 @@ TO_95 = float(np.sqrt(5.991 / 2))
 MAX_UNDERSTATEMENT = 5.0
 FAR_PX = 10.0
 SMALLEST_STATED_PX = 1e-3  # identical frames state next to nothing
-MIN_RIGHT_SHARE = 0.8  # of the frames of a level that is not beyond the breakpoint
-VERDICTS = ("right", "refused", "wrong and said", "understated", "wrong and sure")
+MIN_RIGHT_SHARE = 0.8  # share of right frames at a level that is not beyond the breakpoint
+VERDICTS = ("right", "rejected", "wrong but uncertain", "understated", "wrong and overconfident")
 
 
 def judge_frames(
@@ -37,14 +37,14 @@ def judge_frames(
     Args:
         clip: the clip.
         reference: number of the frame to which the others are registered.
-        matrices: (T, 3, 3) reference_from_frame, NaN where refused.
+        matrices: (T, 3, 3) reference_from_frame, NaN where rejected.
         uncertainty: (T,) stated standard deviation of the corners, px; None where not stated.
 
     Returns:
         A row for each frame: index; error and floor (largest over the points), rms (over the
         corners) and stated (the method's own uncertainty), px; verdict, one of `VERDICTS`.
     """
-    grid, rows = make_grid(clip.size), []
+    grid, rows = make_check_points(clip.size), []
     for index, matrix in enumerate(matrices):
         if index == reference:
             continue
@@ -67,19 +67,19 @@ def decide_verdict(error: float, rms: float, stated: float) -> str:
     """Decide the verdict on one frame.
 
     Args:
-        error: largest over the frame, px; NaN where refused.
-        rms: over the corners, px.
+        error: largest over the frame, px; NaN where rejected.
+        rms: root mean square over the corners, px.
         stated: standard deviation of the corners, px; NaN where the method states none.
 
     Returns:
-        "right", "refused", "wrong and said" (the statement covers the error), "wrong and sure", or
-        "understated": right, and yet over five times the statement.
+        One of `VERDICTS`: "wrong but uncertain" if the stated 95 % region contains the error,
+        "understated" if the error is right but over five times the stated deviation.
     """
     if not np.isfinite(error):
-        return "refused"
+        return "rejected"
     if error > MAX_RIGHT_ERROR_PX:
         is_told = rms <= TO_95 * stated and rms <= MAX_UNDERSTATEMENT * stated
-        return "wrong and said" if is_told else "wrong and sure"
+        return "wrong but uncertain" if is_told else "wrong and overconfident"
     return "understated" if rms > MAX_UNDERSTATEMENT * stated else "right"
 
 
@@ -112,20 +112,20 @@ def summarise(frames: pd.DataFrame) -> pd.DataFrame:
 
 
 def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
-    """Count right, wrong and refused judged frames of each method, in percent.
+    """Compute the share of right, rejected and wrong frames of each method, percent.
 
-    Rivals refuse where they find nothing.
+    Other methods reject only frames in which they find no transform.
     """
     rows = []
     for method, own in frames.groupby("method", sort=False):
-        is_wrong, is_refused = own.error > MAX_RIGHT_ERROR_PX, own.error.isna()
-        silent = is_wrong & (own.verdict != "wrong and said")
+        is_wrong, is_rejected = own.error > MAX_RIGHT_ERROR_PX, own.error.isna()
+        silent = is_wrong & (own.verdict != "wrong but uncertain")
         rows.append(
             {
                 "method": method,
                 "frames": len(own),
-                "right, %": round(100 * float((~is_wrong & ~is_refused).mean()), 1),
-                "refused, %": round(100 * float(is_refused.mean()), 1),
+                "right, %": round(100 * float((~is_wrong & ~is_rejected).mean()), 1),
+                "rejected, %": round(100 * float(is_rejected.mean()), 1),
                 "wrong without saying so, %": round(100 * float(silent.mean()), 1),
                 "by over 10 px, %": round(100 * float((silent & (own.error > FAR_PX)).mean()), 1),
                 "median error if right, px": round(float(own.error[~is_wrong].median()), 3),
@@ -135,13 +135,13 @@ def compare_methods(frames: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
-    """Count this library's frames that are "wrong and sure" or "understated" as "silent".
+    """Count this library's silent failures: frames "wrong and overconfident" or "understated".
 
-    Also counts all "frames", the "valid" ones and, of the silent ones, the "share" of all and those
-    "far" off, by over 10 px.
+    The keys are "frames", "valid" frames, "silent" failures, their "share" of all frames, and how
+    many of them are "far" off, by over 10 px.
     """
     own = frames[frames.method == "geoaim"]
-    silent = own[own.verdict.isin(["wrong and sure", "understated"])]
+    silent = own[own.verdict.isin(["wrong and overconfident", "understated"])]
     return {
         "frames": len(own),
         "valid": int(own.error.notna().sum()),
@@ -152,7 +152,7 @@ def count_silent(frames: pd.DataFrame) -> dict[str, Any]:
 
 
 def find_best_ranks(frames: pd.DataFrame) -> dict[str, int]:
-    """Breakpoint of the best other method in each kind; -1 for none."""
+    """Find the breakpoint of the best other method in each kind; -1 for none."""
     best = {}
     for kind, of_kind in frames.groupby("kind", sort=False):
         theirs = of_kind[of_kind.method != "geoaim"]
@@ -162,11 +162,11 @@ def find_best_ranks(frames: pd.DataFrame) -> dict[str, int]:
 
 
 def read_best_ranks(split: str, rows: list[dict[str, Any]]) -> dict[str, int]:
-    """Breakpoint of the best other method in each kind, from rows of `summarise`.
+    """Read the breakpoint of the best other method in each kind, from rows of `summarise`.
 
     Args:
-        split: of the sweep that the rows are from.
-        rows: of an earlier sweep.
+        split: split of the sweep that the rows are from.
+        rows: rows of an earlier sweep.
 
     Returns:
         The rank of the last level, by kind; -1 for none.
@@ -184,8 +184,11 @@ def is_of_rival(key: str) -> bool:
     return key.endswith(" up to") and not key.startswith("geoaim")
 
 
-def measure_refusals(frames: pd.DataFrame, best_ranks: dict[str, int]) -> float:
-    """Share of refused frames at levels up to the best rival's breakpoint; NaN without rivals."""
+def measure_rejections(frames: pd.DataFrame, best_ranks: dict[str, int]) -> float:
+    """Compute the share of rejected frames up to the best other method's breakpoint.
+
+    NaN without other methods.
+    """
     own = frames[frames.method == "geoaim"]
     below = own[own["rank"] <= own.kind.map(best_ranks)]
-    return float((below.verdict == "refused").mean())
+    return float((below.verdict == "rejected").mean())

@@ -19,17 +19,18 @@ class Disturbance:
     flow: float = 0.0  # share of the ground that is road, on which vehicles enter and leave
     pattern: Pattern = ""  # periodic texture
     pattern_step: float = 0.0  # periods that the camera moves along it in a frame
-    pattern_share: float = 1.0  # of the frame's height that it covers
+    pattern_share: float = 1.0  # share of the frame's height that it covers
     water: float = 0.0  # share of the frame's height that is water with moving waves
     roofs: float = 0.0  # share of the ground under roofs, which show parallax
     trees: float = 0.0  # share of the ground under swaying trees
-    contrast: float = 1.0  # of the ground, relative
-    drift: float = 12.0  # of the camera over the clip, px
-    shake: float = 0.3  # of the camera from frame to frame, px
-    rotation: float = 0.0  # of the frames after the first third, degrees
+    contrast: float = 1.0  # relative contrast of the ground
+    is_still: bool = False  # whether the camera stands on a mast
+    drift: float = 12.0  # drift of the camera over the clip, px
+    shake: float = 0.3  # motion of the camera from frame to frame, px
+    rotation: float = 0.0  # rotation of the frames after the first third, degrees
     scale: float = 1.0  # magnification of these frames
-    shift: float = 0.0  # of these frames, as a share of the width
-    tilt: float = 0.0  # of these frames: displacement of the corners, px
+    shift: float = 0.0  # shift of these frames, as a share of the width
+    tilt: float = 0.0  # tilt of these frames: displacement of the corners, px
     # whether these frames come at once, not over the first third of the clip
     is_abrupt: bool = False
     lens: float = 0.0  # radial distortion k1, radius relative to half the diagonal
@@ -46,8 +47,8 @@ class Disturbance:
 class Kind:
     """A kind of disturbance."""
 
-    unit: str  # of its levels
-    levels: tuple[float, ...]  # from harmless to hopeless
+    unit: str  # unit of its levels
+    levels: tuple[float, ...]  # levels from harmless to hopeless
     make: Callable[[float], Disturbance]  # makes the disturbance of a level
 
 
@@ -87,6 +88,14 @@ KINDS: dict[str, Kind] = {
     ),
     "flowing traffic": Kind(
         "share", (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8), lambda x: Disturbance(flow=x)
+    ),
+    "still camera": Kind(
+        "share", (0.02, 0.05, 0.1, 0.2, 0.3, 0.4), lambda x: Disturbance(traffic=x, is_still=True)
+    ),
+    "still camera, flowing traffic": Kind(
+        "share",
+        (0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
+        lambda x: Disturbance(traffic=0, flow=x, is_still=True),
     ),
     "parking lines": _pattern("parking", 1.0),
     "solar panels": _pattern("panels", 1.0),

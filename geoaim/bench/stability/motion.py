@@ -1,4 +1,4 @@
-"""The camera's motion over a clip, as numbers that each generator interprets by its own camera."""
+"""The camera's motion over a clip, as parameters that each generator applies to its own camera."""
 
 from dataclasses import dataclass
 
@@ -30,12 +30,15 @@ def draw_motion(
     Args:
         disturbance: the disturbance.
         count: number of frames.
-        width: of the frames, px.
+        width: width of the frames, px.
         generator: source of randomness.
 
     Returns:
         The motion.
     """
+    if disturbance.is_still:
+        none = np.zeros(count)
+        return CameraMotion(np.zeros((count, 2)), none, none + 1, np.zeros((count, 2)))
     unit = width / REFERENCE_WIDTH
     time = np.arange(count) / (count - 1)
     reached = np.minimum(3 * time, 1) if not disturbance.is_abrupt else (time > 1 / 3).astype(float)

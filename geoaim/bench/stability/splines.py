@@ -1,4 +1,4 @@
-"""Generator of frames by evaluation: a ground that is a function of continuous coordinates.
+"""Generator of frames by evaluating a continuous ground (splines), without warping an image.
 
 The ground is a quadratic B-spline surface, periodic patterns and vehicles are drawn by the share of
 a pixel that they cover, waves are sums of sinusoids, and the camera is a pinhole with a pose. No
@@ -16,7 +16,7 @@ from geoaim.bench.stability.motion import PERIODS, REFERENCE_WIDTH, CameraMotion
 
 KNOT_PX = 1.5  # spacing of the spline's knots on the ground, at the reference width
 FOCAL = 1.1  # focal length in widths of the frame
-ROOF_HEIGHT = 0.13  # in heights of the camera
+ROOF_HEIGHT = 0.13  # height of the roofs, in heights of the camera
 GRAVITY = 9.81 / 0.1 / 900  # px of 0.1 m a squared frame, at 30 frames/s
 
 
@@ -39,7 +39,7 @@ class SplineScene:
         Args:
             base: "town" or "fields".
             disturbance: what makes the clip hard.
-            motion: of the camera.
+            motion: motion of the camera.
             size: height and width of the frames, px.
             generator: source of randomness.
         """

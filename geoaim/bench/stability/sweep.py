@@ -54,7 +54,7 @@ def run_rivals(case: SweepCase, clip: Clip, methods: dict[str, Method]) -> list[
     Args:
         case: the clip's kind, level and seed.
         clip: the clip with its truth.
-        methods: to run, by name.
+        methods: methods to run, by name.
 
     Returns:
         A row for each method and frame: as of `judge_frames`, with method, the case's fields,

@@ -16,7 +16,7 @@ OPAQUE = 255
 
 
 class WarpedScene:
-    """A still with painted layers, and a camera that is a similarity with tilt.
+    """A still with painted layers, under a camera that moves by similarities and tilts.
 
     `render` gives a grey frame; `ground_from_frame` tells where on the ground its pixels lie.
     """
@@ -34,7 +34,7 @@ class WarpedScene:
         Args:
             still: grey, the ground.
             disturbance: what makes the clip hard.
-            motion: of the camera.
+            motion: motion of the camera.
             size: height and width of the frames, px.
             generator: source of randomness.
         """

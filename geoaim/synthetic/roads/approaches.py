@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from geoaim.geometry import wrap_angle
 from geoaim.synthetic.roads.curves import Polyline, make_unit_vector, rotate_90
 
-GUTTER_M = 0.45  # between the edge of the outer lane and the kerb
+GUTTER_M = 0.45  # width between the edge of the outer lane and the kerb
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Approach:
 
     name: str  # "east", "north", ...
     angle: float  # its direction at the centre, radians
-    curvature: float  # of the reference line, 1/m, positive to the left
+    curvature: float  # curvature of the reference line, 1/m, positive to the left
     # the turns that each inbound lane serves, from the inner lane outwards: letters of "LSR"
     # for left, straight on, right
     turns: tuple[str, ...]
@@ -63,8 +63,8 @@ def outline_strip(approach: Approach, s: tuple[float, float], t: tuple[float, fl
 
     Args:
         approach: the road.
-        s: where the rectangle begins and ends along the road, metres from the place's centre.
-        t: where it begins and ends across the road, metres to the left of the reference line.
+        s: (2,) ends of the rectangle along the road, metres from the place's centre.
+        t: (2,) ends of the rectangle across the road, metres to the left of the reference line.
 
     Returns:
         (m, 2) points of the outline in plan coordinates, metres, about 2 m apart along the sides;

@@ -15,16 +15,17 @@ from geoaim.geometry import transform_points
 from geoaim.synthetic.roads.approaches import Approach, locate_outbound_lane, plan_from_road
 from geoaim.synthetic.roads.curves import Polyline, compute_headings, connect_poses
 
-BAYS = 9  # on either side of the aisle
+BAYS = 9  # bays on each side of the aisle
 DRIVEWAY_WIDTH_M = 7.0
-AISLE_WIDTH_M = 6.8  # between the rows of bays
+AISLE_WIDTH_M = 6.8  # distance between the rows of bays
 BAY_SIZE_M = (2.6, 5.0)  # width and depth
-FIRST_BAY_M = 6.5  # from the kerb
-CAR_PARK_DEPTH_M = FIRST_BAY_M + BAYS * BAY_SIZE_M[0] + 2.0  # from the kerb to the end of the aisle
-PATH_OFFSET_M = 1.7  # from the middle of the driveway to the path of vehicles
-DRIVEWAY_TURN_M = 7.6  # along the road, of a turn into the driveway
-BAY_TURN_M = 5.0  # along the aisle, of a turn into a bay
-REST_OFFSET_M = 4.5  # from the middle of the aisle to the rear axle of a parked vehicle
+FIRST_BAY_M = 6.5  # distance of the first bay from the kerb
+# distance of the aisle's end from the kerb
+CAR_PARK_DEPTH_M = FIRST_BAY_M + BAYS * BAY_SIZE_M[0] + 2.0
+PATH_OFFSET_M = 1.7  # distance of the paths of vehicles from the middle of the driveway
+DRIVEWAY_TURN_M = 7.6  # length along the road of a turn into the driveway
+BAY_TURN_M = 5.0  # length along the aisle of a turn into a bay
+REST_OFFSET_M = 4.5  # distance of a parked vehicle's rear axle from the middle of the aisle
 CAR_PARK_SPEED = 5.0  # m/s
 
 
@@ -33,7 +34,7 @@ class CarPark:
     """A car park on the right of an approach's outbound lanes."""
 
     approach: str  # its name
-    s: float  # of the middle of the driveway on the approach, metres
+    s: float  # where the middle of the driveway is along the approach, metres
     open_bays: tuple[int, ...]  # the bays that traffic uses, on the side of positive coordinates
     plan_from_car_park: Float[Array, "3 3"]  # car park coordinates to plan metres
 
@@ -43,7 +44,7 @@ class Manoeuvre:
     """The path into or out of a bay."""
 
     name: str  # "into bay 3", "out of bay 3"
-    line: Polyline  # of the rear axle; its first or last point is on the road
+    line: Polyline  # path of the rear axle; its first or last point is on the road
     forward: Bool[Array, "L"]  # whether the vehicle drives forward there
     bay: int  # number of the bay
 
@@ -68,7 +69,7 @@ def outline_car_park_part(
     """Compute the corners of a rectangle in a car park.
 
     Args:
-        car_park: whose car park coordinates are used.
+        car_park: the car park that the coordinates belong to.
         along: ends of the rectangle along the kerb, metres.
         deep: its ends perpendicular to the kerb, metres from it.
 
@@ -81,7 +82,7 @@ def outline_car_park_part(
 
 
 def make_manoeuvres(car_park: CarPark, approach: Approach) -> list[Manoeuvre]:
-    """Make the path from the road into each open bay, and that out of it; both turn right only."""
+    """Make the path from the road into each open bay and the path out; both turn right only."""
     manoeuvres = []
     for bay in car_park.open_bays:
         road = _enter_driveway(car_park, approach)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 Polyline = Float[Array, "_ 2"]
-POINT_SPACING_M = 0.5  # between the points of a lane or path
+POINT_SPACING_M = 0.5  # distance between the points of a lane or path
 QUINTIC_POINTS = 200
 
 

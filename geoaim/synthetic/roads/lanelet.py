@@ -28,13 +28,13 @@ from geoaim.synthetic.roads.paving import Crossing
 from geoaim.synthetic.roads.plan import Roads, find_approach, find_signal
 from geoaim.world import World, lonlat_from_world
 
-BOUND_SPACING_M = 3.0  # between the points of an approach's bounds
-BOUND_TOLERANCE_M = 0.005  # by which other bounds may be simplified
+BOUND_SPACING_M = 3.0  # distance between the points of an approach's bounds
+BOUND_TOLERANCE_M = 0.005  # error by which other bounds may be simplified
 MIN_AREA_WIDTH_M = 0.2  # narrower parts of an area are removed
-NODE_TOLERANCE_M = 0.03  # within which two points are one node
+NODE_TOLERANCE_M = 0.03  # two points within this distance are one node
 WALKWAY_HALF_WIDTH_M = 1.2
 LONLAT_DECIMALS = 11
-FIRST_ELEMENT_ID = 1_000_001  # of ways and relations; nodes are numbered from 1
+FIRST_ELEMENT_ID = 1_000_001  # first id of ways and relations; nodes are numbered from 1
 SOLID, DASHED = ("line_thin", "solid"), ("line_thin", "dashed")
 KERB, VIRTUAL = ("curbstone", "low"), ("virtual", "")
 TURN_DIRECTIONS = {"L": "left", "S": "straight", "R": "right"}

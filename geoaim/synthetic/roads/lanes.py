@@ -17,7 +17,8 @@ from geoaim.synthetic.roads.approaches import (
 )
 from geoaim.synthetic.roads.layouts import RING_LANE_WIDTH_M, Layout
 
-LANE_END_M = 150.0  # from the centre, outside the drawn extent, where lanes begin and end
+# distance from the centre, outside the drawn extent, at which lanes begin and end
+LANE_END_M = 150.0
 RING_JOIN_ANGLE = 0.62  # radians on the ring from an approach to where its lanes join and leave
 RING_SPEED_LIMIT = 8.3  # m/s
 

@@ -15,11 +15,11 @@ PLACE_KINDS: tuple[PlaceKind, ...] = get_args(PlaceKind)  # append only: seeds u
 STANDARD_KINDS: tuple[PlaceKind, ...] = ("junction", "t", "roundabout", "street")
 STREET_KINDS: tuple[PlaceKind, ...] = ("street", "park")  # one road without a junction
 
-CROSSING_WIDTH_M = 4.0  # along the road: the length of a stripe
-CYCLE_STRIP_M = 2.4  # between the crossing and the stop line, where cycles cross
-STOP_SETBACK_M = 1.0  # from the crossing or cycle strip to the stop line
+CROSSING_WIDTH_M = 4.0  # width along the road, which is the length of a stripe
+CYCLE_STRIP_M = 2.4  # strip for cycles between the crossing and the stop line
+STOP_SETBACK_M = 1.0  # distance from the crossing or cycle strip to the stop line
 PRIVATE_CURVATURE = (0.006, 0.011)  # 1/m, of private roads
-RING_LANE_WIDTH_M = 5.4  # of a roundabout
+RING_LANE_WIDTH_M = 5.4  # width of a roundabout's lane
 MAX_CORNER_ANGLE = 0.8 * np.pi  # radians; approaches further apart form one straight road
 
 
@@ -29,10 +29,11 @@ class Layout:
 
     kind: PlaceKind  # one of `PLACE_KINDS`
     approaches: tuple[Approach, ...]  # counter-clockwise
-    corner_radius: float  # of the kerbs where two approaches meet, metres
-    ring_radius: float = 0.0  # of the centreline of a roundabout's lane, metres; 0: no roundabout
+    corner_radius: float  # radius of the kerbs where two approaches meet, metres
+    # radius of the centreline of a roundabout's lane, metres; 0: no roundabout
+    ring_radius: float = 0.0
     signalised: bool = False  # whether traffic lights control it
-    # approaches that pedestrians cross where nothing is marked, and s there
+    # approaches that pedestrians cross where nothing is marked, and metres along them
     informal_crossings: tuple[tuple[str, float], ...] = ()
     # names of approaches through private ground, which lane maps leave out
     private: tuple[str, ...] = ()

@@ -29,10 +29,10 @@ from geoaim.synthetic.roads.plan import Roads
 LINE_WIDTH_M = 0.12
 STOP_LINE_WIDTH_M = 0.45
 DASH_M, DASH_GAP_M = 3.0, 4.5
-SOLID_LINE_M = 18.0  # before a stop line, where changing lanes is forbidden
-STRIPE_WIDTH_M = 0.5  # of a crossing's stripes, and of the gaps between them
+SOLID_LINE_M = 18.0  # length before a stop line on which changing lanes is forbidden
+STRIPE_WIDTH_M = 0.5  # width of a crossing's stripes and of the gaps between them
 GIVE_WAY_DASH_M = 0.6
-RING_LINE_OFFSET_M = 2.9  # of a roundabout's give-way line, from the ring lane's centreline
+RING_LINE_OFFSET_M = 2.9  # distance of a roundabout's give-way line from the ring lane's centreline
 RING_LINE_ANGLES = (0.05, 0.5)  # radians from an approach, between which that line lies
 
 

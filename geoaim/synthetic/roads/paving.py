@@ -20,8 +20,8 @@ from geoaim.synthetic.roads.car_park import (
 from geoaim.synthetic.roads.lanes import LANE_END_M, Lane, compute_lane_bounds
 from geoaim.synthetic.roads.layouts import CROSSING_WIDTH_M, RING_LANE_WIDTH_M, Layout
 
-VERGE_WIDTH_M = 1.5  # of the grass between kerb and pavement, away from crossings
-FLARE_RADIUS_M = 5.0  # of the kerbs where a driveway meets the road
+VERGE_WIDTH_M = 1.5  # width of the grass between kerb and pavement, away from crossings
+FLARE_RADIUS_M = 5.0  # radius of the kerbs where a driveway meets the road
 MIN_PLOT_M2 = 60.0
 
 
@@ -29,8 +29,8 @@ MIN_PLOT_M2 = 60.0
 class Crossing:
     """Where pedestrians cross a road."""
 
-    name: str  # of its approach, or "drive", or "east on foot" where nothing is marked
-    ends: Float[Array, "2 2"]  # its ends on the kerbs, plan metres; that at larger t first
+    name: str  # name of its approach, or "drive", or "east on foot" where nothing is marked
+    ends: Float[Array, "2 2"]  # its ends on the kerbs, plan metres; the end at larger t first
     width: float  # metres along the road
     marked: bool  # whether stripes are painted
     signalised: bool  # whether traffic lights control it
@@ -44,7 +44,7 @@ class Paving:
     islands: Geometry  # raised ground within it
     driveway: Geometry  # asphalt of the driveway, across the pavement
     parking_lot: Geometry  # asphalt of the car park
-    pavement: Geometry  # for pedestrians, on both sides of the roads, with its verges
+    pavement: Geometry  # pavements for pedestrians on both sides of the roads, with their verges
     plots: tuple[Polygon, ...]  # the remaining ground of at least 60 m², one polygon per plot
 
 
@@ -83,7 +83,7 @@ def make_paving(
 def _make_crossings(
     layout: Layout, car_park: CarPark | None, paving: Paving
 ) -> tuple[Crossing, ...]:
-    """Make the marked crossings, then the informal ones, then that of the driveway."""
+    """Make the marked crossings, then the informal ones, then the driveway's crossing."""
     crossings = []
     road = outline_road(paving)
     for approach in layout.approaches:

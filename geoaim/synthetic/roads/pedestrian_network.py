@@ -18,15 +18,15 @@ SPAWN_MARGIN_M = 8.0  # outside the drawn extent, where pavements end
 MIN_PAVEMENT_M = 20.0  # shorter pieces within the extent are left out
 NODE_TOLERANCE_M = 0.5  # positions on a pavement that are closer share a node
 DOOR_PATH_WIDTH_M = 2.0
-DOOR_DISTANCE_M = (9.0, 16.0)  # from the middle of a pavement to a door
-MAX_DOORS = 2  # along a pavement
+DOOR_DISTANCE_M = (9.0, 16.0)  # distance from the middle of a pavement to a door
+MAX_DOORS = 2  # doors along a pavement
 MIN_DOOR_SPACING_M = 15.0
 DOOR_TRIALS = 12
 PARK_PATH_WIDTH_M = 3.0
 PARK_ENTRANCES = (0.2, 0.5, 0.8)  # shares of a pavement's length, about
-PARK_DEPTH_M = (12.0, 30.0)  # from the pavement to where park paths meet
-PARK_EXIT_M = 60.0  # from the pavement to the ends of park paths, outside the drawn extent
-MAX_BULGE = 0.2  # of its length, by which a park path leaves the straight line
+PARK_DEPTH_M = (12.0, 30.0)  # distance from the pavement to where park paths meet
+PARK_EXIT_M = 60.0  # distance from the pavement to the ends of park paths, outside the drawn extent
+MAX_BULGE = 0.2  # how far a park path leaves the straight line, as a share of its length
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PedestrianNetwork:
     """What pedestrians walk on."""
 
     edges: tuple[WalkEdge, ...]  # pavements, crossings and footpaths between nodes
-    # where pedestrians enter and leave: outside the extent, doors, ends of paths
+    # nodes where pedestrians enter and leave: outside the extent, doors, ends of paths
     spawn_nodes: tuple[int, ...]
     surface: Geometry  # the paved ground of the footpaths
 
@@ -53,11 +53,12 @@ class PedestrianNetwork:
 class _Footpaths:
     """Connected footpaths off a pavement; their nodes are numbered, those on the pavement first."""
 
-    pavement_nodes: tuple[Float[Array, "2"], ...]  # where they leave the pavement, plan metres
+    # points where they leave the pavement, plan metres
+    pavement_nodes: tuple[Float[Array, "2"], ...]
     other_nodes: int  # number of further nodes
     lines: tuple[Polyline, ...]
     ends: tuple[tuple[int, int], ...]  # nodes at the start and end of each line
-    spawn_nodes: tuple[int, ...]  # where pedestrians enter and leave
+    spawn_nodes: tuple[int, ...]  # nodes where pedestrians enter and leave
     surface: Geometry  # the paved ground
 
 
@@ -83,7 +84,7 @@ def make_pedestrian_network(
 
     Args:
         paving: surfaces of the place, plan metres.
-        crossings: of the roads and the driveway.
+        crossings: crossings of the roads and of the driveway.
         extent: the part of the plan that is drawn.
         pavement_width: metres.
         generator: draws where footpaths lie.
@@ -123,10 +124,10 @@ def find_route(
     """Find the shortest route between two nodes.
 
     Args:
-        network: with E edges.
+        network: a network with E edges.
         start: a node.
         end: a node.
-        factors: (E,) by which the length of each edge is multiplied.
+        factors: (E,) factors by which the lengths of the edges are multiplied.
 
     Returns:
         The line (plan metres) of each edge in the direction of travel, and the index of its

@@ -14,7 +14,7 @@ from geoaim.synthetic.roads.layouts import Layout, PlaceKind, make_layout
 from geoaim.synthetic.roads.paving import Crossing, Paving, make_paving
 from geoaim.synthetic.roads.pedestrian_network import PedestrianNetwork, make_pedestrian_network
 
-HEIGHT_M, WIDTH_M = 104.0, 176.0  # of the drawn extent
+HEIGHT_M, WIDTH_M = 104.0, 176.0  # size of the drawn extent
 CAR_PARK_S: Mapping[PlaceKind, float] = {"junction": 46.0, "t": 42.0, "street": 26.0}
 
 
@@ -25,8 +25,8 @@ class Roads:
     layout: Layout  # approaches, corners, roundabout
     lanes: tuple[Lane, ...]  # all lanes of the roads
     routes: tuple[Route, ...]  # all routes of vehicles through the place
-    car_park: CarPark | None  # beside the east approach, or None
-    crossings: tuple[Crossing, ...]  # of pedestrians
+    car_park: CarPark | None  # a car park beside the east approach, or None
+    crossings: tuple[Crossing, ...]  # pedestrian crossings
     paving: Paving  # surfaces
     footpaths: PedestrianNetwork  # the network that pedestrians walk on
     extent: Polygon  # the part of the plan that is drawn
@@ -50,7 +50,7 @@ def make_roads(kind: PlaceKind, generator: np.random.Generator) -> Roads:
 
 
 def find_approach(layout: Layout, name: str) -> Approach:
-    """Find the approach of a name; StopIteration if there is none."""
+    """Find the approach with a name; raises StopIteration if there is none."""
     return next(approach for approach in layout.approaches if approach.name == name)
 
 

@@ -18,7 +18,8 @@ from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery import texture
 
 TILE = 2048  # px, side at most of the noise that is repeated over the canvas
-SLOPES = (0.35, 0.9, 1.4, 1.9)  # of the four fields: grain, blotches, patches, hills
+# spectral slopes of the four fields: grain, blotches, patches, hills
+SLOPES = (0.35, 0.9, 1.4, 1.9)
 GRAIN, BLOTCH, PATCH, HILL = range(4)
 Line = Float[Array, "_ 2"]
 Shape: TypeAlias = "Geometry | Line | Sequence[Line]"

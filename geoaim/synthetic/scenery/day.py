@@ -30,9 +30,9 @@ class _Palette:
     """Colours of a season."""
 
     grass: Colour  # mean of lawns
-    dry: Colour  # of their dry patches
+    dry: Colour  # colour of their dry patches
     dryness: float  # extent of the dry patches
-    leaves: tuple[Colour, ...]  # of trees and shrubs
+    leaves: tuple[Colour, ...]  # colours of trees and shrubs
     bare: float  # share of the trees without leaves
     light: Colour  # 1 is white
 

@@ -1,4 +1,4 @@
-"""The ground of a place: grass, slabs, worn tar and paint."""
+"""Draw the ground of a place: grass, slabs, worn tar and paint."""
 
 import cv2
 import numpy as np
@@ -43,20 +43,20 @@ TAR: Colour = (122, 121, 119)
 SLAB: Colour = (152, 149, 144)
 KERB: Colour = (196, 193, 186)
 TAR_NOISE = PATCH, BLOTCH, GRAIN, HILL
-WHEEL_OFFSET_M = 0.8  # from the middle of a lane
+WHEEL_OFFSET_M = 0.8  # distance of the wheels from the middle of a lane
 
 
-def draw_ground(
+def draw_ground_layers(
     canvas: Canvas, roads: Roads, scenery: Scenery, day: Day, generator: np.random.Generator
 ) -> None:
-    """Draw everything that is flat, from bottom to top.
+    """Draw the ground in painting order: grass, plots, pavement, tar, islands, kerbs, markings.
 
     Args:
         canvas: changed in place.
         roads: the roads.
-        scenery: use of the plots.
-        day: the season.
-        generator: source of randomness, the day's own.
+        scenery: the plots: parks, fields, soil, gravel, ponds, verges.
+        day: the season, and the number of changes since day 0.
+        generator: draws the repairs of that day; all else is drawn by `canvas.generator`.
     """
     _draw_grass(canvas, day)
     _draw_plots(canvas, scenery)

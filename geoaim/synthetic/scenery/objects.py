@@ -38,7 +38,7 @@ LAMP_HEIGHT_M = 7.0
 CAR_HEIGHT_M = 1.3
 TREE_HEIGHT_PER_RADIUS = 1.6
 CONTRAST = (0.75, 1.45)  # slopes of the cameras' tone curves at their middle
-TONE_STEPS = 4  # of the tone curve, per grey level
+TONE_STEPS = 4  # steps of the tone curve per grey level
 TONE_MIDDLE = 0.47  # share of white at which the tone curve is steepest
 HAZE = (7.0, 8.0, 11.0)  # grey levels added by the air
 

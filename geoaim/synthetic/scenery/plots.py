@@ -27,10 +27,10 @@ from geoaim.synthetic.scenery.scenery import Building, Parcel, Scenery, Spot, Tr
 
 USES = ("block", "houses", "park", "plaza", "field", "houses", "block")  # twice: twice as likely
 PARCEL_WIDTH_M = (30.0, 46.0)  # smallest and largest
-CLEARANCE_M = 1.5  # around buildings
+CLEARANCE_M = 1.5  # free space around buildings
 TREE_SPACING_M = 9.0  # mean distance of street trees
-Additions = dict[str, Any]  # to the objects and areas of `Scenery`
-Made = tuple[Geometry, Additions]  # on a parcel; with the ground that is left free
+Additions = dict[str, Any]  # what is added to the objects and areas of `Scenery`
+Made = tuple[Geometry, Additions]  # ground of a parcel that is left free, and what was added on it
 
 
 def place_scenery(roads: Roads, generator: np.random.Generator) -> Scenery:

@@ -13,7 +13,7 @@ class Building:
 
     centre: tuple[float, float]
     size: tuple[float, float]  # length and width
-    angle: float  # of the length, counter-clockwise from +x
+    angle: float  # direction of the length, counter-clockwise from +x
     height: float
     flat: bool  # whether the roof is flat, not pitched
     colour: int  # index of the roof's colour
@@ -59,5 +59,6 @@ class Scenery:
     trees: tuple[Tree, ...]  # trees, then shrubs
     hedges: tuple[Float[Array, "4 2"], ...]  # polygons
     lamps: Float[Array, "L 2 2"]  # foot and tip of lamp posts and signal masts
-    spots: tuple[Spot, ...]  # for parked cars
-    container_areas: tuple[Float[Array, "4 2"], ...]  # where containers may stand on other days
+    spots: tuple[Spot, ...]  # places for parked cars
+    # places where containers may stand on other days
+    container_areas: tuple[Float[Array, "4 2"], ...]

@@ -60,7 +60,7 @@ def draw_tree(
 def draw_bare_tree(radius: int, generator: np.random.Generator) -> UInt8[Array, "_ _ 4"]:
     """Draw a tree without leaves from above as RGBA: branches that fork outwards.
 
-    Its radius is in pixels; the picture has about 2.4 radii each way.
+    `radius` is in pixels; the sides of the picture are about 2.4 radii.
     """
     side = 2 * int(radius * 1.2) + 1
     mask = np.zeros((side, side), np.uint8)
@@ -113,7 +113,7 @@ def _smooth(height: Float[Array, "n n"], sigma: float) -> Float[Array, "n n"]:
 def draw_vehicle(
     length: float, width: float, colour: Colour, resolution: float
 ) -> UInt8[Array, "_ _ 4"]:
-    """Draw a vehicle from above, heading right; longer than 6.5 m a lorry, than 11 m a bus.
+    """Draw a vehicle from above, heading right: a lorry above 6.5 m of length, a bus above 11 m.
 
     Args:
         length: metres.

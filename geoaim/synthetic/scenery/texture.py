@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 Colour = tuple[float, float, float]
 NOISE_LEVELS = 1024.0  # steps per standard deviation to which noise is rounded
-FRACTION_BITS = 8  # of a pixel in polygons
+FRACTION_BITS = 8  # bits of a fraction of a pixel in polygons
 SUPERSAMPLING = 4  # times the resolution at which polygons are filled
 ROWS_FILLED = 256  # rows filled at a time
 ROWS_BLENDED = 32  # rows blended at a time, so that they stay in the cache
@@ -99,7 +99,7 @@ def darken(
 
     Args:
         image: changed in place.
-        mask: where, 0 to 1.
+        mask: how strongly each pixel is darkened, 0 to 1.
         share: share of the light that is taken, 0 to 1: a number, one for each channel, or an
             array that is broadcast to (H, W, 3).
     """

@@ -19,18 +19,19 @@ from geoaim.synthetic.traffic.paths import VehiclePath
 
 STRIDE = 2  # every second point of a path is compared with other paths
 STRIDE_M = STRIDE * POINT_SPACING_M
-CONTACT_M = 2.8  # between two paths, where vehicles on them would touch
-LANE_HALF_WIDTH_M = 2.3  # from a path to the vehicles that are in its lane
-MIN_PARALLEL_COSINE = 0.5  # of the angle between paths with the same direction
-MERGED_M = 0.7  # between two paths that have merged
-MERGE_LENGTH_M = 8.0  # after which a vehicle that has merged simply drives ahead
+CONTACT_M = 2.8  # vehicles on paths that are nearer to each other would touch
+LANE_HALF_WIDTH_M = 2.3  # vehicles within this distance from a path are in its lane
+MIN_PARALLEL_COSINE = 0.5  # cosine of the angle between paths with the same direction
+MERGED_M = 0.7  # paths that are nearer to each other have merged
+MERGE_LENGTH_M = 8.0  # length after which a vehicle that has merged simply drives ahead
 GROUP_GAP_M = 7.0  # conflict zones closer to each other are passed without stopping between them
-WAIT_MARGIN_M = 1.0  # from the waiting position to the conflict zone
-MAX_STOP_LINE_GAP_M = 14.0  # between a give-way line and the zone for which vehicles wait there
-MIN_ZONE_GAP_M = 16.0  # between two zones of the same paths; closer ones are merged
-PARKED_REACH_M = 1.6  # of a parked vehicle along its path out of the bay
+WAIT_MARGIN_M = 1.0  # distance from the waiting position to the conflict zone
+# vehicles wait at a give-way line for zones within this distance behind it
+MAX_STOP_LINE_GAP_M = 14.0
+MIN_ZONE_GAP_M = 16.0  # zones of the same two paths that are nearer to each other are merged
+PARKED_REACH_M = 1.6  # how far a parked vehicle reaches along its path out of the bay
 PARKED_MARGIN_M = 0.4
-MAX_ZONES = 2  # of a pair of paths
+MAX_ZONES = 2  # zones of a pair of paths
 # every `STRIDE`-th point of a path, and its unit direction there
 Samples = tuple[Float[Array, "J 2"], Float[Array, "J 2"]]
 
@@ -42,21 +43,21 @@ class ConflictZones:
     Distances are metres along a path.
     """
 
-    wait: Float[Array, "Z"]  # where vehicles of the path wait for those of the other
+    wait: Float[Array, "Z"]  # where vehicles of the path wait for those of the other path
     start: Float[Array, "Z"]  # where the zone begins on the path
-    end: Float[Array, "Z"]  # where it ends
-    other_start: Float[Array, "Z"]  # where it begins on the other path
-    other_end: Float[Array, "Z"]  # where it ends
+    end: Float[Array, "Z"]  # where the zone ends on the path
+    other_start: Float[Array, "Z"]  # where the zone begins on the other path
+    other_end: Float[Array, "Z"]  # where the zone ends on the other path
     yields: Bool[Array, "Z"]  # whether vehicles of the path yield to those of the other
     same_direction: Bool[Array, "Z"]  # whether both paths have the same direction there
 
 
 @dataclass(frozen=True)
 class PathConflicts:
-    """What R paths share with each other and with C crossings."""
+    """Where R paths meet each other and C crossings; s is the position along a path, metres."""
 
-    # s on path a of a vehicle at the k-th metre of path b, if it drives in a's lane and
-    # direction; infinite otherwise
+    # [a, b, k]: s on path a of a vehicle at the k-th metre of path b, if it drives in a's lane
+    # and direction; infinite otherwise
     projection: Float32[Array, "R R K"]
     zone_index: Int[Array, "R R 2"]  # conflict zones of two paths; -1: none
     zones: ConflictZones  # all conflict zones

@@ -20,7 +20,7 @@ from geoaim.synthetic.traffic.vehicles import (
     COMFORTABLE_BRAKING,
     PathTables,
     PlacedVehicles,
-    VehiclePairs,
+    VehicleContext,
     Vehicles,
     index_points,
 )
@@ -33,13 +33,14 @@ MAX_BRAKING = 8.0  # m/s2
 MAX_JERK, MIN_JERK = 3.0, -7.0  # m/s3
 SPEED_RELAXATION_S, MAX_SPEED_CORRECTION = 0.7, 3.5  # m/s2; above the desired speed
 PREVIEW_S = 0.6  # ahead, where the desired speed is looked up
-STANDSTILL_GAP_M, STOP_MARGIN_M = 2.0, 0.7  # at standstill, behind vehicles and before lines
-LINE_HEADWAY_S = 0.4  # before lines and conflict zones
-MIN_TIME_GAP_S = 1.0  # between vehicles that pass a conflict zone
-PEDESTRIAN_CLEARANCE_M = 1.6  # from a vehicle's path to a pedestrian
+# gap to a standing vehicle ahead, and to a line, at standstill
+STANDSTILL_GAP_M, STOP_MARGIN_M = 2.0, 0.7
+LINE_HEADWAY_S = 0.4  # headway to lines and conflict zones
+MIN_TIME_GAP_S = 1.0  # time between two vehicles that pass a conflict zone
+PEDESTRIAN_CLEARANCE_M = 1.6  # distance between a vehicle's path and a pedestrian
 QUEUE_SPEED = 2.5  # m/s of a leader, below which crossings are kept clear
 FREE_DISTANCE_M = 1e6
-MIN_DISTANCE_M = 0.05  # to an obstacle, as the model divides by it
+MIN_DISTANCE_M = 0.05  # distance to an obstacle; the model divides by it
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class _Obstacles:
 
 def step_vehicles(
     placed: PlacedVehicles,
-    pairs: VehiclePairs,
+    context: VehicleContext,
     tables: PathTables,
     lights: Int8[Array, "G"],
     pedestrians: CrossingPedestrians,
@@ -62,10 +63,10 @@ def step_vehicles(
 
     Args:
         placed: the vehicles.
-        pairs: of these vehicles.
-        tables: over the paths.
+        context: what these vehicles meet on their paths.
+        tables: tables over the paths.
         lights: state of each of the G lights of `Signals`, as in `geoaim.lights`.
-        pedestrians: on crossings.
+        pedestrians: pedestrians on crossings.
         dt: seconds.
 
     Returns:
@@ -76,11 +77,11 @@ def step_vehicles(
         return vehicles
     point = index_points(vehicles.s + PREVIEW_S * vehicles.speed, tables)
     desired = vehicles.speed_factor * tables.speed_limit[vehicles.path, point]
-    leaders = _find_leaders(placed, pairs, tables)
-    to_signal, waiting = _stop_at_signals(placed, pairs, lights)
+    leaders = _find_leaders(placed, context, tables)
+    to_signal, waiting = _stop_at_signals(placed, context, lights)
     stop = np.minimum(to_signal, _stop_for_pedestrians(placed, tables, pedestrians))
-    stop = np.minimum(stop, _keep_crossings_clear(placed, pairs, leaders))
-    zones = _stop_at_conflict_zones(placed, pairs, leaders, waiting, desired)
+    stop = np.minimum(stop, _keep_crossings_clear(placed, context, leaders))
+    zones = _stop_at_conflict_zones(placed, context, leaders, waiting, desired)
     share = vehicles.speed / desired
     share *= share
     correction = (desired - vehicles.speed) / SPEED_RELAXATION_S
@@ -123,10 +124,12 @@ def _brake_for(
     return np.asarray(MAX_ACCELERATION * ratio * ratio)
 
 
-def _find_leaders(placed: PlacedVehicles, pairs: VehiclePairs, tables: PathTables) -> _Obstacles:
+def _find_leaders(
+    placed: PlacedVehicles, context: VehicleContext, tables: PathTables
+) -> _Obstacles:
     """The nearest vehicle ahead in the lane; vehicles that merge count as soon as they touch it."""
     vehicles, front = placed.state, placed.front
-    fronts, rears = (_project(s, pairs, tables) for s in (front, placed.rear))
+    fronts, rears = (_project(s, context, tables) for s in (front, placed.rear))
     by_front = np.where(fronts > front[:, None], fronts - vehicles.length, np.inf)
     by_rear = np.where(rears > placed.rear[:, None], rears, np.inf)
     gaps = np.minimum(by_front, by_rear) - front[:, None]
@@ -135,15 +138,17 @@ def _find_leaders(placed: PlacedVehicles, pairs: VehiclePairs, tables: PathTable
     return _Obstacles(gap, np.where(gap < FREE_DISTANCE_M, vehicles.speed[leader], 0.0))
 
 
-def _project(s: Float[Array, "n"], pairs: VehiclePairs, tables: PathTables) -> Float[Array, "n n"]:
+def _project(
+    s: Float[Array, "n"], context: VehicleContext, tables: PathTables
+) -> Float[Array, "n n"]:
     """The s of each point (column) on each vehicle's path (row); infinite off its lane."""
     last = tables.conflicts.projection.shape[2] - 1
     index = np.minimum(np.maximum(s / STRIDE_M, 0), last).astype(np.int64)
-    return tables.projection.take(pairs.projection_row + index) + (s - STRIDE_M * index)
+    return tables.projection.take(context.projection_row + index) + (s - STRIDE_M * index)
 
 
 def _stop_at_signals(
-    placed: PlacedVehicles, pairs: VehiclePairs, lights: Int8[Array, "G"]
+    placed: PlacedVehicles, context: VehicleContext, lights: Int8[Array, "G"]
 ) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
     """Metres to the stop line of a light that stops a vehicle, and whether others may ignore it.
 
@@ -151,16 +156,16 @@ def _stop_at_signals(
     not cleared a conflict zone ahead. Others need not yield to these vehicles, nor to those that
     have not passed their own give-way line.
     """
-    vehicles, distance = placed.state, pairs.stop - placed.front
-    state = np.append(lights, np.int8(0))[pairs.signal]
+    vehicles, distance = placed.state, context.stop - placed.front
+    state = np.append(lights, np.int8(0))[context.signal]
     late = (state == RED) & (distance < -1.0)
     blocked = np.zeros(len(distance), bool)
-    in_zone = late[pairs.other] & (vehicles.s[pairs.other] < pairs.zones.other_end)
-    blocked[pairs.vehicle[in_zone]] = True
+    in_zone = late[context.other] & (vehicles.s[context.other] < context.zones.other_end)
+    blocked[context.vehicle[in_zone]] = True
     braking = np.where((state == RED) | blocked, MAX_BRAKING, MAX_YELLOW_BRAKING)
     can_stop = distance + 0.5 > vehicles.speed * vehicles.speed / (2 * braking)
-    stops = (pairs.signal >= 0) & (distance > -0.5) & can_stop & ((state >= YELLOW) | blocked)
-    at_give_way = (pairs.signal < 0) & np.isfinite(pairs.stop) & (distance > -0.3)
+    stops = (context.signal >= 0) & (distance > -0.5) & can_stop & ((state >= YELLOW) | blocked)
+    at_give_way = (context.signal < 0) & np.isfinite(context.stop) & (distance > -0.3)
     to_line = np.where(stops, np.maximum(distance, MIN_DISTANCE_M), FREE_DISTANCE_M)
     return to_line, stops | at_give_way
 
@@ -186,11 +191,11 @@ def _stop_for_pedestrians(
 
 
 def _keep_crossings_clear(
-    placed: PlacedVehicles, pairs: VehiclePairs, leaders: _Obstacles
+    placed: PlacedVehicles, context: VehicleContext, leaders: _Obstacles
 ) -> Float[Array, "n"]:
     """Metres to a crossing on which a queue ahead would hold a vehicle."""
     front = placed.front
-    start, end = pairs.crossing_span[..., 0], pairs.crossing_span[..., 1]
+    start, end = context.crossing_span[..., 0], context.crossing_span[..., 1]
     distance = start - front[:, None]
     is_full = (front + leaders.distance - placed.state.length)[:, None] < end + STOP_MARGIN_M
     is_full &= (leaders.speed < QUEUE_SPEED)[:, None] & (distance > 0.0)
@@ -217,14 +222,14 @@ def _estimate_arrival(
 
 def _stop_at_conflict_zones(
     placed: PlacedVehicles,
-    pairs: VehiclePairs,
+    context: VehicleContext,
     leaders: _Obstacles,
     waiting: Bool[Array, "n"],
     desired_speed: Float[Array, "n"],
 ) -> _Obstacles:
     """The nearest conflict zone that others occupy or will, as an obstacle; gap acceptance."""
     vehicles, front, rear = placed.state, placed.front, placed.rear
-    zones, i, j = pairs.zones, pairs.vehicle, pairs.other
+    zones, i, j = context.zones, context.vehicle, context.other
     to_zone, other_to_zone = zones.start - front[i], zones.other_start - front[j]
     other_to_clear = zones.other_end - rear[j]
     arrival, clearing = _estimate_times(vehicles.speed[i], to_zone, zones.end - rear[i])
@@ -240,7 +245,7 @@ def _stop_at_conflict_zones(
     exit_s = (leaders.distance + front - vehicles.length)[i]
     is_full = (exit_s < zones.end + 1.0) & (leaders.speed[i] < 2.0) & ~is_past
     must_wait = zones.yields & (overlaps | is_full | occupies) & (front[i] <= zones.wait + 0.3)
-    has_started = approaches & ~zones.yields & (front[j] > pairs.other_wait + 0.4)
+    has_started = approaches & ~zones.yields & (front[j] > context.other_wait + 0.4)
     is_taken = (occupies | (has_started & (other_arrival < arrival))) & (to_zone > -0.1)
     follows = is_taken & zones.same_direction & occupies & ~must_wait
     distance = np.where(must_wait, zones.wait - front[i], FREE_DISTANCE_M)

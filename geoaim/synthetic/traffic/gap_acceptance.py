@@ -10,10 +10,10 @@ from geoaim.lights import GREEN
 from geoaim.synthetic.traffic.pedestrians import CrossingTable, Outlook, Pedestrians, Reaction, dot
 from geoaim.synthetic.traffic.vehicles import PathTables, PlacedVehicles
 
-VEHICLE_HALF_WIDTH_M = 1.8  # to either side of a vehicle's path, with some clearance
-MARKED_MARGIN_S, UNMARKED_MARGIN_S = 0.5, 1.6  # between pedestrian and vehicle
+VEHICLE_HALF_WIDTH_M = 1.8  # half the width of the strip that a vehicle needs, with some clearance
+MARKED_MARGIN_S, UNMARKED_MARGIN_S = 0.5, 1.6  # time between a pedestrian and a vehicle
 COMFORTABLE_STOP = 2.5  # m/s2 of a vehicle that is expected to stop at a marked crossing
-DETOUR_MARGIN_M = 1.0  # from a vehicle's end, when walking around it
+DETOUR_MARGIN_M = 1.0  # distance to the end of a vehicle that a pedestrian walks around
 MAX_DETOUR_M = 6.0
 STANDING_SPEED = 0.3  # m/s of vehicles that pedestrians walk around
 
@@ -22,10 +22,12 @@ STANDING_SPEED = 0.3  # m/s of vehicles that pedestrians walk around
 class _Encounters:
     """The n vehicles as m pedestrians on or near crossings see them; distances in metres."""
 
-    to_path: Float[Array, "n m"]  # along the crossing to the vehicle's path; negative when passed
-    to_crossing: Float[Array, "n m"]  # from the vehicle's front to the crossing
+    # distance along the crossing to the vehicle's path; negative when passed
+    to_path: Float[Array, "n m"]
+    to_crossing: Float[Array, "n m"]  # distance from the vehicle's front to the crossing
     on_crossing: Bool[Array, "n m"]  # whether the vehicle is on it
-    front: Float[Array, "n m"]  # of the vehicle on its path, from the crossing's centreline
+    # position of the vehicle's front on its path, from the crossing's centreline
+    front: Float[Array, "n m"]
     rear: Float[Array, "n m"]
     side: Float[Array, "n m"]  # 1 where its path leads to the left of the crossing, else -1
     speed: Float[Array, "n 1"]  # m/s
@@ -44,9 +46,9 @@ def react_to_vehicles(
     They wait at the kerb until they can cross, and on a crossing while a vehicle passes.
 
     Args:
-        pedestrians: all.
+        pedestrians: all pedestrians and cyclists.
         outlook: their targets, and which of them are on or near which crossing.
-        crossings: of the place.
+        crossings: the crossings of the place.
         placed: the vehicles.
         tables: lengths, limits and conflicts of the vehicles' paths.
         lights: state of each of the G lights of `Signals`, as in `geoaim.lights`.

@@ -12,9 +12,10 @@ from geoaim.synthetic.traffic.simulate import DT, TrafficModel, TrafficRecording
 from geoaim.synthetic.traffic.vehicles import FRONT_SHARE, REAR_SHARE
 from geoaim.tracks import Tracks, estimate_heading
 
-CENTRE_SHARE = (FRONT_SHARE - REAR_SHARE) / 2  # of the length, from rear axle to box centre
+# distance from rear axle to box centre, in lengths of the vehicle
+CENTRE_SHARE = (FRONT_SHARE - REAR_SHARE) / 2
 DRIFT_WAVES = ((37.0, 0.45), (83.0, 0.55))  # wavelength in metres, share of the amplitude
-DRIFT_AMPLITUDE, DRIFT_LANE_WIDTH_M = 0.22, 2.9  # for each metre that a vehicle leaves in a lane
+DRIFT_AMPLITUDE, DRIFT_LANE_WIDTH_M = 0.22, 2.9  # amplitude for each metre of free width in a lane
 BOX_SIZE_M = {"pedestrian": (0.5, 0.6), "cyclist": (1.8, 0.65)}
 MIN_HEADING_SPEED = 0.5  # m/s of pedestrians, below which they keep their heading
 
@@ -35,9 +36,9 @@ def interpolate_tracks(
 
     Args:
         model: the traffic model of the place.
-        recording: of that model's traffic.
+        recording: recording of that model's traffic.
         place: the place, for the transform to the world.
-        times: (T,) within the recording, seconds.
+        times: (T,) times within the recording, seconds.
         margin: metres around the drawn extent in which agents are present.
 
     Returns:
@@ -109,7 +110,8 @@ def _interpolate_vehicles(
     before, t = _locate_steps(recording, times)
     start, end = table[:, before], table[:, before + 1]
     same_path = (start[..., 0] == end[..., 0]) | np.isnan(start[..., 0])
-    start = np.where(same_path[..., None], start, end)  # before leaving a bay, vehicles stand there
+    # vehicles stand there before they leave a bay
+    start = np.where(same_path[..., None], start, end)
     s, speed = _interpolate_cubic((start[..., 1], end[..., 1]), (start[..., 2], end[..., 2]), t)
     s, speed = np.where(same_path, s, end[..., 1]), np.where(same_path, speed, 0.0)
     states = np.full((agents, len(times), 4), np.nan)
@@ -170,7 +172,7 @@ def _compute_drift(
     s: Float[Array, "V"],
     on_road: Bool[Array, "V"],
 ) -> tuple[Float[Array, "V"], Float[Array, "V"], Float[Array, "V"]]:
-    """The drift to the left of the path in metres, and its first two derivatives by s."""
+    """The drift to the left of the path in metres, and its two derivatives along the path."""
     width = np.array([trip.size[1] for trip in recording.vehicle_trips])
     phases = np.array([trip.drift_phases for trip in recording.vehicle_trips])[agent]
     room = (DRIFT_LANE_WIDTH_M - width)[agent]

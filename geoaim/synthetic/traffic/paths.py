@@ -18,12 +18,12 @@ from geoaim.synthetic.roads.plan import Roads, find_approach, find_signal
 
 MAX_LATERAL_ACCELERATION = 2.4  # m/s2, in curves
 REVERSAL_SPEED = 0.15  # m/s, where a vehicle changes between reverse and forward
-# without traffic lights, the higher priority number yields to the lower
+# without traffic lights, a path with a higher number yields to one with a lower number
 TURN_PRIORITY = {"S": 0, "R": 1, "L": 2}
 SIDE_ROAD_PRIORITY, CAR_PARK_PRIORITY = 3, 7
-TURN_SHARES = {"S": 0.75, "R": 0.25, "L": 0.15}  # of a lane's vehicles
-SIDE_ROAD_SHARE = 0.35  # of the traffic of the main road
-PARKING_SHARE = 0.03  # of a lane's vehicles, for each bay
+TURN_SHARES = {"S": 0.75, "R": 0.25, "L": 0.15}  # shares of a lane's vehicles
+SIDE_ROAD_SHARE = 0.35  # traffic of a side road as a share of the main road's
+PARKING_SHARE = 0.03  # share of a lane's vehicles for each bay
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class VehiclePath:
     heading: Float[Array, "L"]  # direction of motion, radians, unwrapped
     forward: Bool[Array, "L"]  # whether a vehicle drives forward there
     curvature: Float[Array, "L"]  # 1/m
-    speed_limit: Float[Array, "L"]  # of lanes, curves and reversals, m/s
-    priority: Int[Array, "L"]  # at each point, vehicles yield to paths with a lower number
+    speed_limit: Float[Array, "L"]  # speed limit in lanes, curves and reversals, m/s
+    priority: Int[Array, "L"]  # vehicles at each point yield to paths with a lower number
     stop: float = np.inf  # s of the stop or give-way line, metres; infinite where there is none
     signal: str = ""  # name of the traffic light that controls it, or ""
     entry: str = ""  # name of the lane where vehicles enter; "": a bay
-    share: float = 0.0  # of the vehicles that enter there
+    share: float = 0.0  # share of the vehicles that enter at its first point
     bay: int = -1  # number of the bay where the path begins or ends; -1: none
 
 

@@ -16,19 +16,19 @@ from geoaim.synthetic.exact import round_reproducibly
 from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.roads.plan import Roads
 
-CELL_M = 0.25  # of the pavement map
-MAP_MARGIN_M = 12.0  # around the drawn extent
-MIN_SLOPE = 1e-6  # of the distance, so that its direction is defined
-RELAXATION_S = 0.5  # to reach the desired velocity
+CELL_M = 0.25  # side of a cell of the pavement map
+MAP_MARGIN_M = 12.0  # margin around the drawn extent
+MIN_SLOPE = 1e-6  # smallest slope of the distance, so that its direction is defined
+RELAXATION_S = 0.5  # time to reach the desired velocity
 PEDESTRIAN_FORCE, PEDESTRIAN_RANGE_M = 2.2, 0.28  # m/s2, between two pedestrians
-REAR_WEIGHT = 0.3  # of forces from behind, relative to those from the front
+REAR_WEIGHT = 0.3  # weight of forces from behind, relative to those from the front
 EDGE_FORCE, EDGE_RANGE_M = 1.6, 0.22  # m/s2, from the edge of the pavement
 MAX_EDGE_FORCE = 4.0  # m/s2
-EDGE_MARGIN_M = 0.15  # from the edge of the pavement, beyond which no force moves a pedestrian
+EDGE_MARGIN_M = 0.15  # no force moves a pedestrian nearer to the edge of the pavement
 NOISE, MAX_NOISE_SPEED = 0.45, 1.6  # m/s2 of random force for each m/s of desired speed; m/s
-MAX_SPEED_FACTOR = 1.3  # of the desired speed
+MAX_SPEED_FACTOR = 1.3  # largest speed as a multiple of the desired speed
 TARGET_M, TARGET_S = 1.6, 0.5  # distance and time on the path to the point that they head for
-KERB_DISTANCE_M = 0.7  # at which pedestrians stop
+KERB_DISTANCE_M = 0.7  # pedestrians stop at this distance from the kerb
 MIN_STEPPING_SPEED = 0.3  # m/s, above which vehicles expect that a pedestrian steps on a crossing
 MIN_CROSSING_SPEED = 0.8  # m/s that vehicles expect on a crossing
 
@@ -46,7 +46,7 @@ class Pedestrians:
     s: Float[Array, "n"]  # metres of the path walked so far
     lateral_offset: Float[Array, "n"]  # metres to the left of the path where they prefer to walk
     desired_speed: Float[Array, "n"]  # m/s
-    radius: Float[Array, "n"]  # of the body, metres
+    radius: Float[Array, "n"]  # radius of the body, metres
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class CrossingPedestrians:
     crossing: Int[Array, "m"]  # its index
     offset: Float[Array, "m"]  # metres from its first end
     speed: Float[Array, "m"]  # m/s along it, positive away from the first end; not 0
-    radius: Float[Array, "m"]  # of the body along the crossing, metres
+    radius: Float[Array, "m"]  # radius of the body along the crossing, metres
 
 
 @dataclass(frozen=True)
@@ -85,12 +85,12 @@ class Outlook:
 
     on_crossing: Bool[Array, "n"]  # whether they are on a crossing
     target: Float[Array, "n 2"]  # the point of the path that they head for
-    direction: Float[Array, "n 2"]  # of the path there
+    direction: Float[Array, "n 2"]  # direction of the path there
     near: Int[Array, "m"]  # indices of those on a crossing or near one
     crossing: Int[Array, "m"]  # its index
     offset: Float[Array, "m"]  # metres from its first end
     sign: Float[Array, "m"]  # 1 for those who walk away from the first end, else -1
-    visible: CrossingPedestrians  # those of the m whom vehicles notice
+    visible: CrossingPedestrians  # the ones of the m pedestrians on crossings whom vehicles notice
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def look_ahead(pedestrians: Pedestrians, crossings: CrossingTable) -> Outlook:
     velocity = pedestrians.velocity[near]
     steps = (current[near] >= 0) | (dot(velocity, velocity) > MIN_STEPPING_SPEED**2)
     crossing_speed = sign * np.maximum(np.abs(dot(velocity, along)), MIN_CROSSING_SPEED)
-    radius = np.where(pedestrians.radius[near] > 0.3, 0.9, 0.3)  # of cyclists, of pedestrians
+    radius = np.where(pedestrians.radius[near] > 0.3, 0.9, 0.3)  # cyclists, pedestrians
     values = (crossing, offset, crossing_speed, radius)
     visible = CrossingPedestrians(*(value[steps] for value in values))
     return Outlook(current >= 0, target, direction, near, crossing, offset, sign, visible)
@@ -173,10 +173,10 @@ def step_pedestrians(
     """Move all pedestrians by one time step.
 
     Args:
-        pedestrians: all.
-        outlook: of these pedestrians.
-        reaction: to vehicles and lights.
-        pavement: where they may walk.
+        pedestrians: all pedestrians and cyclists.
+        outlook: outlook of these pedestrians.
+        reaction: reaction to vehicles and lights.
+        pavement: the pavement, on which they may walk.
         noise: standard normal numbers, for a random force.
         dt: seconds.
 

@@ -10,9 +10,9 @@ from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.layouts import STREET_KINDS
 from geoaim.synthetic.roads.plan import Roads
 
-YELLOW_S, ALL_RED_S = 3.0, 2.0  # after each phase
+YELLOW_S, ALL_RED_S = 3.0, 2.0  # duration of yellow and of red for all after each phase
 CLEARING_SPEED = 1.2  # m/s of pedestrians for whom a crossing must be cleared
-MIN_WALK_S = 5.0  # of a pedestrians' green
+MIN_WALK_S = 5.0  # shortest green for pedestrians
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class _Phase:
 
 
 def make_signals(roads: Roads, generator: np.random.Generator) -> Signals:
-    """Draw random durations for a place's lights; without lights the names are empty."""
+    """Draw a cycle of the lights of a place at random; it has no names if there are no lights."""
     if not roads.layout.signalised:
         return Signals((), 0.0, (), ())
     main, side = generator.uniform(24, 32), generator.uniform(16, 20)
@@ -49,13 +49,13 @@ def make_signals(roads: Roads, generator: np.random.Generator) -> Signals:
         _Phase(main, ("east", "west"), ("north", "south")),
         _Phase(side, ("north", "south"), ("east", "west")),
     ]
-    if "L" in roads.layout.approaches[0].turns:  # of the east approach
+    if "L" in roads.layout.approaches[0].turns:  # turns of the east approach
         phases.append(_Phase(generator.uniform(7, 10), ("east left", "west left")))
     return _make_cycle(phases, roads)
 
 
-def light_states_at(signals: Signals, times: Float[Array, "T"]) -> Int8[Array, "T G"]:
-    """Compute the state of each light at times (s): `GREEN`, `YELLOW` or `RED`."""
+def compute_light_states(signals: Signals, times: Float[Array, "T"]) -> Int8[Array, "T G"]:
+    """Compute the state of each light at times (s): (T, G) `GREEN`, `YELLOW` or `RED`."""
     if not signals.names:
         return np.zeros((len(times), 0), np.int8)
     start, end = np.array(signals.green).T

@@ -22,24 +22,25 @@ from geoaim.synthetic.traffic.pedestrians import (
     make_pavement_map,
     step_pedestrians,
 )
-from geoaim.synthetic.traffic.signals import Signals, light_states_at, make_signals
+from geoaim.synthetic.traffic.signals import Signals, compute_light_states, make_signals
 from geoaim.synthetic.traffic.vehicles import (
     PathTables,
-    VehiclePairs,
+    VehicleContext,
     make_path_tables,
-    pair_vehicles,
+    make_vehicle_context,
     place_vehicles,
 )
 
 DT = 0.25  # s
 LANE_RATE, PEDESTRIAN_RATE = 0.1, 0.16  # a second: on each inbound lane; in the whole place
-WARM_UP_S = 30.0  # before the recording, in which the place fills
-PARKED_SHARE, PARKED_S = 0.6, 60.0  # of the open bays at the start, and for how long on average
+WARM_UP_S = 30.0  # time before the recording in which the place fills
+# share of the open bays that are occupied at the start; how long these vehicles stay on average
+PARKED_SHARE, PARKED_S = 0.6, 60.0
 WALK_S = 90.0  # about the duration of a pedestrian's trip
 MAX_TURNING_LENGTH_M = 6.5  # longer vehicles only drive straight on
 MAX_STRAIGHT_CURVATURE = 0.02  # 1/m
-CYCLIST_SHARE = 0.12  # of pedestrians and cyclists
-JAYWALKER_SHARE = 0.25  # of those who cross where nothing is marked, if that is shorter
+CYCLIST_SHARE = 0.12  # share of cyclists among pedestrians and cyclists
+JAYWALKER_SHARE = 0.25  # share of those who cross where nothing is marked, if that is shorter
 UNMARKED_COST = 6.0  # factor on the length of such a crossing for the others
 # share of the traffic; ranges of length and width, metres
 VEHICLE_TYPES = {
@@ -55,11 +56,11 @@ class TrafficModel:
     """What the simulation of a place's traffic needs, computed once."""
 
     roads: Roads  # the plan
-    paths: tuple[VehiclePath, ...]  # of vehicles
-    tables: PathTables  # over these paths
+    paths: tuple[VehiclePath, ...]  # paths of vehicles
+    tables: PathTables  # tables over these paths
     signals: Signals  # the traffic lights
     pavement: PavementMap  # where pedestrians may walk
-    crossings: CrossingTable  # of pedestrians
+    crossings: CrossingTable  # pedestrian crossings
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +69,8 @@ class TrafficRecording:
 
     times: Float[Array, "T"]  # seconds
     signals: Signals  # the traffic lights during it
-    vehicle_trips: tuple[spawning.VehicleTrip, ...]  # of all vehicles
-    pedestrian_trips: tuple[spawning.PedestrianTrip, ...]  # of all pedestrians and cyclists
+    vehicle_trips: tuple[spawning.VehicleTrip, ...]  # trips of all vehicles
+    pedestrian_trips: tuple[spawning.PedestrianTrip, ...]  # trips of all pedestrians and cyclists
     vehicle_rows: Int[Array, "V 2"]  # step and index of the trip
     vehicle_paths: Int[Array, "V"]  # index of the path
     vehicle_motion: Float[Array, "V 2"]  # s along the path in metres, and speed in m/s
@@ -92,29 +93,30 @@ def simulate_traffic(
     """Simulate the traffic of a place.
 
     Args:
-        model: from `prepare_traffic`; `signals.phase` is that at the start of the recording.
+        model: the result of `prepare_traffic`; `signals.phase` is that at the start of the
+            recording.
         duration: seconds.
-        generator: of everything random.
+        generator: generator for everything random.
 
     Returns:
         The recording, at steps of `DT`, after a warm-up that is left out.
     """
     times = np.arange(-round(WARM_UP_S / DT), ceil(duration / DT - 1e-9) + 1) * DT
-    light_states = light_states_at(model.signals, times)
+    light_states = compute_light_states(model.signals, times)
     interval = -WARM_UP_S, duration
     queues = _draw_vehicle_trips(model.paths, interval, generator)
     trips = spawning.Trips(queues, [], [], [])
     agents = _place_first_agents(model, trips, generator)
     trips.pedestrian_queue.extend(_draw_pedestrian_trips(model.roads, interval, generator))
-    pairs, states = pair_vehicles(agents.vehicles, model.tables), []
+    context, states = make_vehicle_context(agents.vehicles, model.tables), []
     for time, lights in zip(times.tolist(), light_states, strict=True):
         paths = agents.vehicles.path
         agents = spawning.spawn_agents(agents, trips, model.tables, time, generator)
         if agents.vehicles.path is not paths:
-            pairs = pair_vehicles(agents.vehicles, model.tables)
+            context = make_vehicle_context(agents.vehicles, model.tables)
         if time > -DT / 2:
             states.append(agents)
-        agents = _step(model, agents, pairs, lights, generator)
+        agents = _step(model, agents, context, lights, generator)
     return _make_recording(times[times > -DT / 2], model.signals, states, trips)
 
 
@@ -143,7 +145,7 @@ def _place_first_agents(
 def _step(
     model: TrafficModel,
     agents: spawning.Agents,
-    pairs: VehiclePairs,
+    context: VehicleContext,
     lights: Int8[Array, "G"],
     generator: np.random.Generator,
 ) -> spawning.Agents:
@@ -151,7 +153,7 @@ def _step(
     placed = place_vehicles(agents.vehicles, tables)
     outlook = look_ahead(pedestrians, crossings)
     reaction = react_to_vehicles(pedestrians, outlook, crossings, placed, tables, lights)
-    vehicles = step_vehicles(placed, pairs, tables, lights, outlook.visible, DT)
+    vehicles = step_vehicles(placed, context, tables, lights, outlook.visible, DT)
     noise = generator.standard_normal(pedestrians.position.shape)
     pedestrians = step_pedestrians(pedestrians, outlook, reaction, model.pavement, noise, DT)
     return spawning.Agents(vehicles, pedestrians)

@@ -11,12 +11,12 @@ from geoaim.synthetic.roads.curves import POINT_SPACING_M
 from geoaim.synthetic.traffic.pedestrians import Pedestrians
 from geoaim.synthetic.traffic.vehicles import FRONT_SHARE, REAR_SHARE, PathTables, Vehicles
 
-MIN_PARKING_S, MEAN_PARKING_S = 5.0, 100.0  # in a bay: at least, and on average beyond that
-ENTRY_GAP_M, ENTRY_HEADWAY_S = 5.0, 0.5  # from an entering vehicle to the one ahead
-PARKED_TOLERANCE_M = 0.05  # from the end of its path, where a vehicle counts as parked
-BAY_CLEARANCE_M = 30.0  # along a path out of a bay, after which the bay is free
-ARRIVAL_M = 0.6  # from the end of their path, where pedestrians leave
-ENTRY_SPEED_FACTOR = 0.8  # of a pedestrian's desired speed
+MIN_PARKING_S, MEAN_PARKING_S = 5.0, 100.0  # time in a bay: the least, and the mean beyond that
+ENTRY_GAP_M, ENTRY_HEADWAY_S = 5.0, 0.5  # gap from an entering vehicle to the one ahead
+PARKED_TOLERANCE_M = 0.05  # a vehicle this near to the end of its path counts as parked
+BAY_CLEARANCE_M = 30.0  # a bay is free once the vehicle that left it is this far along its path
+ARRIVAL_M = 0.6  # pedestrians leave within this distance of the end of their path
+ENTRY_SPEED_FACTOR = 0.8  # pedestrians enter at this share of their desired speed
 BODY_RADIUS_M = {"pedestrian": 0.25, "cyclist": 0.4}
 State = TypeVar("State", Vehicles, Pedestrians)
 
@@ -25,20 +25,21 @@ State = TypeVar("State", Vehicles, Pedestrians)
 class VehicleTrip:
     """A vehicle and its driver's parameters."""
 
-    time: float  # of its departure, seconds
+    time: float  # time of its departure, seconds
     path: int  # index of its path
     kind: str  # name of the vehicle type
     size: tuple[float, float]  # length and width, metres
     speed_factor: float  # its desired speed as a share of the speed limit
     headway: float  # desired time gap behind others, seconds
-    drift_phases: tuple[float, float]  # of the waves in which it drifts within its lane, radians
+    # phases of the waves in which it drifts within its lane, radians
+    drift_phases: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class PedestrianTrip:
     """A pedestrian or cyclist and their route."""
 
-    time: float  # of departure, seconds
+    time: float  # time of departure, seconds
     kind: str  # "pedestrian" or "cyclist"
     path: Float[Array, "K 2"]  # equally spaced points, plan metres
     crossing: Int[Array, "K"]  # index of the crossing at each point; -1: none
@@ -71,11 +72,11 @@ def spawn_agents(
     """Let vehicles park, leave bays, leave the plan and enter it; pedestrians enter and leave.
 
     Args:
-        agents: those that are present.
-        trips: of the simulation; they are updated.
-        tables: over the paths of vehicles.
+        agents: the agents that are present.
+        trips: the trips of the simulation; they are updated.
+        tables: tables over the paths of vehicles.
         time: seconds.
-        generator: of parking durations and paths out of bays.
+        generator: generator for parking durations and paths out of bays.
 
     Returns:
         The agents that are present now; `vehicles.path` is the same object if no path changes.
@@ -101,35 +102,36 @@ def spawn_agents(
 
 def make_vehicle(
     trip: VehicleTrip,
-    number: int,
+    trip_index: int,
     *,
     s: float = 0.0,
     speed: float = 0.0,
     parked_until: float = np.inf,
 ) -> Vehicles:
-    """Make the state of one vehicle.
+    """Make the state of one vehicle: `Vehicles` with one entry.
 
     Args:
-        trip: of the vehicle.
-        number: index of the trip.
+        trip: trip of the vehicle.
+        trip_index: index of the trip in `Trips`.
         s: position of its rear axle along the path, metres.
         speed: m/s.
-        parked_until: when it leaves its parking bay, seconds; infinite if it is not parked.
+        parked_until: time at which it leaves its parking bay, seconds; infinite if it is not
+            parked.
 
     Returns:
         The state.
     """
     values = (s, speed, 0.0, trip.size[0], trip.speed_factor, trip.headway, parked_until)
     arrays = (np.array([value]) for value in values)
-    return Vehicles(np.array([number]), np.array([trip.path]), *arrays)
+    return Vehicles(np.array([trip_index]), np.array([trip.path]), *arrays)
 
 
-def make_pedestrian(trip: PedestrianTrip, number: int, s: float = 0.0) -> Pedestrians:
-    """Make the state of one pedestrian.
+def make_pedestrian(trip: PedestrianTrip, trip_index: int, s: float = 0.0) -> Pedestrians:
+    """Make the state of one pedestrian or cyclist: `Pedestrians` with one entry.
 
     Args:
-        trip: of the pedestrian.
-        number: index of the trip.
+        trip: trip of the pedestrian.
+        trip_index: index of the trip in `Trips`.
         s: metres of the path walked so far.
 
     Returns:
@@ -141,7 +143,7 @@ def make_pedestrian(trip: PedestrianTrip, number: int, s: float = 0.0) -> Pedest
     direction = direction / np.sqrt((direction**2).sum())
     offset = trip.lateral_offset * np.array([-direction[1], direction[0]])
     return Pedestrians(
-        trip=np.array([number]),
+        trip=np.array([trip_index]),
         position=(trip.path[index] + offset)[None],
         velocity=ENTRY_SPEED_FACTOR * trip.desired_speed * direction[None],
         path=trip.path[None],
@@ -219,7 +221,7 @@ def _leave_bay(
 
 
 def _enter(
-    vehicles: Vehicles, tables: PathTables, trip: VehicleTrip, number: int
+    vehicles: Vehicles, tables: PathTables, trip: VehicleTrip, trip_index: int
 ) -> Vehicles | None:
     """A vehicle at the start of its path, past its bay if that is taken; None without room."""
     path = trip.path
@@ -234,7 +236,7 @@ def _enter(
         if room < ENTRY_GAP_M + ENTRY_HEADWAY_S * leader_speed:
             return None
         speed = min(speed, leader_speed + 0.15 * room)
-    return make_vehicle(replace(trip, path=path), number, speed=speed)
+    return make_vehicle(replace(trip, path=path), trip_index, speed=speed)
 
 
 def _is_taken(vehicles: Vehicles, tables: PathTables, bay: int) -> bool:

@@ -11,7 +11,7 @@ from geoaim.synthetic.traffic.conflicts import ConflictZones, PathConflicts
 from geoaim.synthetic.traffic.paths import VehiclePath
 from geoaim.synthetic.traffic.signals import Signals
 
-FRONT_SHARE, REAR_SHARE = 0.8, 0.2  # of the length, before and behind the rear axle
+FRONT_SHARE, REAR_SHARE = 0.8, 0.2  # shares of the length before and behind the rear axle
 COMFORTABLE_BRAKING = 2.2  # m/s2
 ANTICIPATED_BRAKING = 0.8 * COMFORTABLE_BRAKING  # m/s2, before lower speed limits
 
@@ -28,7 +28,8 @@ class Vehicles:
     length: Float[Array, "n"]  # metres
     speed_factor: Float[Array, "n"]  # its desired speed as a share of the speed limit
     headway: Float[Array, "n"]  # desired time gap behind others, seconds
-    parked_until: Float[Array, "n"]  # when it leaves its bay, seconds; infinite while it drives
+    # time at which it leaves its bay, seconds; infinite while it drives
+    parked_until: Float[Array, "n"]
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,13 @@ class PlacedVehicles:
 
 @dataclass(frozen=True)
 class PathTables:
-    """All paths side by side (R paths of up to K points)."""
+    """Properties of all R paths, padded to K points; s is the position along a path, metres."""
 
     conflicts: PathConflicts  # what paths share
-    # from which later limits are reached with comfortable braking, m/s
+    # m/s, lowered ahead of lower limits, so that comfortable braking reaches them
     speed_limit: Float[Array, "R K"]
     forward: Bool[Array, "R K"]  # whether vehicles drive forward there
-    length: Float[Array, "R"]  # of each path, metres
+    length: Float[Array, "R"]  # length of each path, metres
     stop: Float[Array, "R"]  # s of the stop line; infinite where there is none
     signal: Int[Array, "R"]  # index of the traffic light that controls the path; -1: none
     entry: Int[Array, "R"]  # index of the lane where its vehicles enter; -1: a bay
@@ -59,19 +60,22 @@ class PathTables:
 
 
 @dataclass(frozen=True)
-class VehiclePairs:
-    """Pairs of vehicles whose paths conflict (P pairs of n vehicles); constant while paths are."""
+class VehicleContext:
+    """What n vehicles meet on their paths: leaders, conflicts, a light, a stop line, C crossings.
 
-    # where the projections of each other vehicle begin in `PathTables.projection`
+    It is recomputed only when a vehicle changes its path. P pairs of vehicles conflict.
+    """
+
+    # [i, j]: offset in `PathTables.projection` of the row that projects j's path onto i's
     projection_row: Int[Array, "n n"]
-    vehicle: Int[Array, "P"]  # indices of vehicles
-    other: Int[Array, "P"]  # indices of vehicles on a path that conflicts with theirs
-    zones: ConflictZones  # their conflict zones
-    other_wait: Float[Array, "P"]  # s where the other one would wait for the vehicle
+    vehicle: Int[Array, "P"]  # index of a vehicle whose path conflicts with another's
+    other: Int[Array, "P"]  # index of the vehicle that it conflicts with
+    zones: ConflictZones  # (P,) zones in which their paths conflict
+    other_wait: Float[Array, "P"]  # position along the other's path (m) where it would wait
     # index of the traffic light that controls each vehicle's path; -1: none
     signal: Int[Array, "n"]
-    stop: Float[Array, "n"]  # s of the stop line
-    crossing_span: Float[Array, "n C 2"]  # s where crossings begin and end
+    stop: Float[Array, "n"]  # position of the stop line along the path, m; infinite: none
+    crossing_span: Float[Array, "n C 2"]  # ends of crossings along the path, m
 
 
 def make_path_tables(
@@ -80,9 +84,9 @@ def make_path_tables(
     """Arrange the properties of paths in tables.
 
     Args:
-        paths: of vehicles.
-        conflicts: between them.
-        signals: whose lights control them.
+        paths: paths of vehicles.
+        conflicts: conflicts between them.
+        signals: the signals that control them.
 
     Returns:
         The tables.
@@ -117,8 +121,8 @@ def place_vehicles(state: Vehicles, tables: PathTables) -> PlacedVehicles:
     return PlacedVehicles(state, front, front - state.length)
 
 
-def pair_vehicles(vehicles: Vehicles, tables: PathTables) -> VehiclePairs:
-    """Find the pairs of vehicles whose paths conflict."""
+def make_vehicle_context(vehicles: Vehicles, tables: PathTables) -> VehicleContext:
+    """Look up what vehicles meet on their paths, and find the pairs whose paths conflict."""
     count, _, length = tables.conflicts.projection.shape
     own, others = vehicles.path[:, None], vehicles.path[None, :]
     rows = (own * count + others) * length
@@ -128,7 +132,7 @@ def pair_vehicles(vehicles: Vehicles, tables: PathTables) -> VehiclePairs:
     zone = index[vehicle, other, slot]
     reverse = tables.conflicts.zone_index[vehicles.path[other], vehicles.path[vehicle], slot]
     zones = tables.conflicts.zones
-    return VehiclePairs(
+    return VehicleContext(
         projection_row=rows,
         vehicle=vehicle,
         other=other,
@@ -141,7 +145,7 @@ def pair_vehicles(vehicles: Vehicles, tables: PathTables) -> VehiclePairs:
 
 
 def index_points(s: Float[Array, "n"], tables: PathTables) -> Int[Array, "n"]:
-    """Compute the index of the path's point before s (metres), at most that of the last one."""
+    """Compute the index of the path's point before s (metres), at most the last one's."""
     return np.minimum((s / POINT_SPACING_M).astype(np.int64), tables.speed_limit.shape[1] - 1)
 
 

@@ -1,4 +1,4 @@
-"""What a page of picking asks for, as plain JSON: `handle` changes a session and replies.
+"""Actions of the picking page, as plain JSON: `handle` changes a session and replies.
 
 An action is {"action": NAME, ...}:
 
@@ -46,7 +46,7 @@ def handle(session: PickingSession, action: Any) -> Outcome:
     """Carry out an action of a page.
 
     Args:
-        session: before it.
+        session: the session before the action.
         action: plain JSON, as the module's description lists it.
 
     Returns:

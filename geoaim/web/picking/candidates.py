@@ -15,8 +15,9 @@ from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 
 MAX_PAIRS = 12
-MIN_SEARCH_PX = 12.0  # of the coarser image, around where the rough georeference puts a pixel
-MAX_SEARCH_SHARE = 0.25  # of the frame's diagonal on the ground
+# pixels of the coarser image: search radius around where the rough georeference puts a pixel
+MIN_SEARCH_PX = 12.0
+MAX_SEARCH_SHARE = 0.25  # search radius as a share of the frame's diagonal on the ground
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,10 @@ def propose_pairs(
     """Propose pairs that agree with each other and are spread over the frame.
 
     Args:
-        frame: of the video, as the georeference's pixels count it.
-        imagery: that shows the same ground, on any day.
-        georeference: of the frame, roughly, in the imagery's world; the imagery is searched within
-            its uncertainty at the frame's corners.
+        frame: a frame of the video, as the georeference's pixels count it.
+        imagery: imagery of the same ground, from any day.
+        georeference: rough georeference of the frame in the imagery's world; the imagery is
+            searched within its uncertainty at the frame's corners.
 
     Returns:
         At most 12 pairs.
@@ -50,7 +51,7 @@ def propose_pairs(
     prior = _choose_prior(georeference, max(rough.resolution, imagery.resolution))
     matched = match_image(rough, imagery, prior=prior)
     frame_from_world = np.linalg.inv(georeference.world_from_image)
-    pixels = transform_points(frame_from_world, matched.stated)
+    pixels = transform_points(frame_from_world, matched.in_image)
     height, width = frame.shape[:2]
     inside = ((pixels > 0) & (pixels < (width, height))).all(axis=1)
     sigma = float(np.sqrt(np.mean(matched.residuals[inside] ** 2)))
@@ -58,7 +59,7 @@ def propose_pairs(
     indices = _select_spread(pixels, np.flatnonzero(better))
     return tuple(
         PairCandidate((float(u), float(v)), (float(x), float(y)), sigma)
-        for (u, v), (x, y) in zip(pixels[indices], matched.true[indices], strict=True)
+        for (u, v), (x, y) in zip(pixels[indices], matched.in_reference[indices], strict=True)
     )
 
 
@@ -68,9 +69,9 @@ def measure_disagreement(
     """Measure how far points lie from where an affine map through proposed pairs puts them.
 
     Args:
-        pairs: at least three.
-        pixels: (M, 2) of the points, in the frame.
-        places: (M, 2) of the points, metres in the imagery's world.
+        pairs: three pairs or more.
+        pixels: (M, 2) pixels of the points in the frame.
+        places: (M, 2) places of the points, metres in the imagery's world.
 
     Returns:
         (M,) distances, metres.

@@ -1,4 +1,4 @@
-"""What the control points picked so far give: residuals, uncertainty, and where to pick next."""
+"""Feedback on the points picked so far: residuals, uncertainty, and where to pick next."""
 
 import re
 import warnings
@@ -35,8 +35,9 @@ class NextPoint:
 
     u: float  # pixel
     v: float
-    largest_m: float  # now: radius that holds the true place in 95 % of cases, metres
-    largest_with_point_m: float  # with a control point there
+    # at the worst place of the image, radius that holds the true place in 95 % of cases, metres
+    largest_m: float
+    largest_with_point_m: float  # the same with a control point there
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class PointFeedback:
     # fitted to the points; a similarity that is not checked (`approximate`) if they are too few or
     # have a problem; None if even that cannot be fitted
     georeference: Georeference | None
-    residuals: tuple[PointResidual, ...]  # of each point; empty for fewer than three points
+    # residual of each point; empty for fewer than three points
+    residuals: tuple[PointResidual, ...]
     places: tuple[PlaceUncertainty, ...]  # the uncertainty at the corners and in the middle
     next_point: NextPoint | None
 
@@ -57,13 +59,13 @@ class PointFeedback:
 def assess_points(
     points: ControlPoints, size: tuple[int, int], world: World | None = None
 ) -> PointFeedback:
-    """Assess control points while they are picked; a bad layout is feedback, no error.
+    """Assess control points while they are picked; a bad layout gives feedback, not an error.
 
     Warnings are caught (`warnings.catch_warnings`): call it from one thread at a time.
 
     Args:
-        points: picked on one image of (height, width) pixels, each with pixel and place.
-        size: of that image.
+        points: control points picked on one image, each with pixel and place.
+        size: (height, width) of that image, pixels.
         world: the plane of the georeference; None: see `estimate_georeference`.
 
     Returns:
@@ -124,7 +126,7 @@ def _add_accuracy(
 
 
 def describe_feedback(feedback: PointFeedback) -> dict[str, Any]:
-    """The feedback as plain JSON, with the transform and the map of its uncertainty."""
+    """Describe the feedback as plain JSON, with the transform and the map of its uncertainty."""
     georeference = feedback.georeference
     plain = asdict(replace(feedback, georeference=None))
     if georeference is None:
@@ -138,7 +140,7 @@ def describe_feedback(feedback: PointFeedback) -> dict[str, Any]:
         "crs": georeference.world.crs,
         "origin": georeference.world.origin,
         "noise_m": georeference.noise,
-        "leave_one_out_by_model_m": dict(georeference.candidates),
+        "probability_by_model": dict(georeference.probabilities),
         "uncertainty": {**uncertainty, "map_m": uncertainty["map_m"].tolist()},
     }
     return plain

@@ -54,8 +54,8 @@ def draw_overlay(session: PickingSession) -> dict[str, Any]:
     """Draw the frame as it lies on the imagery by the points picked so far.
 
     Returns:
-        A data address of the picture, and its extent (left, top, right, bottom) in pixels of the
-        imagery; or nothing, where the points do not tell.
+        A data URL of the picture, and its extent (left, top, right, bottom) in pixels of the
+        imagery; empty where the points do not determine the position.
     """
     matrix, imagery = describe_session(session)["imagery_from_frame"], session.task.imagery
     if matrix is None or imagery is None:

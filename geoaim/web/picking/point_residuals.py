@@ -83,7 +83,7 @@ def predict_places(georeference: Georeference) -> tuple[PlaceUncertainty, ...]:
 
 
 def pixels_from_world(georeference: Georeference, places: Points) -> Points:
-    """Transform world metres to pixels as they lie in the image: inverts `world_from_pixels`."""
+    """Transform world metres to pixels of the image, with its lens distortion."""
     undistorted = transform_points(np.linalg.inv(georeference.world_from_image), places)
     return distort_points(undistorted, georeference.radial, georeference.height, georeference.width)
 

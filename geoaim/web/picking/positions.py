@@ -1,4 +1,4 @@
-"""Positions that an action of a page states: pixels and places, checked."""
+"""Check and convert the positions (pixels and places) that a page's action states."""
 
 from collections.abc import Mapping
 from typing import Any, TypedDict
@@ -23,7 +23,7 @@ class Position(TypedDict, total=False):
 
 
 def read_position(task: PickingTask, action: Mapping[str, Any]) -> Position:
-    """Read the pixel and the place that an action states, each where it does.
+    """Read the pixel and the place that an action states; either may be missing.
 
     Raises:
         ValueError: there is neither, or one is not finite, outside its image, or not in the CRS.
@@ -74,7 +74,7 @@ def read_pair(action: Mapping[str, Any], first: str, second: str) -> Vector:
 
 
 def require_imagery(task: PickingTask) -> AIM:
-    """The imagery of a task.
+    """Return the imagery of a task.
 
     Raises:
         ValueError: it has none.

@@ -1,4 +1,4 @@
-"""A session of picking control points: its points, their changes undone and redone, and saving."""
+"""A session of picking control points: its points, undo and redo, and saving."""
 
 import math
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ class PickedPoint:
     name: str
     pixel: Vector | None = None  # u, v
     place: Vector | None = None  # x, y (or longitude, latitude) in the task's CRS
-    frame: FrameName = None  # on which the pixel was picked
+    frame: FrameName = None  # the frame that the pixel was picked on
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def save_points(session: PickingSession) -> PickingSession:
 
 
 def collect_points(session: PickingSession) -> ControlPoints:
-    """All points of a session; NaN where a pixel or a place is missing."""
+    """Collect all points of a session; NaN where a pixel or a place is missing."""
     nothing = (math.nan, math.nan)
     points = session.points
     return ControlPoints(
@@ -134,7 +134,7 @@ def collect_points(session: PickingSession) -> ControlPoints:
 
 
 def choose_name(points: Sequence[PickedPoint], name: str = "") -> str:
-    """A name on one line that no point has: the given one, or "point 1", "point 2", ...
+    """Choose a name of one line that no point has: the given one, or "point 1", "point 2", ...
 
     Raises:
         ValueError: another point has the given name.

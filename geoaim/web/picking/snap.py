@@ -5,14 +5,14 @@ import numpy as np
 from jaxtyping import Shaped
 from numpy import ndarray as Array
 
-SNAP_RADIUS_PX = 8.0  # in which a corner is searched around a click
+SNAP_RADIUS_PX = 8.0  # radius around a click in which a corner is searched
 SMOOTHING_PX = 0.7  # sigma of the Gaussian before gradients
 BLOCK_PX = 5  # side of the square over which gradients are compared
 WINDOW_PX = 7  # half the side of the square that refines the corner
 ROUNDED_PX = 3  # half the side of its middle, left out: blur rounds the tip of a corner inwards
-MIN_STRENGTH = 6.0  # of the weaker gradient, in variances of the noise
-MIN_GREY_LEVELS = 2.0  # of the weaker gradient, where there is no noise
-MIN_RATIO = 0.06  # of the weaker gradient's square to the stronger one's: less is an edge
+MIN_STRENGTH = 6.0  # strength of the weaker gradient, in variances of the noise
+MIN_GREY_LEVELS = 2.0  # strength of the weaker gradient where there is no noise
+MIN_RATIO = 0.06  # squared ratio of the weaker gradient to the stronger one; an edge has less
 
 
 def snap_to_corner(
@@ -29,7 +29,7 @@ def snap_to_corner(
     Args:
         image: (H, W) or (H, W, 3), 8 bits.
         pixel: u, v with the origin at the image's corner.
-        radius: in which the corner must lie, pixels.
+        radius: radius in which the corner must lie, pixels.
 
     Returns:
         u, v of the corner; None where there is none: only an edge, texture of noise, or nothing.

@@ -15,7 +15,7 @@ from geoaim.web.picking.task import PickingTask
 from geoaim.world import LONLAT, transform_crs, world_from_crs
 
 MIN_AGREEING_PAIRS = 5  # two more than an affine map through them needs
-MAX_DISAGREEMENT = 3.0  # of a point with the proposed pairs, in standard deviations
+MAX_DISAGREEMENT = 3.0  # distance of a point from the proposed pairs, in standard deviations
 
 
 def select_complete(session: PickingSession) -> ControlPoints:

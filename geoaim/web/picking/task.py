@@ -1,4 +1,4 @@
-"""What control points are picked on: a frame, imagery, and the file of the points."""
+"""The task of picking: a frame, imagery, and the file of the points."""
 
 import os
 from collections.abc import Sequence
@@ -21,11 +21,13 @@ class PickingTask:
     """What control points are picked on."""
 
     frame: UInt8[Array, "H W 3"]
-    frame_name: FrameName = None  # of a video's frame; None is its first, or a single picture
-    imagery: AIM | None = None  # on which the same places are picked; None: coordinates are typed
-    crs: str | None = LONLAT  # of the coordinates; None for a local metric plane
+    frame_name: FrameName = None  # the frame of a video; None: its first one, or a single picture
+    # imagery on which the same places are picked; None: coordinates are typed
+    imagery: AIM | None = None
+    crs: str | None = LONLAT  # CRS of the coordinates; None for a local metric plane
     path: Path | None = None  # the .csv that is written after each change
-    rough: Georeference | None = None  # of the frame, as by telemetry, in the imagery's world
+    # rough georeference of the frame, as by telemetry, in the imagery's world
+    rough: Georeference | None = None
 
     @property
     def accuracy(self) -> float:
@@ -45,10 +47,10 @@ def read_task(
 
     Args:
         video: a video, images or one image.
-        path: the .csv of the points; if it exists, picking goes on.
+        path: the .csv of the points; if it exists, picking continues with its points.
         imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
-        time: of the frame, s.
-        crs: of the coordinates; None for a local metric plane.
+        time: time of the frame, s.
+        crs: CRS of the coordinates; None for a local metric plane.
 
     Returns:
         The task.

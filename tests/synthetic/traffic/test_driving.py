@@ -7,7 +7,7 @@ from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.pedestrians import CrossingPedestrians
 from geoaim.synthetic.traffic.simulate import DT, prepare_traffic
 from geoaim.synthetic.traffic.spawning import VehicleTrip, concat, make_empty, make_vehicle
-from geoaim.synthetic.traffic.vehicles import pair_vehicles, place_vehicles
+from geoaim.synthetic.traffic.vehicles import make_vehicle_context, place_vehicles
 
 NO_PEDESTRIANS = CrossingPedestrians(np.empty(0, int), np.empty(0), np.empty(0), np.empty(0))
 
@@ -35,10 +35,10 @@ def _vehicle(path, number=0, **state):
 def _simulate(model, vehicles, duration, *, light=GREEN, pedestrians=NO_PEDESTRIANS):
     """The states at all steps, with all lights alike."""
     lights = np.full(len(model.signals.names), light, np.int8)
-    pairs, states = pair_vehicles(vehicles, model.tables), [vehicles]
+    context, states = make_vehicle_context(vehicles, model.tables), [vehicles]
     for _ in range(round(duration / DT)):
         placed = place_vehicles(vehicles, model.tables)
-        vehicles = step_vehicles(placed, pairs, model.tables, lights, pedestrians, DT)
+        vehicles = step_vehicles(placed, context, model.tables, lights, pedestrians, DT)
         states.append(vehicles)
     return states
 

@@ -5,7 +5,7 @@ import pytest
 
 from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.plan import make_roads
-from geoaim.synthetic.traffic.signals import light_states_at, make_signals
+from geoaim.synthetic.traffic.signals import compute_light_states, make_signals
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def signals():
 
 
 def test_roads_that_cross_are_never_green_together(signals):
-    states = light_states_at(signals, np.arange(0, 200, 0.1))
+    states = compute_light_states(signals, np.arange(0, 200, 0.1))
     open_ = {name: states[:, k] != RED for k, name in enumerate(signals.names)}
     assert not (open_["east"] & open_["north"]).any()
     assert not (open_["east"] & open_["walk east"]).any()
@@ -25,7 +25,7 @@ def test_roads_that_cross_are_never_green_together(signals):
 
 
 def test_yellow_lies_between_green_and_red(signals):
-    states = light_states_at(signals, np.arange(0, 200, 0.1))[:, signals.names.index("east")]
+    states = compute_light_states(signals, np.arange(0, 200, 0.1))[:, signals.names.index("east")]
     changes = {(a, b) for a, b in pairwise(states) if a != b}
     assert changes == {(GREEN, YELLOW), (YELLOW, RED), (RED, GREEN)}
     yellow = np.diff(np.flatnonzero(np.diff((states == YELLOW).astype(int))))[0]
@@ -34,11 +34,11 @@ def test_yellow_lies_between_green_and_red(signals):
 
 def test_lights_repeat(signals):
     times = np.arange(0, 30, 0.5)
-    later = light_states_at(signals, times + signals.cycle)
-    np.testing.assert_array_equal(light_states_at(signals, times), later)
+    later = compute_light_states(signals, times + signals.cycle)
+    np.testing.assert_array_equal(compute_light_states(signals, times), later)
 
 
 def test_place_without_lights_has_none():
     generator = np.random.default_rng(1)
     signals = make_signals(make_roads("roundabout", generator), generator)
-    assert light_states_at(signals, np.arange(3.0)).shape == (3, 0)
+    assert compute_light_states(signals, np.arange(3.0)).shape == (3, 0)

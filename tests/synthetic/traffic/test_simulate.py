@@ -6,7 +6,7 @@ from shapely.affinity import affine_transform
 from geoaim.lights import RED
 from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.paving import outline_crossing
-from geoaim.synthetic.traffic.signals import light_states_at
+from geoaim.synthetic.traffic.signals import compute_light_states
 
 VEHICLES = ("car", "van", "truck", "bus")
 WHEELBASE = 0.6  # share of the length
@@ -113,7 +113,7 @@ def test_no_vehicle_passes_a_red_light(recorded):
     recording, tables = sample.recordings[0], sample.traffic_model.tables
     if not recording.signals.names:
         return
-    lights = light_states_at(recording.signals, recording.times)
+    lights = compute_light_states(recording.signals, recording.times)
     rows, paths = recording.vehicle_rows, recording.vehicle_paths
     lengths = np.array([trip.size[0] for trip in recording.vehicle_trips])
     front = recording.vehicle_motion[:, 0] + 0.8 * lengths[rows[:, 1]]
