@@ -43,7 +43,9 @@ CHANGES: Mapping[str, list[Change]] = {
     ],
     "acceleration noise x 1/4": _scale_noise(0.25),
     "acceleration noise x 4": _scale_noise(4.0),
-    "noise of the boxes not estimated": [("states", "estimate_noise", lambda d, t: DEFAULT_NOISE_PX)],
+    "noise of the boxes not estimated": [
+        ("states", "estimate_noise", lambda d, t: DEFAULT_NOISE_PX)
+    ],
     "heading of the motion of the middle": [("poses", "turns_on_spot", lambda kind: True)],
     "rear axle at 0.2 of the length": [
         (module, "REAR_AXLE_SHARE", 0.2) for module in ("headings", "poses")

@@ -9,12 +9,7 @@ from numpy import ndarray as Array
 from geoaim.agent_types import find_group
 from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
-from geoaim.tracking.kalman import (
-    START_SPEED_SIGMA,
-    TrackMotion,
-    filter_tracks,
-    smooth_tracks,
-)
+from geoaim.tracking.kalman import START_SPEED_SIGMA, TrackMotion, filter_tracks, smooth_tracks
 from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.poses import Poses, compute_poses, observe_states
 from geoaim.tracking.sizes import estimate_size, vote_type
