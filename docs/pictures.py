@@ -12,24 +12,24 @@ import torch
 import typer
 from matplotlib.axes import Axes
 
-from geoaim.aim import AIM
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.aim.quicklook import draw_alignment, draw_quicklook
+from geoaim.base.geometry import transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
-from geoaim.lights import read_lights
 from geoaim.mapping import build_aim, open_video, read_detections, transform_boxes
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_pretrained
-from geoaim.quicklook import draw_alignment, draw_quicklook
 from geoaim.simulation import View, make_scene
 from geoaim.simulation.pictures import render_agent_video
 from geoaim.simulation.scene import Scene, find_agent, find_agent_step, find_step
 from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
 from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.sample import RATE
-from geoaim.track_changes import resample_tracks, to_world
-from geoaim.track_formats import read_tracks
+from geoaim.tracks.changes import resample_tracks, to_world
+from geoaim.tracks.formats import read_tracks
+from geoaim.tracks.lights import read_lights
 
 RESOLUTION = 0.1  # m/px of the drawn places
 FRAME_TIME = 6.0  # s, of the frame shown beside the map

@@ -14,13 +14,13 @@ import typer
 from PIL import Image
 
 import geoaim
-from geoaim.bench.viewer import open_page
-from geoaim.geometry import transform_points
+from benchmarks.viewer import open_page
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import world_from_lonlat
 from geoaim.mapping.video.video import read_frame
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.picking.page import make_picking_view
 from geoaim.web.picking.task import PickingTask
-from geoaim.world import world_from_lonlat
 
 SAMPLES = Path("samples")
 TIME_S = 14.0

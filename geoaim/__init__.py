@@ -49,18 +49,21 @@ if TYPE_CHECKING:
     from geoaim import synthetic as synthetic
     from geoaim import track_formats as track_formats
     from geoaim import tracking as tracking
-    from geoaim.aim import AIM as AIM
-    from geoaim.aim_files import read_aim as read_aim
-    from geoaim.aim_files import write_aim as write_aim
-    from geoaim.errors import GeoaimError as GeoaimError
-    from geoaim.errors import GeoaimWarning as GeoaimWarning
+    from geoaim.aim.aim import AIM as AIM
+    from geoaim.aim.files import read_aim as read_aim
+    from geoaim.aim.files import write_aim as write_aim
+    from geoaim.aim.quicklook import draw_alignment as draw_alignment
+    from geoaim.aim.quicklook import draw_quicklook as draw_quicklook
+    from geoaim.aim.rectification import rectify as rectify
+    from geoaim.aim.texture_files import read_texture as read_texture
+    from geoaim.base.errors import GeoaimError as GeoaimError
+    from geoaim.base.errors import GeoaimWarning as GeoaimWarning
+    from geoaim.base.world import World as World
     from geoaim.hdmap.lanelet2 import HDMap as HDMap
     from geoaim.hdmap.lanelet2 import read_hdmap as read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap as draw_hdmap
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
     from geoaim.imagery.mosaic import read_imagery as read_imagery
-    from geoaim.lights import Lights as Lights
-    from geoaim.lights import read_lights as read_lights
     from geoaim.mapping.georeference.control_points import (
         read_control_points as read_control_points,
     )
@@ -70,54 +73,51 @@ if TYPE_CHECKING:
     from geoaim.mapping.video.detections import read_detections as read_detections
     from geoaim.mapping.video.video import Video as Video
     from geoaim.mapping.video.video import open_video as open_video
-    from geoaim.quicklook import draw_alignment as draw_alignment
-    from geoaim.quicklook import draw_quicklook as draw_quicklook
-    from geoaim.rectification import rectify as rectify
     from geoaim.simulation.scene import Scene as Scene
     from geoaim.simulation.scene import make_scene as make_scene
-    from geoaim.texture_files import read_texture as read_texture
-    from geoaim.track_files import write_tracks as write_tracks
-    from geoaim.track_formats.formats import read_tracks as read_tracks
     from geoaim.tracking.pipeline import track_video as track_video
-    from geoaim.tracks import Tracks as Tracks
+    from geoaim.tracks.files import write_tracks as write_tracks
+    from geoaim.tracks.formats.formats import read_tracks as read_tracks
+    from geoaim.tracks.lights import Lights as Lights
+    from geoaim.tracks.lights import read_lights as read_lights
+    from geoaim.tracks.tracks import Tracks as Tracks
     from geoaim.web.widget import explore as explore
     from geoaim.web.widget import pick as pick
-    from geoaim.world import World as World
 
 # the module of each public name; imported on first use, so that `import geoaim` stays fast
 _MODULE_OF_NAME = {
-    "AIM": "geoaim.aim",
-    "GeoaimError": "geoaim.errors",
-    "GeoaimWarning": "geoaim.errors",
+    "AIM": "geoaim.aim.aim",
+    "GeoaimError": "geoaim.base.errors",
+    "GeoaimWarning": "geoaim.base.errors",
     "HDMap": "geoaim.hdmap.lanelet2",
-    "Lights": "geoaim.lights",
+    "Lights": "geoaim.tracks.lights",
     "Scene": "geoaim.simulation.scene",
-    "Tracks": "geoaim.tracks",
+    "Tracks": "geoaim.tracks.tracks",
     "Video": "geoaim.mapping.video.video",
-    "World": "geoaim.world",
+    "World": "geoaim.base.world",
     "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
-    "draw_alignment": "geoaim.quicklook",
+    "draw_alignment": "geoaim.aim.quicklook",
     "draw_hdmap": "geoaim.hdmap.rasterize",
-    "draw_quicklook": "geoaim.quicklook",
+    "draw_quicklook": "geoaim.aim.quicklook",
     "explore": "geoaim.web.widget",
     "pick": "geoaim.web.widget",
     "export_texture": "geoaim.mapping.texture",
     "make_scene": "geoaim.simulation.scene",
     "open_video": "geoaim.mapping.video.video",
-    "read_aim": "geoaim.aim_files",
-    "read_texture": "geoaim.texture_files",
+    "read_aim": "geoaim.aim.files",
+    "read_texture": "geoaim.aim.texture_files",
     "read_control_points": "geoaim.mapping.georeference.control_points",
     "read_detections": "geoaim.mapping.video.detections",
     "read_hdmap": "geoaim.hdmap.lanelet2",
     "read_imagery": "geoaim.imagery.mosaic",
-    "read_lights": "geoaim.lights",
-    "read_tracks": "geoaim.track_formats.formats",
-    "rectify": "geoaim.rectification",
+    "read_lights": "geoaim.tracks.lights",
+    "read_tracks": "geoaim.tracks.formats.formats",
+    "rectify": "geoaim.aim.rectification",
     "register": "geoaim.mapping.registration.register",
     "track_video": "geoaim.tracking.pipeline",
-    "write_aim": "geoaim.aim_files",
-    "write_tracks": "geoaim.track_files",
+    "write_aim": "geoaim.aim.files",
+    "write_tracks": "geoaim.tracks.files",
 }
 _ROOMS = [
     *("catalog", "hdmap", "imagery", "mapping", "prediction", "simulation", "synthetic"),

@@ -50,7 +50,7 @@ def decoded_packets(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of real data; a test that asks for it is skipped where there is none."""
-    from geoaim.bench.data import find_data
+    from benchmarks.data import find_data
 
     folder = find_data()
     if folder is None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import shapely
 from shapely.geometry import mapping
 
-from geoaim.geojson import Feature
-from geoaim.world import World, lonlat_from_world
+from geoaim.base.geojson import Feature
+from geoaim.base.world import World, lonlat_from_world
 
 
 def write_features(features: list[Feature], world: World, path: Path) -> None:

@@ -11,12 +11,12 @@ import pytest
 import rasterio
 
 import geoaim
-from geoaim import errors
-from geoaim.aim import AIM
-from geoaim.aim_files import write_aim
-from geoaim.geometry import from_opencv, image_corners, to_opencv, transform_points
-from geoaim.rectification import rectify
-from geoaim.world import World
+from geoaim.aim.aim import AIM
+from geoaim.aim.files import write_aim
+from geoaim.aim.rectification import rectify
+from geoaim.base import errors
+from geoaim.base.geometry import from_opencv, image_corners, to_opencv, transform_points
+from geoaim.base.world import World
 
 SOURCES = sorted(Path(geoaim.__file__).parent.rglob("*.py"))
 PLACE = np.array([[0.5, 0.0, 10.0], [0.0, -0.5, 40.0], [0.0, 0.0, 1.0]])

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import geoaim
-from geoaim.aim import AIM
-from geoaim.experiments import EXPERIMENTS
-from geoaim.world import World
+from benchmarks.prediction import EXPERIMENTS
+from geoaim.aim.aim import AIM
+from geoaim.base.world import World
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "samples" / "README.md"])
@@ -142,7 +142,7 @@ def test_identifiers_in_text_occur_in_the_package(page: Path, words_of_code: set
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_experiments_in_text_exist(page: Path) -> None:
-    used = set(re.findall(r"geoaim experiment ([a-z_]+)", page.read_text("utf-8")))
+    used = set(re.findall(r"python -m benchmarks.prediction ([a-z_]+)", page.read_text("utf-8")))
     assert used <= {*EXPERIMENTS, "list"}
 
 

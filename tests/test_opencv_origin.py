@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 import geoaim
-from geoaim.aim import AIM
-from geoaim.geometry import image_corners, make_similarity, transform_points, translation
-from geoaim.grid import Grid
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import rectify
+from geoaim.base.geometry import image_corners, make_similarity, transform_points, translation
+from geoaim.base.grid import Grid
+from geoaim.base.world import World
 from geoaim.imagery.alignment import by_tracks
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.mapping import pipeline
@@ -26,11 +28,9 @@ from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.video.frames import Frame
-from geoaim.rectification import rectify
 from geoaim.synthetic import exact
 from geoaim.tracking.frame_poses import view_aim
 from geoaim.web.picking.snap import snap_to_corner
-from geoaim.world import World
 from tests.conftest import textured
 
 PACKAGE = Path(geoaim.__file__).parent
@@ -55,7 +55,7 @@ EXEMPT = {  # measurements, whose results their own checks would show
     "bench/stability/clips.py": "only starts an iteration",
     "bench/stability/effects.py": "radial growth and clouds, about the middle of the image",
     "bench/stability/judge.py": "points with points",
-    "bench/stability/warped.py": "tests/bench/test_stability.py compares frames with the truth",
+    "bench/stability/warped.py": "tests/benchmarks/test_stability.py compares frames with the truth",
     "bench/georeference.py": "control points on both sides have the corner origin",
     "bench/queue_clips.py": "places of cars, which need no fraction of a pixel",
     "mapping/registration/placement_comparison.py": "whole pixels; patches measure the rest",

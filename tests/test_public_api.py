@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 
 import geoaim
-from geoaim import errors
+from geoaim.base import errors
 
 CLASSES = ["AIM", "HDMap", "Lights", "Scene", "Tracks", "Video", "World"]
 EXCEPTIONS = ["GeoaimError", "GeoaimWarning"]

@@ -12,7 +12,8 @@ from threading import Lock
 import av
 import cv2
 
-from geoaim.build_map import build_map
+from geoaim.base.errors import AimError, CatalogError, GeoaimError, GeoaimWarning
+from geoaim.base.progress import Progress, no_progress
 from geoaim.catalog.description import describe_files, describe_grid, find_datetime
 from geoaim.catalog.inputs import VERSION, InputFile, compute_content_hash, fetch_inputs
 from geoaim.catalog.record_files import get_folder, has_files, write_record
@@ -29,9 +30,8 @@ from geoaim.catalog.storage import (
     upload,
     write_file,
 )
-from geoaim.errors import AimError, CatalogError, GeoaimError, GeoaimWarning
+from geoaim.mapping.build_map import build_map
 from geoaim.mapping.video.video import open_video
-from geoaim.progress import Progress, no_progress
 
 # one build at a time in a process, since caught warnings and OpenCV's threads belong to all of it
 ONE_AT_A_TIME = Lock()

@@ -8,12 +8,12 @@ from typing import Any
 import av
 import numpy as np
 
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import translation
+from geoaim.base.world import lonlat_from_world
 from geoaim.catalog.records import OutputFile
 from geoaim.catalog.storage import get_modified, hash_file
-from geoaim.geometry import translation
 from geoaim.mapping.video.video import IMAGE_SUFFIXES
-from geoaim.world import lonlat_from_world
 
 
 def find_datetime(stated: str | None, address: str, path: Path) -> tuple[str, str]:

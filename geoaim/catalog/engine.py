@@ -13,9 +13,9 @@ import dask
 from distributed import Client, KilledWorker, LocalCluster, as_completed, get_worker
 from distributed.comm.core import CommClosedError
 
+from geoaim.base.errors import CatalogError, warn
 from geoaim.catalog.building import Task, build_recording, make_record
 from geoaim.catalog.records import Record
-from geoaim.errors import CatalogError, warn
 
 TOPIC = "geoaim"  # topic of the events by which workers report their progress
 MIN_INTERVAL_S = 0.5  # time between two events of one recording

@@ -8,7 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from geoaim.build_map import MapSettings
+from geoaim.base.errors import CatalogError
 from geoaim.catalog.recordings import Recording
 from geoaim.catalog.storage import (
     StoredFile,
@@ -20,7 +20,7 @@ from geoaim.catalog.storage import (
     list_folder,
     split_address,
 )
-from geoaim.errors import CatalogError
+from geoaim.mapping.build_map import MapSettings
 from geoaim.mapping.video.video import IMAGE_SUFFIXES
 
 VERSION = version("geoaim")

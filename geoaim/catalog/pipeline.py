@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from os import PathLike
 
+from geoaim.base.errors import warn
 from geoaim.catalog.engine import Cluster, RecordingProgress, run_tasks
 from geoaim.catalog.listing import find_listing_problems, write_listing
 from geoaim.catalog.planning import plan_run
@@ -12,7 +13,6 @@ from geoaim.catalog.record_files import check_records, get_folder, read_records,
 from geoaim.catalog.recordings import Recording, read_recordings
 from geoaim.catalog.records import Record
 from geoaim.catalog.storage import check_output, make_address
-from geoaim.errors import warn
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
+from geoaim.base.errors import CatalogError
 from geoaim.catalog.building import Task, make_record, make_task
 from geoaim.catalog.inputs import list_inputs
 from geoaim.catalog.record_files import is_current
 from geoaim.catalog.recordings import Recording
 from geoaim.catalog.records import Record
 from geoaim.catalog.storage import StoredFile, list_folder
-from geoaim.errors import CatalogError
 
 
 @dataclass(frozen=True)

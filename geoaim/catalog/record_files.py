@@ -2,11 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 
+from geoaim.base.errors import CatalogError
 from geoaim.catalog.inputs import VERSION, InputFile
 from geoaim.catalog.recordings import Recording
 from geoaim.catalog.records import FOLDER, RECORD, Record, format_record, list_files, parse_record
 from geoaim.catalog.storage import StoredFile, join_address, list_tree, read_files, write_file
-from geoaim.errors import CatalogError
 
 
 def get_folder(catalog: str, name: str) -> str:

@@ -11,7 +11,8 @@ from typing import Any
 
 import fsspec
 
-from geoaim.build_map import MapSettings
+from geoaim.base.csv_rows import parse_number, read_rows
+from geoaim.base.errors import CatalogError
 from geoaim.catalog.storage import (
     get_name,
     join_address,
@@ -19,8 +20,7 @@ from geoaim.catalog.storage import (
     report_storage,
     split_address,
 )
-from geoaim.csv_rows import parse_number, read_rows
-from geoaim.errors import CatalogError
+from geoaim.mapping.build_map import MapSettings
 from geoaim.mapping.sampling import parse_frame_count
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a folder on every system, and part of a URL

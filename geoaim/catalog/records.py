@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from geoaim.build_map import MapSettings
+from geoaim.base.errors import CatalogError
 from geoaim.catalog.inputs import InputFile
 from geoaim.catalog.storage import hash_bytes
-from geoaim.errors import CatalogError
+from geoaim.mapping.build_map import MapSettings
 
 FORMAT = 1
 FOLDER = "recordings"  # folder of a catalogue that has a folder for each recording

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from geoaim.aim_summary import summarize_report
+from geoaim.aim.summary import summarize_report
 from geoaim.catalog.inputs import VERSION
 from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
 

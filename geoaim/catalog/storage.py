@@ -14,8 +14,8 @@ from typing import Any
 import fsspec
 from fsspec.implementations.local import LocalFileSystem
 
-from geoaim.errors import CatalogError, GeoaimError
-from geoaim.files import atomic_write
+from geoaim.base.errors import CatalogError, GeoaimError
+from geoaim.base.files import atomic_write
 
 # what a file system tells of a file's version, the surest first
 STAMPS = ("ETag", "etag", "md5Hash", "content_md5", "mtime", "LastModified", "last_modified")

@@ -50,11 +50,11 @@ def align(
 
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
-    from geoaim.aim_files import read_aim, write_aim
-    from geoaim.files import atomic_files, write_figure
+    from geoaim.aim.files import read_aim, write_aim
+    from geoaim.aim.quicklook import draw_alignment
+    from geoaim.base.files import atomic_files, write_figure
     from geoaim.imagery.alignment.pipeline import align_tiles
-    from geoaim.quicklook import draw_alignment
-    from geoaim.track_changes import to_world
+    from geoaim.tracks.changes import to_world
 
     with report_errors():
         look = check_map_output(output, imagery, [aim, tracks, gcps], recursive=True)

@@ -34,9 +34,9 @@ def bench(
 
     Example: geoaim bench registration samples/hover.mp4 --quick -o bench
     """
-    from geoaim.bench.benchmarks import BENCHMARKS
-    from geoaim.bench.own_video import measure_own_video
-    from geoaim.bench.report import write_results
+    from benchmarks.stages import BENCHMARKS
+    from geoaim.mapping.bench.own_video import measure_own_video
+    from geoaim.mapping.bench.report import write_results
 
     with show_progress() as progress, report_errors():
         name = "video" if video else str(stage)

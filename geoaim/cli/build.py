@@ -56,7 +56,7 @@ def build(
 
     Example: geoaim build samples/hover.mp4 --gcps samples/gcps.csv -o map.tif
     """
-    from geoaim.build_map import MapSettings, build_map
+    from geoaim.mapping.build_map import MapSettings, build_map
 
     with show_progress() as progress, report_errors():
         look = check_map_output(output, [video], [gcps])

@@ -100,7 +100,7 @@ def show(
 
     Example: geoaim catalog show maps hover
     """
-    from geoaim.aim_summary import summarize_report
+    from geoaim.aim.summary import summarize_report
     from geoaim.catalog import read_catalog
 
     with report_errors():

@@ -17,8 +17,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from geoaim.errors import GeoaimError, GeoaimWarning
-from geoaim.progress import Progress
+from geoaim.base.errors import GeoaimError, GeoaimWarning
+from geoaim.base.progress import Progress
 
 # line length where the output is no terminal, so that each message stays on one line
 LINE_CHARS = 10_000

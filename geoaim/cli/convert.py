@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import typer
 
+from geoaim.base.errors import warn
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors
 from geoaim.cli.inputs import read_any_lights, read_any_tracks
 from geoaim.cli.outputs import check_output
-from geoaim.errors import warn
 
 if TYPE_CHECKING:
-    from geoaim.tracks import Tracks
+    from geoaim.tracks.tracks import Tracks
 
 Format = Literal["plain", "geopackage", "geo-trax", "scenarionet"]
 FORMATS: dict[str, Format] = {
@@ -65,7 +65,7 @@ def convert(
     """
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.scenarionet import write_scenarionet
-    from geoaim.track_formats.geotrax import CLASS_OF_TYPE
+    from geoaim.tracks.formats.geotrax import CLASS_OF_TYPE
 
     with report_errors():
         written = to or FORMATS.get(output.suffix.lower())
@@ -91,7 +91,7 @@ def convert(
 def _change_times(
     tracks: "Tracks", rate: float | None, start: float | None, duration: float | None
 ) -> "Tracks":
-    from geoaim.track_changes import cut_tracks, resample_tracks
+    from geoaim.tracks.changes import cut_tracks, resample_tracks
 
     if start is not None or duration is not None:
         start = float(tracks.times[0]) if start is None else start
@@ -111,9 +111,9 @@ def _warn_of_derived_states(tracks: "Tracks", path: Path) -> None:
 
 
 def _write(tracks: "Tracks", output: Path, written: Format, aim: Path | None) -> None:
-    from geoaim.aim_files import read_aim
-    from geoaim.track_files import write_tracks
-    from geoaim.track_formats import write_geopackage, write_geotrax
+    from geoaim.aim.files import read_aim
+    from geoaim.tracks.files import write_tracks
+    from geoaim.tracks.formats import write_geopackage, write_geotrax
 
     if written == "geo-trax":
         write_geotrax(tracks, output, aim=None if aim is None else read_aim(aim))

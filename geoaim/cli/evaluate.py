@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from geoaim.base.defaults import SAMPLES
+from geoaim.base.errors import warn
+from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
-from geoaim.defaults import SAMPLES
-from geoaim.errors import warn
-from geoaim.progress import Progress
 
 if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA

@@ -21,7 +21,7 @@ def frame(
     """
     from PIL import Image
 
-    from geoaim.files import atomic_write
+    from geoaim.base.files import atomic_write
     from geoaim.mapping.video.video import open_video, read_frame
 
     with report_errors():

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 from geoaim.cli.options import AgentKind
 
 if TYPE_CHECKING:
+    from geoaim.base.world import World
     from geoaim.hdmap.lanelet2 import HDMap
-    from geoaim.lights import Lights
     from geoaim.prediction.itra import ITRA
     from geoaim.simulation.scene import Scene
-    from geoaim.tracks import Tracks
+    from geoaim.tracks.lights import Lights
+    from geoaim.tracks.tracks import Tracks
     from geoaim.web.explore import Contents
-    from geoaim.world import World
 
 DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0}  # how long futures are predicted
 
@@ -51,7 +51,7 @@ def read_any_tracks(
     Returns:
         The tracks.
     """
-    from geoaim.track_formats import read_tracks
+    from geoaim.tracks.formats import read_tracks
 
     plane = None if world is None else parse_world(world)
     return read_tracks(
@@ -67,11 +67,11 @@ def read_scene(
     Raises:
         ValueError: only one of the lights and the places of their stop lines is given.
     """
+    from geoaim.aim.texture_files import read_map
+    from geoaim.base.limits import name_file
     from geoaim.hdmap.lanelet2 import read_hdmap
-    from geoaim.limits import name_file
     from geoaim.simulation.scene import make_scene
-    from geoaim.texture_files import read_map
-    from geoaim.track_changes import resample_tracks
+    from geoaim.tracks.changes import resample_tracks
 
     _check_lights(source.lights, source.stop_lines, source.hdmap)
     if source.tracks is None:
@@ -158,7 +158,7 @@ def read_any_lights(
     Raises:
         ValueError: only one of the lights and the places of their stop lines is given.
     """
-    from geoaim.lights import read_lights, read_stop_lines
+    from geoaim.tracks.lights import read_lights, read_stop_lines
 
     _check_lights(lights, stop_lines, hdmap)
     if lights is None:
@@ -182,7 +182,7 @@ def parse_world(text: str) -> "World":
     Raises:
         ValueError: the value has another form.
     """
-    from geoaim.world import World
+    from geoaim.base.world import World
 
     try:
         crs, *numbers = text.split()

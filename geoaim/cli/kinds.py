@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from geoaim.errors import GeoaimError
+from geoaim.base.errors import GeoaimError
 
 Facts = dict[str, str]
 Description = tuple[str, Facts, tuple[str, ...]]
@@ -96,9 +96,9 @@ def _describe_folder(folder: Path) -> Description:
 
 def _describe_raster(source: str) -> Description:
     """An AIM, imagery, or an image without a place."""
-    from geoaim.aim_files import read_aim
-    from geoaim.limits import refuse_damaged
-    from geoaim.raster_files import open_raster_file
+    from geoaim.aim.files import read_aim
+    from geoaim.base.limits import refuse_damaged
+    from geoaim.base.raster_files import open_raster_file
 
     with (
         refuse_damaged(source, GeoaimError, "a readable GeoTIFF"),
@@ -172,7 +172,7 @@ def _has_point_columns(columns: set[str]) -> bool:
 
 def _read_columns(source: str) -> set[str]:
     """Read the names in a table's header, in lower case; empty where it has none."""
-    from geoaim.limits import refuse_damaged
+    from geoaim.base.limits import refuse_damaged
 
     with refuse_damaged(source, GeoaimError, "a readable table"):
         if source.lower().endswith(".parquet"):
@@ -187,7 +187,7 @@ def _read_columns(source: str) -> set[str]:
 
 
 def _describe_tracks(source: str) -> Description:
-    from geoaim.track_formats.formats import detect_format, read_tracks
+    from geoaim.tracks.formats.formats import detect_format, read_tracks
 
     found = detect_format(source)
     name = f"tracks ({found.name} format)"
@@ -202,7 +202,7 @@ def _describe_tracks(source: str) -> Description:
 
 
 def _describe_scenarios(source: str) -> Description:
-    from geoaim.track_formats import list_waymo_scenarios
+    from geoaim.tracks.formats import list_waymo_scenarios
 
     names = list_waymo_scenarios(source)
     listed = ", ".join(names[:MAX_LISTED]) + (", ..." if len(names) > MAX_LISTED else "")
@@ -212,7 +212,7 @@ def _describe_scenarios(source: str) -> Description:
 
 
 def _describe_lights(source: str) -> Description:
-    from geoaim.lights import read_light_changes
+    from geoaim.tracks.lights import read_light_changes
 
     rows = read_light_changes(source)
     signals = ", ".join(dict.fromkeys(rows["signal"]))
@@ -253,7 +253,7 @@ def _describe_model(source: str) -> Description:
 
 
 def _describe_json(source: str) -> Description:
-    from geoaim.limits import refuse_damaged
+    from geoaim.base.limits import refuse_damaged
 
     with refuse_damaged(source, GeoaimError, "a corner frame or GeoJSON"):
         content = json.loads(Path(source).read_text(encoding="utf-8-sig"))
@@ -268,8 +268,8 @@ def _describe_json(source: str) -> Description:
 def _describe_shapes(source: str) -> Description:
     from collections import Counter
 
-    from geoaim.geojson import read_features
-    from geoaim.world import World
+    from geoaim.base.geojson import read_features
+    from geoaim.base.world import World
 
     kinds = Counter(shape.geometry.geom_type for shape in read_features(source, World(None)))
     facts = {"shapes": ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())}

@@ -22,7 +22,7 @@ def draw(
 
     Example: geoaim draw samples/map.osm -o map.tif
     """
-    from geoaim.aim_files import read_aim, write_aim
+    from geoaim.aim.files import read_aim, write_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap
 
@@ -44,8 +44,8 @@ def texture(
 
     Example: geoaim texture map.tif texture
     """
+    from geoaim.aim.texture_files import read_map
     from geoaim.mapping.texture import export_texture
-    from geoaim.texture_files import read_map
 
     with report_errors():
         check_output(folder / "texture.json", inputs=[aim])

@@ -4,7 +4,7 @@ import glob
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from geoaim.files import check_writable
+from geoaim.base.files import check_writable
 
 GEOTIFF = (".tif", ".tiff")
 TRACKS = (".csv", ".parquet")

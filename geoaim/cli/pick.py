@@ -34,9 +34,9 @@ def pick(
 
     Example: geoaim pick samples/hover.mp4 --imagery samples/ortho.tif -o points.csv
     """
+    from geoaim.base.world import LONLAT
     from geoaim.web.picking.page import make_picking_view
     from geoaim.web.picking.task import read_task
-    from geoaim.world import LONLAT
 
     with report_errors():
         check_output(output, (".csv",), [Path(video)])

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
+from geoaim.base.defaults import SAMPLES
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
 from geoaim.cli.outputs import check_output
-from geoaim.defaults import SAMPLES
 
 
 def predict(
@@ -48,7 +48,7 @@ def predict(
     """
     import torch
 
-    from geoaim.files import write_figure
+    from geoaim.base.files import write_figure
     from geoaim.prediction.cutting import mask_agents
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures

@@ -28,7 +28,7 @@ def sample(
 
     Example: geoaim sample place --seed 2 --kind roundabout
     """
-    from geoaim.files import check_new_folder
+    from geoaim.base.files import check_new_folder
     from geoaim.synthetic import VIDEOS, make_sample, write_sample
 
     with show_progress() as progress, report_errors():

@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geoaim.base.csv_rows import parse_number, read_rows
+from geoaim.base.errors import TracksError
+from geoaim.base.progress import Progress
 from geoaim.cli.inputs import SceneSource, read_scene
-from geoaim.csv_rows import parse_number, read_rows
-from geoaim.errors import TracksError
-from geoaim.progress import Progress
 
 if TYPE_CHECKING:
     from geoaim.simulation.ground import Ground

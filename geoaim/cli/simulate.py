@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from geoaim.base.progress import Progress, report_each
 from geoaim.cli import options
 from geoaim.cli.console import console, print_table, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, read_scene
 from geoaim.cli.outputs import TRACKS, check_output
-from geoaim.progress import Progress, report_each
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -113,12 +113,12 @@ def simulate(
     Example: geoaim simulate map.tif --tracks samples/tracks.csv --hdmap samples/map.osm
     --lights samples/lights.csv -o simulated.csv
     """
-    from geoaim.files import atomic_files
+    from geoaim.base.files import atomic_files
     from geoaim.hdmap.drivable import read_drivable_area
     from geoaim.simulation.episodes import simulate_scene
     from geoaim.simulation.road_rules import make_road_rules
     from geoaim.simulation.scene import find_agent, make_tracks
-    from geoaim.track_files import write_tracks
+    from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
         check_output(output, TRACKS, [aim, tracks, lights])

@@ -39,13 +39,13 @@ def track(
 
     Example: geoaim track samples/hover.mp4 --aim map.tif --detections samples/boxes -o tracks.csv
     """
-    from geoaim.aim_files import read_aim
+    from geoaim.aim.files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.mapping.video.detection_columns import parse_columns
     from geoaim.mapping.video.detections import read_detections
-    from geoaim.track_files import write_tracks
     from geoaim.tracking.pipeline import track_video
     from geoaim.tracking.report import summarize_tracking
+    from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
         check_output(output, TRACKS, [aim, hdmap])

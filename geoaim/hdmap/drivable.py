@@ -9,10 +9,10 @@ from numpy import ndarray as Array
 from shapely import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.errors import MapError
-from geoaim.geojson import read_features
+from geoaim.base.errors import MapError
+from geoaim.base.geojson import read_features
+from geoaim.base.world import World
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
-from geoaim.world import World
 
 NOT_DRIVABLE = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
 DRIVABLE_AREAS = ("parking",)

@@ -20,11 +20,10 @@ from shapely import LineString, union_all
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import polygonize
 
-from geoaim.displays import Display
-from geoaim.errors import MapError
-from geoaim.lights import STOP_LINE_COLOUR, StopLine
-from geoaim.limits import name_file, refuse_damaged
-from geoaim.world import (
+from geoaim.base.displays import Display
+from geoaim.base.errors import MapError
+from geoaim.base.limits import name_file, refuse_damaged
+from geoaim.base.world import (
     LONLAT,
     World,
     choose_world,
@@ -32,6 +31,7 @@ from geoaim.world import (
     transform_crs,
     world_from_lonlat,
 )
+from geoaim.tracks.lights import STOP_LINE_COLOUR, StopLine
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ class HDMap(Display):
         }
 
     def _draw(self, axes: "Axes") -> None:
-        from geoaim.map_axes import draw_lines, move_to_axes
+        from geoaim.base.map_axes import draw_lines, move_to_axes
 
         groups = {
             "lanes": [x for x in self.lanelets if x.subtype not in WALKING],

@@ -9,10 +9,10 @@ from numpy import ndarray as Array
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.aim import AIM
-from geoaim.errors import MapError
-from geoaim.geometry import transform_points
-from geoaim.grid import make_north_up_grid
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import MapError
+from geoaim.base.geometry import transform_points
+from geoaim.base.grid import make_north_up_grid
 from geoaim.hdmap.drivable import NOT_DRIVABLE, outline_lanelet, sample_borders, to_polygons
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
 

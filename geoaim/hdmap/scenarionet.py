@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from shapely import LineString
 
-from geoaim.agent_types import AGENT_GROUPS
-from geoaim.errors import TracksError, warn
-from geoaim.files import atomic_folder
+from geoaim.base.errors import TracksError, warn
+from geoaim.base.files import atomic_folder
+from geoaim.base.world import change_world
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.hdmap.scenarionet_map import make_map_features
-from geoaim.lights import GREEN, RED, YELLOW, Lights, find_light_states
-from geoaim.track_formats.pickles import write_pickle
-from geoaim.track_formats.scenarionet import TYPE_KEY, WORLD_KEY
-from geoaim.tracks import Tracks
-from geoaim.world import change_world
+from geoaim.tracks.agent_types import AGENT_GROUPS
+from geoaim.tracks.formats.pickles import write_pickle
+from geoaim.tracks.formats.scenarionet import TYPE_KEY, WORLD_KEY
+from geoaim.tracks.lights import GREEN, RED, YELLOW, Lights, find_light_states
+from geoaim.tracks.tracks import Tracks
 
 VERSION = "1.0"
 DT_S = 0.1  # which MetaDrive and UniTraj take for granted
@@ -50,7 +50,7 @@ def write_scenarionet(
     """Write a scenario as a new folder: `sd_geoaim_*.pkl`, a summary and a mapping.
 
     Args:
-        tracks: tracks at 10 Hz (`geoaim.track_changes.resample_tracks`) that make one scenario,
+        tracks: tracks at 10 Hz (`geoaim.tracks.changes.resample_tracks`) that make one scenario,
             since MetaDrive loads all of it.
         folder: a new one; its name is the scenario's id.
         hdmap: its lanes, markings and crossings. Without it, MetaDrive cannot drive the scenario.
@@ -67,7 +67,7 @@ def write_scenarionet(
     if (np.abs(np.diff(tracks.times) - DT_S) > DT_S / 100).any():
         raise TracksError(
             "the tracks are not at 10 Hz throughout, which MetaDrive and UniTraj take for granted; "
-            "resample them: geoaim.track_changes.resample_tracks(tracks, 10)"
+            "resample them: geoaim.tracks.changes.resample_tracks(tracks, 10)"
         )
     folder = Path(folder)
     name = re.sub(r"\W", "-", folder.name)

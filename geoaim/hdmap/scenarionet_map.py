@@ -8,9 +8,9 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import LineString
 
+from geoaim.base.world import World, change_world
 from geoaim.hdmap.drivable import sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
-from geoaim.world import World, change_world
 
 LANES = {"bicycle_lane": "LANE_BIKE_LANE", "bikelane": "LANE_BIKE_LANE"}
 AREAS = {"crosswalk": "CROSSWALK", "walkway": "ROAD_EDGE_SIDEWALK"}

@@ -8,8 +8,8 @@ from numpy import ndarray as Array
 from rasterio.features import rasterize
 from shapely import MultiPolygon
 
-from geoaim.errors import MapError, warn
-from geoaim.grid import Grid, make_north_up_grid
+from geoaim.base.errors import MapError, warn
+from geoaim.base.grid import Grid, make_north_up_grid
 
 SUPERSAMPLING = 4  # cells of the mask in one of the distance, each way
 MARGIN_M = 20.0  # distance from the area to the edges of the grid

@@ -14,10 +14,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import GeoreferenceError, ImageryError, warn
-from geoaim.geometry import translation
-from geoaim.grid import Grid, fit_affine, make_north_up_grid
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import GeoreferenceError, ImageryError, warn
+from geoaim.base.geometry import translation
+from geoaim.base.grid import Grid, fit_affine, make_north_up_grid
+from geoaim.base.limits import check_memory, name_file
+from geoaim.base.world import World
 from geoaim.imagery import resampling
 from geoaim.imagery.rasters import (
     Region,
@@ -29,8 +31,6 @@ from geoaim.imagery.rasters import (
 )
 from geoaim.imagery.sources import Layer, Source, describe_source
 from geoaim.imagery.tiles import Tiles
-from geoaim.limits import check_memory, name_file
-from geoaim.world import World
 
 BYTES_PER_PIXEL = 8  # memory for a pixel of an image and its coverage
 BLOCK_PX = 1024  # side of the blocks to begin with

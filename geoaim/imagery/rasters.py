@@ -14,12 +14,19 @@ from rasterio._err import CPLE_BaseError
 from rasterio.enums import ColorInterp
 from rasterio.errors import RasterioError
 
-from geoaim.errors import GeoreferenceError, ImageryError
-from geoaim.geometry import image_corners, transform_points
-from geoaim.grid import Grid
-from geoaim.limits import check_regular
-from geoaim.raster_files import IMAGE_DRIVERS, open_raster_file
-from geoaim.world import LONLAT, World, choose_world, crs_from_world, transform_crs, world_from_crs
+from geoaim.base.errors import GeoreferenceError, ImageryError
+from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.grid import Grid
+from geoaim.base.limits import check_regular
+from geoaim.base.raster_files import IMAGE_DRIVERS, open_raster_file
+from geoaim.base.world import (
+    LONLAT,
+    World,
+    choose_world,
+    crs_from_world,
+    transform_crs,
+    world_from_crs,
+)
 
 SEQUENTIAL_DRIVERS = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # decode a file from its start
 MAX_BLOCK_PIXELS = 1_000_000_000  # largest block; a block can only be decoded as a whole

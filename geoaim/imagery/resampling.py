@@ -13,8 +13,8 @@ from rasterio.enums import ColorInterp, MaskFlags, Resampling
 from rasterio.warp import reproject
 from rasterio.windows import Window
 
-from geoaim.errors import ImageryError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.errors import ImageryError
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.imagery.rasters import Raster, open_raster
 
 MIN_ALPHA = 0.5  # a pixel of at least this alpha counts as covered

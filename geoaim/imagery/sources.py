@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import ImageryError, warn
+from geoaim.base.errors import ImageryError, warn
+from geoaim.base.limits import refuse_damaged
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
 from geoaim.imagery.tile_service import Service, fetch_tiles
 from geoaim.imagery.tiles import (
@@ -27,7 +28,6 @@ from geoaim.imagery.tiles import (
     intersect_tiles,
     list_tiles,
 )
-from geoaim.limits import refuse_damaged
 
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
 Source = str | os.PathLike[str] | Tiles

@@ -14,9 +14,9 @@ from typing import Any
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 
-from geoaim.errors import ImageryError
-from geoaim.files import atomic_write
-from geoaim.raster_files import open_raster_file
+from geoaim.base.errors import ImageryError
+from geoaim.base.files import atomic_write
+from geoaim.base.raster_files import open_raster_file
 
 CONNECTIONS = 4
 TIMEOUT_S = 20

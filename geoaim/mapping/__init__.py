@@ -1,6 +1,6 @@
 """From video to AIM: registration, background and georeference, in the order of `pipeline`."""
 
-from geoaim.geometry import transform_boxes, transform_points
+from geoaim.base.geometry import transform_boxes, transform_points
 from geoaim.mapping.background.running_mean import average_frames
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.georeference.control_points import read_control_points

@@ -11,9 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import RegistrationError, warn
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import RegistrationError, warn
+from geoaim.base.geometry import transform_points
+from geoaim.base.progress import Progress, notebook_progress, report_each
 from geoaim.mapping.background.running_mean import (
     Background,
     RunningMean,
@@ -41,7 +42,6 @@ from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sampl
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.progress import Progress, notebook_progress, report_each
 
 MIN_USED_SHARE = 0.5  # the build warns if a smaller share of the frames is used
 MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # the build warns if the registration is less certain

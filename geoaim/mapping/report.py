@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels

@@ -7,10 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from geoaim.aim import AIM
-from geoaim.files import atomic_files
-from geoaim.rectification import rectify
-from geoaim.texture_files import CORNERS, FRAME_FILE, PICTURE_FILE, VERSION
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import rectify
+from geoaim.aim.texture_files import CORNERS, FRAME_FILE, PICTURE_FILE, VERSION
+from geoaim.base.files import atomic_files
 
 
 def export_texture(

@@ -7,10 +7,16 @@ from typing import Any
 
 import torch
 
-from geoaim.checksums import PLACEHOLDER, FileFormat, check_version, verify_checksum, write_checksum
-from geoaim.errors import ModelError
-from geoaim.files import atomic_write
-from geoaim.limits import refuse_damaged
+from geoaim.base.checksums import (
+    PLACEHOLDER,
+    FileFormat,
+    check_version,
+    verify_checksum,
+    write_checksum,
+)
+from geoaim.base.errors import ModelError
+from geoaim.base.files import atomic_write
+from geoaim.base.limits import refuse_damaged
 from geoaim.prediction.config import Config
 from geoaim.prediction.itra import ITRA
 

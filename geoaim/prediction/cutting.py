@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.agent_types import AGENT_GROUPS
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, concat
 from geoaim.simulation.kinematics import bicycle
 from geoaim.simulation.scene import Scene, slice_scene
+from geoaim.tracks.agent_types import AGENT_GROUPS
 
 MAX_NEIGHBOURS = 24  # other agents that a segment keeps
 MIN_TRAVEL_M = 1.0  # agents that move less in a whole recording are parked

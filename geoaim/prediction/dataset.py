@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from geoaim.errors import TracksError, warn
+from geoaim.base.errors import TracksError, warn
+from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.segments import Segments, concat
-from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.atlas import stack_grounds
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.prefiltering import prefilter_ground

@@ -5,7 +5,7 @@ from functools import partial
 
 import torch
 
-from geoaim.lights import UNKNOWN
+from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, compute_metrics, concat
@@ -13,9 +13,9 @@ from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
-from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
+from geoaim.tracks.lights import UNKNOWN
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.agent_types import get_colour
-from geoaim.displays import Display
+from geoaim.base.displays import Display
 from geoaim.simulation.lines import LIGHT_COLOURS
 from geoaim.simulation.scene import Scene
-from geoaim.tracks import count_agents
+from geoaim.tracks.agent_types import get_colour
+from geoaim.tracks.tracks import count_agents
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +67,7 @@ class Futures(Display):
         return torch.stack([low, high])
 
     def _draw(self, axes: "Axes") -> None:
-        from geoaim.labels import label_points
+        from geoaim.base.labels import label_points
 
         self.scene.draw_ground(axes, self.fit_limits().double().numpy())
         self.draw_step(axes, None)
@@ -89,7 +89,7 @@ class Futures(Display):
             step: step of the futures up to which paths are drawn; None: agents at the start, whole
                 paths, and in white what was recorded.
         """
-        from geoaim.map_axes import draw_lines
+        from geoaim.base.map_axes import draw_lines
 
         rows, end = self.mark_predicted().cpu(), self.states.shape[2] if step is None else step + 1
         now, states = self.scene.poses[:, self.start].cpu(), self.states.cpu()
@@ -107,7 +107,7 @@ class Futures(Display):
         axes.set(xlim=(left, right), ylim=(bottom, top))
 
     def _draw_lights(self, axes: "Axes") -> None:
-        from geoaim.map_axes import draw_lines
+        from geoaim.base.map_axes import draw_lines
 
         states = self.scene.light_states[self.start].cpu().numpy()
         for state, name in enumerate(LIGHT_NAMES):

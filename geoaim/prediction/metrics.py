@@ -12,11 +12,11 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.lights import UNKNOWN
 from geoaim.prediction.segments import VEHICLE, Segments
 from geoaim.simulation.infractions import detect_offroad, detect_red_light_running
 from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
+from geoaim.tracks.lights import UNKNOWN
 
 BOOTSTRAP_DRAWS = 1000
 CONFIDENCE = 0.95

@@ -6,12 +6,12 @@ import torch
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
-from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
 from geoaim.simulation.birdview import render_layers
 from geoaim.simulation.boxes import OrientedBoxes
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M, make_stop_line_layers
+from geoaim.tracks.lights import GREEN, RED, YELLOW
 
 # channels are 0 to 1; a surface whose colour differs by more is another one
 MAX_COLOUR_DISTANCE = 0.4

@@ -11,11 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
-from geoaim.files import atomic_write
-from geoaim.map_axes import add_legend, add_scale_bar
+from geoaim.base.files import atomic_write
+from geoaim.base.map_axes import add_legend, add_scale_bar
+from geoaim.base.world import World
 from geoaim.prediction.futures import Futures
-from geoaim.track_files import format_world
-from geoaim.world import World
+from geoaim.tracks.files import format_world
 
 PICTURE_INCHES = 10.0  # the longer side of the map
 BESIDE_INCHES, BELOW_INCHES = 2.6, 1.0  # space for the legend and for the axes' labels

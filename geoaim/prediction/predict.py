@@ -2,8 +2,8 @@
 
 import torch
 
-from geoaim.defaults import SAMPLES
-from geoaim.limits import MAX_GB_VARIABLE, read_memory_limit
+from geoaim.base.defaults import SAMPLES
+from geoaim.base.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.futures import Futures

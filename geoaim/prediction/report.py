@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from geoaim.files import write_figure
+from geoaim.base.files import write_figure
 
 Summary = Mapping[str, Mapping[str, float]]
 CURVES = {

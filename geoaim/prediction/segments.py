@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.lights import UNKNOWN
+from geoaim.tracks.lights import UNKNOWN
 
 VEHICLE, PEDESTRIAN = 0, 1  # layers of an observation; cyclists are drawn with pedestrians
 
@@ -24,7 +24,7 @@ class Segments:
     controlled: Bool[Tensor, "B N"]  # whether the model controls the agent; others replay
     places: Int[Tensor, "B"]  # number of the segment's map in the ground of all maps
     stop_lines: Float[Tensor, "B L 2 2"]  # both ends of each light's line, metres
-    light_states: Int[Tensor, "B T L"]  # states, as in `geoaim.lights`
+    light_states: Int[Tensor, "B T L"]  # states, as in `geoaim.tracks.lights`
     dt: float  # time between steps, s
 
     def __len__(self) -> int:

@@ -15,10 +15,11 @@ import torch
 from torch import nn
 from torch.nn.parallel import DistributedDataParallel
 
-from geoaim.defaults import SAMPLES
-from geoaim.errors import ModelError
-from geoaim.files import atomic_files, lock_folder
-from geoaim.limits import refuse_damaged
+from geoaim.base.defaults import SAMPLES
+from geoaim.base.errors import ModelError
+from geoaim.base.files import atomic_files, lock_folder
+from geoaim.base.limits import refuse_damaged
+from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
@@ -26,7 +27,6 @@ from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.itra import ITRA, Losses
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.segments import Segments, move_to, pick
-from geoaim.progress import Progress, notebook_progress
 from geoaim.simulation.ground import Ground
 
 MAX_VAL_SEGMENTS = 256  # segments that are predicted for the log

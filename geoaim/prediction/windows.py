@@ -18,13 +18,13 @@ from numpy import ndarray as Array
 from PIL import Image
 from torch import Tensor
 
-from geoaim.errors import TracksError
-from geoaim.limits import MAX_POSITION_M, check_memory, refuse_damaged
+from geoaim.base.errors import TracksError
+from geoaim.base.limits import MAX_POSITION_M, check_memory, refuse_damaged
 from geoaim.prediction.dataset import stack_maps
 from geoaim.prediction.segments import PEDESTRIAN, Segments
 from geoaim.simulation.ground import GREY, Ground, View, make_ground
-from geoaim.track_files import read_table
-from geoaim.track_formats.shared import check_columns
+from geoaim.tracks.files import read_table
+from geoaim.tracks.formats.shared import check_columns
 
 HISTORY_STEPS, WINDOW_STEPS = 8, 20
 DT_S = 0.4

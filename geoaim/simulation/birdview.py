@@ -16,7 +16,7 @@ from functools import cache
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.errors import warn
+from geoaim.base.errors import warn
 from geoaim.simulation.boxes import OrientedBoxes, stack_layers
 from geoaim.simulation.drawing import Drawing, draw_with_torch
 from geoaim.simulation.ground import Ground, View

@@ -8,10 +8,10 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from torch import Tensor
 
+from geoaim.aim.texture_files import fit_corners, read_texture
 from geoaim.simulation.ground import Ground, make_ground
 from geoaim.simulation.input_checks import DTYPES
 from geoaim.simulation.scene import make_ground_from_aim
-from geoaim.texture_files import fit_corners, read_texture
 
 # factor by which the number of pixels may grow, where an image in perspective is resampled
 MAX_GROWTH = 4.0

@@ -18,14 +18,14 @@ import torch
 from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
-from geoaim.agent_types import select_group
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
 from geoaim.simulation.box_distance import compute_box_distance
 from geoaim.simulation.infractions import detect_offroad, sample_distance
 from geoaim.simulation.kinematics import bicycle, world_from_agent
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
 from geoaim.simulation.scene import Scene, find_agent, find_step
 from geoaim.simulation.simulator import check_even_steps
+from geoaim.tracks.agent_types import select_group
 
 NEIGHBOURS = 8  # nearest agents that are observed
 NEIGHBOUR_VALUES = 7  # x, y, cosine, sine, speed, length, width; all 0 where there is none

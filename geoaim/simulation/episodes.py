@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from geoaim.agent_types import select_group
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
 from geoaim.simulation import simulator
 from geoaim.simulation.idm import make_idm_policy
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
@@ -17,6 +16,7 @@ from geoaim.simulation.routes import extract_routes
 from geoaim.simulation.scene import Scene, find_agent, find_step, slice_scene
 from geoaim.simulation.scene_infractions import detect_infractions
 from geoaim.simulation.spawning import rollout_routes
+from geoaim.tracks.agent_types import select_group
 
 SIMPLE_POLICIES: Mapping[str, simulator.Policy] = {
     "constant-velocity": constant_velocity,

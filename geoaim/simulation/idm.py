@@ -4,7 +4,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.car_following import DriverParameters, compute_gap_ratio
 from geoaim.simulation.conflicts import REACH_SLACK_M
 from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH
 from geoaim.simulation.overlap import cross
@@ -20,6 +19,7 @@ from geoaim.simulation.yielding import (
     make_plan,
     swap,
 )
+from geoaim.tracks.car_following import DriverParameters, compute_gap_ratio
 
 # calmer than in `geoaim.synthetic.traffic`, where brisk drivers empty short green phases
 DRIVER = DriverParameters(acceleration=1.5, deceleration=2.0, standstill_gap=2.0, headway=1.5)
@@ -49,7 +49,7 @@ def make_idm_policy(
         controlled: (B, A) agents that follow this policy, and yield to those that do not.
         stop_lines: (L, 2, 2) both ends of each light's line, metres; given with `light_states` or
             not at all.
-        light_states: (B, T, L) states at all steps of the scenario, as in `geoaim.lights`.
+        light_states: (B, T, L) states at all steps of the scenario, as in `geoaim.tracks.lights`.
 
     Returns:
         The policy.

@@ -12,12 +12,12 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.lights import RED
 from geoaim.simulation.ground import apply_matrix, compute_resolutions
 from geoaim.simulation.overlap import box_iou, check_poses, compute_box_corners, cross
+from geoaim.tracks.lights import RED
 
 # a vehicle whose furthest corner is within this distance of the drivable area counts as on the
-# road. Vehicles of synthetic recordings leave their lanes by up to 0.4 m (`geoaim.bench.policies`);
+# road. Vehicles of synthetic recordings leave their lanes by up to 0.4 m (`benchmarks.simulation.policies`);
 # the raster of distances is off by up to 0.15 m
 OFFROAD_TOLERANCE_M = 0.5
 WRONG_WAY_ANGLE_RAD = 2.0  # a heading that differs by more from a lane's direction is wrong
@@ -156,7 +156,7 @@ def detect_red_light_running(
         lengths: (B, A) lengths of the agents, metres.
         present: (B, A) agents present at both.
         stop_lines: (L, 2, 2) or (B, L, 2, 2) both ends of each line, metres.
-        states: (B, L) states of the lights, as in `geoaim.lights`.
+        states: (B, L) states of the lights, as in `geoaim.tracks.lights`.
 
     Returns:
         (B, A) True for agents that run a red light in this step.

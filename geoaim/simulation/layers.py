@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.agent_types import AGENT_GROUPS, OTHER, find_group, get_colour
-from geoaim.lights import STATES
 from geoaim.simulation.boxes import OrientedBoxes
 from geoaim.simulation.lines import make_path_boxes, make_stop_line_boxes, make_stop_line_layers
 from geoaim.simulation.scene import Scene
+from geoaim.tracks.agent_types import AGENT_GROUPS, OTHER, find_group, get_colour
+from geoaim.tracks.lights import STATES
 
 EGO_COLOUR = (1.0, 0.35, 0.0)
 HEADING_COLOUR = (1.0, 1.0, 1.0)

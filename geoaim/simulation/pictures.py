@@ -12,8 +12,8 @@ from numpy import ndarray as Array
 from PIL import Image
 from torch import Tensor
 
-from geoaim.encode import write_video
-from geoaim.files import atomic_write
+from geoaim.base.encode import write_video
+from geoaim.base.files import atomic_write
 from geoaim.simulation.birdview import render
 from geoaim.simulation.ground import View
 from geoaim.simulation.layers import make_agent_boxes, make_light_boxes, make_trail_boxes

@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.lights import RED, YELLOW
 from geoaim.simulation.overlap import cross
+from geoaim.tracks.lights import RED, YELLOW
 
 MAX_STOP_DECELERATION_MPS2 = 4.0  # vehicles that would have to brake harder pass the light
 CROSSING_OVERLAP = 1e-4  # share by which segments are extended: no line falls between two
@@ -42,7 +42,7 @@ def find_red_lights(
         lines: (B, A, C, L) the result of `intersect_stop_lines`.
         fronts: (B, A) how far along their routes the vehicles' fronts are, metres.
         speed: (B, A) m/s.
-        states: (B, L) states of the lights, as in `geoaim.lights`.
+        states: (B, L) states of the lights, as in `geoaim.tracks.lights`.
 
     Returns:
         (B, A) metres.

@@ -10,16 +10,16 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.agent_types import get_colour
-from geoaim.aim import AIM
-from geoaim.displays import Display
-from geoaim.errors import MapError, TracksError, warn
-from geoaim.grid import Grid
-from geoaim.lights import STOP_LINE_COLOUR, UNKNOWN, Lights, find_light_states
+from geoaim.aim.aim import AIM
+from geoaim.base.displays import Display
+from geoaim.base.errors import MapError, TracksError, warn
+from geoaim.base.grid import Grid
+from geoaim.base.world import World, change_world
 from geoaim.simulation.ground import Ground, make_ground
-from geoaim.track_changes import to_world
-from geoaim.tracks import Tracks, count_agents, describe_times
-from geoaim.world import World, change_world
+from geoaim.tracks.agent_types import get_colour
+from geoaim.tracks.changes import to_world
+from geoaim.tracks.lights import STOP_LINE_COLOUR, UNKNOWN, Lights, find_light_states
+from geoaim.tracks.tracks import Tracks, count_agents, describe_times
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -43,10 +43,10 @@ class Scene(Display):
         speeds: (N, T) m/s, negative in reverse; NaN while absent.
         present: (N, T) whether the agent is present.
         sizes: (N, 2) length and width, metres.
-        types: agent types, as in `geoaim.agent_types`.
+        types: agent types, as in `geoaim.tracks.agent_types`.
         ids: a name for each agent.
         stop_lines: (L, 2, 2) both ends of the stop line of each light, metres.
-        light_states: (T, L) as in `geoaim.lights`.
+        light_states: (T, L) as in `geoaim.tracks.lights`.
         observed: (N, T, 4) x, y, heading, speed as they are known at each time, from the rows of
             the tracks until then; NaN while absent or not yet seen for long enough. Predictions
             start from these.
@@ -102,7 +102,7 @@ class Scene(Display):
         }
 
     def _draw(self, axes: "Axes") -> None:
-        from geoaim.map_axes import draw_lines
+        from geoaim.base.map_axes import draw_lines
 
         self.draw_ground(axes)
         points = self.poses[..., :2].cpu().numpy()
@@ -115,7 +115,7 @@ class Scene(Display):
 
     def draw_ground(self, axes: "Axes", bounds: Float[Array, "2 2"] | None = None) -> None:
         """Draw the map alone, or its part in bounds, in axes in metres of the map's world."""
-        from geoaim.map_axes import draw_image
+        from geoaim.base.map_axes import draw_image
 
         image = (self.ground.image[:3] * 255).round().byte().permute(1, 2, 0).cpu().numpy()
         image_from_world = np.vstack([self.ground.image_from_world[0].double().cpu(), [0, 0, 1.0]])
@@ -192,7 +192,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
 def make_ground_from_aim(aim: AIM) -> Ground:
     """Make the ground of an AIM, not prefiltered; a tilted view is rectified to north up first."""
     if not aim.is_affine:
-        from geoaim.rectification import rectify  # which needs OpenCV
+        from geoaim.aim.rectification import rectify  # which needs OpenCV
 
         aim = rectify(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
@@ -304,7 +304,7 @@ def check_near_origin(name: str, points: Float[Array, "n 2"]) -> None:
         raise MapError(
             f"the {name} lies {distance / 1000:,.0f} km from its world's origin, where tensors are "
             f"inexact; at most {MAX_ORIGIN_DISTANCE_M / 1000:g} km are allowed. Give a World whose "
-            "origin is near, as geoaim.world.choose_world does"
+            "origin is near, as geoaim.base.world.choose_world does"
         )
 
 

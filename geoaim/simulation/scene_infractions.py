@@ -4,8 +4,6 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.agent_types import select_group
-from geoaim.lights import UNKNOWN
 from geoaim.simulation.ground import apply_matrix
 from geoaim.simulation.infractions import (
     detect_collisions,
@@ -16,6 +14,8 @@ from geoaim.simulation.infractions import (
 from geoaim.simulation.overlap import compute_box_corners
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.simulation.scene import Scene
+from geoaim.tracks.agent_types import select_group
+from geoaim.tracks.lights import UNKNOWN
 
 MIN_DISTANCE_BETWEEN_RED_LIGHTS_M = 2.0  # closer crossings of one agent are noise of its position
 

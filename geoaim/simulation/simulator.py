@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.agent_types import select_group
 from geoaim.simulation.kinematics import bicycle, unicycle
 from geoaim.simulation.scene import Scene, slice_scene
+from geoaim.tracks.agent_types import select_group
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ sample = make_sample(1, kind="roundabout")
 write_sample(sample, Path("sample"))
 """
 
-from geoaim.encode import write_video
+from geoaim.base.encode import write_video
 from geoaim.synthetic.camera import (
     Hover,
     HoverClip,

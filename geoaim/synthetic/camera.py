@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8, UInt64
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points, translation
+from geoaim.base.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.compositing import (
     SpritePatch,
     blend_patch,

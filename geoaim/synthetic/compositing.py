@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float, UInt8, UInt64
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points, translation
+from geoaim.base.geometry import image_corners, transform_points, translation
 from geoaim.synthetic.exact import pack, premultiply, warp
 from geoaim.synthetic.place import Place, world_from_image
 from geoaim.synthetic.scenery.objects import PAINTS
 from geoaim.synthetic.scenery.sprites import draw_pedestrian, draw_vehicle
-from geoaim.tracks import Tracks
+from geoaim.tracks.tracks import Tracks
 
 CLOTHES = ((58, 62, 78), (150, 60, 52), (198, 190, 178), (70, 96, 128), (90, 98, 72), (36, 36, 40))
 SpritePatch = tuple[tuple[slice, slice], UInt8[Array, "_ _ 3"], UInt8[Array, "_ _"]]

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.files import atomic_folder
-from geoaim.geometry import transform_points
-from geoaim.lights import STATES
-from geoaim.progress import Progress, notebook_progress
+from geoaim.base.files import atomic_folder
+from geoaim.base.geometry import transform_points
+from geoaim.base.progress import Progress, notebook_progress
 from geoaim.synthetic.imagery import make_other_day
 from geoaim.synthetic.map_files import ZOOM, write_imagery, write_maps
 from geoaim.synthetic.place import RESOLUTION
@@ -19,7 +18,8 @@ from geoaim.synthetic.roads.markings import list_landmarks
 from geoaim.synthetic.sample import HOVER, VIDEOS, Sample, tracks_of
 from geoaim.synthetic.traffic.signals import compute_light_states
 from geoaim.synthetic.video_files import write_video_files
-from geoaim.track_files import write_tracks
+from geoaim.tracks.files import write_tracks
+from geoaim.tracks.lights import STATES
 
 
 def write_sample(

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points, translation
-from geoaim.grid import Grid, fit_affine
+from geoaim.base.geometry import image_corners, transform_points, translation
+from geoaim.base.grid import Grid, fit_affine
+from geoaim.base.world import crs_from_world
 from geoaim.imagery.tiles import HALF_WORLD_M
 from geoaim.synthetic.compositing import compute_image_poses, draw_agents, paste
 from geoaim.synthetic.exact import blur, pack, resize, warp
@@ -16,8 +17,7 @@ from geoaim.synthetic.place import RESOLUTION, Place, draw_place, world_from_ima
 from geoaim.synthetic.roads.layouts import PLACE_KINDS
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery.day import SEASONS, Day
-from geoaim.tracks import Tracks
-from geoaim.world import crs_from_world
+from geoaim.tracks.tracks import Tracks
 
 TILE = 256  # px
 IMAGERY = 30  # stream of random numbers

@@ -13,9 +13,10 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 from rasterio.enums import ColorInterp
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
+from geoaim.base.raster_files import create_raster_file
+from geoaim.base.world import lonlat_from_world
 from geoaim.imagery.tiles import MERCATOR
-from geoaim.raster_files import create_raster_file
 from geoaim.synthetic.imagery import (
     Imagery,
     cut_tiles,
@@ -28,7 +29,6 @@ from geoaim.synthetic.place import Place
 from geoaim.synthetic.roads.lanelet import make_lanelet_map
 from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.sample import Sample, tracks_of
-from geoaim.world import lonlat_from_world
 
 ZOOM = 19  # zoom level of the tiles
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
+from geoaim.base.world import World
 from geoaim.synthetic.roads.layouts import PlaceKind
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M, Roads, make_roads
 from geoaim.synthetic.scenery.canvas import make_canvas
@@ -14,7 +15,6 @@ from geoaim.synthetic.scenery.ground import draw_ground_layers
 from geoaim.synthetic.scenery.objects import draw_objects, grade_colours
 from geoaim.synthetic.scenery.plots import place_scenery
 from geoaim.synthetic.scenery.scenery import Scenery
-from geoaim.world import World
 
 RESOLUTION = 0.05  # m/px, default
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))

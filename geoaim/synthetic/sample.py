@@ -17,7 +17,7 @@ from geoaim.synthetic.traffic.simulate import (
     prepare_traffic,
     simulate_traffic,
 )
-from geoaim.tracks import Tracks
+from geoaim.tracks.tracks import Tracks
 
 VIDEOS = {"720p": (720, 1280), "1080p": (1080, 1920), "4k": (2160, 3840)}
 HOVER = Hover(

@@ -8,15 +8,15 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import Point
 
-from geoaim.encode import write_video
-from geoaim.geometry import transform_points
-from geoaim.progress import Progress, report_each
+from geoaim.base.encode import write_video
+from geoaim.base.geometry import transform_points
+from geoaim.base.progress import Progress, report_each
+from geoaim.base.world import lonlat_from_world
 from geoaim.synthetic.camera import HoverClip, list_boxed_agents, render_background, render_frames
 from geoaim.synthetic.map_files import write_jpeg
 from geoaim.synthetic.place import Place, world_from_image
 from geoaim.synthetic.roads.markings import list_landmarks
 from geoaim.synthetic.sample import Sample
-from geoaim.world import lonlat_from_world
 
 CLASSES = ("car", "van", "truck", "bus", "pedestrian", "cyclist")  # numbers in YOLO files
 SENSOR_WIDTH_MM, FOCAL_LENGTH_MM = 36.0, 24.0  # focal lengths are stated for 35 mm film

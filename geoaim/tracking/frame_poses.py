@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import RegistrationError
-from geoaim.geometry import to_opencv
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import RegistrationError
+from geoaim.base.geometry import to_opencv
+from geoaim.base.progress import Progress
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
     FrameRegistration,
@@ -21,7 +22,6 @@ from geoaim.mapping.registration.register import Registration, register
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
-from geoaim.progress import Progress
 
 MIN_COVERED = 0.3  # share of the reference frame that the AIM must cover
 

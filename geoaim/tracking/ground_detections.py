@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from numpy import ndarray as Array
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.video.detections import DetectedBoxes
 
 BORDER_PX = 8.0  # a box that ends this near to the frame's border may be cut off by it

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 
 REAR_AXLE_SHARE = 0.3  # distance of the rear axle from the middle of the box, in lengths
 MOVING_SPEED = 0.7  # m/s, above which a vehicle certainly moves

@@ -7,22 +7,22 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import TracksError
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import TracksError
+from geoaim.base.progress import Progress, notebook_progress
+from geoaim.base.world import World
 from geoaim.hdmap.drivable import sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.mapping.video.detections import DetectedBoxes, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import VideoSource, open_video
-from geoaim.progress import Progress, notebook_progress
 from geoaim.tracking.association import associate
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import DEFAULT_NOISE_PX, estimate_noise
 from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import CUT_SIGMA_M, make_states
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from geoaim.tracks.tracks import Tracks
 
 ASSOCIATIONS = 2  # the second one knows the noise of the boxes
 NOISE_MARGIN = 1.4  # by which boxes scatter more in jumps than they usually do

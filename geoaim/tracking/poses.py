@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.agent_types import find_group
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracking.headings import REAR_AXLE_SHARE, compute_headings, observe_headings
 from geoaim.tracking.kalman import TrackMotion
 from geoaim.tracking.sizes import get_typical_size
 from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD, Directions, find_standing_heading
-from geoaim.tracks import estimate_heading
+from geoaim.tracks.agent_types import find_group
+from geoaim.tracks.tracks import estimate_heading
 
 MAX_REVERSE_SPEED = 3.5  # m/s; a faster vehicle drives forward
 MAX_OBSERVED_SPEED_SIGMA = 0.6  # m/s; a less certain speed is not known yet

@@ -4,10 +4,10 @@ import numpy as np
 from jaxtyping import Bool
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import transform_points
 from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD
-from geoaim.tracks import Tracks
+from geoaim.tracks.tracks import Tracks
 
 
 def summarize_tracking(tracks: Tracks, aim: AIM) -> dict[str, str]:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.agent_types import OTHER_SIZE, TYPICAL_SIZES
+from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES
 
 SIZE_SIGMA = 0.25  # of the logarithms of sizes about those that are typical of their type
 EFFECTIVE_BOXES = 30.0  # independent boxes that a track counts as at most: a detector's errors last

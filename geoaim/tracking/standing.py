@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.sizes import predict_extents
 
 UNKNOWN_SIGMA_RAD = np.pi  # of a heading that may be any, or its opposite

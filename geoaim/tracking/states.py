@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from geoaim.agent_types import find_group
+from geoaim.base.world import World
 from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
 from geoaim.tracking.kalman import START_SPEED_SIGMA, TrackMotion, filter_tracks, smooth_tracks
@@ -14,8 +14,8 @@ from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.poses import Poses, compute_poses, observe_states
 from geoaim.tracking.sizes import estimate_size, vote_type
 from geoaim.tracking.standing import Directions
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from geoaim.tracks.agent_types import find_group
+from geoaim.tracks.tracks import Tracks
 
 # spectral density of the acceleration by group, m²/s³; chosen on validation videos
 ACCELERATION_NOISE = {"vehicle": 1.0, "pedestrian": 0.15, "cyclist": 0.5, "other": 0.5}

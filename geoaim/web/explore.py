@@ -10,24 +10,24 @@ from typing import Any
 
 from shapely import MultiPolygon
 
-from geoaim.aim import AIM
-from geoaim.aim_files import open_aim, read_aim
-from geoaim.errors import AimError
-from geoaim.grid import Grid
+from geoaim.aim.aim import AIM
+from geoaim.aim.files import open_aim, read_aim
+from geoaim.aim.texture_files import is_texture, read_map, read_texture
+from geoaim.base.errors import AimError
+from geoaim.base.grid import Grid
+from geoaim.base.world import World
 from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.lights import Lights
 from geoaim.prediction.futures import Futures
 from geoaim.simulation.road_rules import make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
-from geoaim.texture_files import is_texture, read_map, read_texture
-from geoaim.track_changes import to_world
-from geoaim.tracks import Tracks
+from geoaim.tracks.changes import to_world
+from geoaim.tracks.lights import Lights
+from geoaim.tracks.tracks import Tracks
 from geoaim.web import map_layers, moving_layers
 from geoaim.web.map_view import MapView
 from geoaim.web.tiles import TiledRaster
-from geoaim.world import World
 
 MapSource = AIM | str | os.PathLike[str]
 ImagerySource = AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]

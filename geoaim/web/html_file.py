@@ -6,7 +6,7 @@ from base64 import b64encode
 from html import escape
 from importlib.resources import files
 
-from geoaim.files import atomic_write
+from geoaim.base.files import atomic_write
 from geoaim.web.map_view import MapView, read_embedded
 
 PAGE = """<!doctype html>

@@ -10,12 +10,12 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import MultiPolygon
 
-from geoaim.aim import AIM
-from geoaim.grid import Grid
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import rectify
+from geoaim.base.grid import Grid
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.rectification import rectify
 from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
-from geoaim.world import World, lonlat_from_world
 
 CONTESTED_COLOUR = (255, 0, 200, 170)
 COVERAGE_ALPHA = 200

@@ -12,10 +12,9 @@ import pandas as pd
 import torch
 from matplotlib.colors import to_hex
 
-from geoaim.agent_types import get_colour
-from geoaim.errors import TracksError
-from geoaim.lights import Lights
-from geoaim.limits import refuse_damaged
+from geoaim.base.errors import TracksError
+from geoaim.base.limits import refuse_damaged
+from geoaim.base.world import World
 from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.prediction.futures import Futures
 from geoaim.simulation.ground import View
@@ -25,9 +24,10 @@ from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.road_rules import RoadRules
 from geoaim.simulation.scene import Scene, find_agent, slice_scene, transform_stop_lines
 from geoaim.simulation.scene_infractions import detect_infractions
-from geoaim.tracks import Tracks
+from geoaim.tracks.agent_types import get_colour
+from geoaim.tracks.lights import Lights
+from geoaim.tracks.tracks import Tracks
 from geoaim.web.tiles import encode_picture
-from geoaim.world import World
 
 SHOWN_INFRACTIONS = ("collision", "off road", "red light")
 STEPS_AT_ONCE = 500  # steps that are searched for infractions at once

@@ -10,7 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 from urllib.parse import urlsplit
 
-from geoaim.errors import GeoaimError
+from geoaim.base.errors import GeoaimError
 from geoaim.web.html_file import make_page, read_module
 from geoaim.web.map_view import MapView
 

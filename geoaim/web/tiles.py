@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from numpy import ndarray as Array
 from rasterio.windows import Window
 
-from geoaim.grid import Grid
+from geoaim.base.grid import Grid
 
 TILE_PX = 512
 JPEG_QUALITY = 92

@@ -5,16 +5,16 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from geoaim.errors import GeoaimError
+from geoaim.base.errors import GeoaimError
+from geoaim.base.world import LONLAT
 from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.lights import Lights
-from geoaim.tracks import Tracks
+from geoaim.tracks.lights import Lights
+from geoaim.tracks.tracks import Tracks
 from geoaim.web.explore import Contents, FuturesSource, ImagerySource, MapSource, make_map_view
 from geoaim.web.html_file import read_module
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.page import make_picking_view
 from geoaim.web.picking.task import read_task
-from geoaim.world import LONLAT
 
 
 def explore(

@@ -2,7 +2,7 @@ import pytest
 
 pytest.importorskip("distributed", reason="the extra catalog is not installed")
 
-from geoaim.encode import write_video
+from geoaim.base.encode import write_video
 from geoaim.synthetic.camera import render_frames
 
 PLACES = [(40, 30), (600, 50), (580, 320), (60, 330), (300, 180)]

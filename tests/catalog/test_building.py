@@ -10,7 +10,14 @@ from rasterio._err import CPLE_OutOfMemoryError
 from rasterio.errors import RasterioIOError
 from typer.testing import CliRunner
 
-from geoaim import build_map
+from geoaim.base.errors import (
+    AimError,
+    BackgroundError,
+    CatalogError,
+    GeoaimWarning,
+    GeoreferenceError,
+    VideoError,
+)
 from geoaim.catalog import (
     Cluster,
     build_catalog,
@@ -26,14 +33,7 @@ from geoaim.catalog.record_files import write_record
 from geoaim.catalog.recordings import Recording
 from geoaim.catalog.report import format_page
 from geoaim.cli import app
-from geoaim.errors import (
-    AimError,
-    BackgroundError,
-    CatalogError,
-    GeoaimWarning,
-    GeoreferenceError,
-    VideoError,
-)
+from geoaim.mapping import build_map
 
 run = CliRunner().invoke
 

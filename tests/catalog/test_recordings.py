@@ -1,8 +1,8 @@
 import pytest
 
-from geoaim.build_map import MapSettings
+from geoaim.base.errors import CatalogError
 from geoaim.catalog import read_recordings
-from geoaim.errors import CatalogError
+from geoaim.mapping.build_map import MapSettings
 
 
 def write(folder, text):

@@ -3,13 +3,13 @@ import os
 import fsspec
 import pytest
 
-from geoaim.bench.catalog_stores import serve_store
+from benchmarks.catalog.stores import serve_store
+from geoaim.base.errors import CatalogError
 from geoaim.catalog import Recording, build_catalog, verify_catalog
 from geoaim.catalog import pipeline as catalog_pipeline
 from geoaim.catalog.building import build_recording
 from geoaim.catalog.inputs import list_inputs
 from geoaim.catalog.storage import join_address, list_folder, make_address
-from geoaim.errors import CatalogError
 
 
 def test_a_catalogue_in_a_failing_and_slow_store_equals_one_on_disk(table, tmp_path, monkeypatch):

@@ -1,7 +1,7 @@
 import numpy as np
 from typer.testing import CliRunner
 
-from geoaim.aim_files import read_aim
+from geoaim.aim.files import read_aim
 from geoaim.cli import app
 
 run = CliRunner().invoke

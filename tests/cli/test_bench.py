@@ -3,9 +3,9 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from geoaim.bench import benchmarks
-from geoaim.bench.report import Results
+from benchmarks import stages as benchmarks
 from geoaim.cli import app
+from geoaim.mapping.bench.report import Results
 
 runner = CliRunner()
 

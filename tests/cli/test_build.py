@@ -6,7 +6,7 @@ import rasterio
 from PIL import Image
 from typer.testing import CliRunner
 
-from geoaim.aim_files import read_aim
+from geoaim.aim.files import read_aim
 from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
 

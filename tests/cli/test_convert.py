@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim import read_tracks
 from geoaim.cli import app
-from tests.track_formats import waymo_records
+from tests.tracks.formats import waymo_records
 
 run = CliRunner().invoke
 SAMPLE = "samples/tracks.csv"
@@ -27,7 +27,7 @@ def test_scenario_has_the_lanes_and_lights_of_the_map(tmp_path):
     given = ["convert", SAMPLE, "-o", str(tmp_path / "a"), "--hdmap", "samples/map.osm"]
     assert run(app, [*given, "--lights", "samples/lights.csv"]).exit_code == 0
     (path,) = (tmp_path / "a").glob("sd_*")
-    assert geoaim.track_formats.read_scenarionet_lights(path) is not None
+    assert geoaim.tracks.formats.read_scenarionet_lights(path) is not None
 
 
 def test_geotrax_needs_to_be_named(tmp_path):

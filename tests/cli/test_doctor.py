@@ -27,7 +27,7 @@ def test_terminated_command_removes_its_unfinished_files(tmp_path):
     script = (
         "import os, signal\n"
         "from geoaim.cli.console import report_errors, stop_when_terminated\n"
-        "from geoaim.files import atomic_write\n"
+        "from geoaim.base.files import atomic_write\n"
         "stop_when_terminated()\n"
         f"with report_errors(), atomic_write({str(tmp_path / 'map.tif')!r}) as part:\n"
         "    part.write_text(''); os.kill(os.getpid(), signal.SIGTERM)\n"

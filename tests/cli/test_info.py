@@ -7,14 +7,14 @@ import typer
 from typer.testing import CliRunner
 
 import geoaim
+from geoaim.base.errors import GeoaimError
 from geoaim.cli import app
 from geoaim.cli.kinds import describe_file
-from geoaim.errors import GeoaimError
 from geoaim.mapping.registration.register import register, write_registration
 from geoaim.prediction.checkpoints import PRETRAINED
-from geoaim.track_formats import write_geopackage
-from tests.test_aim import make_aim
-from tests.track_formats import scenarionet_files, waymo_records
+from geoaim.tracks.formats import write_geopackage
+from tests.aim.test_aim import make_aim
+from tests.tracks.formats import scenarionet_files, waymo_records
 
 run = CliRunner().invoke
 KINDS = {

@@ -3,12 +3,12 @@ from PIL import Image
 from shapely import LineString, MultiPolygon, box
 from typer.testing import CliRunner
 
-from geoaim.aim_files import write_aim
+from geoaim.aim.files import write_aim
+from geoaim.base.geojson import Feature
 from geoaim.cli import app
-from geoaim.geojson import Feature
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.track_formats import read_tracks
+from geoaim.tracks.formats import read_tracks
 from tests.geojson_files import write_features
 
 run = CliRunner().invoke

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geoaim.aim_files import read_aim
-from geoaim.checksums import MARK, PLACEHOLDER
-from geoaim.errors import GeoaimError
+from geoaim.aim.files import read_aim
+from geoaim.base.checksums import MARK, PLACEHOLDER
+from geoaim.base.errors import GeoaimError
 from geoaim.prediction.checkpoints import read_model, read_state
-from geoaim.track_files import read_plain_tracks
+from geoaim.tracks.files import read_plain_tracks
 
 FORMATS = Path(__file__).parents[1] / "formats"  # tiny files as each version wrote them
 FLIPS = 10_000

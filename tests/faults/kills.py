@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from random import Random
 
-from geoaim.files import TEMPORARY, atomic_write
+from geoaim.base.files import TEMPORARY, atomic_write
 from tests.faults import small_sample, writers
 from tests.faults.interruption import run_and_signal, run_interrupted
 

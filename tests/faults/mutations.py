@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.checksums import PATTERN, PLACEHOLDER, write_checksum
+from geoaim.base.checksums import PATTERN, PLACEHOLDER, write_checksum
 
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
@@ -237,7 +237,7 @@ def mutate_parquet(content: bytes, generator: np.random.Generator) -> bytes:
 
 def mutate_tfrecord(content: bytes, generator: np.random.Generator) -> bytes:
     """Mutate the messages of a TFRecord file, with checksums that match them."""
-    from geoaim.track_formats.tfrecord import make_record
+    from geoaim.tracks.formats.tfrecord import make_record
 
     (length,) = struct.unpack("<Q", content[:8])
     mutate = _choose([mutate_bytes, mutate_numbers, _mutate_messages], generator)

@@ -7,11 +7,11 @@ import numpy as np
 import torch
 from shapely.geometry.base import BaseGeometry
 
-from geoaim.aim import AIM
-from geoaim.limits import MAX_POSITION_M, MAX_RECORDING_S, MAX_TIME_S
+from geoaim.aim.aim import AIM
+from geoaim.base.limits import MAX_POSITION_M, MAX_RECORDING_S, MAX_TIME_S
 from geoaim.mapping.video.telemetry import PLAUSIBLE, Telemetry
-from geoaim.track_formats.plausibility import LIMITS, OTHER_LIMITS
-from geoaim.tracks import Tracks
+from geoaim.tracks.formats.plausibility import LIMITS, OTHER_LIMITS
+from geoaim.tracks.tracks import Tracks
 
 # notes of any kind, and the size of the pixels of a picture of one colour
 NOT_MEASURED = ("report", "averaged_over")

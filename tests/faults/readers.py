@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from geoaim.aim_files import read_aim
-from geoaim.errors import GeoaimError
+from geoaim.aim.files import read_aim
+from geoaim.aim.texture_files import read_texture
+from geoaim.base.errors import GeoaimError
 from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.lights import StopLine, read_lights, read_stop_lines
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.video.detections import read_detections
@@ -22,8 +22,8 @@ from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.windows import WindowFiles, read_windows
 from geoaim.simulation.ground import View
-from geoaim.texture_files import read_texture
-from geoaim.track_formats import read_scenarionet_lights, read_tracks, read_waymo_lights
+from geoaim.tracks.formats import read_scenarionet_lights, read_tracks, read_waymo_lights
+from geoaim.tracks.lights import StopLine, read_lights, read_stop_lines
 from tests.faults import mutations as by
 from tests.faults.seeds import WORLD, resume_training
 

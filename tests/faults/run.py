@@ -30,7 +30,7 @@ from pathlib import Path
 import cv2
 import torch
 
-from geoaim.errors import GeoaimError, GeoaimWarning
+from geoaim.base.errors import GeoaimError, GeoaimWarning
 from tests.faults.mutations import mutate_file
 from tests.faults.plausible import describe_implausible
 from tests.faults.readers import READERS

@@ -12,19 +12,19 @@ import rasterio
 from PIL import Image
 from rasterio.transform import from_origin
 
-from geoaim.aim import AIM
-from geoaim.aim_files import write_aim
+from geoaim.aim.aim import AIM
+from geoaim.aim.files import write_aim
+from geoaim.base.world import World
 from geoaim.mapping.texture import export_texture
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.training import init_model, train
-from geoaim.track_files import write_tracks
-from geoaim.track_formats import write_geopackage
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from geoaim.tracks.files import write_tracks
+from geoaim.tracks.formats import write_geopackage
+from geoaim.tracks.tracks import Tracks
 from tests.prediction.tiny import TINY, drive, hill
-from tests.track_formats import scenarionet_files, test_argoverse, waymo_records
+from tests.tracks.formats import scenarionet_files, test_argoverse, waymo_records
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 ORIGIN = 583000.0, 6062000.0

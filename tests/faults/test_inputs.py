@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.aim_files import read_aim
-from geoaim.errors import GeoaimError
-from geoaim.geojson import read_features
+from geoaim.aim.files import read_aim
+from geoaim.base.errors import GeoaimError
+from geoaim.base.geojson import read_features
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.lights import StopLine, read_lights
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
-from geoaim.track_formats.formats import read_tracks
+from geoaim.tracks.formats.formats import read_tracks
+from geoaim.tracks.lights import StopLine, read_lights
 from tests.faults.seeds import TABLES, WORLD
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pipes with names")

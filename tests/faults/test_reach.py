@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import rasterio
 
-from geoaim.aim_files import write_aim
-from geoaim.errors import GeoaimError, ImageryError, VideoError
+from geoaim.aim.files import write_aim
+from geoaim.base.errors import GeoaimError, ImageryError, VideoError
+from geoaim.base.world import parse_crs
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.tiles import Tiles
 from geoaim.mapping.video.video import open_video
-from geoaim.world import parse_crs
 from tests.faults.readers import READERS
 from tests.faults.seeds import WORLD, make_aim, write_seeds
 from tests.http_servers import run_servers

@@ -1,6 +1,6 @@
 """What is written is read back: exactly, or to the precision that the format states.
 
-AIMs are in tests/test_aim_files.py.
+AIMs are in tests/aim/test_files.py.
 """
 
 import json
@@ -15,16 +15,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.lights import STATES, StopLine, find_light_states, read_lights, read_stop_lines
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.texture import export_texture
 from geoaim.prediction.checkpoints import read_model, read_state, write_model, write_state
 from geoaim.prediction.training import init_model
-from geoaim.track_files import CSV_DECIMALS, read_plain_tracks, write_tracks
-from geoaim.tracks import Tracks
-from geoaim.world import World, lonlat_from_world
+from geoaim.tracks.files import CSV_DECIMALS, read_plain_tracks, write_tracks
+from geoaim.tracks.lights import STATES, StopLine, find_light_states, read_lights, read_stop_lines
+from geoaim.tracks.tracks import Tracks
 from tests.prediction.tiny import TINY
 
 WORLDS = st.sampled_from(

@@ -19,10 +19,12 @@ import torch
 import torch._dynamo
 from matplotlib.figure import Figure
 
-from geoaim import cli, encode, quicklook, raster_files
-from geoaim.aim_files import read_aim, write_aim
-from geoaim.experiments import tables
-from geoaim.files import write_figure
+from benchmarks.prediction import tables
+from geoaim import cli
+from geoaim.aim import quicklook
+from geoaim.aim.files import read_aim, write_aim
+from geoaim.base import encode, raster_files
+from geoaim.base.files import write_figure
 from geoaim.imagery.alignment import pipeline as alignment
 from geoaim.mapping import pipeline as mapping
 from geoaim.mapping import texture
@@ -33,7 +35,7 @@ from geoaim.prediction import dataset, pictures, predict, report, training
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.metrics import Metric
 from geoaim.simulation import OrientedBoxes, View, birdview, episodes
-from geoaim.track_files import write_tracks
+from geoaim.tracks.files import write_tracks
 from tests.faults import seeds
 from tests.prediction.tiny import TINY, drive, hill
 

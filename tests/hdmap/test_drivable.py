@@ -6,12 +6,12 @@ import shapely
 from shapely import MultiPolygon, Polygon, box
 from shapely.geometry import mapping
 
-from geoaim.errors import MapError
-from geoaim.geojson import Feature
+from geoaim.base.errors import MapError
+from geoaim.base.geojson import Feature
+from geoaim.base.world import World
 from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area, sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet, MapLine, read_hdmap
-from geoaim.track_formats import read_tracks
-from geoaim.world import World
+from geoaim.tracks.formats import read_tracks
 from tests.geojson_files import write_features
 
 LANE = Lanelet("road", True, np.array([[0.0, 3], [30, 3]]), np.array([[0.0, 0], [30, 0]]))

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.errors import MapError
+from geoaim.base.errors import MapError
+from geoaim.base.world import World
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.world import World
 
 NODES = {1: (0, 0), 2: (20, 0), 3: (0, 4), 4: (20, 4), 5: (20, 0), 6: (20, 4)}
 METRE = 1 / 111_320  # degrees

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.errors import MapError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import MapError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World
 from geoaim.hdmap.lanelet2 import HDMap, MapLine, read_hdmap
 from geoaim.hdmap.rasterize import GROUND, LINES, draw_hdmap
-from geoaim.world import World
 
 
 def test_drawn_map_lies_where_its_lines_are():

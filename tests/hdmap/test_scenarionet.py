@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.scenarionet import write_scenarionet
-from geoaim.lights import find_light_states, read_lights
-from geoaim.track_changes import resample_tracks
-from geoaim.track_files import read_plain_tracks
-from geoaim.track_formats import read_scenarionet_lights, read_tracks
+from geoaim.tracks.changes import resample_tracks
+from geoaim.tracks.files import read_plain_tracks
+from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
+from geoaim.tracks.lights import find_light_states, read_lights
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 TRACKS = read_plain_tracks(SAMPLES / "tracks.csv")

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from shapely import MultiPolygon, box
 
-from geoaim.errors import GeoaimWarning, MapError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import GeoaimWarning, MapError
+from geoaim.base.geometry import transform_points
 from geoaim.hdmap import signed_distance
 from geoaim.hdmap.signed_distance import compute_signed_distance
 

@@ -10,10 +10,10 @@ import rasterio
 import rasterio.shutil
 from rasterio.transform import Affine, from_origin
 
-from geoaim.aim import AIM
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World, transform_crs
 from geoaim.imagery.tiles import HALF_WORLD_M
-from geoaim.world import World, transform_crs
 
 WORLD = World("EPSG:32633", (600_000.0, 5_340_000.0))  # Vienna
 

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from geoaim.aim_files import read_aim, write_aim
-from geoaim.errors import AimError, GeoaimWarning, ImageryError
+from geoaim.aim.files import read_aim, write_aim
+from geoaim.base.errors import AimError, GeoaimWarning, ImageryError
+from geoaim.base.world import World
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.world import World
 from tests.imagery.painted_ground import (
     BOX,
     HERE,

@@ -5,7 +5,7 @@ import rasterio
 import rasterio.shutil
 from rasterio.enums import ColorInterp
 
-from geoaim.errors import ImageryError
+from geoaim.base.errors import ImageryError
 from geoaim.imagery.mosaic import read_imagery
 from tests.imagery.painted_ground import HERE, WORLD, constant, flat
 

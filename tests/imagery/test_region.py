@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from rasterio.transform import from_origin
 
-from geoaim.errors import GeoaimWarning, ImageryError
+from geoaim.base.errors import GeoaimWarning, ImageryError
+from geoaim.base.world import choose_world, lonlat_from_world
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.world import choose_world, lonlat_from_world
 from tests.imagery.painted_ground import BOX, WORLD, constant, misplaced, ortho, write
 
 

@@ -2,10 +2,10 @@ import pytest
 import rasterio
 from rasterio.enums import Resampling
 
-from geoaim.errors import ImageryError
+from geoaim.base.errors import ImageryError
+from geoaim.base.world import transform_crs
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.tiles import Tiles
-from geoaim.world import transform_crs
 from tests.imagery.painted_ground import (
     BOX,
     HERE,

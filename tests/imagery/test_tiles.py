@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, ImageryError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import GeoaimWarning, ImageryError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import choose_world, transform_crs, world_from_crs
 from geoaim.imagery import tile_service
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.tiles import Tiles
-from geoaim.world import choose_world, transform_crs, world_from_crs
 from tests.http_servers import run_servers
 from tests.imagery.painted_ground import (
     AREA,

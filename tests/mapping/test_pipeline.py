@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from geoaim.encode import write_video
-from geoaim.errors import GeoaimWarning, GeoreferenceError, RegistrationError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.encode import write_video
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError, RegistrationError
+from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.progress import no_progress
 from geoaim.mapping import pipeline
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.progress import no_progress
 from geoaim.synthetic.camera import reference_from_frames, render_background, render_frame
 from tests.conftest import textured
 

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import rectify
+from geoaim.base.world import World
 from geoaim.mapping.texture import export_texture
-from geoaim.rectification import rectify
-from geoaim.world import World
 
 PLACE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [0.0, 0.0, 1.0]])
 OBLIQUE = np.array([[0.05, 0.01, 3.7], [0.01, -0.05, 21.3], [2e-4, 4e-4, 1.0]])

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import torch
 
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.batches import Process, draw_batch
 from geoaim.prediction.config import TrainConfig
@@ -18,8 +18,8 @@ from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
 from geoaim.prediction.windows import HISTORY_STEPS, WINDOW_STEPS, WindowFiles, read_windows
 from geoaim.simulation.scene import make_scene, slice_scene
-from geoaim.track_changes import resample_tracks
-from geoaim.track_formats import formats, read_tracks
+from geoaim.tracks.changes import resample_tracks
+from geoaim.tracks.formats import formats, read_tracks
 from tests.prediction.tiny import TINY
 from tests.prediction.track_files import FORMS, make_rows
 

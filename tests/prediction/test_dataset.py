@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from geoaim.errors import GeoaimWarning, TracksError
+from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.prediction import dataset
 from geoaim.prediction.dataset import make_dataset
 from geoaim.simulation.scene import slice_scene

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.lights import GREEN, RED
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.itra import ITRA
@@ -22,6 +21,7 @@ from geoaim.prediction.report import format_markdown
 from geoaim.prediction.segments import pick
 from geoaim.simulation.infractions import Drivable
 from geoaim.simulation.road_rules import RoadRules
+from geoaim.tracks.lights import GREEN, RED
 from tests.prediction.tiny import TINY, drive, hill
 
 NOISY = "constant velocity with noise"

@@ -6,11 +6,10 @@ import torch
 from typer.testing import CliRunner
 
 import geoaim
+from geoaim.base.errors import ModelError, TracksError
 from geoaim.cli import app
-from geoaim.errors import ModelError, TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.lights import read_lights
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import PRETRAINED, read_model, read_pretrained, write_model
 from geoaim.prediction.cutting import cut_segments
@@ -22,7 +21,8 @@ from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
 from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.scene import make_scene, slice_scene
-from geoaim.track_changes import resample_tracks
+from geoaim.tracks.changes import resample_tracks
+from geoaim.tracks.lights import read_lights
 from tests.prediction.tiny import TINY
 
 run = CliRunner().invoke

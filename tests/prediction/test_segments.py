@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
 from geoaim.prediction.augmentation import scale_ground
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import stack_maps

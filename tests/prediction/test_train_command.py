@@ -4,15 +4,15 @@ import pytest
 from typer.testing import CliRunner
 
 import geoaim
+from geoaim.base.errors import TracksError
+from geoaim.base.progress import no_progress
 from geoaim.cli import app
 from geoaim.cli.scene_tables import read_scene_sources, read_scenes
-from geoaim.errors import TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained
-from geoaim.progress import no_progress
-from geoaim.track_changes import cut_tracks
-from geoaim.track_files import write_tracks
+from geoaim.tracks.changes import cut_tracks
+from geoaim.tracks.files import write_tracks
 
 run = CliRunner().invoke
 

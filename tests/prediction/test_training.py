@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from geoaim.errors import ModelError
+from geoaim.base.errors import ModelError
 from geoaim.prediction.anchors import compute_anchor_loss
 from geoaim.prediction.batches import Process, compute_top_k, draw_batch
 from geoaim.prediction.checkpoints import read_model, read_state, write_state

@@ -8,8 +8,8 @@ import torch
 from PIL import Image
 from typer.testing import CliRunner
 
+from geoaim.base.errors import TracksError
 from geoaim.cli import app
-from geoaim.errors import TracksError
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.config import Config

@@ -2,11 +2,11 @@
 
 import torch
 
-from geoaim.lights import GREEN
 from geoaim.prediction.config import Config
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
 from geoaim.simulation.ground import make_ground
 from geoaim.simulation.kinematics import bicycle
+from geoaim.tracks.lights import GREEN
 
 TINY = Config(
     "vehicle",

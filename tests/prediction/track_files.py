@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from geoaim.track_files import write_tracks
-from geoaim.track_formats import write_geopackage
-from geoaim.track_tables import make_tracks
-from geoaim.world import World
-from tests.track_formats import scenarionet_files, waymo_records
-from tests.track_formats.waymo_records import double, integer, message, single
+from geoaim.base.world import World
+from geoaim.tracks.files import write_tracks
+from geoaim.tracks.formats import write_geopackage
+from geoaim.tracks.tables import make_tracks
+from tests.tracks.formats import scenarionet_files, waymo_records
+from tests.tracks.formats.waymo_records import double, integer, message, single
 
 AGENTS = 4
 MARGIN_M = 20.0  # of the positions from the origin: boxes in pixels are positive

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
-from geoaim.errors import GeoaimWarning
+from geoaim.base.errors import GeoaimWarning
 from geoaim.simulation import (
     OrientedBoxes,
     Renderer,

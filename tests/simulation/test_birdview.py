@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch.nn.functional import avg_pool2d, interpolate
 
-from geoaim.bench.birdview_peers import supersample
+from benchmarks.rendering.peers import supersample
 from geoaim.simulation import (
     OrientedBoxes,
     View,

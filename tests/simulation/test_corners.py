@@ -11,14 +11,14 @@ import torch
 from PIL import Image
 
 import geoaim
-from geoaim.aim import AIM
-from geoaim.errors import AimError, GeoaimError
+from geoaim.aim.aim import AIM
+from geoaim.aim.texture_files import ORIENTATION_TAG, fit_corners
+from geoaim.base.errors import AimError, GeoaimError
+from geoaim.base.world import World
 from geoaim.mapping.texture import export_texture
 from geoaim.simulation import View, ground_from_corners, read_ground, render, render_coverage
 from geoaim.simulation.ground import world_from_pixels
 from geoaim.simulation.scene import make_ground_from_aim
-from geoaim.texture_files import ORIENTATION_TAG, fit_corners
-from geoaim.world import World
 
 TURNED = np.array([[3.0, 100.0], [203.0, 120.0], [193.0, 20.0], [-7.0, 0.0]])
 QUADRILATERAL = np.array([[3.0, 100.0], [213.0, 90.0], [233.0, -20.0], [-12.0, 3.0]])

@@ -8,8 +8,8 @@ import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
-from geoaim.bench.environment import drive_random_steps, make_sample_environment
-from geoaim.errors import TracksError
+from benchmarks.simulation.environment import drive_random_steps, make_sample_environment
+from geoaim.base.errors import TracksError
 from geoaim.simulation.environment import EGO_VALUES, NEIGHBOURS, ROAD_POINTS, DrivingEnv, EnvConfig
 from geoaim.simulation.infractions import detect_offroad
 from geoaim.simulation.kinematics import bicycle

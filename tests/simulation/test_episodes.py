@@ -4,17 +4,17 @@ import pytest
 import torch
 from shapely import MultiPolygon, box
 
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.lights import RED, UNKNOWN, read_lights
 from geoaim.simulation.episodes import HISTORY_STEPS, POLICY_NAMES, simulate_scene
 from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.road_rules import RoadRules, make_drivable, make_road_rules
 from geoaim.simulation.scene import make_scene, make_tracks
 from geoaim.simulation.scene_infractions import detect_infractions
-from geoaim.track_files import write_tracks
-from geoaim.track_formats import read_tracks
+from geoaim.tracks.files import write_tracks
+from geoaim.tracks.formats import read_tracks
+from geoaim.tracks.lights import RED, UNKNOWN, read_lights
 
 
 @pytest.fixture(scope="module")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.lights import GREEN, RED
 from geoaim.simulation.idm import make_idm_policy
 from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.routes import Routes, extract_routes, resample_points
 from geoaim.simulation.simulator import Scenario, rollout
 from geoaim.simulation.spawning import rollout_routes
+from geoaim.tracks.lights import GREEN, RED
 
 DT = 0.1
 CAR, PERSON = (4.5, 1.9), (0.5, 0.6)

@@ -6,7 +6,6 @@ import torch
 from shapely import MultiPolygon, Point, Polygon, box
 
 from geoaim.hdmap.signed_distance import compute_signed_distance
-from geoaim.lights import GREEN, RED, UNKNOWN
 from geoaim.simulation.infractions import (
     Drivable,
     Lanes,
@@ -19,6 +18,7 @@ from geoaim.simulation.infractions import (
 )
 from geoaim.simulation.overlap import box_iou
 from geoaim.simulation.road_rules import RoadRules, make_drivable, stack_rules
+from geoaim.tracks.lights import GREEN, RED, UNKNOWN
 
 AREA = MultiPolygon([Polygon(box(-40, -5, 40, 5).exterior, [box(-2, -2, 2, 2).exterior.coords])])
 CAR = torch.tensor([4.0, 2.0])

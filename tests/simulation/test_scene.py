@@ -6,11 +6,11 @@ import pytest
 import torch
 from shapely import MultiPolygon, box
 
-from geoaim.aim import AIM
-from geoaim.errors import GeoaimWarning, MapError, TracksError
-from geoaim.geometry import to_opencv
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import GeoaimWarning, MapError, TracksError
+from geoaim.base.geometry import to_opencv
+from geoaim.base.world import World, crs_from_world
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
-from geoaim.lights import GREEN, RED, STATES, UNKNOWN, Lights
 from geoaim.simulation import (
     View,
     make_agent_boxes,
@@ -27,9 +27,9 @@ from geoaim.simulation.layers import EGO_COLOUR
 from geoaim.simulation.pictures import render_agent_video
 from geoaim.simulation.road_rules import make_drivable, make_lanes
 from geoaim.simulation.scene import find_agent, find_agent_step, make_ground_from_aim
-from geoaim.track_formats import read_tracks
-from geoaim.tracks import Tracks
-from geoaim.world import World, crs_from_world
+from geoaim.tracks.formats import read_tracks
+from geoaim.tracks.lights import GREEN, RED, STATES, UNKNOWN, Lights
+from geoaim.tracks.tracks import Tracks
 
 MAP = World("EPSG:32635", (583200.0, 6062200.0))
 OTHER = World("EPSG:32635", (583000.0, 6062000.0))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.geometry import to_opencv, transform_points
+from geoaim.base.geometry import to_opencv, transform_points
 from geoaim.synthetic.camera import (
     Hover,
     SpriteTracks,

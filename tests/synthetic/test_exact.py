@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoaim.geometry import to_opencv
+from geoaim.base.geometry import to_opencv
 from geoaim.synthetic.exact import blur, pack, premultiply, round_reproducibly, warp
 
 # what a whole made place hashes to, on every machine that adds and multiplies as IEEE 754 says

@@ -10,7 +10,8 @@ import rasterio
 import shapely
 
 import geoaim
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import lonlat_from_world, world_from_lonlat
 from geoaim.mapping import open_video, read_detections
 from geoaim.mapping.video.srt import read_srt
 from geoaim.synthetic import (
@@ -21,7 +22,6 @@ from geoaim.synthetic import (
     tracks_of,
     write_sample,
 )
-from geoaim.world import lonlat_from_world, world_from_lonlat
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.imagery.tiles import MERCATOR
 from geoaim.synthetic.imagery import (
     TILE,
@@ -13,7 +13,7 @@ from geoaim.synthetic.imagery import (
     photograph,
 )
 from geoaim.synthetic.place import make_place, plan_from_image
-from geoaim.tracks import Tracks
+from geoaim.tracks.tracks import Tracks
 
 
 @pytest.fixture(scope="module")

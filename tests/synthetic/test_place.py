@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.synthetic import Day, draw_place, make_place
 from geoaim.synthetic.place import plan_from_image
 from geoaim.synthetic.roads.markings import make_markings

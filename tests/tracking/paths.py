@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from geoaim.bench.tracking_cases import DetectorErrors, detect_boxes, project_boxes
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from benchmarks.tracking.cases import DetectorErrors, detect_boxes, project_boxes
+from geoaim.base.world import World
+from geoaim.tracks.tracks import Tracks
 
 RATE, RESOLUTION, SIZE = 25.0, 0.05, (1200, 1600)
 # the frame is north up, its lower left corner at the origin

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.headings import compute_headings, follow_rear_axle, observe_headings
 from tests.tracking.paths import CAR, RATE, drive_straight, turn_left
 

@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 import geoaim
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import RegistrationError
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.cli import app
-from geoaim.errors import RegistrationError
-from geoaim.geometry import image_corners, transform_points
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking import track_video
 from geoaim.tracking.frame_poses import place_reference

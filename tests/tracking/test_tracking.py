@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.bench.tracking_cases import DetectorErrors
-from geoaim.errors import TracksError
-from geoaim.geometry import wrap_angle
+from benchmarks.tracking.cases import DetectorErrors
+from geoaim.base.errors import TracksError
+from geoaim.base.geometry import wrap_angle
+from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking import track_boxes
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.standing import Directions
-from geoaim.world import World
 from tests.tracking.paths import (
     ERRORS,
     SIZE,

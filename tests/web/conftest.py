@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import geoaim
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
 from geoaim.web.explore import Contents, make_map_view
 
 SAMPLES = Path(__file__).parents[2] / "samples"

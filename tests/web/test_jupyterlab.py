@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from geoaim.aim_files import write_aim
+from geoaim.aim.files import write_aim
 from tests.web.browser import wait_for
 
 ROOT = Path(__file__).parents[2]

@@ -6,14 +6,14 @@ import pytest
 from shapely import MultiPolygon, box
 
 import geoaim
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.pictures import write_futures
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.map_layers import describe_lines, describe_lonlat
 from geoaim.web.map_view import read_embedded
 from geoaim.web.moving_layers import describe_futures, describe_futures_file, describe_tracks
-from geoaim.world import World, lonlat_from_world
 
 
 def test_the_description_names_only_what_can_be_read(view):

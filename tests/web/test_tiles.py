@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geoaim.grid import Grid
+from geoaim.base.grid import Grid
 from geoaim.web.tiles import TILE_PX, encode_picture, tile_array, tile_dataset
 
 
@@ -52,7 +52,7 @@ def test_transparent_parts_make_a_png():
 
 
 def test_a_dataset_is_read_by_its_overviews(aim, tmp_path):
-    from geoaim.aim_files import open_aim, write_aim
+    from geoaim.aim.files import open_aim, write_aim
     from geoaim.web.map_layers import tile_aim, tile_aim_file
 
     write_aim(aim, tmp_path / "aim.tif")

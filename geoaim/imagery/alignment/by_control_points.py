@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import ImageryError, VideoError
-from geoaim.geometry import translation
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import ImageryError, VideoError
+from geoaim.base.geometry import translation
+from geoaim.base.world import World
 from geoaim.imagery.rasters import describe_raster
 from geoaim.imagery.resampling import MIN_ALPHA, estimate_stretch, resample_raster, unpremultiply
 from geoaim.mapping.georeference.control_points import ControlPointSource, read_control_points
@@ -17,7 +18,6 @@ from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.point_checks import warn_of_small_part
 from geoaim.mapping.report import report_georeference
 from geoaim.mapping.video.video import open_video
-from geoaim.world import World
 
 STRIP_ROWS = 2048  # rows that are read at a time
 MASKED_SUFFIXES = {".png", ".tif", ".tiff"}  # may have masks; other pictures are turned upright

@@ -16,10 +16,10 @@ from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 from scipy.special import bdtrc
 
-from geoaim.aim import AIM
-from geoaim.errors import AlignmentError
-from geoaim.geometry import make_similarity, transform_points, translation
-from geoaim.grid import Grid, pad_grid
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import make_similarity, transform_points, translation
+from geoaim.base.grid import Grid, pad_grid
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
 from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import ImageryAlignment

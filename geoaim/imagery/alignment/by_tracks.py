@@ -18,15 +18,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 
-from geoaim.agent_types import AGENT_GROUPS
-from geoaim.aim import AIM
-from geoaim.errors import AlignmentError
-from geoaim.geometry import make_similarity, to_opencv, transform_points
-from geoaim.grid import Grid
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import make_similarity, to_opencv, transform_points
+from geoaim.base.grid import Grid
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
 from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
-from geoaim.tracks import Tracks
+from geoaim.tracks.agent_types import AGENT_GROUPS
+from geoaim.tracks.tracks import Tracks
 
 RESOLUTION = 0.4  # m a pixel of the grid
 ROTATION_STEP_M = 1.0  # step between rotations, measured at the ends of the tracks

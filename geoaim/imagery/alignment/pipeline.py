@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import AlignmentError, TracksError, warn
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import rectify
+from geoaim.base.errors import AlignmentError, TracksError, warn
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World
 from geoaim.imagery.alignment.by_control_points import georeference_picture
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
@@ -21,10 +23,8 @@ from geoaim.imagery.alignment.result import CHI2_2D, ImageryAlignment
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
-from geoaim.rectification import rectify
-from geoaim.track_changes import to_world
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from geoaim.tracks.changes import to_world
+from geoaim.tracks.tracks import Tracks
 
 TRACK_MARGIN_M = 20.0  # distance from the tracks to the edges of the map
 

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.errors import AlignmentError
-from geoaim.grid import Grid, make_north_up_grid
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import AlignmentError
+from geoaim.base.grid import Grid, make_north_up_grid
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.alignment.template_matching import (
     GreyImage,

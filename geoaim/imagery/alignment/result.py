@@ -9,8 +9,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.special import chdtri
 
-from geoaim.displays import Display
-from geoaim.geometry import transform_points
+from geoaim.base.displays import Display
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.motion_models import Model
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.geometry import to_opencv
-from geoaim.grid import Grid
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import to_opencv
+from geoaim.base.grid import Grid
 
 SHADOW_RADIUS_M = 10.0  # radius of the local mean, to which darker pixels are raised
 GRADIENT_SIGMA_PX = 0.7  # standard deviation of the Gaussian filter before the gradient

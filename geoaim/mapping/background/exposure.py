@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import to_opencv
+from geoaim.base.geometry import to_opencv
 from geoaim.mapping.video.frames import Frame
 
 GRID_POINTS = 120  # points along the longer side at which exposure is compared

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from numpy import ndarray as Array
 
-from geoaim.errors import BackgroundError
-from geoaim.geometry import transform_boxes, translation
+from geoaim.base.errors import BackgroundError
+from geoaim.base.geometry import transform_boxes, translation
 from geoaim.mapping.background.exposure import (
     Exposure,
     apply_gain,

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.errors import BackgroundError
+from geoaim.base.errors import BackgroundError
 from geoaim.mapping.background import running_mean
 from geoaim.mapping.background.exposure import apply_gain, black_level, estimate_gain
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_traffic

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.base.geometry import image_corners, to_opencv, transform_points
 
 FRAME_INSET_PX = 0.5  # a frame covers the area between the centres of its outermost pixels
 PHASES = 16  # points along each side at which sub-pixel phases are sampled

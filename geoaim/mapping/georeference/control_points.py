@@ -15,9 +15,9 @@ from numpy import ndarray as Array
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
-from geoaim.errors import GeoreferenceError, warn
+from geoaim.base.errors import GeoreferenceError, warn
+from geoaim.base.world import LONLAT, parse_crs
 from geoaim.mapping.georeference import point_files
-from geoaim.world import LONLAT, parse_crs
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,16 @@
 
 import numpy as np
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.world import (
+    LONLAT,
+    World,
+    choose_world,
+    describe_crs_problem,
+    transform_crs,
+    world_from_crs,
+)
 from geoaim.mapping.georeference import normalised_plane, point_checks
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
@@ -21,14 +29,6 @@ from geoaim.mapping.georeference.transform_models import (
     apply_terms,
     compose_world_from_image,
     select_pairs,
-)
-from geoaim.world import (
-    LONLAT,
-    World,
-    choose_world,
-    describe_crs_problem,
-    transform_crs,
-    world_from_crs,
 )
 
 # as a share of the points' distance from their centre: more than any surveying error

@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.displays import Display
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.displays import Display
+from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.world import World, describe_world
 from geoaim.mapping.georeference.normalised_plane import Points, undistort_points
 from geoaim.mapping.georeference.transform_models import Posterior
-from geoaim.world import World, describe_world
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ class Georeference(Display):
         return lines | {"world": describe_world(self.world)}
 
     def _draw(self, axes: "Axes") -> None:
-        from geoaim.map_axes import (
+        from geoaim.base.map_axes import (
             UNUSED_COLOUR,
             USED_COLOUR,
             draw_lines,

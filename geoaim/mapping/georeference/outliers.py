@@ -5,7 +5,7 @@ from jaxtyping import Bool
 from numpy import ndarray as Array
 from scipy.special import fdtrc
 
-from geoaim.errors import GeoreferenceError, warn
+from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA, fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from scipy.sparse.csgraph import dijkstra
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.frame_registration import mask_detections
 from geoaim.mapping.video.detections import Detections

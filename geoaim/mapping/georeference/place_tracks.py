@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from geoaim.errors import TracksError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import TracksError
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
 from geoaim.mapping.registration.register import Registration
-from geoaim.track_formats.motion import derive_motion
-from geoaim.tracks import Tracks
+from geoaim.tracks.formats.motion import derive_motion
+from geoaim.tracks.tracks import Tracks
 
 # largest difference between the times of a track and its frame: half a frame at 25 Hz
 MAX_TIME_OFFSET_S = 0.02

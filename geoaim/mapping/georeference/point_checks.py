@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geoaim.errors import GeoreferenceError, warn
-from geoaim.geometry import image_corners
+from geoaim.base.errors import GeoreferenceError, warn
+from geoaim.base.geometry import image_corners
+from geoaim.base.world import LONLAT, parse_crs, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.normalised_plane import (
     Points,
@@ -16,7 +17,6 @@ from geoaim.mapping.georeference.normalised_plane import (
     half_diagonal,
     normalise_pixels,
 )
-from geoaim.world import LONLAT, parse_crs, transform_crs
 
 MIN_POINTS = 4
 PICKING_SIGMA_PX = 2.0  # assumed of a picked point's coordinates

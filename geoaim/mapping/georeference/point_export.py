@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from geoaim.errors import GeoreferenceError, warn
-from geoaim.files import atomic_write
+from geoaim.base.errors import GeoreferenceError, warn
+from geoaim.base.files import atomic_write
+from geoaim.base.world import LONLAT, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT
-from geoaim.world import LONLAT, transform_crs
 
 QGIS_HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from geoaim.errors import GeoreferenceError
-from geoaim.limits import refuse_damaged
-from geoaim.world import LONLAT
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.limits import refuse_damaged
+from geoaim.base.world import LONLAT
 
 COLUMN_NAMES = {
     "u": ("u", "pixel_x", "pixelx", "col", "column", "px", "im_x"),

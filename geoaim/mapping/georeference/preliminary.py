@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World
 from geoaim.mapping.georeference import normalised_plane, point_checks
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import project_points
@@ -16,7 +17,6 @@ from geoaim.mapping.georeference.transform_models import (
     compose_world_from_image,
     fit_terms,
 )
-from geoaim.world import World
 
 MIN_PRELIMINARY_POINTS = 2
 

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoreferenceError, warn
-from geoaim.geometry import transform_points, wrap_angle
+from geoaim.base.errors import GeoreferenceError, warn
+from geoaim.base.geometry import transform_points, wrap_angle
+from geoaim.base.world import LONLAT, choose_world, transform_crs
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
     merge_observations,
@@ -28,7 +29,6 @@ from geoaim.mapping.registration.register import (
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.mapping.video.video import Video
-from geoaim.world import LONLAT, choose_world, transform_crs
 
 # largest angle between the camera and straight down, without control points
 MAX_TILT = np.radians(10.0)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.motion_models import Model
 from geoaim.mapping.registration.patches import (
@@ -41,7 +41,7 @@ MIN_INLIER_SHARE = 0.2  # share of the patches in view that must be inliers
 SUFFICIENT_INLIER_SHARE = 0.5  # the search is not widened at this share or more
 UNDOUBTED_INLIER_SHARE = 0.7  # a placement with a smaller share is always compared with others
 MAX_CORNER_UNCERTAINTY_PX = 10.0
-# chosen on the validation part of `geoaim.bench.stability`: without it, 90 % of the frames with an
+# chosen on the validation part of `benchmarks.registration.stability`: without it, 90 % of the frames with an
 # estimated 0.02 to 0.04 px are off by less than 1.6 times that, with 0.15 to 0.25 px by less than 8
 UNCERTAINTY_INFLATION_PX = 0.12
 INTERPOLATION_ERROR_PX = 0.012  # lower bound of the uncertainty

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 
 Model = Literal["translation", "rigid", "similarity", "affine", "homography"]
 MIN_ACCURACY_GAIN_PX = 0.01  # a model with more parameters is chosen for a greater gain in accuracy

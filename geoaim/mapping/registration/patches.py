@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, to_opencv, transform_points
+from geoaim.base.geometry import image_corners, to_opencv, transform_points
 from geoaim.mapping.registration.motion_models import (
     Model,
     Motion,

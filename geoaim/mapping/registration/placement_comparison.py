@@ -13,7 +13,7 @@ import scipy.fft
 from jaxtyping import Complex, Float, Int, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import to_opencv, translation
+from geoaim.base.geometry import to_opencv, translation
 from geoaim.mapping.registration.patches import estimate_noise
 
 PEAK_RADIUS_PX = 2  # two peaks are further apart, pixels of the small image

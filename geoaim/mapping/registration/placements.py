@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.errors import GeoaimError
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.patches import (
     PatchAlignment,
     PatchTemplate,
@@ -18,7 +18,7 @@ from geoaim.mapping.registration.patches import (
 )
 from geoaim.mapping.registration.placement_comparison import Overview, compare_placements
 
-# chosen on the validation part of `geoaim.bench.stability`
+# chosen on the validation part of `benchmarks.registration.stability`
 MIN_TEXTURED_SHARE = 0.4  # smallest textured share of the image
 MAX_COMPETING_FIT_RATIO = 0.13  # share of the image that may fit at another placement
 # more if a camera hovers, so that the rest moves at least twice as far as the placement

@@ -18,11 +18,12 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.displays import Display
-from geoaim.errors import RegistrationError
-from geoaim.files import atomic_write
-from geoaim.geometry import image_corners, transform_points
-from geoaim.mapping.registration.drift import draw_drift
+from geoaim.base.displays import Display
+from geoaim.base.drift_plot import draw_drift
+from geoaim.base.errors import RegistrationError
+from geoaim.base.files import atomic_write
+from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.progress import Progress, notebook_progress
 from geoaim.mapping.registration.features import Features, detect_features, match_features
 from geoaim.mapping.registration.frame_registration import (
     MIN_INLIERS,
@@ -41,7 +42,6 @@ from geoaim.mapping.registration.sequence import check_ground, find_jumps
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
-from geoaim.progress import Progress, notebook_progress
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.errors import RegistrationError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.errors import RegistrationError
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.frame_registration import FrameRegistration
 from geoaim.mapping.registration.placements import MAX_REST_SHIFT_PX, MOVING_PART
 
 MIN_FRAMES = 5  # of a sequence that is checked
 MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error
-# chosen on the validation part of `geoaim.bench.stability`
+# chosen on the validation part of `benchmarks.registration.stability`
 MAX_AMBIGUOUS_SHARE = 0.5  # of the frames
 MAX_STEP_RATIO = 0.7  # a step is the shorter one if it has at most this share of the other's length
 MIN_SHORTER_STEPS = 2  # a single one may be chance

@@ -11,8 +11,8 @@ from typing import Any
 
 import av
 
-from geoaim.errors import VideoError, warn
-from geoaim.limits import MAX_RECORDING_S, check_regular
+from geoaim.base.errors import VideoError, warn
+from geoaim.base.limits import MAX_RECORDING_S, check_regular
 from geoaim.mapping.video.frames import Frame
 
 TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds

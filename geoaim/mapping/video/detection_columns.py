@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from geoaim.errors import GeoaimError
+from geoaim.base.errors import GeoaimError
 from geoaim.mapping.video.box_tables import BOX
 
 # what a column holds: names that it has in common tables, in lower case

@@ -10,8 +10,8 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimError
-from geoaim.limits import refuse_damaged
+from geoaim.base.errors import GeoaimError
+from geoaim.base.limits import refuse_damaged
 from geoaim.mapping.video.box_tables import (
     BOX,
     CORNERS,
@@ -21,9 +21,9 @@ from geoaim.mapping.video.box_tables import (
     make_timed_table,
 )
 from geoaim.mapping.video.detection_columns import name_columns
-from geoaim.track_formats.geotrax import VEHICLE_CLASSES
-from geoaim.track_formats.geotrax_pixels import BOX as GEOTRAX_BOX
-from geoaim.track_formats.geotrax_pixels import PIXEL_COLUMNS
+from geoaim.tracks.formats.geotrax import VEHICLE_CLASSES
+from geoaim.tracks.formats.geotrax_pixels import BOX as GEOTRAX_BOX
+from geoaim.tracks.formats.geotrax_pixels import PIXEL_COLUMNS
 
 VISDRONE_CLASSES = (
     *("ignored", "pedestrian", "pedestrian", "cyclist", "car", "van", "truck"),

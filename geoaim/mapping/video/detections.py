@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 from geoaim.mapping.video.box_tables import CORNERS, BoxTable
 from geoaim.mapping.video.detection_files import read_box_table
 from geoaim.mapping.video.frames import Frame
-from geoaim.track_formats.shared import AGENT_TYPES
+from geoaim.tracks.formats.shared import AGENT_TYPES
 
 # names of classes in datasets of detections -> agent types
 CLASS_TYPES = AGENT_TYPES | {

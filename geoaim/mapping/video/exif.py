@@ -4,8 +4,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from geoaim.base.raster_files import open_raster_file
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
-from geoaim.raster_files import open_raster_file
 
 NUMBER = r"([-+]?\d+(?:\.\d+)?)"
 

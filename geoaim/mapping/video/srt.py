@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
-from geoaim.geometry import wrap_angle
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.geometry import wrap_angle
 from geoaim.mapping.video.telemetry import Telemetry, make_telemetry
 
 TIME_LINE = re.compile(r"^[ \t]*(\d{1,3}):(\d\d):(\d\d)[,.](\d{1,3})[ \t]*-->", re.MULTILINE)

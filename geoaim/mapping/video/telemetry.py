@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import wrap_angle
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import wrap_angle
 
 # Least and greatest possible values, in the units of the files.
 PLAUSIBLE = {

@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.errors import GeoreferenceError, VideoError, warn
-from geoaim.limits import check_memory, refuse_damaged
+from geoaim.base.errors import GeoreferenceError, VideoError, warn
+from geoaim.base.limits import check_memory, refuse_damaged
+from geoaim.base.raster_files import open_raster_file
 from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.telemetry import Telemetry
-from geoaim.raster_files import open_raster_file
 
 BYTES_PER_PIXEL = 16  # memory for a pixel while an image is decoded
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff"})

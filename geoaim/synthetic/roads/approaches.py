@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 from geoaim.synthetic.roads.curves import Polyline, make_unit_vector, rotate_90
 
 GUTTER_M = 0.45  # width between the edge of the outer lane and the kerb

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.synthetic.roads.approaches import Approach, locate_outbound_lane, plan_from_road
 from geoaim.synthetic.roads.curves import Polyline, compute_headings, connect_poses
 

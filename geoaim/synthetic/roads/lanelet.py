@@ -14,7 +14,8 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import LineString, Polygon
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.synthetic.roads.approaches import (
     Approach,
     locate_inbound_lane,
@@ -26,7 +27,6 @@ from geoaim.synthetic.roads.lanes import LANE_END_M, Lane, compute_lane_bounds
 from geoaim.synthetic.roads.markings import locate_give_way_line
 from geoaim.synthetic.roads.paving import Crossing
 from geoaim.synthetic.roads.plan import Roads, find_approach, find_signal
-from geoaim.world import World, lonlat_from_world
 
 BOUND_SPACING_M = 3.0  # distance between the points of an approach's bounds
 BOUND_TOLERANCE_M = 0.005  # error by which other bounds may be simplified

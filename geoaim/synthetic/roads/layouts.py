@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 from geoaim.synthetic.roads.approaches import Approach
 
 PlaceKind = Literal["junction", "t", "roundabout", "street", "park", "campus"]

@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32, UInt8
 from numpy import ndarray as Array
 from shapely import Geometry
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.synthetic.roads.plan import HEIGHT_M, WIDTH_M
 from geoaim.synthetic.scenery import texture
 

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 from shapely import Geometry, LineString
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.synthetic.exact import blur
 from geoaim.synthetic.roads import markings
 from geoaim.synthetic.roads.approaches import (

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.synthetic.exact import blur, pack, premultiply, warp
 from geoaim.synthetic.scenery.canvas import (
     BLOTCH,

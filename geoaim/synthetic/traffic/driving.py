@@ -11,8 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int8
 from numpy import ndarray as Array
 
-from geoaim.car_following import DriverParameters, compute_gap_ratio
-from geoaim.lights import RED, YELLOW
 from geoaim.synthetic.exact import round_reproducibly
 from geoaim.synthetic.traffic.conflicts import STRIDE_M
 from geoaim.synthetic.traffic.pedestrians import CrossingPedestrians
@@ -24,6 +22,8 @@ from geoaim.synthetic.traffic.vehicles import (
     Vehicles,
     index_points,
 )
+from geoaim.tracks.car_following import DriverParameters, compute_gap_ratio
+from geoaim.tracks.lights import RED, YELLOW
 
 MAX_ACCELERATION = 1.8  # m/s2
 CLEARING_ACCELERATION = 1.5  # m/s2, expected when a conflict zone must be cleared
@@ -65,7 +65,7 @@ def step_vehicles(
         placed: the vehicles.
         context: what these vehicles meet on their paths.
         tables: tables over the paths.
-        lights: state of each of the G lights of `Signals`, as in `geoaim.lights`.
+        lights: state of each of the G lights of `Signals`, as in `geoaim.tracks.lights`.
         pedestrians: pedestrians on crossings.
         dt: seconds.
 

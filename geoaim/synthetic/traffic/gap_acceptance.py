@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int8
 from numpy import ndarray as Array
 
-from geoaim.lights import GREEN
 from geoaim.synthetic.traffic.pedestrians import CrossingTable, Outlook, Pedestrians, Reaction, dot
 from geoaim.synthetic.traffic.vehicles import PathTables, PlacedVehicles
+from geoaim.tracks.lights import GREEN
 
 VEHICLE_HALF_WIDTH_M = 1.8  # half the width of the strip that a vehicle needs, with some clearance
 MARKED_MARGIN_S, UNMARKED_MARGIN_S = 0.5, 1.6  # time between a pedestrian and a vehicle
@@ -51,7 +51,7 @@ def react_to_vehicles(
         crossings: the crossings of the place.
         placed: the vehicles.
         tables: lengths, limits and conflicts of the vehicles' paths.
-        lights: state of each of the G lights of `Signals`, as in `geoaim.lights`.
+        lights: state of each of the G lights of `Signals`, as in `geoaim.tracks.lights`.
 
     Returns:
         The reaction of each pedestrian.

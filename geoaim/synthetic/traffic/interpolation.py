@@ -4,13 +4,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 
-from geoaim.geometry import wrap_angle
+from geoaim.base.geometry import wrap_angle
 from geoaim.synthetic.place import Place
 from geoaim.synthetic.roads.curves import POINT_SPACING_M, compute_arc_lengths
 from geoaim.synthetic.traffic.paths import VehiclePath
 from geoaim.synthetic.traffic.simulate import DT, TrafficModel, TrafficRecording
 from geoaim.synthetic.traffic.vehicles import FRONT_SHARE, REAR_SHARE
-from geoaim.tracks import Tracks, estimate_heading
+from geoaim.tracks.tracks import Tracks, estimate_heading
 
 # distance from rear axle to box centre, in lengths of the vehicle
 CENTRE_SHARE = (FRONT_SHARE - REAR_SHARE) / 2

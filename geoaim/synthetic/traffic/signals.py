@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
-from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.layouts import STREET_KINDS
 from geoaim.synthetic.roads.plan import Roads
+from geoaim.tracks.lights import GREEN, RED, YELLOW
 
 YELLOW_S, ALL_RED_S = 3.0, 2.0  # duration of yellow and of red for all after each phase
 CLEARING_SPEED = 1.2  # m/s of pedestrians for whom a crossing must be cleared

@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.errors import AlignmentError, GeoaimError, GeoaimWarning
+from geoaim.base.errors import AlignmentError, GeoaimError, GeoaimWarning
+from geoaim.base.world import crs_from_world
 from geoaim.mapping.georeference.point_export import format_points
 from geoaim.web.picking.candidates import propose_pairs
 from geoaim.web.picking.positions import read_pair, read_position, require_imagery
@@ -36,7 +37,6 @@ from geoaim.web.picking.session import (
 )
 from geoaim.web.picking.snap import snap_to_corner
 from geoaim.web.picking.state import assess_session, describe_session
-from geoaim.world import crs_from_world
 
 Action = Mapping[str, Any]
 Outcome = tuple[PickingSession, dict[str, Any]]

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
-from geoaim.geometry import image_corners, transform_points
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.imagery.alignment.by_image import match_image
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.mapping.georeference.georeference import Georeference

@@ -5,7 +5,8 @@ import warnings
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.world import World
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
@@ -18,7 +19,6 @@ from geoaim.web.picking.point_residuals import (
     measure_residuals,
     predict_places,
 )
-from geoaim.world import World
 
 
 @dataclass(frozen=True)

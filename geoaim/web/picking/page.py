@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 
-from geoaim.geometry import image_corners, transform_points
-from geoaim.grid import Grid
-from geoaim.rectification import sample_nearest
+from geoaim.aim.rectification import sample_nearest
+from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.grid import Grid
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.session import PickingSession, open_session

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
 from geoaim.mapping.georeference.normalised_plane import Points, distort_points

@@ -5,14 +5,14 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from geoaim.aim import AIM
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import LONLAT, crs_from_world, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.point_checks import check_coordinates
 from geoaim.mapping.georeference.point_files import MAX_NUMBER
 from geoaim.web.picking.session import Vector
 from geoaim.web.picking.task import PickingTask
-from geoaim.world import LONLAT, crs_from_world, transform_crs
 
 
 class Position(TypedDict, total=False):

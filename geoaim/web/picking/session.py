@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.errors import warn
-from geoaim.geometry import transform_points
+from geoaim.base.errors import warn
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import world_from_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
 from geoaim.mapping.georeference.point_export import clean_text, write_control_points
 from geoaim.mapping.georeference.point_files import read_point_file
 from geoaim.mapping.georeference.reference_frame import FrameName
 from geoaim.web.picking.candidates import PairCandidate
 from geoaim.web.picking.task import PickingTask
-from geoaim.world import world_from_crs
 
 Vector = tuple[float, float]
 

@@ -4,15 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import LONLAT, transform_crs, world_from_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.normalised_plane import Points
 from geoaim.web.picking.candidates import measure_disagreement
 from geoaim.web.picking.feedback import PointFeedback, assess_points, describe_feedback
 from geoaim.web.picking.session import PickingSession, collect_points
 from geoaim.web.picking.task import PickingTask
-from geoaim.world import LONLAT, transform_crs, world_from_crs
 
 MIN_AGREEING_PAIRS = 5  # two more than an affine map through them needs
 MAX_DISAGREEMENT = 3.0  # distance of a point from the proposed pairs, in standard deviations

@@ -8,12 +8,12 @@ from pathlib import Path
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
+from geoaim.base.world import LONLAT
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.reference_frame import FrameName
 from geoaim.mapping.video.video import open_video, read_frame
-from geoaim.world import LONLAT
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.errors import AlignmentError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World
 from geoaim.imagery.alignment.by_tracks import align_tracks, sample_poses
 from geoaim.imagery.alignment.prior import Prior
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from geoaim.tracks.tracks import Tracks
 from tests.conftest import textured
 from tests.imagery.alignment.alignment_pairs import as_aim, made, misplaced
 

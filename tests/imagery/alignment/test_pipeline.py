@@ -8,21 +8,21 @@ import pytest
 from PIL import Image
 
 import geoaim
-from geoaim.errors import (
+from geoaim.aim.quicklook import draw_alignment
+from geoaim.base.errors import (
     AlignmentError,
     GeoaimWarning,
     GeoreferenceError,
     ImageryError,
     TracksError,
 )
-from geoaim.geometry import make_similarity, transform_points
+from geoaim.base.geometry import make_similarity, transform_points
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.imagery.alignment.prior import Prior
-from geoaim.quicklook import draw_alignment
-from geoaim.track_changes import to_world
-from geoaim.world import World, lonlat_from_world
+from geoaim.tracks.changes import to_world
 from tests.imagery.alignment.alignment_pairs import as_aim
 
 TRUTH = json.loads(Path("samples/truth.json").read_text())

@@ -1,12 +1,12 @@
 import numpy as np
 
-from geoaim.aim import AIM
+from geoaim.aim.aim import AIM
+from geoaim.base.world import World
 from geoaim.imagery.alignment.template_matching import (
     compute_orientation,
     match_windows,
     reduce_to_grey,
 )
-from geoaim.world import World
 from tests.conftest import textured
 
 

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.errors import BackgroundError
+from geoaim.base.errors import BackgroundError
 from geoaim.mapping.background.running_mean import (
     RunningMean,
     add_to_mean,
@@ -128,7 +128,7 @@ def test_sharpness_of_a_subpixel_mean_is_kept(ground):
 
 
 def test_planes_of_a_video_give_the_same_mean_as_rgb(ground, tmp_path):
-    from geoaim.encode import write_video
+    from geoaim.base.encode import write_video
 
     path = write_video([ground] * 8, tmp_path / "a.mp4", crf=5)
     frames = list(open_video(path))
@@ -140,7 +140,7 @@ def test_planes_of_a_video_give_the_same_mean_as_rgb(ground, tmp_path):
 
 
 def test_always_masked_pixels_of_a_video_keep_their_colour(ground, tmp_path):
-    from geoaim.encode import write_video
+    from geoaim.base.encode import write_video
 
     path = write_video([ground] * 4, tmp_path / "a.mp4", crf=5)
     frames = [(f, np.eye(3)) for f in open_video(path)]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.world import World, lonlat_from_world
 
 HEIGHT, WIDTH = 1080, 1920
 SIZE = {"height": HEIGHT, "width": WIDTH}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rasterio.control import GroundControlPoint
 
-from geoaim.errors import GeoreferenceError
+from geoaim.base.errors import GeoreferenceError
 from geoaim.mapping.georeference.control_points import merge_observations, read_control_points
 
 PIXELS = [[100.5, 200.25], [1800.0, 150.0], [1700.0, 1000.0]]

@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World, lonlat_from_world
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.georeference.normalised_plane import distort_points
-from geoaim.world import World, lonlat_from_world
 from tests.mapping.georeference.points import GRID, SIZE, TILTED, TRUTH, UTM, make_points
 
 

@@ -1,15 +1,15 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import image_corners
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import image_corners
+from geoaim.base.world import World, world_from_lonlat
 from geoaim.mapping.georeference.from_telemetry import (
     approximate_georeference,
     make_local_georeference,
 )
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
-from geoaim.world import World, world_from_lonlat
 from tests.mapping.georeference.points import HEIGHT, SIZE, WIDTH
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from geoaim.geometry import image_corners
+from geoaim.base.geometry import image_corners
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning
+from geoaim.base.errors import GeoaimWarning
 from geoaim.mapping.pipeline import build_aim
 from tests.conftest import textured
 

@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import TracksError
+from geoaim.base.errors import TracksError
+from geoaim.base.world import World
 from geoaim.mapping import place_tracks, register
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.video.video import open_video
-from geoaim.tracks import Tracks
-from geoaim.world import World
+from geoaim.tracks.tracks import Tracks
 from tests.conftest import textured
 
 LEFT_PX = (0, 6, 12, 18)  # of frames of 480 x 320 px on one ground

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.point_checks import warn_of_small_part

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.world import LONLAT
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
 from geoaim.mapping.georeference.point_export import clean_text, format_points, write_control_points
-from geoaim.world import LONLAT
 
 PIXEL = st.tuples(st.floats(0, 8192), st.floats(0, 8192))
 LONLATS = st.tuples(st.floats(-180, 180), st.floats(-80, 80))

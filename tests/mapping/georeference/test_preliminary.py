@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.preliminary import estimate_preliminary
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty

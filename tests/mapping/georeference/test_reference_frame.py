@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.georeference.reference_frame import (
     _georeference_by_telemetry,

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.geometry import translation
+from geoaim.base.geometry import translation
 from geoaim.mapping.registration.features import detect_features
 from geoaim.mapping.registration.frame_registration import (
     Keyframe,

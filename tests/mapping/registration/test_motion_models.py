@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.motion_models import (
     MODELS,
     PointMatches,

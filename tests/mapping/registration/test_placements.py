@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.geometry import translation
+from geoaim.base.geometry import translation
 from geoaim.mapping.registration.features import Features
 from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.errors import RegistrationError
-from geoaim.geometry import image_corners, transform_points
+from geoaim.base.errors import RegistrationError
+from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import (
     align_patches,

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import RegistrationError
-from geoaim.geometry import translation
+from geoaim.base.errors import RegistrationError
+from geoaim.base.geometry import translation
 from geoaim.mapping.registration.frame_registration import FrameRegistration
 from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.registration.sequence import check_ground, find_jumps

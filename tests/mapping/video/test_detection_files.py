@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimError
+from geoaim.base.errors import GeoaimError
 from geoaim.mapping.video.detection_columns import name_columns, parse_columns
 from geoaim.mapping.video.detection_files import read_box_table
 from geoaim.mapping.video.detections import read_detections

@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimError
+from geoaim.base.errors import GeoaimError
 from geoaim.mapping.video.detections import mask_boxes, read_detections
 from geoaim.mapping.video.video import open_video
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.video.srt import read_srt
 
 DIALECTS = Path(__file__).parent / "srt"

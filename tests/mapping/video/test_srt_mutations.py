@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoreferenceError
+from geoaim.base.errors import GeoreferenceError
 from geoaim.mapping.video.srt import read_srt
 
 MUTATIONS = 250  # of each of the eight dialects

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from geoaim.errors import GeoaimWarning, VideoError
+from geoaim.base.errors import GeoaimWarning, VideoError
 from geoaim.mapping.video.frames import Frame, YuvEncoding, image_from_planes
 from geoaim.mapping.video.video import open_video
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import shapely
 
+from geoaim.base.world import World, lonlat_from_world, world_from_lonlat
 from geoaim.synthetic.roads.lanelet import make_lanelet_map
 from geoaim.synthetic.roads.lanes import compute_lane_bounds
 from geoaim.synthetic.roads.plan import make_roads
-from geoaim.world import World, lonlat_from_world, world_from_lonlat
 
 WORLD = World("EPSG:32635", (583000.0, 6062000.0))
 

@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from geoaim.lights import GREEN, RED
 from geoaim.synthetic.roads.plan import make_roads
 from geoaim.synthetic.traffic.driving import step_vehicles
 from geoaim.synthetic.traffic.pedestrians import CrossingPedestrians
 from geoaim.synthetic.traffic.simulate import DT, prepare_traffic
 from geoaim.synthetic.traffic.spawning import VehicleTrip, concat, make_empty, make_vehicle
 from geoaim.synthetic.traffic.vehicles import make_vehicle_context, place_vehicles
+from geoaim.tracks.lights import GREEN, RED
 
 NO_PEDESTRIANS = CrossingPedestrians(np.empty(0, int), np.empty(0), np.empty(0), np.empty(0))
 

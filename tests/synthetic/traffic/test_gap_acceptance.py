@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geoaim.lights import GREEN, RED
 from geoaim.synthetic.roads.plan import make_roads
 from geoaim.synthetic.traffic.gap_acceptance import react_to_vehicles
 from geoaim.synthetic.traffic.pedestrians import look_ahead
@@ -15,6 +14,7 @@ from geoaim.synthetic.traffic.spawning import (
     make_vehicle,
 )
 from geoaim.synthetic.traffic.vehicles import place_vehicles
+from geoaim.tracks.lights import GREEN, RED
 
 
 @pytest.fixture(scope="module")

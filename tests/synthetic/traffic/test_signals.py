@@ -3,9 +3,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from geoaim.lights import GREEN, RED, YELLOW
 from geoaim.synthetic.roads.plan import make_roads
 from geoaim.synthetic.traffic.signals import compute_light_states, make_signals
+from geoaim.tracks.lights import GREEN, RED, YELLOW
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,10 @@ import pytest
 import shapely
 from shapely.affinity import affine_transform
 
-from geoaim.lights import RED
 from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.traffic.signals import compute_light_states
+from geoaim.tracks.lights import RED
 
 VEHICLES = ("car", "van", "truck", "bus")
 WHEELBASE = 0.6  # share of the length

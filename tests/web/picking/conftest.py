@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.geometry import transform_points, translation
+from geoaim.base.geometry import transform_points, translation
+from geoaim.base.world import World
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.video.video import open_video
-from geoaim.world import World
 
 SAMPLE = Path(__file__).parents[3] / "samples"
 

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geoaim.aim import AIM
-from geoaim.errors import GeoaimWarning, GeoreferenceError
-from geoaim.geometry import transform_points
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.session import open_session
 from geoaim.web.picking.task import PickingTask
-from geoaim.world import World
 from tests.web.picking.test_candidates import PIXELS
 
 SAMPLE = Path(__file__).parents[3] / "samples"

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from geoaim.errors import AlignmentError
-from geoaim.geometry import transform_points
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.preliminary import estimate_preliminary
 from geoaim.web.picking.candidates import propose_pairs

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import geoaim
-from geoaim.geometry import transform_points
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import world_from_lonlat
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
@@ -17,7 +18,6 @@ from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import draw_overlay, make_picking_view
 from geoaim.web.picking.session import open_session
 from geoaim.web.picking.task import PickingTask
-from geoaim.world import world_from_lonlat
 from tests.web.browser import open_view, serve, wait_for
 
 SAMPLES = Path(__file__).parents[3] / "samples"

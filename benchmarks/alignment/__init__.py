@@ -1,0 +1,1 @@
+"""Alignment of imagery to maps and tracks, on synthetic and real pairs."""

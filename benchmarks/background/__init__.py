@@ -1,0 +1,1 @@
+"""Backgrounds against other methods, with standing queues."""

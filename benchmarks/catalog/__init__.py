@@ -1,0 +1,1 @@
+"""Catalogues of many recordings: losses, stores, costs."""

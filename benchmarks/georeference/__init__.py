@@ -1,0 +1,1 @@
+"""Transform models on simulated control points."""

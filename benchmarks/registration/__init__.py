@@ -1,0 +1,1 @@
+"""Registration against other methods, and where it breaks."""

@@ -1,0 +1,1 @@
+"""The renderer's time and memory against other renderers."""

@@ -1,0 +1,1 @@
+"""Tracking in metres against trackers in pixels."""

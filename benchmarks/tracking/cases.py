@@ -1,0 +1,149 @@
+"""Made detections of synthetic agents: boxes with misses, false ones and noise, and their truth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from geoaim.base.geometry import transform_points
+from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.synthetic.roads.layouts import PlaceKind
+from geoaim.synthetic.sample import MARGIN, make_sample
+from geoaim.synthetic.traffic.interpolation import interpolate_tracks
+from geoaim.tracks.tracks import Tracks
+
+FRAME_RATE = 25.0  # Hz
+DRIFT_PX = 10.0  # of the camera
+MIN_BOX_PX = 2.0  # a smaller part of an agent in the frame is not visible
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+
+
+@dataclass(frozen=True)
+class DetectorErrors:
+    """What a made detector does wrong."""
+
+    misses: float = 0.05  # share of boxes that are missed
+    false: float = 0.05  # false boxes, as a share of the true ones
+    noise_px: float = 2.0  # standard deviation of each side of a box
+    types: bool = True  # whether boxes have types
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingCase:
+    """Agents with exact states, the boxes of a made detector and the poses of the frames."""
+
+    name: str
+    truth: Tracks
+    frame_from_world: Float[Array, "T 3 3"]  # exact
+    world_from_frame: Float[Array, "T 3 3"]  # by registration, or exact
+    boxes: list[DetectedBoxes]
+    size: tuple[int, int]  # height and width of the frames, pixels
+
+
+def make_drawn_case(
+    kind: PlaceKind, seed: int, size: tuple[int, int], *, seconds: float, errors: DetectorErrors
+) -> TrackingCase:
+    """Make the boxes of a synthetic place without its pictures, for exact poses.
+
+    Args:
+        kind: of the place.
+        seed: of everything in it.
+        size: (height, width) of the frames, pixels.
+        seconds: of traffic.
+        errors: of the detector.
+
+    Returns:
+        The case.
+    """
+    sample = make_sample(seed, kind=kind, minutes=max(seconds / 60, 0.2), video=None)
+    times = np.arange(round(seconds * FRAME_RATE)) / FRAME_RATE
+    place, recording = sample.place, sample.recordings[0]
+    truth = interpolate_tracks(sample.traffic_model, recording, place, times=times, margin=MARGIN)
+    left, bottom, right, top = place.roads.extent.bounds
+    step = min((right - left) / size[1], (top - bottom) / size[0])
+    drift = DRIFT_PX * np.sin(times)
+    matrices = np.tile(np.diag([step, -step, 1.0]), (len(times), 1, 1))
+    matrices[:, 0, 2] = (left + right - size[1] * step) / 2 + step * drift
+    matrices[:, 1, 2] = (bottom + top + size[0] * step) / 2
+    world_from_frame = place.world_from_plan @ matrices
+    frame_from_world = np.linalg.inv(world_from_frame)
+    boxes, visible = project_boxes(truth, frame_from_world, size)
+    generator = np.random.default_rng(seed)
+    found = detect_boxes(boxes, visible, truth.types, errors, size, generator)
+    name = f"{kind} {size[1]} px"
+    return TrackingCase(name, truth, frame_from_world, world_from_frame, found, size)
+
+
+def project_boxes(
+    tracks: Tracks, frame_from_world: Float[Array, "T 3 3"], size: tuple[int, int]
+) -> tuple[Float[Array, "N T 4"], Bool[Array, "N T"]]:
+    """Project agents into frames: the upright boxes about them, and whether they are visible.
+
+    Args:
+        tracks: agents at the times of the frames.
+        frame_from_world: transforms from metres to pixels.
+        size: (height, width) of the frames, pixels.
+
+    Returns:
+        Left, top, right, bottom in pixels, clipped to the frame; NaN where an agent is absent.
+    """
+    heading = tracks.states[..., 2]
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    left = np.stack([-forward[..., 1], forward[..., 0]], axis=-1)
+    half = tracks.sizes[:, None] / 2
+    corners = np.stack(
+        [
+            tracks.states[..., :2] + a * half[..., :1] * forward + b * half[..., 1:] * left
+            for a, b in CORNERS
+        ],
+        axis=2,
+    )
+    agents, steps = tracks.present.shape
+    by_frame = corners.swapaxes(0, 1).reshape(steps, agents * 4, 2)
+    pixels = transform_points(frame_from_world, by_frame).reshape(steps, agents, 4, 2)
+    pixels = pixels.swapaxes(0, 1).clip(0, size[::-1])
+    boxes = np.concatenate([pixels.min(axis=2), pixels.max(axis=2)], axis=-1)
+    visible = tracks.present & ((boxes[..., 2:] - boxes[..., :2]) >= MIN_BOX_PX).all(axis=-1)
+    return boxes, visible
+
+
+def detect_boxes(
+    boxes: Float[Array, "N T 4"],
+    visible: Bool[Array, "N T"],
+    types: Sequence[str],
+    errors: DetectorErrors,
+    size: tuple[int, int],
+    generator: np.random.Generator,
+) -> list[DetectedBoxes]:
+    """Make the boxes of a detector with errors.
+
+    Args:
+        boxes: true boxes, pixels.
+        visible: whether each agent is visible.
+        types: agent types.
+        errors: what the detector does wrong.
+        size: (height, width) of the frames, pixels.
+        generator: source of the errors.
+
+    Returns:
+        The boxes of each frame.
+    """
+    frames = []
+    limits = np.tile(np.array(size[::-1], float), 2)
+    for step in range(boxes.shape[1]):
+        shown = np.flatnonzero(visible[:, step])
+        hit = shown[generator.uniform(size=len(shown)) >= errors.misses]
+        found = boxes[hit, step] + errors.noise_px * generator.standard_normal((len(hit), 4))
+        count = generator.binomial(max(len(shown), 1), errors.false)
+        source = boxes[generator.choice(shown, count), step] if len(shown) else np.empty((0, 4))
+        extent = source[:, 2:] - source[:, :2]
+        corner = generator.uniform(0, 1, (len(source), 2)) * (limits[:2] - extent)
+        false = np.concatenate([corner, corner + extent], axis=1)
+        rows = np.concatenate([found, false]).clip(0, limits)
+        named = [types[agent] for agent in hit]
+        named += [str(kind) for kind in generator.choice(types, len(false))]
+        rows[:, 2:] = np.maximum(rows[:, 2:], rows[:, :2] + 1)
+        frames.append(DetectedBoxes(rows, types=tuple(named) if errors.types else ()))
+    return frames

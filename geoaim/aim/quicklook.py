@@ -1,0 +1,180 @@
+"""Pictures of an AIM: with its report at a glance, and before and after its alignment."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure
+from numpy import ndarray as Array
+
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import sample_nearest
+from geoaim.base.drift_plot import draw_drift
+from geoaim.base.grid import Grid, make_north_up_grid
+from geoaim.base.labels import label_points
+from geoaim.base.map_axes import UNUSED_COLOUR, USED_COLOUR, add_scale_bar, draw_lines
+from geoaim.tracks.tracks import Tracks
+
+MAP_INCHES, PANEL_INCHES = 8.0, 6.5  # height of the map, width of what stands beside it
+RESIDUAL_SCALES = (50, 20, 10, 5, 2, 1)  # residuals of control points are drawn as much longer
+# length of the longest residual as it is drawn, as a share of the map's width
+LONGEST_RESIDUAL = 0.2
+RASTER_STRIDE = 4  # every fourth pixel of the coverage is drawn, in both directions
+LONGER_SIDE_PX = 900
+SQUARES_PER_SIDE = 10  # squares of the checkerboard along the longer side
+TRACK_COLOUR = "#ff6a00"
+Extent = tuple[float, float, float, float]  # left, right, bottom, top in metres
+
+
+def draw_quicklook(aim: AIM) -> Figure:
+    """Draw an AIM: its map with control points, drift, coverage, uncertainty and summary."""
+    width, height = np.ptp(aim.corners, axis=0)
+    shown = float(np.clip(MAP_INCHES * width / height, 4.0, 12.0))
+    figure = Figure(figsize=(shown + PANEL_INCHES, MAP_INCHES + 0.6), layout="constrained")
+    parts = figure.add_gridspec(1, 2, width_ratios=[shown, PANEL_INCHES])
+    left, right = (figure.add_subfigure(parts[0, column]) for column in (0, 1))
+    grid = right.add_gridspec(3, 2, height_ratios=[1.2, 1, 1])
+    main = left.add_subplot()
+    aim.plot(main)
+    _draw_coverage(right.add_subplot(grid[0, 0]), aim)
+    _draw_uncertainty(right.add_subplot(grid[0, 1]), aim.report.get("georeference", {}))
+    _draw_path(right.add_subplot(grid[1, :]), aim.report.get("registration", {}))
+    _draw_summary(right.add_subplot(grid[2, :]), aim)
+    figure.draw_without_rendering()  # labels are placed in the final layout
+    _draw_points(main, aim.report.get("georeference", {}).get("points", []))
+    return figure
+
+
+def _draw_points(axes: Axes, points: Sequence[Mapping[str, Any]]) -> None:
+    """Draw control points with their residuals on the map, which has its layout."""
+    axes.set_title("background", loc="left")
+    if not points:
+        return
+    starts = np.array([[p["x"], p["y"]] for p in points])
+    residuals = np.array([[p["residual_x"], p["residual_y"]] for p in points])
+    longest = np.linalg.norm(residuals, axis=1).max()
+    extent = abs(float(np.subtract(*axes.get_xlim())))
+    scale = next((n for n in RESIDUAL_SCALES if n * longest <= LONGEST_RESIDUAL * extent), 1)
+    axes.set_title(f"background, control points, and residuals {scale} times longer", loc="left")
+    limits = {"xlim": axes.get_xlim(), "ylim": axes.get_ylim()}
+    used = np.array([bool(p["used"]) for p in points])
+    for chosen, colour, name in ((used, USED_COLOUR, "used"), (~used, UNUSED_COLOUR, "not used")):
+        if chosen.any():
+            [marks] = axes.plot(*starts[chosen].T, "o", color=colour, markersize=7)
+            marks.set(fillstyle="none", markeredgewidth=2, label=f"control points, {name}")
+            ends = starts[chosen] + scale * residuals[chosen]
+            lines = np.stack([starts[chosen], ends], axis=1)
+            draw_lines(axes, lines, colour, width=1.5, label=f"residual x {scale}, {name}")
+    label_points(axes, starts, [p["name"] for p in points])
+    axes.legend(loc="upper left", fontsize=8)
+    axes.set(**limits)
+
+
+def _draw_path(axes: Axes, registration: Mapping[str, Any]) -> None:
+    """Draw where the frames' centres lie, relative to the first one's."""
+    axes.set_title("no drift in the report", fontsize=9, loc="left")
+    path = np.array(sorted(registration.get("path", [])), float).reshape(-1, 3)
+    if len(path):
+        draw_drift(axes, path[:, 0], path[:, 1:] - path[0, 1:], "first frame")
+        axes.tick_params(labelsize=7)
+
+
+def _draw_coverage(axes: Axes, aim: AIM) -> None:
+    height, width = aim.image.shape[:2]
+    extent, step = (0, width, height, 0), slice(None, None, RASTER_STRIDE)
+    drawn = axes.imshow(aim.coverage[step, step], extent=extent, vmin=0, cmap="magma")
+    _add_scale(axes, drawn, "frames")
+    contested = np.where(aim.contested[step, step], 1.0, np.nan)
+    axes.imshow(contested, extent=extent, cmap="cool", vmin=0, vmax=1)
+    axes.set_title("frames per pixel\n(magenta: contested)", fontsize=9, loc="left")
+    axes.set(xticks=[], yticks=[])
+
+
+def _draw_uncertainty(axes: Axes, georeference: Mapping[str, Any]) -> None:
+    """Draw the 95 % radius over the image of the video, before any resampling."""
+    axes.set_title(
+        "uncertainty of the place (95 %)\nover the frame of the video", fontsize=9, loc="left"
+    )
+    axes.set(xticks=[], yticks=[])
+    if uncertainty := georeference.get("uncertainty"):
+        drawn = axes.imshow(uncertainty["map_m"], vmin=0, cmap="viridis", interpolation="bilinear")
+        _add_scale(axes, drawn, "m")
+
+
+def _add_scale(axes: Axes, drawn: ScalarMappable, label: str) -> None:
+    """Add a colour scale right beside a panel, which stands on the left of its place."""
+    axes.set_anchor("W")
+    axes.figure.colorbar(drawn, cax=axes.inset_axes((1.02, 0, 0.03, 1)), label=label)
+
+
+def _draw_summary(axes: Axes, aim: AIM) -> None:
+    axes.axis("off")
+    lines = aim.summarize()
+    width = max(map(len, lines))
+    text = "\n".join(f"{name:<{width}}  {value}" for name, value in lines.items())
+    axes.text(0, 1, text, family="monospace", fontsize=8, va="top", transform=axes.transAxes)
+
+
+def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | None = None) -> Figure:
+    """Draw imagery before and after alignment.
+
+    Args:
+        imagery: the result of `align_tiles`; without an alignment in its report, both are alike.
+        aim: an AIM in the same world, shown in every other square of a checkerboard.
+        tracks: tracks in the same world, drawn on top.
+
+    Returns:
+        The figure, with the stated position on the left and the aligned one on the right.
+    """
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    stated = _undo_alignment(imagery)
+    corners = (imagery if aim is None else aim).corners
+    for axes, shown, title in zip(
+        figure.subplots(1, 2), (stated, imagery), ("as stated", "aligned"), strict=True
+    ):
+        picture, extent = _draw_checkerboard(shown, aim, corners)
+        axes.imshow(picture, extent=extent)
+        if tracks is not None:
+            draw_lines(axes, tracks.states[..., :2], TRACK_COLOUR, width=0.7, label="tracks")
+            axes.legend(loc="upper right", fontsize=8)
+        axes.set(title=title, xlim=extent[:2], ylim=extent[2:])
+        add_scale_bar(axes)
+    return figure
+
+
+def _undo_alignment(imagery: AIM) -> AIM:
+    """Move imagery back to its stated position."""
+    report: Any = imagery.report.get("alignment", {})
+    for alignment in report.values():
+        if "checked" not in alignment:
+            stated_from_true = np.linalg.inv(np.array(alignment["true_from_stated"]))
+            return replace(imagery, world_from_image=stated_from_true @ imagery.world_from_image)
+    return imagery
+
+
+def _draw_checkerboard(
+    imagery: AIM, aim: AIM | None, corners: Float[Array, "4 2"]
+) -> tuple[UInt8[Array, "H W 3"], Extent]:
+    """Draw imagery on a grid over the corners, with the AIM in every other square."""
+    resolution = float(np.ptp(corners, axis=0).max()) / LONGER_SIDE_PX
+    grid = make_north_up_grid(corners, resolution)
+    picture, _ = _sample(imagery, grid)
+    if aim is not None:
+        other, covered = _sample(aim, grid)
+        rows, columns = np.indices(grid.shape) * SQUARES_PER_SIDE // LONGER_SIDE_PX
+        square = covered & ((rows + columns) % 2 == 0)
+        picture = np.where(square[..., None], other, picture)
+    (left, top), (right, bottom) = grid.corners[[0, 2]]
+    return picture, (left, right, bottom, top)
+
+
+def _sample(aim: AIM, grid: Grid) -> tuple[UInt8[Array, "H W 3"], Bool[Array, "H W"]]:
+    """Sample the nearest pixels on a grid, white where none is covered, and the mask of cover."""
+    image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
+    covered = sample_nearest(aim.coverage, image_from_grid, grid.shape) > 0
+    image = sample_nearest(aim.image, image_from_grid, grid.shape)
+    return np.where(covered[..., None], image, np.uint8(255)), covered

@@ -1,0 +1,1 @@
+"""What everything stands on: errors, files, worlds, grids, geometry, axes of maps."""

@@ -1,0 +1,53 @@
+"""Frames -> video file."""
+
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+
+import av
+from jaxtyping import UInt8
+from numpy import ndarray as Array
+
+from geoaim.base.files import atomic_write
+
+ENCODER_THREADS = 2  # of x264, whose output depends on their number: else on the machine's cores
+
+
+def write_video(
+    frames: Iterable[UInt8[Array, "H W 3"]],
+    path: Path,
+    *,
+    frame_rate: float = 30,
+    crf: int = 20,
+    megabits: float | None = None,
+    keyframe_interval: int | None = None,
+) -> Path:
+    """Encode frames as H.264 (yuv420p).
+
+    Args:
+        frames: (H, W, 3) RGB images of one size with even sides.
+        path: the video file to write; its suffix, such as .mp4, chooses the container.
+        frame_rate: frames per second.
+        crf: constant rate factor of x264, 0 to 51; lower is better.
+        megabits: bit rate in Mbit/s instead of `crf`.
+        keyframe_interval: frames from one keyframe to the next; None: those of one second.
+
+    Returns:
+        `path`.
+    """
+    rate = Fraction(frame_rate).limit_denominator(1001)
+    with atomic_write(path) as temporary, av.open(str(temporary), "w") as container:
+        interval = str(keyframe_interval or round(frame_rate))
+        options = {"preset": "medium", "g": interval, "keyint_min": interval, "sc_threshold": "0"}
+        options |= {"b": f"{megabits}M"} if megabits else {"crf": str(crf)}
+        stream = container.add_stream("libx264", rate, options=options)
+        stream.pix_fmt = "yuv420p"
+        stream.thread_count = ENCODER_THREADS
+        for index, frame in enumerate(frames):
+            if index == 0:
+                stream.height, stream.width = frame.shape[:2]
+            picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
+            picture.pts, picture.time_base = index, 1 / rate
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    return path

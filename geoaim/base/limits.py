@@ -1,0 +1,113 @@
+"""Refuse files that are damaged or would need too much memory, with a one-line error."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from geoaim.base.errors import GeoaimError
+
+MAX_GB_VARIABLE = "GEOAIM_MAX_GB"  # environment variable
+DEFAULT_MAX_GB = 1.0
+# bytes in memory per byte of the file at most; images of one colour compress this well
+MAX_RATIO = 300
+MAX_REASON_CHARS = 300
+MAX_POSITION_M = 1e8  # distance from the origin; the Earth's circumference is 4e7 m
+MAX_TIME_S = 1e11  # a greater number is not a time in seconds
+MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
+
+
+def read_memory_limit() -> float:
+    """Read how many bytes may be allocated even for a small file: 1e9 times `GEOAIM_MAX_GB`.
+
+    Raises:
+        ValueError: that environment variable is not a number.
+    """
+    text = os.environ.get(MAX_GB_VARIABLE, str(DEFAULT_MAX_GB))
+    try:
+        return float(text) * 1e9
+    except ValueError:
+        raise ValueError(f"{MAX_GB_VARIABLE} is {text!r}; a number of GB is needed") from None
+
+
+def check_memory(
+    path: str | os.PathLike[str],
+    needed: float,
+    size: float,
+    error_type: type[GeoaimError],
+    content: str,
+) -> None:
+    """Check that a file does not need far more memory than its size explains.
+
+    Args:
+        path: the file.
+        needed: bytes of memory that the file's header implies.
+        size: size of the file, bytes.
+        error_type: type of the error that is raised.
+        content: what the header states, such as "60000 x 60000 pixels".
+
+    Raises:
+        GeoaimError: the file needs more than both `read_memory_limit` and `MAX_RATIO` times its
+            size; the type is `error_type`.
+    """
+    if needed > max(read_memory_limit(), MAX_RATIO * size):
+        raise error_type(
+            f"{path} has {size / 1e3:.0f} KB and claims {content}, which need {needed / 1e9:.1f} "
+            f"GB of memory; if that is right, set the variable {MAX_GB_VARIABLE} to more"
+        )
+
+
+def check_regular(path: str | os.PathLike[str], error_type: type[GeoaimError]) -> None:
+    """Raise `error_type` for pipes and devices, which can be read only once."""
+    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
+        raise error_type(f"{path} is a pipe or a device, which is read once; save it as a file")
+
+
+@contextmanager
+def name_file(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make the message of a `GeoaimError` in the block one line that names the file."""
+    try:
+        yield
+    except GeoaimError as error:
+        line = " ".join(str(error).split())
+        if os.path.basename(path) not in line:
+            line = f"{path}: {line}"
+        raise type(error)(line) from error
+
+
+@contextmanager
+def refuse_damaged(
+    path: str | os.PathLike[str],
+    error_type: type[GeoaimError],
+    needed: str,
+    *,
+    reads_once: bool = False,
+) -> Iterator[None]:
+    """Turn whatever a library raises on a file's content into an error that names the file.
+
+    Args:
+        path: the file.
+        error_type: type of the error that is raised.
+        needed: what the file should be, such as "a GeoTIFF".
+        reads_once: whether the block reads the file once from start to end, so that it may be a
+            pipe.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        GeoaimError: the block raised an error; the type is `error_type`. A GeoaimError, a warning,
+            and an error about a missing or forbidden file are raised as they are, with the file's
+            name.
+    """
+    if os.path.isdir(path):
+        raise error_type(f"{path} is a folder; {needed} is needed")
+    if not reads_once:
+        check_regular(path, error_type)
+    try:
+        with name_file(path):
+            yield
+    except (GeoaimError, Warning, FileNotFoundError, PermissionError):
+        raise
+    except Exception as error:  # parsers raise errors of their own, and of every kind
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_REASON_CHARS]
+        raise error_type(f"{path} is not {needed}, or is damaged ({reason})") from error

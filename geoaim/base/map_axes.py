@@ -1,0 +1,140 @@
+"""Axes of maps in metres: they remember their world, and have a scale bar."""
+
+from collections.abc import Iterable
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+from numpy import ndarray as Array
+
+from geoaim.base.geometry import transform_points
+from geoaim.base.grid import Grid, make_north_up_grid
+from geoaim.base.world import World, change_world
+
+LONGER_SIDE_PX = 1200  # longer side of an image as it is drawn
+USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # colours of control points
+SCALE_BAR_SHARE = 0.3  # largest share of the axes' width
+_worlds: WeakKeyDictionary[Axes, World] = WeakKeyDictionary()
+
+
+def move_to_axes(
+    axes: Axes, points: Float[Array, "*any 2"], world: World | None
+) -> Float[Array, "*any 2"]:
+    """Move points to the world of the axes: the world of what was first drawn in them.
+
+    Args:
+        axes: the axes to draw in.
+        points: (..., 2) metres.
+        world: the plane of the points; None: they are in the world of the axes.
+
+    Returns:
+        (..., 2) metres in the world of the axes.
+
+    Raises:
+        GeoreferenceError: only one of the two worlds has a CRS.
+    """
+    if world is None:
+        return points
+    here = _worlds.setdefault(axes, world)
+    return change_world(world, here, points.reshape(-1, 2)).reshape(points.shape)
+
+
+def draw_image(
+    axes: Axes,
+    image: UInt8[Array, "H W 3"],
+    grid: Grid,
+    covered: Bool[Array, "H W"],
+    bounds: Float[Array, "2 2"] | None = None,
+) -> None:
+    """Draw an image of the ground north up, by nearest pixels; uncovered ground is left empty.
+
+    Args:
+        axes: the axes to draw in; the image is drawn in their world.
+        image: (H, W, 3) RGB.
+        grid: its pixels in the world.
+        covered: (H, W) pixels to draw.
+        bounds: lowest and highest x and y of what is drawn, metres; None: all.
+    """
+    corners = move_to_axes(axes, grid.corners, grid.world)
+    corners = corners if bounds is None else bounds
+    longer = float(np.ptp(corners, axis=0).max())
+    drawn = make_north_up_grid(corners, max(longer / LONGER_SIDE_PX, grid.resolution))
+    v, u = np.indices(drawn.shape).reshape(2, -1) + 0.5
+    points = transform_points(drawn.world_from_grid, np.column_stack([u, v]))
+    if grid.world is not None:
+        points = change_world(_worlds[axes], grid.world, points)
+    column, row = np.floor(transform_points(grid.grid_from_world, points)).astype(int).T
+    inside = (row >= 0) & (row < grid.height) & (column >= 0) & (column < grid.width)
+    row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+    alpha = 255 * (inside & covered[row, column])
+    pixels = np.column_stack([image[row, column], alpha]).astype(np.uint8)
+    (left, top), (right, bottom) = drawn.corners[[0, 2]]
+    extent = (left, right, bottom, top)
+    axes.imshow(pixels.reshape(*drawn.shape, 4), extent=extent, zorder=0)
+
+
+def draw_lines(
+    axes: Axes,
+    lines: Iterable[Float[Array, "_ 2"]],
+    colour: str | tuple[float, float, float],
+    *,
+    width: float = 0.8,
+    label: str = "",
+) -> None:
+    """Draw lines in metres of the axes' world, with one entry in the legend.
+
+    Args:
+        axes: the axes to draw in.
+        lines: points along each of them, (..., 2).
+        colour: colour of all lines.
+        width: line width, points.
+        label: name in the legend; empty: none.
+    """
+    drawn = LineCollection(list(lines), colors=[colour], linewidths=width, label=label or None)
+    axes.add_collection(drawn)
+    axes.autoscale_view()
+
+
+def label_place(axes: Axes, name: str, place: Float[Array, "2"]) -> None:
+    """Write a name beside a place, in white on a dark ground.
+
+    Args:
+        axes: the axes to draw in.
+        name: what is written.
+        place: (2,) metres of the axes' world.
+    """
+    shade = {"facecolor": "black", "alpha": 0.55, "pad": 1, "linewidth": 0}
+    text = axes.annotate(name, place.tolist(), (4, 4), textcoords="offset points", fontsize=7)
+    text.set(color="white", bbox=shade, clip_on=True)
+
+
+def add_legend(axes: Axes) -> None:
+    """Add a legend beside the axes, if anything in them has a label."""
+    handles, labels = axes.get_legend_handles_labels()
+    entries = dict(zip(labels, handles, strict=True))
+    if entries:
+        axes.legend(
+            list(entries.values()),
+            list(entries),
+            loc="upper left",
+            bbox_to_anchor=(1.01, 1.0),
+            borderaxespad=0.0,
+            fontsize=8,
+            frameon=False,
+        )
+
+
+def add_scale_bar(axes: Axes) -> None:
+    """Make axes a map: equal aspect, metres at both axes, and a scale bar of a round length."""
+    axes.set(xlabel="x (east), m", ylabel="y (north), m")
+    axes.set_aspect("equal")
+    for drawn in [artist for artist in axes.artists if isinstance(artist, AnchoredSizeBar)]:
+        drawn.remove()
+    longest = SCALE_BAR_SHARE * abs(float(np.subtract(*axes.get_xlim())))
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = power * max(n for n in (1, 2, 5) if n * power <= longest)
+    text = f"{length:g} m, north up"
+    axes.add_artist(AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.3))

@@ -1,0 +1,292 @@
+"""World: the local metric plane in which tracks live, a projected CRS and an origin."""
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+from pyproj import CRS, Proj, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.limits import MAX_POSITION_M
+
+LONLAT = "EPSG:4326"
+ORIGIN_STEP_M = 100.0  # origins are multiples of this
+# largest difference between a metre in the CRS and one on the ground, as a share
+MAX_SCALE_ERROR = 0.01
+# what makes PROJ open files: grids and legacy definitions; "@null" is no grid
+CRS_FILES = re.compile(r"(?i)grids\s*=\s*(?!@null\b)|init\s*=\s*(?!epsg:\d)|PARAMETERFILE")
+MAX_NAME_CHARS = 40  # a longer CRS text, such as WKT, is called by its name
+MAX_AREA_DEGREES = 12.0  # a CRS for a wider area does not tell its UTM zone
+
+
+@dataclass(frozen=True)
+class World:
+    """A metric plane, x east and y north, in metres from an origin.
+
+    Attributes:
+        crs: a projected CRS in metres ("EPSG:n", PROJ string or WKT); None for a local plane.
+        origin: easting and northing of the world's (0, 0) in that CRS, metres.
+
+    Raises:
+        GeoreferenceError: the CRS is unknown, geographic, not in metres, or not x east y north; or
+            the origin is not two finite numbers.
+    """
+
+    crs: str | None
+    origin: tuple[float, float] = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if np.shape(self.origin) != (2,) or not (np.abs(self.origin) <= MAX_POSITION_M).all():
+            raise GeoreferenceError(
+                f"The origin of a world is {self.origin}; two finite numbers, easting and northing,"
+                " are needed."
+            )
+        if self.crs is not None and (problem := describe_crs_problem(self.crs, self.origin)):
+            raise GeoreferenceError(problem)
+
+
+@lru_cache(maxsize=64)
+def parse_crs(crs: str) -> CRS:
+    """Parse "EPSG:n", a PROJ string or WKT.
+
+    Raises:
+        GeoreferenceError: pyproj does not know it, or it names a file such as a grid.
+    """
+    if CRS_FILES.search(crs):
+        raise GeoreferenceError(f"{crs[:200]!r} names a file; a CRS that needs none is needed.")
+    try:
+        return CRS.from_user_input(crs)
+    except (CRSError, UnicodeError) as error:
+        raise GeoreferenceError(
+            f"{crs!r} is not a known coordinate reference system. Write for example 'EPSG:32635'."
+        ) from error
+
+
+@lru_cache(maxsize=64)
+def _make_transformer(source: str, destination: str) -> Transformer:
+    return Transformer.from_crs(parse_crs(source), parse_crs(destination), always_xy=True)
+
+
+def find_utm_crs(longitude: float, latitude: float) -> str:
+    """Find the EPSG code of the UTM zone (WGS 84) at a longitude and latitude in degrees.
+
+    Raises:
+        GeoreferenceError: there is no zone: a pole, or swapped latitude and longitude.
+
+    >>> find_utm_crs(27.56, 53.9)
+    'EPSG:32635'
+    """
+    if not (-80.0 <= latitude <= 84.0 and -180.0 <= longitude <= 360.0):
+        swapped = abs(longitude) <= 84.0 and abs(latitude) <= 180.0
+        advice = " Are longitude and latitude swapped?" if swapped else " Give a CRS for the world."
+        raise GeoreferenceError(
+            f"Longitude {longitude:g}, latitude {latitude:g} lies in no UTM zone"
+            f" (latitude -80 to 84, longitude -180 to 180).{advice}"
+        )
+    zone = int((longitude + 180.0) // 6.0) % 60 + 1
+    return f"EPSG:{(32600 if latitude >= 0.0 else 32700) + zone}"
+
+
+def describe_crs_problem(crs: str, origin: tuple[float, float] = (0.0, 0.0)) -> str:
+    """Describe why a CRS cannot be the CRS of a `World`, and what to use; "" when it can.
+
+    Raises:
+        GeoreferenceError: it is no CRS at all.
+    """
+    parsed = parse_crs(crs)
+    name = crs if len(crs) < MAX_NAME_CHARS else repr(parsed.name)
+    units = {axis.unit_name for axis in parsed.axis_info[:2]}
+    directions = {axis.direction for axis in parsed.axis_info[:2]}
+    if not parsed.is_projected:
+        problem = f"{name} is not projected (its units: {', '.join(sorted(units))})"
+    elif any(axis.unit_conversion_factor != 1.0 for axis in parsed.axis_info[:2]):
+        problem = f"{name} has the units {', '.join(sorted(units))}, not metres"
+    elif directions != {"east", "north"}:
+        problem = f"{name} has its axes towards {', '.join(sorted(directions))}, not east and north"
+    elif abs((scale := _measure_scale(parsed, origin)) - 1.0) > MAX_SCALE_ERROR:
+        problem = f"a metre of {name} is {scale:.3g} times a metre on the ground"
+    else:
+        return ""
+    return f"{problem}; a world needs metres, x east and y north. Use {_suggest_crs(parsed)}."
+
+
+def _measure_scale(crs: CRS, origin: tuple[float, float]) -> float:
+    """Length in the CRS per length on the ground, at the origin or amid the CRS's area of use."""
+    proj = Proj(crs)
+    try:
+        if origin != (0.0, 0.0):
+            lon, lat = proj(*origin, inverse=True)
+        elif crs.area_of_use is not None:
+            area = crs.area_of_use
+            lon, lat = (area.west + area.east) / 2.0, (area.south + area.north) / 2.0
+        else:
+            return 1.0
+        factors = proj.get_factors(lon, lat)
+    except ProjError:
+        return np.inf
+    return float(np.sqrt(factors.areal_scale))
+
+
+def _suggest_crs(crs: CRS) -> str:
+    area = crs.area_of_use
+    if area is None or area.east - area.west > MAX_AREA_DEGREES or area.east < area.west:
+        return "the UTM zone of the scene, which geoaim.base.world.choose_world finds"
+    return find_utm_crs((area.west + area.east) / 2.0, (area.south + area.north) / 2.0)
+
+
+def choose_world(lonlat: Float[Array, "m 2"], *, crs: str | None = None) -> World:
+    """Choose a world for points (longitude, latitude in degrees); without `crs` their UTM zone.
+
+    The origin is the mean of the points, rounded to 100 m.
+
+    Raises:
+        GeoreferenceError: the points lie in no UTM zone, or the CRS cannot be a world.
+
+    >>> choose_world(np.array([[27.56, 53.9]]))
+    World(crs='EPSG:32635', origin=(536800.0, 5972500.0))
+    """
+    lonlat = np.asarray(lonlat, np.float64)
+    first = lonlat[0, 0]
+    longitude = first + np.mean((lonlat[:, 0] - first + 180.0) % 360.0 - 180.0)  # the date line
+    latitude = float(lonlat[:, 1].mean())
+    crs = crs or find_utm_crs(float(longitude), latitude)
+    middle = transform_crs(LONLAT, crs, np.array([[longitude, latitude]]))[0]
+    east, north = (np.round(middle / ORIGIN_STEP_M) * ORIGIN_STEP_M).tolist()
+    return World(crs, (east, north))
+
+
+def transform_crs(
+    source: str, destination: str, points: Float[Array, "m 2"]
+) -> Float[Array, "m 2"]:
+    """Transform points between CRSs, x (or longitude) first whatever the CRS's axis order.
+
+    Args:
+        source: the CRS of the points, as `parse_crs` reads it.
+        destination: the CRS to transform to.
+        points: (M, 2) coordinates; those that are not finite stay so.
+
+    Returns:
+        (M, 2) coordinates in the destination.
+
+    Raises:
+        GeoreferenceError: a CRS is unknown, or a point cannot be expressed in the destination.
+    """
+    points = np.asarray(points, np.float64)
+    if source == destination:
+        return points.copy()
+    try:
+        x, y = _make_transformer(source, destination).transform(points[:, 0], points[:, 1])
+    except ProjError as error:
+        raise GeoreferenceError(f"{source} to {destination}: {error}") from error
+    mapped = np.stack([x, y], axis=-1)
+    lost = np.isfinite(points).all(axis=-1) & ~np.isfinite(mapped).all(axis=-1)
+    if lost.any():
+        raise GeoreferenceError(
+            f"{tuple(points[lost][0].tolist())} in {source} cannot be expressed in {destination}."
+            " Is the CRS the right one, and are the coordinates in the order x, y (lon, lat)?"
+        )
+    return mapped
+
+
+def world_from_crs(
+    world: World, points: Float[Array, "m 2"], crs: str | None = None
+) -> Float[Array, "m 2"]:
+    """Convert coordinates in a CRS (x, y or longitude, latitude) to world metres.
+
+    Args:
+        world: the world to convert to.
+        points: (M, 2), x first whatever the CRS's axis order.
+        crs: the CRS of the points; None for the world's CRS.
+
+    Returns:
+        (M, 2) metres from the world's origin.
+
+    Raises:
+        GeoreferenceError: a point cannot be expressed there, or a CRS is given and the world has
+            none.
+
+    >>> world_from_crs(World("EPSG:32635", (500000.0, 5970000.0)), np.array([[500003.0, 5970004]]))
+    array([[3., 4.]])
+    """
+    points = np.asarray(points, np.float64)
+    if crs is not None:
+        points = transform_crs(crs, _require_crs(world), points)
+    return points - world.origin
+
+
+def crs_from_world(
+    world: World, points: Float[Array, "m 2"], crs: str | None = None
+) -> Float[Array, "m 2"]:
+    """Convert world metres to coordinates in a CRS: the inverse of `world_from_crs`.
+
+    Args:
+        world: the world of the points.
+        points: (M, 2) metres from its origin.
+        crs: the CRS to convert to; None for the world's CRS.
+
+    Returns:
+        (M, 2) coordinates, x first whatever the CRS's axis order.
+
+    Raises:
+        GeoreferenceError: a point cannot be expressed there, or a CRS is given and the world has
+            none.
+    """
+    points = np.asarray(points, np.float64) + world.origin
+    return points if crs is None else transform_crs(_require_crs(world), crs, points)
+
+
+def world_from_lonlat(world: World, lonlat: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
+    """Convert longitude, latitude (WGS 84, degrees) to world metres; see `world_from_crs`."""
+    return world_from_crs(world, lonlat, LONLAT)
+
+
+def lonlat_from_world(world: World, points: Float[Array, "m 2"]) -> Float[Array, "m 2"]:
+    """Convert world metres to longitude, latitude (WGS 84, degrees); see `crs_from_world`."""
+    return crs_from_world(world, points, LONLAT)
+
+
+def change_world(
+    source: World, destination: World, points: Float[Array, "m 2"]
+) -> Float[Array, "m 2"]:
+    """Convert metres of one world to metres of another.
+
+    Args:
+        source: the world of the points.
+        destination: the world to convert to.
+        points: (M, 2) metres from the origin of `source`.
+
+    Returns:
+        (M, 2) metres from the origin of `destination`.
+
+    Raises:
+        GeoreferenceError: only one of the two has a CRS, or a point cannot be expressed there.
+    """
+    if source == destination:
+        return points
+    if (source.crs is None) != (destination.crs is None):
+        there, here = (
+            world.crs or "a local plane without a CRS" for world in (source, destination)
+        )
+        raise GeoreferenceError(
+            f"Points lie in {there}, and are needed in {here}; give both a CRS."
+        )
+    return world_from_crs(destination, crs_from_world(source, points), source.crs)
+
+
+def describe_world(world: World) -> str:
+    """Describe a world in a few words, such as "EPSG:32635, origin 583000, 6062000"."""
+    east, north = world.origin
+    return f"{world.crs or 'local plane'}, origin {east:.0f}, {north:.0f}"
+
+
+def _require_crs(world: World) -> str:
+    if world.crs is None:
+        raise GeoreferenceError(
+            "This world is a local plane without a CRS. Georeference it with control"
+            " points or telemetry first."
+        )
+    return world.crs

@@ -1,0 +1,1 @@
+"""Agents over time: tracks, traffic lights, their tables, files and formats."""

@@ -1,0 +1,259 @@
+"""The plain file format of tracks: a CSV or Parquet table with a row for each agent and time.
+
+    # crs: EPSG:32635
+    # origin: 583000 6062000
+    # format: 1
+    id,type,time,x,y,heading,speed,length,width
+    17,car,0.1,182.103,233.870,1.5011,8.21,4.53,1.84
+
+Time in seconds; x and y in metres from the origin in the CRS, x east and y north; heading in
+radians counter-clockwise from +x; speed in m/s, negative in reverse; length and width in metres.
+Further columns may hold the observed states, whether an agent was seen, and uncertainties
+(`geoaim.tracks.tracks`); others are ignored.
+`# crs: local` is a local plane without CRS. Parquet files have CRS, origin and format in the
+metadata `geoaim_world`, and a checksum. They are GeoParquet too: the column geometry has the
+positions in the CRS.
+"""
+
+import gzip
+import json
+import os
+import warnings
+from itertools import takewhile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import shapely
+from jaxtyping import Shaped
+from numpy import ndarray as Array
+
+from geoaim.base.checksums import (
+    PLACEHOLDER,
+    FileFormat,
+    check_version,
+    verify_checksum,
+    write_checksum,
+)
+from geoaim.base.errors import TracksError
+from geoaim.base.files import atomic_write
+from geoaim.base.limits import check_memory, refuse_damaged
+from geoaim.base.world import World, parse_crs
+from geoaim.tracks.tables import make_tracks
+from geoaim.tracks.tracks import COLUMNS, OBSERVED_COLUMNS, TICKS_PER_S, UNCERTAINTY_COLUMNS, Tracks
+
+if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetFile
+
+CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
+CSV_DECIMALS |= dict(zip(OBSERVED_COLUMNS, (3, 3, 4, 3), strict=True))
+CSV_DECIMALS |= dict(zip(UNCERTAINTY_COLUMNS, (3, 3), strict=True))
+MIN_CSV_DT_S = 1e-3
+LOCAL_CRS = "local"
+METADATA_KEY = b"geoaim_world"
+GEOMETRY = "geometry"  # column of points in Parquet, which other programs show on a map
+CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
+PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
+UNPACKED_AT_ONCE = 2**20  # bytes
+BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
+BYTES_PER_VALUE = 40  # memory for a value of Parquet
+MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
+
+
+def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
+    """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
+
+    Raises:
+        ValueError: the suffix is another one, or no agent is present.
+        TracksError: times are closer than a millisecond (CSV) or a microsecond (Parquet).
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise ValueError(f"{path}: the name must end in .csv or .parquet")
+    if not tracks.present.any():
+        raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
+    dt = np.diff(tracks.times).min(initial=np.inf)
+    min_dt = MIN_CSV_DT_S if suffix == ".csv" else 1 / TICKS_PER_S
+    if dt < min_dt * (1 - 1e-6):  # times are rounded
+        raise TracksError(f"{path}: times are {dt:.1g} s apart; {suffix} needs {min_dt:g} s")
+    write = _write_csv if suffix == ".csv" else _write_parquet
+    with atomic_write(path) as temporary:
+        write(tracks.to_dataframe(), tracks.world, temporary)
+
+
+def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
+    """Read tracks in the plain format; `geoaim.read_tracks` reads every known format.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: the file is not in the plain format, or is damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
+    with refuse_damaged(path, TracksError, "a table of tracks"):
+        frame, world = (_read_parquet if path.suffix.lower() == ".parquet" else _read_csv)(path)
+    missing = [name for name in COLUMNS if name not in frame.columns]
+    if missing:
+        columns = ", ".join(map(str, frame.columns))
+        raise TracksError(f"{path} lacks the columns {', '.join(missing)}; it has {columns}")
+    with refuse_damaged(path, TracksError, "a table of tracks"):
+        return make_tracks(frame, world)
+
+
+def format_world(world: World) -> str:
+    """Format the first two lines of a table of positions: `# crs: ...` and `# origin: ...`."""
+    east, north = map(float, world.origin)
+    crs = " ".join((world.crs or LOCAL_CRS).split())  # WKT may have line breaks
+    return f"# crs: {crs}\n# origin: {east!r} {north!r}\n"
+
+
+def read_table(
+    path: str | os.PathLike[str],
+    *,
+    text: tuple[str | int, ...],
+    delimiter: str = ",",
+    header: bool = True,
+    skip_rows: int = 0,
+) -> pd.DataFrame:
+    """Read a text table strictly: each row must have as many fields as there are columns.
+
+    Args:
+        path: the file; it may be gzipped.
+        text: names or numbers of columns that stay text, so that an agent may be called 007 or NA.
+        delimiter: the character between fields.
+        header: whether the first row names the columns; without it they are numbered.
+        skip_rows: number of lines above the table.
+
+    Returns:
+        The table; missing values of the columns that are not text are NaN. Its index is the row in
+        the file, counted from 1.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: the file is empty or unreadable, or a row has more fields than columns.
+    """
+    options: dict[str, Any] = {
+        "index_col": False,
+        "sep": delimiter,
+        "header": 0 if header else None,
+        "skiprows": skip_rows,
+        "compression": "gzip" if Path(path).suffix.lower() == ".gz" else None,
+    }
+    with warnings.catch_warnings(), refuse_damaged(path, TracksError, "a table of tracks"):
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        if options["compression"]:
+            _check_unpacked_size(Path(path))
+        try:
+            top = pd.read_csv(Path(path), nrows=1, **options)
+            texts = {name for name in top.columns if (name.strip() if header else name) in text}
+            table = pd.read_csv(
+                Path(path),
+                dtype=dict.fromkeys(texts, str),
+                keep_default_na=False,
+                na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
+                low_memory=False,
+                **options,
+            )
+        except pd.errors.ParserWarning as error:
+            raise ValueError("a row has more fields than there are columns") from error
+    if header:
+        table.columns = table.columns.str.strip()
+    table.index += skip_rows + header + 1
+    return table
+
+
+def _check_unpacked_size(path: Path) -> None:
+    """Refuse a gzipped table that is far larger than its size explains."""
+    size, unpacked = path.stat().st_size, 0
+    with gzip.open(path) as file:
+        while part := file.read(UNPACKED_AT_ONCE):
+            unpacked += len(part)
+            needed = unpacked * BYTES_PER_CHARACTER
+            check_memory(path, needed, size, TracksError, f"over {unpacked / 1e6:.0f} MB of text")
+
+
+def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
+    with open(path, encoding="utf-8-sig") as file:
+        lines = list(takewhile(lambda line: line.startswith("#"), file))
+    pairs = (line[1:].partition(":") for line in lines)
+    fields = {name.strip(): value.strip() for name, _, value in pairs}
+    if "crs" not in fields:
+        raise ValueError("its first line is not '# crs: EPSG:n' or '# crs: local'")
+    version = fields.get("format", "1")
+    known = int(version) if version.isdecimal() else version
+    check_version(path, known, CSV, has_checksum=True)  # text may be edited, and has none
+    origin = [float(word) for word in fields.get("origin", "0 0").split()]
+    if len(origin) != 2:
+        raise ValueError(f"its origin {fields['origin']!r} is not two numbers")
+    frame = read_table(path, text=("id", "type"), skip_rows=len(lines))
+    return frame, _make_world(fields["crs"], origin)
+
+
+def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        file.write(f"{format_world(world)}# format: {CSV.newest}\n")
+        for name, decimals in CSV_DECIMALS.items():
+            if name in frame:
+                frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
+        frame.to_csv(file, index=False, lineterminator="\n")
+
+
+def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
+    """Open a Parquet file of which no table needs far more memory than its size explains.
+
+    Raises:
+        TracksError: `check_memory` refuses it. What pyarrow raises on a damaged file stays as it
+            is: call this in a block of `refuse_damaged`.
+    """
+    import pyarrow.parquet as parquet
+
+    file = parquet.ParquetFile(path)
+    rows, columns = file.metadata.num_rows, file.metadata.num_columns
+    needed, size = rows * columns * BYTES_PER_VALUE, os.path.getsize(path)
+    check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
+    return file
+
+
+def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
+    has_checksum = verify_checksum(path, PARQUET)
+    file = open_parquet(path)
+    table = file.read([name for name in file.schema_arrow.names if name != GEOMETRY])
+    metadata = (table.schema.metadata or {}).get(METADATA_KEY)
+    if metadata is None:
+        raise ValueError(f"it has no metadata {METADATA_KEY.decode()}")
+    world = json.loads(metadata)
+    check_version(path, world.get("format", 1), PARQUET, has_checksum=has_checksum)
+    return table.to_pandas(), _make_world(world["crs"], world["origin"])
+
+
+def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:
+    import pyarrow
+    import pyarrow.parquet as parquet
+
+    table = pyarrow.Table.from_pandas(frame, preserve_index=False)
+    stated = {"crs": world.crs or LOCAL_CRS, "origin": world.origin, "format": PARQUET.newest}
+    metadata = {METADATA_KEY: json.dumps(stated), b"geoaim_checksum": PLACEHOLDER}
+    points = shapely.points(frame[["x", "y"]].to_numpy() + world.origin)
+    metadata[b"geo"] = json.dumps(_describe_geometry(points, world))
+    metadata = {**(table.schema.metadata or {}), **metadata}
+    table = table.append_column(GEOMETRY, pyarrow.array(shapely.to_wkb(points), pyarrow.binary()))
+    parquet.write_table(table.replace_schema_metadata(metadata), path)
+    write_checksum(path)
+
+
+def _describe_geometry(points: Shaped[Array, "m"], world: World) -> dict[str, Any]:
+    """The metadata of GeoParquet 1.1.0 (geoparquet.org): what the column of points holds."""
+    column = {
+        "encoding": "WKB",
+        "geometry_types": ["Point"],
+        "crs": None if world.crs is None else parse_crs(world.crs).to_json_dict(),
+        "bbox": shapely.total_bounds(points).tolist(),
+    }
+    return {"version": "1.1.0", "primary_column": GEOMETRY, "columns": {GEOMETRY: column}}
+
+
+def _make_world(crs: str, origin: list[float]) -> World:
+    return World(None if crs == LOCAL_CRS else crs, (origin[0], origin[1]))

@@ -1,0 +1,160 @@
+"""The tables of geo-trax (github.com/rfonod/geo-trax): vehicles detected in drone videos.
+
+They are in metres; `geotrax_pixels` reads its files in pixels.
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from geoaim.aim.aim import AIM
+from geoaim.base.errors import TracksError, warn
+from geoaim.base.files import atomic_write
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import World, change_world, crs_from_world, lonlat_from_world
+from geoaim.tracks.files import read_table
+from geoaim.tracks.formats import shared
+from geoaim.tracks.formats.motion import make_tracks_from_positions
+from geoaim.tracks.formats.shared import TrackFormat, check_columns, has_columns, map_types
+from geoaim.tracks.tracks import Tracks
+
+VEHICLE_CLASSES = {0: "car", 1: "bus", 2: "truck", 3: "motorcycle"}
+CLASS_OF_TYPE = {name: number for number, name in VEHICLE_CLASSES.items()} | {"van": 0}
+SIZES = ("Vehicle_Length", "Vehicle_Width")
+KMH_PER_MPS = 3.6
+
+
+def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tracks:
+    """Read a geo-trax .csv: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, Local_Y, ...`.
+
+    Headings and speeds are derived from the positions over half a second; a size that was not
+    measured is typical of the type; a class number N other than those of `VEHICLE_CLASSES` is
+    the type "class N", with a warning. `crs` is that of Local_X (east) and Local_Y (north), None
+    for a local plane without a CRS; the world's origin is near the mean position. Times begin at 0.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        TracksError: columns are missing, or a value is not a number.
+    """
+    table = read_table(path, text=("Vehicle_ID",))
+    numbers = ("Local_X", "Local_Y", "Vehicle_Class", *SIZES)
+    check_columns(path, table, numbers=numbers, others=("Vehicle_ID", "Timestamp"))
+    time = _parse_times(path, table["Timestamp"])
+    origin = shared.choose_origin(table[["Local_X", "Local_Y"]].to_numpy(np.float64))
+    rows = pd.DataFrame(
+        {
+            "id": table["Vehicle_ID"],
+            "type": map_types(path, name_classes(table["Vehicle_Class"])),
+            "time": time - time.min(),
+            "x": table["Local_X"] - origin[0],
+            "y": table["Local_Y"] - origin[1],
+            "length": table["Vehicle_Length"],
+            "width": table["Vehicle_Width"],
+        }
+    )
+    rows[["length", "width"]] = shared.fill_sizes(rows)
+    return make_tracks_from_positions(rows, World(crs, origin), half_window=0.25)
+
+
+def write_geotrax(tracks: Tracks, path: str | os.PathLike[str], *, aim: AIM | None = None) -> None:
+    """Write vehicles as a geo-trax .csv, with positions in metres and in degrees.
+
+    Times are seconds and speeds km/h. The format has no heading and no vans, which become cars.
+    Other agents are left out, with a warning. If an id is no number, all agents are numbered.
+
+    Args:
+        tracks: tracks in a world with a CRS, which Local_X and Local_Y are written in.
+        path: the .csv to write.
+        aim: the map whose pixels are Ortho_X and Ortho_Y; None leaves them empty.
+
+    Raises:
+        TracksError: no car, van, bus, truck or motorcycle is present.
+        GeoreferenceError: the tracks, or the map, have no CRS.
+    """
+    table = tracks.to_dataframe()
+    table = table[table["type"].isin(CLASS_OF_TYPE)].reset_index(drop=True)
+    if not len(table):
+        raise TracksError(f"no agent is one of {', '.join(CLASS_OF_TYPE)}, as geo-trax needs")
+    if left_out := len(tracks.ids) - table["id"].nunique():
+        warn(f"{path}: {left_out} agents are left out, whose types geo-trax does not have")
+    written = pd.concat(
+        [_describe_places(table, tracks.world, aim), _describe_vehicles(table)], axis="columns"
+    )
+    steps = np.diff(tracks.times)
+    frames = (table["time"] - tracks.times[0]) / (np.median(steps) if len(steps) else 1.0)
+    is_numbered = table["id"].str.fullmatch(r"\d+").all()
+    numbers = table["id"] if is_numbered else pd.factorize(table["id"])[0] + 1
+    written.insert(0, "Vehicle_ID", numbers)
+    written.insert(1, "Timestamp", table["time"])
+    written.insert(2, "Frame_Number", frames.round().astype(int))
+    with atomic_write(path) as temporary:
+        written.to_csv(temporary, index=False, lineterminator="\n")
+
+
+def _describe_places(table: pd.DataFrame, world: World, aim: AIM | None) -> pd.DataFrame:
+    """Pixels of the map, metres in the CRS and degrees of the positions."""
+    positions = table[["x", "y"]].to_numpy()
+    pixels = np.full_like(positions, np.nan)
+    if aim is not None:
+        on_map = change_world(world, aim.world, positions)
+        pixels = transform_points(np.linalg.inv(aim.world_from_image), on_map)
+    lonlat = lonlat_from_world(world, positions)
+    return pd.DataFrame(
+        {
+            "Ortho_X": pixels[:, 0].round(1),
+            "Ortho_Y": pixels[:, 1].round(1),
+            "Local_X": crs_from_world(world, positions)[:, 0].round(3),
+            "Local_Y": crs_from_world(world, positions)[:, 1].round(3),
+            "Latitude": lonlat[:, 1].round(8),
+            "Longitude": lonlat[:, 0].round(8),
+        }
+    )
+
+
+def _describe_vehicles(table: pd.DataFrame) -> pd.DataFrame:
+    """Sizes, classes, speeds and accelerations; roads and lanes are empty."""
+    return pd.DataFrame(
+        {
+            "Vehicle_Length": table["length"].round(2),
+            "Vehicle_Width": table["width"].round(2),
+            "Vehicle_Class": table["type"].map(CLASS_OF_TYPE),
+            "Vehicle_Speed": (KMH_PER_MPS * table["speed"].abs()).round(1),
+            "Vehicle_Acceleration": _differentiate_speeds(table).round(2),
+            "Road_Section": "",
+            "Lane_Number": "",
+            "Visibility": 1,
+        }
+    )
+
+
+def _differentiate_speeds(table: pd.DataFrame) -> "pd.Series[float]":
+    """Accelerations (m/s²) between each row of an agent and its next; NaN in its last one."""
+    next_rows = table.groupby("id", sort=False)[["speed", "time"]].shift(-1)
+    return (next_rows["speed"] - table["speed"]) / (next_rows["time"] - table["time"])
+
+
+def name_classes(classes: "pd.Series[Any]") -> "pd.Series[Any]":
+    """Name the numbers of classes by `VEHICLE_CLASSES`; another number N becomes "class N"."""
+    return classes.map(VEHICLE_CLASSES).fillna(classes.map("class {:g}".format))
+
+
+def _parse_times(path: str | os.PathLike[str], stamps: "pd.Series[Any]") -> "pd.Series[float]":
+    """Convert time stamps, which are dates with times or numbers, to seconds."""
+    if pd.api.types.is_numeric_dtype(stamps):
+        return stamps.astype(float)
+    try:
+        clock = pd.to_datetime(stamps)
+    except ValueError as error:
+        raise TracksError(f"{Path(path)}: a Timestamp is not a time: {error}") from error
+    return (clock - clock.min()).dt.total_seconds()
+
+
+GEOTRAX = TrackFormat(
+    "geo-trax",
+    has_columns("Vehicle_ID", "Local_X", "Local_Y"),
+    lambda path, world=None: read_geotrax(path, crs=world and world.crs),
+    options=("world",),
+)

@@ -1,0 +1,141 @@
+"""Check that sizes, speeds, accelerations and headings are plausible for the agents' types."""
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from geoaim.base.errors import TracksError, warn
+from geoaim.base.geometry import wrap_angle
+from geoaim.tracks.formats.motion import estimate_velocity
+from geoaim.tracks.tracks import Tracks
+
+# By type: greatest length and width in metres, and speed in m/s.
+LIMITS = {
+    "car": (10.0, 4.0, 80.0),
+    "van": (12.0, 4.0, 60.0),
+    "truck": (40.0, 5.0, 50.0),
+    "bus": (40.0, 5.0, 50.0),
+    "motorcycle": (5.0, 2.5, 80.0),
+    "cyclist": (5.0, 2.5, 30.0),
+    "pedestrian": (3.0, 3.0, 15.0),
+}
+OTHER_LIMITS = (100.0, 20.0, 100.0)
+MAX_ACCELERATION = 25.0  # m/s2; brakes and tyres reach 12, noise of positions the rest
+LONG_TYPES = ("car", "van", "truck", "bus", "motorcycle", "cyclist")  # longer than wide
+HALF_WINDOW_S = 0.25  # half the time over which positions are differenced
+MIN_MOVING_SPEED = 1.0  # m/s; slower motion has too noisy a direction
+MAX_HEADING_ERROR = np.radians(60.0)
+MAX_SPEED_ERROR = (2.0, 0.5)  # m/s, and share of the greater of stated and measured speed
+NOISE = 0.05  # share of states that may be wrong without a warning
+NEARLY_ALL = 0.9  # share with which a file is refused
+
+
+@dataclass(frozen=True, eq=False)
+class _Check:
+    """One property of agents or of their states: where it was checked and where it is wrong."""
+
+    problem: str
+    wrong: Bool[Array, "N *T"]
+    checked: Bool[Array, "N *T"]
+    tolerance: float = 0.0  # share that may be wrong by noise
+
+    @property
+    def unit(self) -> str:
+        return "agents" if self.wrong.ndim == 1 else "states"
+
+
+def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
+    """Warn of agents whose size, speed, heading or acceleration is implausible, with their number.
+
+    Noise in up to 5 % of the agents or states gives no `GeoaimWarning`.
+
+    Raises:
+        TracksError: at least 90 % of the agents or states that a check applies to are implausible;
+            the message names `path`.
+    """
+    found = []
+    for check in (*_check_sizes(tracks), *_check_motion(tracks)):
+        share = check.wrong.sum() / max(check.checked.sum(), 1)
+        if share <= check.tolerance:
+            continue
+        agents = check.wrong.reshape(len(tracks.ids), -1).any(axis=1).sum()
+        text = f"{agents} of {len(tracks.ids)} agents {check.problem}"
+        if share >= NEARLY_ALL:
+            raise TracksError(
+                f"{Path(path)}: {text}: {100 * share:.0f} % of the {check.unit} that were checked"
+            )
+        found.append(text)
+    if found:
+        warn(f"{Path(path)}: {'; '.join(found)}. They are kept as they are")
+
+
+def _check_sizes(tracks: Tracks) -> list[_Check]:
+    limits = _list_limits(tracks)
+    checked = np.ones(len(tracks.ids), bool)
+    length, width = tracks.sizes.T
+    is_long = np.isin(tracks.types, LONG_TYPES)
+    wide = is_long & (width > length)
+    too_large = ((length > limits[:, 0]) | (width > limits[:, 1])) & ~wide
+    return [
+        _Check("are larger than their type can be (are they in metres?)", too_large, checked),
+        _Check("are wider than long (are length and width swapped?)", wide, is_long, NOISE),
+    ]
+
+
+def _check_motion(tracks: Tracks) -> list[_Check]:
+    max_speed = _list_limits(tracks)[:, 2, None]
+    velocity = estimate_velocity(tracks, HALF_WINDOW_S, HALF_WINDOW_S)
+    known = np.isfinite(velocity[..., 0])
+    velocity = np.nan_to_num(velocity)
+    measured = np.hypot(velocity[..., 0], velocity[..., 1])
+    signed = np.nan_to_num(tracks.states[..., 3])
+    stated = np.abs(signed)
+    highest = np.maximum(measured, stated)
+    active = tracks.present & (highest > MIN_MOVING_SPEED)
+    slack, share = MAX_SPEED_ERROR
+    wrong_speed = np.abs(measured - stated) > np.maximum(slack, share * highest)
+    moving = known & (np.minimum(measured, stated) > MIN_MOVING_SPEED)
+    direction = np.arctan2(velocity[..., 1], velocity[..., 0]) + np.pi * (signed < 0)
+    off = np.abs(wrap_angle(np.where(moving, direction - tracks.states[..., 2], 0.0)))
+    acceleration = _measure_acceleration(tracks, velocity)
+    return [
+        _Check(
+            "are faster than their type can be (is the speed in m/s?)", highest > max_speed, active
+        ),
+        _Check(
+            "have a speed other than that of their motion (is the speed in m/s?)",
+            wrong_speed & known,
+            active & known,
+            NOISE,
+        ),
+        _Check(
+            "do not move where they head (are x and y swapped, or headings turned? To derive "
+            "headings from positions, use a reader of geoaim.tracks.formats and its derive_motion)",
+            off > MAX_HEADING_ERROR,
+            moving,
+            NOISE,
+        ),
+        _Check(
+            f"accelerate by more than {MAX_ACCELERATION:g} m/s2 (do positions jump?)",
+            known & (acceleration > MAX_ACCELERATION),
+            known,
+            NOISE,
+        ),
+    ]
+
+
+def _measure_acceleration(tracks: Tracks, velocity: Float[Array, "N T 2"]) -> Float[Array, "N T"]:
+    """Acceleration in m/s2 by differences of velocities; 0 where it is not known."""
+    states = np.where(tracks.present[..., None], tracks.states, np.nan)
+    states[tracks.present, :2] = velocity[tracks.present]
+    moving = replace(tracks, states=states)
+    change = np.nan_to_num(estimate_velocity(moving, HALF_WINDOW_S, HALF_WINDOW_S))
+    return np.hypot(change[..., 0], change[..., 1])
+
+
+def _list_limits(tracks: Tracks) -> Float[Array, "N 3"]:
+    return np.array([LIMITS.get(name, OTHER_LIMITS) for name in tracks.types]).reshape(-1, 3)

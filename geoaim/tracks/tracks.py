@@ -1,0 +1,193 @@
+"""Tracks: the states of agents over time.
+
+Speeds and headings that a file does not state are computed in `track_formats.motion`.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+
+from geoaim.base.displays import Display
+from geoaim.base.world import World, describe_world
+from geoaim.tracks.agent_types import get_colour
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width")
+# further columns of tracks that state them
+OBSERVED_COLUMNS = ("observed_x", "observed_y", "observed_heading", "observed_speed")
+SEEN_COLUMN = "seen"
+UNCERTAINTY_COLUMNS = ("position_sigma", "heading_sigma")
+TICKS_PER_S = 1e6  # times that fall on the same tick are one time
+MIN_HEADING_SPEED = 0.3  # m/s; slower motion has no usable direction
+MAX_STATES = 200_000_000  # agents times steps; more is a broken file, or one that must be cut
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracks(Display):
+    """The states of agents over time, as arrays with a mask of presence.
+
+    Attributes:
+        times: (T,) seconds, increasing.
+        states: (N, T, 4) x, y (metres in the world; the middle of the agent's box), heading
+            (radians, counter-clockwise from +x) and speed (m/s, negative in reverse); NaN while
+            the agent is absent.
+        present: (N, T) whether the agent is present.
+        sizes: (N, 2) length and width of the agents' boxes, metres.
+        types: N agent types: "car", "van", "truck", "bus", "motorcycle", "pedestrian", "cyclist";
+            others are allowed, and belong to no group of `geoaim.tracks.agent_types`.
+        ids: N unique names.
+        world: the plane of x and y.
+        observed: (N, T, 4) the states as they are known at each time, from the rows until then;
+            NaN also where an agent was not yet seen for long enough. Predictions start from these.
+            None: they are `states`, since the file has headings and speeds.
+        seen: (N, T) whether the agent was detected at each time; where it is present and was not,
+            the state bridges a gap. None: not stated.
+        uncertainty: (N, T, 2) standard deviations of each coordinate of the position (m) and of the
+            heading (rad); pi where the heading may be any, or its opposite. None: not stated.
+
+    Raises:
+        ValueError: shapes do not match, times do not increase, a present state is not finite, a
+            size is not positive, or two agents have the same id.
+    """
+
+    times: Float[Array, "T"]
+    states: Float[Array, "N T 4"]
+    present: Bool[Array, "N T"]
+    sizes: Float[Array, "N 2"]
+    types: tuple[str, ...]
+    ids: tuple[str, ...]
+    world: World
+    observed: Float[Array, "N T 4"] | None = None
+    seen: Bool[Array, "N T"] | None = None
+    uncertainty: Float[Array, "N T 2"] | None = None
+
+    def __post_init__(self) -> None:
+        agents, steps = len(self.ids), len(self.times)
+        for name, shape in {
+            "states": (agents, steps, 4),
+            "present": (agents, steps),
+            "sizes": (agents, 2),
+            "types": (agents,),
+        }.items():
+            actual = np.shape(getattr(self, name))
+            if actual != shape:
+                raise ValueError(
+                    f"{name} has the shape {actual}; {agents} ids and {steps} times need {shape}"
+                )
+        if repeated := agents - len(set(self.ids)):
+            raise ValueError(f"{repeated} agents have the id of another agent; ids must be unique")
+        if not (np.isfinite(self.sizes) & (np.asarray(self.sizes) > 0)).all():
+            raise ValueError("a length or width is not a positive number of metres")
+        if not (np.diff(self.times) > 0).all() or not np.isfinite(self.times).all():
+            raise ValueError("times do not increase; sort the steps and drop repeated ones")
+        if np.shape(observed := self.get_observed()) != (agents, steps, 4):
+            raise ValueError(f"observed has the shape {observed.shape}; that of states is needed")
+        for name, shape in {"seen": (agents, steps), "uncertainty": (agents, steps, 2)}.items():
+            value = getattr(self, name)
+            if value is not None and np.shape(value) != shape:
+                raise ValueError(f"{name} has the shape {np.shape(value)}; {shape} is needed")
+        if not np.isfinite(self.states[self.present]).all():
+            raise ValueError("a state is not finite where its agent is present")
+
+    def get_observed(self) -> Float[Array, "N T 4"]:
+        """Get the states as they are known at each time, from the rows until then."""
+        return self.states if self.observed is None else self.observed
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Make a table with a row for each agent and time at which it is present (`COLUMNS`).
+
+        Tracks that state them have the columns `OBSERVED_COLUMNS`, `SEEN_COLUMN` and
+        `UNCERTAINTY_COLUMNS` too.
+        """
+        agent, step = np.nonzero(self.present)
+        values = np.column_stack([self.times[step], self.states[agent, step], self.sizes[agent]])
+        frame = pd.DataFrame(values, columns=list(COLUMNS[2:]))
+        frame.insert(0, "id", np.array(self.ids, object)[agent])
+        frame.insert(1, "type", np.array(self.types, object)[agent])
+        if self.observed is not None:
+            frame[list(OBSERVED_COLUMNS)] = self.observed[agent, step]
+        if self.seen is not None:
+            frame[SEEN_COLUMN] = self.seen[agent, step].astype(int)
+        if self.uncertainty is not None:
+            frame[list(UNCERTAINTY_COLUMNS)] = self.uncertainty[agent, step]
+        return frame
+
+    def summarize(self) -> dict[str, str]:
+        """Summarize the agents by type, the times, the extent and the world."""
+        positions = self.states[self.present, :2]
+        extent = "none present"
+        if len(positions):
+            extent = "{:.0f} x {:.0f} m".format(*np.ptp(positions, axis=0))
+        return {
+            "agents": count_agents(self.types),
+            "time": describe_times(self.times),
+            "extent": extent,
+            "world": describe_world(self.world),
+        }
+
+    def _draw(self, axes: "Axes") -> None:
+        from geoaim.base.map_axes import draw_lines, move_to_axes
+
+        for kind in dict.fromkeys(self.types):
+            rows = [row for row, other in enumerate(self.types) if other == kind]
+            lines = [move_to_axes(axes, self.states[row, :, :2], self.world) for row in rows]
+            draw_lines(axes, lines, get_colour(kind), label=f"{len(rows)} {kind}")
+
+
+def count_agents(types: Sequence[str]) -> str:
+    """Count agents by type, the most frequent first.
+
+    >>> count_agents(("car", "bus", "car"))
+    '3: 2 car, 1 bus'
+    """
+    counts = Counter(types).most_common()
+    return f"{len(types)}: {', '.join(f'{count} {kind}' for kind, count in counts)}"
+
+
+def describe_times(times: Float[Array, "T"]) -> str:
+    """Describe times (s): the first, the last, how many, and how many in a second.
+
+    >>> describe_times(np.arange(0.0, 1.05, 0.1))
+    '0 to 1 s, 11 steps, 10 Hz'
+    """
+    if len(times) < 2:
+        return f"{len(times)} steps"
+    rate = 1 / float(np.median(np.diff(times)))
+    return f"{times[0]:g} to {times[-1]:g} s, {len(times)} steps, {rate:.3g} Hz"
+
+
+def estimate_heading(
+    velocity: Float[Array, "N T 2"], *, min_speed: float = MIN_HEADING_SPEED, causal: bool = False
+) -> Float[Array, "N T"]:
+    """Estimate headings from velocities (m/s); below `min_speed` they have no usable direction.
+
+    A slow agent keeps the direction of its last motion. Before its first motion it has the
+    direction of that motion; an agent that never moves has 0.
+
+    Args:
+        velocity: m/s.
+        min_speed: m/s.
+        causal: whether agents have 0 before their first motion, so that no later step is used.
+
+    Returns:
+        Headings, radians.
+
+    >>> estimate_heading(np.array([[[0.0, 2.0], [0.0, 0.0]]])).round(2)
+    array([[1.57, 1.57]])
+    """
+    east, north = velocity[..., 0], velocity[..., 1]
+    moving = np.hypot(east, north) > min_speed
+    heading = np.where(moving, np.arctan2(north, east), np.nan)
+    steps = np.arange(heading.shape[1])
+    last = np.maximum.accumulate(np.where(moving, steps, -1), axis=1)
+    first = np.zeros_like(last) if causal else np.argmax(moving, axis=1)[:, None]
+    filled = np.take_along_axis(heading, np.where(last < 0, first, last), axis=1)
+    return np.where(np.isfinite(filled), filled, 0.0)

@@ -1,0 +1,148 @@
+"""What objects show of themselves: repr, HTML and plots."""
+
+import base64
+import re
+from dataclasses import replace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import geoaim
+from geoaim.base.displays import Display
+from geoaim.base.drift_plot import draw_drift
+from geoaim.base.errors import GeoreferenceError
+from geoaim.base.geometry import translation
+from geoaim.base.labels import label_points
+from geoaim.base.map_axes import draw_lines, move_to_axes
+from geoaim.base.world import World, change_world
+from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.georeference import world_from_pixels
+from geoaim.mapping.registration.register import register
+from tests.aim.test_aim import make_aim
+
+matplotlib.use("Agg")
+
+
+@pytest.fixture(scope="module")
+def shown() -> dict[str, Display]:
+    tracks = geoaim.read_tracks("samples/tracks.csv")
+    hdmap = geoaim.read_hdmap("samples/map.osm")
+    lights = geoaim.read_lights("samples/lights.csv", hdmap.stop_lines, hdmap.world)
+    aim = geoaim.draw_hdmap(hdmap, resolution=0.5)
+    covariance = np.diag([0.2, 0.1])
+    alignment = ImageryAlignment(np.eye(3), "translation", covariance, np.zeros(2))
+    images = [frame.image for frame in geoaim.open_video("samples/hover.mp4").sample(2)]
+    scene = geoaim.make_scene(aim, tracks, lights)
+    found = [aim, tracks, hdmap, lights, alignment, register(images), scene]
+    return {type(one).__name__: one for one in found}
+
+
+KINDS = ["AIM", "HDMap", "ImageryAlignment", "Lights", "Registration", "Scene", "Tracks"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_repr_is_a_line_and_html_has_a_picture_and_all_facts(shown, kind):
+    display = shown[kind]
+    text = repr(display)
+    assert text.startswith(f"<{kind}: ")
+    assert len(text) < 300
+    assert "\n" not in text
+    html = display._repr_html_()
+    picture = base64.b64decode(re.search('base64,([^"]+)', html)[1])
+    assert picture.startswith(b"\x89PNG")
+    assert int.from_bytes(picture[16:20]) < 600
+    assert all(f"{name}</td>" in html for name in display.summarize())
+
+
+def test_georeference_shows_the_outline_of_its_image_and_its_errors():
+    points = geoaim.read_control_points("samples/gcps.csv")
+    georeference = estimate_georeference(points, height=720, width=1280)
+    assert "control points 16 of 16 used" in repr(georeference)
+    axes = georeference.plot(Figure().add_subplot())
+    lines, crosses = axes.collections
+    np.testing.assert_allclose(
+        lines.get_paths()[0].vertices[0], world_from_pixels(georeference, np.zeros((1, 2)))[0]
+    )
+    places = np.asarray(crosses.get_offsets())
+    fitted = world_from_pixels(georeference, points.pixels)
+    assert np.linalg.norm(places - fitted, axis=1) == pytest.approx(
+        np.linalg.norm(georeference.residuals, axis=1), abs=1e-6
+    )
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["outline of the image", "control points, used"]
+    [middle] = [text for text in axes.texts if text.get_text().startswith("middle")]
+    assert middle.xy == pytest.approx(world_from_pixels(georeference, np.array([[640, 360.0]]))[0])
+
+
+def test_facts_are_escaped_in_html():
+    assert "<script>" not in make_aim(report={"registration": SCRIPT})._repr_html_()
+
+
+SCRIPT = {"model": "<script>", "valid": 1, "frames": 1, "uncertainty_px": 0.1}
+
+
+def test_tracks_on_the_axes_of_an_aim_with_another_origin_lie_where_they_belong(shown):
+    tracks, aim = shown["Tracks"], shown["AIM"]
+    assert tracks.world.origin != aim.world.origin
+    axes = aim.plot(Figure().add_subplot())
+    assert tracks.plot(axes) is axes
+    drawn = np.concatenate(
+        [path.vertices for lines in axes.collections for path in lines.get_paths()]
+    )
+    moved = tracks.states[tracks.present, :2] + tracks.world.origin - np.array(aim.world.origin)
+    np.testing.assert_allclose(np.nanmin(drawn, axis=0), moved.min(axis=0), atol=1e-6)
+    assert axes.get_aspect() == 1.0
+    assert "m" in axes.get_xlabel()
+
+
+def test_image_and_corners_agree_also_with_perspective():
+    tilted = translation(0.0, 0.0)
+    tilted[2, 0] = 1e-4
+    aim = replace(make_aim(), world_from_image=make_aim().world_from_image @ tilted)
+    [image] = aim.plot(Figure().add_subplot()).images
+    left, right, bottom, top = image.get_extent()
+    low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
+    np.testing.assert_allclose([left, bottom, right, top], [*low, *high], atol=aim.resolution)
+
+
+def test_plot_makes_axes_of_its_own(shown):
+    axes = shown["HDMap"].plot()
+    assert axes.get_legend().texts[0].get_text() == "lanes"
+    matplotlib.pyplot.close(axes.figure)
+
+
+def test_axes_refuse_what_has_no_crs():
+    axes = Figure().add_subplot()
+    move_to_axes(axes, np.zeros((1, 2)), World("EPSG:32635"))
+    with pytest.raises(GeoreferenceError, match="give both a CRS"):
+        move_to_axes(axes, np.zeros((1, 2)), World(None))
+
+
+def test_worlds_of_other_origins_and_zones_are_changed_exactly():
+    here, there = World("EPSG:32635", (500_000.0, 6e6)), World("EPSG:32634", (900_000.0, 6e6))
+    points = np.array([[10.0, 20.0], [30.0, -5.0]])
+    np.testing.assert_allclose(
+        change_world(there, here, change_world(here, there, points)), points, atol=1e-3
+    )
+    np.testing.assert_allclose(
+        change_world(here, replace(here, origin=(500_001.0, 6e6)), points), points - [1.0, 0.0]
+    )
+
+
+def test_lines_have_one_entry_in_the_legend_and_names_do_not_cover_each_other():
+    figure = Figure()
+    axes = figure.add_subplot()
+    draw_lines(axes, [np.zeros((2, 2)), np.ones((2, 2))], "red", label="lines")
+    assert axes.get_legend_handles_labels()[1] == ["lines"]
+    first, second = label_points(axes, np.array([[0.5, 0.5], [0.5, 0.51]]), ["one", "two"])
+    boxes = [text.get_window_extent() for text in (first, second)]
+    assert not boxes[0].overlaps(boxes[1])
+
+
+def test_drift_is_drawn_from_its_origin():
+    axes = Figure().add_subplot()
+    draw_drift(axes, np.arange(2.0), np.array([[0.0, 0.0], [5.0, 1.0]]), "first frame")
+    assert "up to 5 px" in axes.get_title(loc="left")

@@ -1,0 +1,136 @@
+"""Every experiment runs on tiny input: one-step trainings of tiny models at one small place."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from PIL import Image
+
+from benchmarks.prediction import (
+    models,
+    pedestrians,
+    pretrained,
+    protocol,
+    sind,
+    songdo,
+    stanford,
+    vehicles,
+)
+from benchmarks.prediction.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
+from benchmarks.prediction.results import Workspace
+from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
+from geoaim.prediction.dataset import split_scene
+from geoaim.prediction.windows import WINDOW_STEPS
+from geoaim.simulation.scene import slice_scene
+
+SMALL = {"view_size": 16, "view_stride": 50, "hidden_size": 16, "feature_size": 12}
+
+
+@pytest.fixture
+def workspace(place, monkeypatch, tmp_path):
+    """A workspace with one place, in which all trainings are tiny."""
+    (tmp_path / "places").symlink_to(place.parent)
+    for kind, steps in {"vehicle": 20, "pedestrian": 14}.items():
+        monkeypatch.setitem(SEGMENT_STEPS, kind, steps)
+        monkeypatch.setitem(SEGMENT_STRIDES, kind, 50)
+        monkeypatch.setitem(TRAIN, kind, ((5, "t"),))
+        monkeypatch.setitem(TEST, kind, ((5, "t"),))
+        training = replace(models.TRAININGS[kind], steps=1, batch_size=2)
+        monkeypatch.setitem(models.TRAININGS, kind, training)
+    for name, spec in models.MODELS.items():
+        small = replace(spec, config=replace(spec.config, **SMALL), seeds=1)
+        monkeypatch.setitem(models.MODELS, name, small)
+    monkeypatch.setattr(protocol, "VAL_FRACTION", 0.4)
+    monkeypatch.setattr(protocol, "SAMPLES", 2)
+    monkeypatch.setattr(protocol, "split_scene", lambda scene, share: split_scene(scene, share / 5))
+    monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 2)
+    return Workspace(tmp_path, tmp_path / "results")
+
+
+def read_methods(paths):
+    """The metrics in an experiment's JSON, after a check of all its files."""
+    assert all(path.stat().st_size for path in paths)
+    (path,) = (path for path in paths if path.suffix == ".json")
+    return json.loads(path.read_text())["methods"]
+
+
+@pytest.mark.parametrize("experiment", [vehicles, pedestrians])
+def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
+    names = ("HD map", "AIM", "constant velocity")
+    cases = {name: experiment.TABLE.cases[name] for name in names}
+    table = replace(
+        experiment.TABLE, cases=cases, pairs=(("AIM", "HD map"),), shown=("AIM", "HD map"), time=20
+    )
+    monkeypatch.setattr(experiment, "TABLE", table)
+    paths = experiment.run(workspace)
+    assert tuple(read_methods(paths)) == names
+    assert paths[2].read_bytes().startswith(b"\x89PNG")
+
+
+def test_pretrained_models_are_written_to_the_workspace(workspace):
+    paths = pretrained.run(workspace)
+    assert [path.parent for path in paths[:2]] == [workspace.folder / "pretrained"] * 2
+    assert "pedestrians, ITRA" in read_methods(paths)
+
+
+def test_songdo_splits_its_vehicles(place, workspace, monkeypatch):
+    recording, aim = read_recordings(place)[0], read_map(place, "aim")
+    scene = slice_scene(make_place_scene(recording, aim, dt=0.1), slice(100, 150))
+    monkeypatch.setattr(songdo, "read_scene", lambda: scene)
+    tuning = replace(songdo.FINE_TUNING, steps=1, batch_size=2)
+    monkeypatch.setattr(songdo, "FINE_TUNING", tuning)
+    monkeypatch.setattr(songdo, "SAMPLES", 2)
+    assert {"zero-shot", "fine-tuned"} < set(read_methods(songdo.run(workspace)))
+
+
+def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
+    recording, aim = read_recordings(place)[0], read_map(place, "aim")
+    for name, value in {
+        "JUNCTIONS": ("here",),
+        "georeference_junction": lambda name: (aim, None, recording.hdmap),
+        "_summarise_fit": lambda fit: {},
+        "_make_scene": lambda name, aim: make_place_scene(recording, aim, dt=0.4),
+        "FINE_TUNING": replace(sind.FINE_TUNING, steps=1, batch_size=2),
+    }.items():
+        monkeypatch.setattr(sind, name, value)
+    assert {"aim, fine-tuned", "hdm, zero-shot"} < set(read_methods(sind.run(workspace)))
+
+
+def test_stanford_trains_on_other_scenes_than_it_evaluates_on(workspace, monkeypatch, tmp_path):
+    generator = np.random.default_rng(0)
+    for folder in ("windows", "images"):
+        (tmp_path / "data" / folder).mkdir(parents=True)
+    for scene in ("park_0", "square_1"):
+        rows = np.column_stack(
+            [
+                np.tile(12 * np.arange(WINDOW_STEPS), 4),
+                np.repeat(np.arange(4), WINDOW_STEPS),
+                generator.uniform(100, 200, (4 * WINDOW_STEPS, 2)),
+            ]
+        )
+        table = pd.DataFrame(rows, columns=["frame", "track", "u_px", "v_px"])
+        table.to_csv(tmp_path / "data" / "windows" / f"{scene}.csv", index=False)
+        pixels = generator.integers(0, 255, (300, 400, 3), np.uint8)
+        Image.fromarray(pixels).save(tmp_path / "data" / "images" / f"{scene}.jpg")
+    lines = "scene,metres_per_pixel\npark_0,0.05\nsquare_1,0.05\n"
+    (tmp_path / "data" / "scenes.csv").write_text(lines)
+    for name, value in {
+        "require_data": lambda name: tmp_path / "data",
+        "VAL_SCENES": ("park_0",),
+        "SEEDS": {"map": 2, "no map": 1},
+        "TRAINING": replace(stanford.TRAINING, steps=1, batch_size=2),
+        "MODELS": {name: replace(config, **SMALL) for name, config in stanford.MODELS.items()},
+    }.items():
+        monkeypatch.setattr(stanford, name, value)
+    torch.manual_seed(0)
+    methods = read_methods(stanford.run(workspace))
+    assert set(methods) == {
+        *stanford.MODELS,
+        "map, blurred and noisy",
+        "constant velocity",
+        "constant velocity with noise",
+    }
+    assert (workspace.models / "stanford_all_scenes" / "model.pt").exists()

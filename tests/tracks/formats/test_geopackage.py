@@ -1,0 +1,114 @@
+"""GeoPackages of tracks: a round trip, and what the standard asks of every one."""
+
+import shutil
+import sqlite3
+import struct
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from geoaim.base.errors import TracksError
+from geoaim.base.world import World
+from geoaim.tracks.files import read_plain_tracks
+from geoaim.tracks.formats import read_geopackage, read_tracks, write_geopackage
+
+SAMPLE = read_plain_tracks(Path(__file__).parents[3] / "samples/tracks.csv")
+CUSTOM = "+proj=tmerc +lat_0=54 +lon_0=28 +datum=WGS84 +units=m +type=crs"
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("tracks") / "a.gpkg"
+    write_geopackage(SAMPLE, path)
+    return path
+
+
+def ask(path, query):
+    with closing(sqlite3.connect(path)) as database:
+        return database.execute(query).fetchall()
+
+
+@pytest.mark.parametrize("world", [SAMPLE.world, World(None, (3.5, -2.0)), World(CUSTOM)])
+def test_tracks_come_back_as_they_were(tmp_path, world):
+    tracks = replace(SAMPLE, world=world)
+    write_geopackage(tracks, tmp_path / "a.gpkg")
+    read = read_tracks(tmp_path / "a.gpkg")
+    order = [read.ids.index(name) for name in tracks.ids]
+    assert tuple(read.types[row] for row in order) == tracks.types
+    assert (read.world.crs is None, read.world.origin) == (world.crs is None, world.origin)
+    np.testing.assert_array_equal(read.present[order], tracks.present)
+    np.testing.assert_allclose(read.states[order], tracks.states, atol=1e-8)
+    np.testing.assert_array_equal(read.sizes[order], tracks.sizes)
+
+
+def test_file_has_what_every_geopackage_has(written):
+    assert written.read_bytes()[68:72] == b"GPKG"
+    ids = {row[0] for row in ask(written, "SELECT srs_id FROM gpkg_spatial_ref_sys")}
+    assert ids == {-1, 0, 4326, 32635}
+    assert ask(written, "SELECT table_name, data_type, srs_id FROM gpkg_contents") == [
+        ("states", "features", 32635),
+        ("paths", "features", 32635),
+    ]
+    assert ask(written, "PRAGMA integrity_check") == [("ok",)]
+    assert ask(written, "PRAGMA foreign_key_check") == []
+
+
+def test_paths_are_lines_in_the_crs(written):
+    rows = ask(written, "SELECT geom, id, start FROM paths")
+    assert len(rows) == (SAMPLE.present.sum(axis=1) > 1).sum()
+    geometry, name, start = rows[0]
+    assert geometry[:4] == b"GP\0\x01"
+    assert struct.unpack("<i", geometry[4:8]) == (32635,)
+    agent = SAMPLE.ids.index(name)
+    steps = np.flatnonzero(SAMPLE.present[agent])
+    wanted = SAMPLE.states[agent, steps, :2] + SAMPLE.world.origin
+    np.testing.assert_allclose(shapely.get_coordinates(shapely.from_wkb(geometry[8:])), wanted)
+    assert start == SAMPLE.times[steps[0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("DROP TABLE states", "a GeoPackage of tracks has a layer states"),
+        (
+            "ALTER TABLE states DROP COLUMN speed",
+            "the layer states has .* and lacks speed: rename or add",
+        ),
+        ("UPDATE states SET geom = x'00'", "a geometry is no GeoPackage binary"),
+        ("UPDATE states SET geom = NULL", "a geometry is no GeoPackage binary"),
+        ("UPDATE states SET heading = 'north'", "heading 'north' is not a number"),
+        ("DELETE FROM states", "has no rows"),
+        ("DELETE FROM gpkg_contents", "a GeoPackage of tracks, or is damaged"),
+    ],
+)
+def test_broken_file_is_refused_with_its_reason(tmp_path, written, change, message):
+    path = Path(shutil.copy(written, tmp_path / "a.gpkg"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute(change)
+        database.commit()
+    with pytest.raises(TracksError, match=message):
+        read_tracks(path)
+
+
+def test_layer_that_another_program_describes_is_read(tmp_path, written):
+    path = Path(shutil.copy(written, tmp_path / "a.gpkg"))
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("UPDATE gpkg_contents SET description = 'traffic of a morning'")
+        database.commit()
+    assert read_tracks(path).world == World(SAMPLE.world.crs)
+
+
+def test_other_files_and_empty_tracks_are_refused(tmp_path):
+    path = tmp_path / "a.gpkg"
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        read_geopackage(path)
+    path.write_bytes(b"hello" * 100)
+    with pytest.raises(TracksError, match=r"a\.gpkg is not a GeoPackage of tracks"):
+        read_tracks(path)
+    empty = replace(SAMPLE, present=np.zeros_like(SAMPLE.present), states=SAMPLE.states * np.nan)
+    with pytest.raises(ValueError, match="no agent is present"):
+        write_geopackage(empty, path)
