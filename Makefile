@@ -3,6 +3,7 @@
 # make test-lowest   the package's tests with the lowest versions that pyproject.toml allows
 # make lint       ruff, mypy and import-linter alone
 # make docs       the documentation, in build/site
+# make bench      lists what measures the library: python -m benchmarks.NAME
 # make coverage   the tests again, with the share of lines that they run
 # Needs python 3.11 or newer with venv; another one: make test PYTHON=python3.12
 # On Windows: in a bash shell, with PYTHON=python
@@ -22,7 +23,7 @@ NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export NO_MKDOCS_2_WARNING = 1
 
-.PHONY: demo test test-lowest lint ruff mypy layers docs coverage install clean
+.PHONY: bench demo test test-lowest lint ruff mypy layers docs coverage install clean
 
 demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
@@ -62,6 +63,9 @@ mypy: install
 
 layers: install
 	$(BIN)/lint-imports
+
+bench: install
+	$(BIN)/python -m benchmarks
 
 docs: install
 	$(BIN)/python -m mkdocs build --strict

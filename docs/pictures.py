@@ -13,9 +13,10 @@ import typer
 from matplotlib.axes import Axes
 
 from geoaim.aim.aim import AIM
-from geoaim.aim.quicklook import draw_alignment, draw_quicklook
+from geoaim.aim.quicklook import draw_quicklook
 from geoaim.base.geometry import transform_points
 from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.imagery.alignment.before_after import draw_alignment
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.mapping import build_aim, open_video, read_detections, transform_boxes
 from geoaim.mapping.registration.register import choose_reference, register_frames

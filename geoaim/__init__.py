@@ -47,12 +47,11 @@ if TYPE_CHECKING:
     from geoaim import prediction as prediction
     from geoaim import simulation as simulation
     from geoaim import synthetic as synthetic
-    from geoaim import track_formats as track_formats
     from geoaim import tracking as tracking
+    from geoaim import tracks as tracks
     from geoaim.aim.aim import AIM as AIM
     from geoaim.aim.files import read_aim as read_aim
     from geoaim.aim.files import write_aim as write_aim
-    from geoaim.aim.quicklook import draw_alignment as draw_alignment
     from geoaim.aim.quicklook import draw_quicklook as draw_quicklook
     from geoaim.aim.rectification import rectify as rectify
     from geoaim.aim.texture_files import read_texture as read_texture
@@ -62,6 +61,7 @@ if TYPE_CHECKING:
     from geoaim.hdmap.lanelet2 import HDMap as HDMap
     from geoaim.hdmap.lanelet2 import read_hdmap as read_hdmap
     from geoaim.hdmap.rasterize import draw_hdmap as draw_hdmap
+    from geoaim.imagery.alignment.before_after import draw_alignment as draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles as align_tiles
     from geoaim.imagery.mosaic import read_imagery as read_imagery
     from geoaim.mapping.georeference.control_points import (
@@ -97,7 +97,7 @@ _MODULE_OF_NAME = {
     "World": "geoaim.base.world",
     "align_tiles": "geoaim.imagery.alignment.pipeline",
     "build_aim": "geoaim.mapping.pipeline",
-    "draw_alignment": "geoaim.aim.quicklook",
+    "draw_alignment": "geoaim.imagery.alignment.before_after",
     "draw_hdmap": "geoaim.hdmap.rasterize",
     "draw_quicklook": "geoaim.aim.quicklook",
     "explore": "geoaim.web.widget",
@@ -121,7 +121,7 @@ _MODULE_OF_NAME = {
 }
 _ROOMS = [
     *("catalog", "hdmap", "imagery", "mapping", "prediction", "simulation", "synthetic"),
-    *("track_formats", "tracking"),
+    *("tracking", "tracks"),
 ]
 __all__ = [*_MODULE_OF_NAME, *_ROOMS]
 

@@ -33,32 +33,36 @@ from geoaim.tracking.frame_poses import view_aim
 from geoaim.web.picking.snap import snap_to_corner
 from tests.conftest import textured
 
-PACKAGE = Path(geoaim.__file__).parent
+ROOT = Path(geoaim.__file__).parents[1]
 CALLS = r"cv2\.(warp\w+|remap|findHomography|estimateAffine\w*|calcOptical\w*|ORB|cornerSubPix)\b"
 PROBED = {  # files that warp or match, and the tests here that would see a bias
-    "imagery/alignment/by_tracks.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
-    "imagery/alignment/template_matching.py": ["test_grey_of_a_grid_lies_where_the_grid_says"],
-    "mapping/background/exposure.py": ["test_exposure_is_compared_at_the_same_places"],
-    "mapping/background/warping.py": ["test_average_lies_where_the_transforms_say"],
-    "mapping/pipeline.py": ["test_background_without_distortion_follows_the_lens"],
-    "mapping/registration/features.py": ["test_features_of_a_turned_image_match_without_bias"],
-    "mapping/registration/patches.py": ["test_patches_find_a_known_transform_without_bias"],
-    "rectification.py": ["test_rectified_pixels_lie_where_the_grid_says"],
-    "tracking/frame_poses.py": ["test_view_of_an_aim_lies_where_its_transform_says"],
-    "web/picking/snap.py": ["test_a_click_moves_to_the_corner_of_drawn_squares"],
+    "geoaim/imagery/alignment/by_tracks.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
+    "geoaim/imagery/alignment/template_matching.py": [
+        "test_grey_of_a_grid_lies_where_the_grid_says"
+    ],
+    "geoaim/mapping/background/exposure.py": ["test_exposure_is_compared_at_the_same_places"],
+    "geoaim/mapping/background/warping.py": ["test_average_lies_where_the_transforms_say"],
+    "geoaim/mapping/pipeline.py": ["test_background_without_distortion_follows_the_lens"],
+    "geoaim/mapping/registration/features.py": [
+        "test_features_of_a_turned_image_match_without_bias"
+    ],
+    "geoaim/mapping/registration/patches.py": ["test_patches_find_a_known_transform_without_bias"],
+    "geoaim/aim/rectification.py": ["test_rectified_pixels_lie_where_the_grid_says"],
+    "geoaim/tracking/frame_poses.py": ["test_view_of_an_aim_lies_where_its_transform_says"],
+    "geoaim/web/picking/snap.py": ["test_a_click_moves_to_the_corner_of_drawn_squares"],
 }
 EXEMPT = {  # measurements, whose results their own checks would show
-    "bench/alignment.py": "peers, as their users call them",
-    "bench/birdview_peers.py": "peers, as their users call them",
-    "bench/pipeline.py": "peers, as their users call them",
-    "bench/registration_methods.py": "peers, as their users call them",
-    "bench/stability/clips.py": "only starts an iteration",
-    "bench/stability/effects.py": "radial growth and clouds, about the middle of the image",
-    "bench/stability/judge.py": "points with points",
-    "bench/stability/warped.py": "tests/benchmarks/test_stability.py compares frames with the truth",
-    "bench/georeference.py": "control points on both sides have the corner origin",
-    "bench/queue_clips.py": "places of cars, which need no fraction of a pixel",
-    "mapping/registration/placement_comparison.py": "whole pixels; patches measure the rest",
+    "benchmarks/alignment/benchmark.py": "peers, as their users call them",
+    "benchmarks/rendering/peers.py": "peers, as their users call them",
+    "benchmarks/pipeline.py": "peers, as their users call them",
+    "benchmarks/registration/methods.py": "peers, as their users call them",
+    "benchmarks/registration/stability/clips.py": "only starts an iteration",
+    "benchmarks/registration/stability/effects.py": "radial growth and clouds",
+    "benchmarks/registration/stability/judge.py": "points with points",
+    "benchmarks/registration/stability/warped.py": "its tests compare frames with the truth",
+    "benchmarks/georeference/methods.py": "control points on both sides have the corner origin",
+    "benchmarks/background/queue_clips.py": "places of cars, which need no fraction of a pixel",
+    "geoaim/mapping/registration/placement_comparison.py": "whole pixels; patches measure the rest",
 }
 SHIFTED = np.array([[2.0, 0.1, 3.3], [-0.1, 2.0, -4.6], [0, 0, 1.0]])  # twice as large, and turned
 OBLIQUE = np.array([[2.0, 0, 3.3], [0, 2.0, -4.6], [2e-4, 1e-4, 1.0]])
@@ -66,7 +70,8 @@ MAX_BIAS_PX = 0.1  # half a pixel left out shows as 0.25 px or more here
 
 
 def sources() -> dict[str, str]:
-    return {str(p.relative_to(PACKAGE)): p.read_text() for p in sorted(PACKAGE.rglob("*.py"))}
+    paths = sorted([*ROOT.glob("geoaim/**/*.py"), *ROOT.glob("benchmarks/**/*.py")])
+    return {p.relative_to(ROOT).as_posix(): p.read_text() for p in paths}
 
 
 def coordinates(height: int, width: int) -> np.ndarray:
@@ -254,8 +259,8 @@ def test_images_are_resized_only_in_these_ways():
                 assert way in (*RESIZED_BY, "INTER_NEAREST"), name
                 nearest |= {name} if way == "INTER_NEAREST" else set()
     assert nearest == {
-        "bench/stability/warped.py",
-        "experiments/places.py",
-        "mapping/background/warping.py",
-        "mapping/registration/patches.py",
+        "benchmarks/prediction/places.py",
+        "benchmarks/registration/stability/warped.py",
+        "geoaim/mapping/background/warping.py",
+        "geoaim/mapping/registration/patches.py",
     }

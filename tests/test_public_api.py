@@ -44,8 +44,8 @@ SUBPACKAGES = [
     "prediction",
     "simulation",
     "synthetic",
-    "track_formats",
     "tracking",
+    "tracks",
 ]
 ERRORS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass)]
 PACKAGE = Path(geoaim.__file__).parent

@@ -18,7 +18,6 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
-import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 

@@ -1,4 +1,4 @@
-"""The paper's tables and public benchmarks, each by its name in `python -m benchmarks.prediction`."""
+"""The paper's tables and public benchmarks, by their names in `python -m benchmarks.prediction`."""
 
 from benchmarks.prediction import (
     observed_states,

@@ -1,4 +1,4 @@
-"""The command that repeats the experiments."""
+"""Repeat the experiments of prediction: the paper's tables and public data sets."""
 
 from pathlib import Path
 from typing import Annotated
@@ -38,3 +38,7 @@ def experiment(
         check_writable(output / name)
         written = EXPERIMENTS[name](Workspace(folder, output, progress))
     console.print(", ".join(str(path) for path in written))
+
+
+if __name__ == "__main__":
+    typer.run(experiment)

@@ -1,28 +1,21 @@
-"""Settings of the registration at several values: patches, their side, image width, motion model.
+"""Settings of the registration at several values: patches, image width, motion model."""
 
-Sizes are no options of the library, since no scene needs others than the defaults: here the
-constants of `patches` are replaced while a video is registered.
-"""
-
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from numpy import ndarray as Array
 
 from benchmarks.hover_videos import HoverVideo, film_ground
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
 from geoaim.mapping.bench.report import Row, collect
-from geoaim.mapping.registration import patches
+from geoaim.mapping.bench.settings import Placements, Setting, register_with
 from geoaim.mapping.registration.motion_models import Model
-from geoaim.mapping.registration.register import Reference, choose_reference, register_frames
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import Hover, draw_place, make_place, reference_from_frames
@@ -33,71 +26,12 @@ CASES = tuple(product((0.0, 0.1, 0.4, 1.0), (0.0, 0.2, 1.0), (1.0, 4.0), (3, 4))
 PARAMETERS: dict[Model, int] = {"translation": 2, "similarity": 4, "affine": 6, "homography": 8}
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A setting of the registration; the defaults are the library's."""
-
-    count: int = patches.PATCH_COUNT  # target number of patches
-    side: int = patches.PATCH_SIDE_PX  # side of a patch, pixels
-    reduction: int = 1  # integer factor by which the frame is shrunk
-    model: Model | None = None  # the motion model; None chooses it by the data
-
-
-@dataclass(frozen=True, eq=False)
-class Placements:
-    """Frames registered with a setting."""
-
-    matrices: Float[Array, "T 3 3"]  # (T, 3, 3) reference_from_frame, pixels; NaN where rejected
-    seconds: Float[Array, " T"]  # (T,) processor time of each frame
-    stated: Float[Array, " T"]  # (T,) uncertainty of the corners, pixels
-    reference: Reference  # the frame that they are registered to
-
-
 SETTINGS: dict[str, dict[float, Setting]] = {
     "patches": {n: Setting(count=n) for n in (42, 85, 170, 340, 680, 1360)},
     "patch side, px": {side: Setting(side=side) for side in (7, 9, 13, 17, 23)},
     "image width, share": {1 / n: Setting(reduction=n) for n in (8, 4, 2, 1)},
     "motion parameters": {n: Setting(model=model) for model, n in PARAMETERS.items()},
 }
-
-
-def prepare(frames: Sequence[Frame], setting: Setting) -> Reference:
-    """Prepare the reference, the first frame, for a setting."""
-    with patch.multiple(patches, PATCH_COUNT=setting.count, PATCH_SIDE_PX=setting.side):
-        small = [_shrink(frame, setting.reduction) for frame in frames]
-        video = open_video([frame.grey for frame in small])
-        return choose_reference(video, model=setting.model, time=small[0].time, probes=small)
-
-
-def register_with(
-    frames: Sequence[Frame], setting: Setting, reference: Reference | None = None
-) -> Placements:
-    """Register frames with a setting.
-
-    Args:
-        frames: frames in order of time.
-        setting: the setting.
-        reference: prepared for it; None prepares it.
-
-    Returns:
-        The registrations, in pixels of the full image.
-    """
-    reference = reference or prepare(frames, setting)
-    matrices, seconds, stated = [], [], []
-    scale = np.diag([setting.reduction, setting.reduction, 1.0])
-    with patch.multiple(patches, PATCH_COUNT=setting.count, PATCH_SIDE_PX=setting.side):
-        small = (_shrink(frame, setting.reduction) for frame in frames)
-        start = time.process_time()
-        for _, placed in register_frames(small, reference):
-            seconds.append(time.process_time() - start)
-            matrices.append(scale @ placed.reference_from_frame @ np.linalg.inv(scale))
-            stated.append(placed.uncertainty * setting.reduction)
-            start = time.process_time()
-    return Placements(np.array(matrices), np.array(seconds), np.array(stated), reference)
-
-
-def _shrink(frame: Frame, reduction: int) -> Frame:
-    return Frame(frame.index, frame.time, None, patches.shrink_image(frame.grey, reduction))
 
 
 def measure_error(placed: Placements, video: HoverVideo) -> float:

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,11 +58,6 @@ class AIM(Display):
         text = json.dumps(dict(self.report), default=lambda value: value.tolist())
         plain = json.loads(text, parse_constant=lambda _: None)
         object.__setattr__(self, "report", plain)
-
-    def explore(self, **contents: Any) -> Any:
-        """Show the map in a notebook, to pan, zoom and play; arguments as in `geoaim.explore`."""
-        # imported by name, since the widget uses torch, which maps never import
-        return import_module("geoaim.web.widget").explore(self, **contents)
 
     @classmethod
     def from_image(

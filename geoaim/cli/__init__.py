@@ -14,7 +14,6 @@ from geoaim.cli.console import DEBUG, stop_when_terminated
 from geoaim.cli.convert import convert
 from geoaim.cli.doctor import doctor
 from geoaim.cli.evaluate import evaluate
-from geoaim.cli.experiment import experiment
 from geoaim.cli.frame import frame
 from geoaim.cli.info import info
 from geoaim.cli.maps import draw, texture
@@ -29,7 +28,7 @@ from geoaim.cli.view import view
 
 COMMANDS = (
     *(frame, pick, build, align, draw, register, track, info, convert, view, texture, render),
-    *(simulate, predict, evaluate, train, experiment, sample, bench, doctor),
+    *(simulate, predict, evaluate, train, sample, bench, doctor),
 )
 
 app = typer.Typer(

@@ -51,8 +51,8 @@ def align(
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
     from geoaim.aim.files import read_aim, write_aim
-    from geoaim.aim.quicklook import draw_alignment
     from geoaim.base.files import atomic_files, write_figure
+    from geoaim.imagery.alignment.before_after import draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles
     from geoaim.tracks.changes import to_world
 

@@ -17,8 +17,8 @@ from geoaim.simulation.overlap import box_iou, check_poses, compute_box_corners,
 from geoaim.tracks.lights import RED
 
 # a vehicle whose furthest corner is within this distance of the drivable area counts as on the
-# road. Vehicles of synthetic recordings leave their lanes by up to 0.4 m (`benchmarks.simulation.policies`);
-# the raster of distances is off by up to 0.15 m
+# road. Vehicles of synthetic recordings leave their lanes by up to 0.4 m
+# (`benchmarks.simulation.policies`); the raster of distances is off by up to 0.15 m
 OFFROAD_TOLERANCE_M = 0.5
 WRONG_WAY_ANGLE_RAD = 2.0  # a heading that differs by more from a lane's direction is wrong
 

@@ -1,9 +1,10 @@
 import numpy as np
 
-from geoaim.aim.quicklook import draw_alignment, draw_quicklook
+from geoaim.aim.quicklook import draw_quicklook
 from geoaim.aim.summary import summarize_report
 from geoaim.base.files import write_figure
 from geoaim.base.geometry import translation
+from geoaim.imagery.alignment.before_after import draw_alignment
 from tests.aim.test_aim import make_aim
 
 POINT = {"name": "p", "x": 4.0, "y": 20.0, "residual_x": 0.1, "residual_y": 0.0, "used": True}

@@ -1,6 +1,7 @@
 """Each benchmark runs on tiny input and measures what its table says."""
 
 import json
+import re
 from importlib import import_module
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import benchmarks
 from benchmarks import hover_videos, pipeline, short_clips
 from benchmarks.registration import benchmark as registration
 from benchmarks.registration import methods as registration_methods
@@ -23,8 +25,12 @@ from geoaim.synthetic import make_sample, reference_from_frames, tracks_of
 from geoaim.synthetic.camera import render_background
 from geoaim.synthetic.scenery.texture import make_natural_noise
 
-FOLDER = Path(report.__file__).parent
-COMMANDS = [path.stem for path in FOLDER.glob("*.py") if "def main(" in path.read_text()]
+FOLDER = Path(benchmarks.__file__).parent
+COMMANDS = [
+    ".".join(path.relative_to(FOLDER.parent).with_suffix("").parts)
+    for path in sorted(FOLDER.rglob("*.py"))
+    if re.search(r"^def main\(.*json", path.read_text(), re.M | re.S)
+]
 
 
 @pytest.fixture
@@ -72,7 +78,7 @@ def test_consistency_of_exact_registrations_is_zero(video):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_benchmark_is_a_command_with_help(name):
     command = typer.Typer()
-    command.command()(import_module(f"benchmarks.{name}").main)
+    command.command()(import_module(name).main)
     result = CliRunner().invoke(command, ["--help"])
     assert result.exit_code == 0
     assert "--json" in result.output

@@ -31,7 +31,7 @@ def test_the_widget_carries_the_viewer(aim, contents):
     pytest.importorskip("anywidget")
     widget = explore(aim, tracks=contents.tracks)
     assert "geoaim-painted" in widget._esm
-    assert aim.explore(tracks=contents.tracks)._esm == widget._esm
+    assert explore(aim, tracks=contents.tracks)._esm == widget._esm
 
 
 def test_points_are_picked_in_a_notebook(tmp_path, monkeypatch, sent):

@@ -17,13 +17,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
-from benchmarks.registration.settings import Setting, prepare, register_with
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
 from geoaim.mapping.bench.charts import draw_fronts
 from geoaim.mapping.bench.curves import mark_pareto_fronts
 from geoaim.mapping.bench.report import Results, collect
+from geoaim.mapping.bench.settings import Setting, prepare, register_with
 from geoaim.mapping.registration.patches import PatchTemplate
 from geoaim.mapping.registration.register import Reference
 from geoaim.mapping.video.frames import Frame

@@ -56,7 +56,8 @@ def fit_candidates(pairs: PointPairs, posterior: Posterior, sigma: float) -> lis
 def choose_model(candidates: Sequence[Candidate]) -> Candidate:
     """Choose the model of the highest evidence.
 
-    Leave-one-out errors choose worse where there are few points (`benchmarks.georeference.methods`).
+    Leave-one-out errors choose worse where there are few points
+    (`benchmarks.georeference.methods`).
     """
     return max(candidates, key=lambda candidate: candidate.evidence)
 

@@ -41,8 +41,9 @@ MIN_INLIER_SHARE = 0.2  # share of the patches in view that must be inliers
 SUFFICIENT_INLIER_SHARE = 0.5  # the search is not widened at this share or more
 UNDOUBTED_INLIER_SHARE = 0.7  # a placement with a smaller share is always compared with others
 MAX_CORNER_UNCERTAINTY_PX = 10.0
-# chosen on the validation part of `benchmarks.registration.stability`: without it, 90 % of the frames with an
-# estimated 0.02 to 0.04 px are off by less than 1.6 times that, with 0.15 to 0.25 px by less than 8
+# chosen on the validation part of `benchmarks.registration.stability`: without it, 90 % of the
+# frames with an estimated 0.02 to 0.04 px are off by less than 1.6 times that, with 0.15 to
+# 0.25 px by less than 8
 UNCERTAINTY_INFLATION_PX = 0.12
 INTERPOLATION_ERROR_PX = 0.012  # lower bound of the uncertainty
 BASE_RESIDUAL_PX = 0.08  # residual of plain video, which widens nothing

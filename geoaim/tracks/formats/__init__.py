@@ -21,7 +21,8 @@ hyphen is allowed; `DRONE_LOCAL` for the constant):
 5. Add a row to the table of `docs/formats/tracks.md` and a line to `CHANGELOG.md`.
 6. Run these and `make lint`:
 
-        .venv/bin/pytest tests/tracks/formats/test_drone_local.py tests/tracks/formats/test_formats.py
+        .venv/bin/pytest tests/tracks/formats/test_drone_local.py
+        .venv/bin/pytest tests/tracks/formats/test_formats.py
         .venv/bin/pytest tests/faults/test_readers.py -k drone-local
 
 A file for tables with positions only, in pixels:

@@ -22,8 +22,8 @@ class LaneSignals:
     """The signals that are seen at T steps."""
 
     times: Float[Array, "T"]  # seconds, increasing
-    # a row for each signal and step: step, lane (text), state (as in `geoaim.tracks.lights`), and the stop
-    # point x, y (metres in the file's plane)
+    # a row for each signal and step: step, lane (text), state (as in `geoaim.tracks.lights`), and
+    # the stop point x, y (metres in the file's plane)
     table: pd.DataFrame
 
 

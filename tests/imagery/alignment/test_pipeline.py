@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 import geoaim
-from geoaim.aim.quicklook import draw_alignment
 from geoaim.base.errors import (
     AlignmentError,
     GeoaimWarning,
@@ -20,6 +19,7 @@ from geoaim.base.geometry import make_similarity, transform_points
 from geoaim.base.world import World, lonlat_from_world
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
+from geoaim.imagery.alignment.before_after import draw_alignment
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.tracks.changes import to_world
