@@ -9,8 +9,20 @@ import cv2
 import jaxtyping
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film
+
+# examples of property tests: the same in each run, and however long they take
+for name, count in (("few", 10), ("many", 100)):
+    settings.register_profile(
+        name,
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+    )
+settings.load_profile("few")
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 import rasterio.shutil
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rasterio.enums import ColorInterp
 
@@ -34,9 +34,6 @@ def assert_same(first: AIM, second: AIM) -> None:
     assert first.report == second.report
 
 
-@settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
 @given(
     size=st.tuples(st.integers(1, 70), st.integers(1, 70)),
     turn=st.floats(-3.1, 3.1),

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geoaim.base.errors import GeoreferenceError
@@ -17,7 +17,6 @@ from geoaim.base.world import (
 PLACES = st.tuples(st.floats(-179.9, 179.9), st.floats(-79.0, 83.0))
 
 
-@settings(max_examples=60, deadline=None)
 @given(PLACES, st.floats(-2e3, 2e3), st.floats(-2e3, 2e3))
 def test_world_to_lonlat_and_back_is_exact_to_a_micrometre(place, x, y):
     world = choose_world(np.array([place]))
@@ -26,7 +25,6 @@ def test_world_to_lonlat_and_back_is_exact_to_a_micrometre(place, x, y):
     np.testing.assert_allclose(back, points, rtol=0.0, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.floats(126.0, 128.0), st.floats(36.0, 38.5))
 def test_another_crs_and_back_is_exact_to_a_micrometre(longitude, latitude):
     world = choose_world(np.array([[longitude, latitude]]))

@@ -22,6 +22,7 @@ from geoaim.catalog import (
     Cluster,
     build_catalog,
     building,
+    engine,
     read_catalog,
     read_recordings,
     verify_catalog,
@@ -300,7 +301,8 @@ def test_the_command_builds_on_a_cluster_lists_and_shows(table, tmp_path):
     assert read_catalog(catalog).records["east"].status == "built"
 
 
-def test_a_scheduler_that_does_not_answer_is_named(table, tmp_path):
+def test_a_scheduler_that_does_not_answer_is_named(table, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "CONNECT_S", 0.1)
     cluster = Cluster("tcp://127.0.0.1:9", patience=0.0)
     with pytest.raises(CatalogError, match="2 recordings are left"):
         build_catalog(read_recordings(table), tmp_path / "maps", cluster=cluster)

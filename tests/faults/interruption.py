@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Literal
 
 from geoaim.cli.console import stop_when_terminated
+from tests.waiting import LIMIT_S
 
 if sys.platform != "win32":
     import resource
@@ -65,7 +66,7 @@ def run_interrupted(
             before each later change, or no file may become larger.
     """
     child, changes, printed = _start(write, target, step, how)
-    child.join(60)
+    child.join(LIMIT_S)
     if child.exitcode is None:
         child.kill()
         raise TimeoutError(f"change {step} did not end")
@@ -89,7 +90,7 @@ def run_and_signal(
     if child.exitcode is None:
         with suppress(ProcessLookupError):  # it has just ended
             os.kill(child.pid, sent)
-    child.join(60)
+    child.join(LIMIT_S)
     if child.exitcode is None:
         child.kill()
         return Outcome(None, changes.value, "does not end")

@@ -19,6 +19,7 @@ from geoaim.prediction.checkpoints import read_model
 from geoaim.tracks.formats.formats import read_tracks
 from geoaim.tracks.lights import StopLine, read_lights
 from tests.faults.seeds import TABLES, WORLD
+from tests.waiting import LIMIT_S
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pipes with names")
 LINE = StopLine("east", np.array([[0.0, 0.0], [0.0, 3.0]]))
@@ -41,7 +42,7 @@ def test_pipe_is_read_once(tmp_path, name):
     writer = threading.Thread(target=pipe.write_text, args=(TABLES[name],), daemon=True)
     writer.start()
     assert READERS[name](pipe)
-    writer.join(5)
+    writer.join(LIMIT_S)
     assert not writer.is_alive()
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pandas as pd
 import torch
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -59,7 +59,6 @@ def draw_tracks(draw) -> dict:
 
 
 @given(fields=draw_tracks(), suffix=st.sampled_from([".csv", ".parquet"]))
-@settings(max_examples=15, deadline=None)
 def test_tracks(fields, suffix):
     tracks = Tracks(**fields)
     with TemporaryDirectory() as folder:
@@ -87,7 +86,6 @@ def test_tracks(fields, suffix):
     matrix=arrays(np.float64, (2, 3), elements=METRES),
     world=WORLDS,
 )
-@settings(max_examples=15, deadline=None)
 def test_texture(image, matrix, world):
     matrix[:, :2] += [[1e6, 0], [0, -1e6]]  # which has an inverse
     aim = AIM.from_image(image, np.vstack([matrix, [0, 0, 1]]), world, "test")
@@ -102,7 +100,6 @@ def test_texture(image, matrix, world):
 
 
 @given(seed=st.integers(0, 2**31), rate=st.floats(allow_nan=False), name=st.text())
-@settings(max_examples=15, deadline=None)
 def test_models_and_checkpoints(seed, rate, name):
     model = init_model(TINY, seed=seed)
     with TemporaryDirectory() as folder:
@@ -133,7 +130,6 @@ POINT_FILES = {
 }
 
 
-@settings(max_examples=15, deadline=None)
 @given(points=POINTS, name=st.sampled_from(sorted(POINT_FILES)))
 def test_control_points(points, name):
     header, line, shift = POINT_FILES[name]
@@ -153,7 +149,6 @@ def test_control_points(points, name):
     signals=st.lists(NAMES, min_size=1, max_size=3, unique=True),
     data=st.data(),
 )
-@settings(max_examples=15, deadline=None)
 def test_lights(times, signals, data):
     times = np.sort(times) / 1000
     shape = (len(times), len(signals))
@@ -176,7 +171,6 @@ def test_lights(times, signals, data):
     ends=st.lists(arrays(np.float64, (2, 2), elements=st.floats(-3000, 3000)), min_size=1),
     signals=st.lists(NAMES, min_size=9, max_size=9),
 )
-@settings(max_examples=15, deadline=None)
 def test_stop_lines(ends, signals):
     """To a tenth of a millimetre, in longitude and latitude of 9 decimals."""
     world = World("EPSG:32635", (583000.0, 6062000.0))
@@ -200,7 +194,6 @@ def test_stop_lines(ends, signals):
 
 
 @given(points=arrays(np.float64, (6, 2), elements=st.floats(-3000, 3000)))
-@settings(max_examples=15, deadline=None)
 def test_maps(points):
     """To a tenth of a millimetre, in longitude and latitude of 9 decimals."""
     world = World("EPSG:32635", (583000.0, 6062000.0))

@@ -137,7 +137,6 @@ def test_two_processes_end_with_the_same_weights(tmp_path):
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": os.getcwd(), "OMP_NUM_THREADS": "1"},
-        timeout=120,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     one, two = done.stdout.split()

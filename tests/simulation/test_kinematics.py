@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geoaim.simulation.kinematics import bicycle, displacement, unicycle
@@ -14,7 +14,6 @@ def _state(x, y, heading, speed):
     return torch.tensor([40 * x, 40 * y, 3.1 * heading, 8 * speed], dtype=torch.float64)
 
 
-@settings(deadline=None)
 @given(number, number, number, number, number, number, st.sampled_from([0.1, 0.4, 1.0]))
 def test_inverse_undoes_each_step(x, y, heading, speed, acceleration, turn, dt):
     """Forward, in reverse and standing."""

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from geoaim import Tracks, World
@@ -31,7 +31,6 @@ def test_resampling_is_linear_between_states_and_exact_at_them():
     np.testing.assert_array_equal(again.states[0, [0, 2, 6]], states[0])
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     steps=st.lists(st.floats(0.01, 0.4), min_size=2, max_size=12),
     start=st.floats(-1e5, 1e5),

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pyarrow import parquet
@@ -31,7 +31,6 @@ def test_written_tracks_read_back(tmp_path, name, world):
     assert (again.types, again.ids, again.world) == (tracks.types, tracks.ids, tracks.world)
 
 
-@settings(max_examples=25, deadline=None)
 @given(present=arrays(bool, (2, 3)), seed=st.integers(0, 99))
 def test_csv_keeps_millimetres(tmp_path_factory, present, seed):
     if not present.any():

@@ -1,26 +1,23 @@
 """Helpers that drive the viewer in a browser."""
 
 import threading
-import time
 from contextlib import contextmanager
 
 from geoaim.web.server import ViewServer
+from tests.waiting import wait_until
 
 
 @contextmanager
 def serve(view):
     with ViewServer(view) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
         yield server.address
         server.shutdown()
 
 
-def wait_for(page, condition, seconds=20):
+def wait_for(page, condition):
     """Wait for a JavaScript condition; the page's policy forbids Playwright's own way."""
-    end = time.monotonic() + seconds
-    while not page.evaluate(condition):
-        assert time.monotonic() < end, f"still not: {condition}"
-        time.sleep(0.05)
+    wait_until(lambda: page.evaluate(condition), condition)
 
 
 def open_view(page, address):

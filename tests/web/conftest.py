@@ -8,6 +8,7 @@ import pytest
 import geoaim
 from geoaim.aim.aim import AIM
 from geoaim.web.explore import Contents, make_map_view
+from tests.waiting import LIMIT_S
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 
@@ -50,8 +51,11 @@ def page(chromium):
     errors = []
     with sync_playwright() as playwright:
         arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
-        browser = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        browser = playwright.chromium.launch(
+            executable_path=chromium, args=arguments, timeout=1000 * LIMIT_S
+        )
         page = browser.new_page(viewport={"width": 1000, "height": 700})
+        page.set_default_timeout(1000 * LIMIT_S)
         page.on("pageerror", lambda error: errors.append(error))  # a built-in is refused
         yield page
         browser.close()

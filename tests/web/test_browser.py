@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from geoaim.web.html_file import write_html
+from tests.waiting import wait_until
 from tests.web.browser import open_view, serve, wait_for
 
 
@@ -52,7 +53,7 @@ def test_a_click_selects_an_agent_and_following_turns_its_heading_up(shown, cont
     shown.evaluate("geoaim.timeline.set(9)")
     pixel = shown.evaluate(f"geoaim.map.getPixelFromCoordinate([{x}, {y}])")
     shown.mouse.click(*pixel)
-    wait_for(shown, "geoaim.state.selected !== null", 5)
+    wait_for(shown, "geoaim.state.selected !== null")
     assert shown.evaluate("geoaim.state.selected.id") == tracks.ids[row]
     shown.locator(".selection input").check()
     assert shown.evaluate("geoaim.view.getCenter()") == pytest.approx([x, y], abs=0.01)
@@ -65,28 +66,30 @@ def test_layers_switch_on_and_off(shown, aim):
     x, y = shown.evaluate(f"geoaim.map.getPixelFromCoordinate([{east}, {north}])")
     before = read_colour(shown, round(x), round(y))
     shown.get_by_label("contested").check()
-    shown.wait_for_timeout(500)
-    after = read_colour(shown, round(x), round(y))
-    assert after[0] > before[0] + 50
-    assert after[1] < before[1] - 30
+
+    def is_redder():
+        after = read_colour(shown, round(x), round(y))
+        return after[0] > before[0] + 50 and after[1] < before[1] - 30
+
+    wait_until(is_redder, "the contested part is red")
 
 
 def test_the_swipe_shows_imagery_on_one_side(shown, aim):
     shown.get_by_label("swipe between the two").check()
-    shown.wait_for_timeout(300)
-    inverted = 0
-    for u in (200.0, 1000.0):
+
+    def is_inverted(u):
         east, north = (aim.world_from_image @ [u, 640.0, 1.0])[:2]
         x, y = shown.evaluate(f"geoaim.map.getPixelFromCoordinate([{east}, {north}])")
         red = read_colour(shown, round(x), round(y))[0]
-        inverted += abs(red - (255 - 640 % 256)) < abs(red - 640 % 256)
-    assert inverted == 1
+        return abs(red - (255 - 640 % 256)) < abs(red - 640 % 256)
+
+    wait_until(lambda: is_inverted(200.0) + is_inverted(1000.0) == 1, "one side is inverted")
 
 
 def test_the_address_restores_the_view(shown):
     shown.evaluate("geoaim.timeline.set(12.5); geoaim.view.setZoom(geoaim.view.getZoom() + 1)")
     shown.evaluate("geoaim.view.setCenter([150, 250])")
-    wait_for(shown, "location.hash.includes('time=12.50') && location.hash.includes('x=150')", 5)
+    wait_for(shown, "location.hash.includes('time=12.50') && location.hash.includes('x=150')")
     resolution = shown.evaluate("geoaim.view.getResolution()")
     shown.reload()
     wait_for(shown, "Boolean(window.geoaim)")

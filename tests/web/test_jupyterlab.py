@@ -5,19 +5,20 @@ import os
 import socket
 import subprocess
 import sys
-import time
 import urllib.request
 from pathlib import Path
 
 import pytest
 
 from geoaim.aim.files import write_aim
+from tests.waiting import LIMIT_S, wait_until
 from tests.web.browser import wait_for
 
 ROOT = Path(__file__).parents[2]
 CODE = """import geoaim
 tracks = geoaim.read_tracks({tracks!r})
 geoaim.explore("aim.tif", tracks=tracks)"""
+IDLE = ".jp-Notebook-ExecutionIndicator[data-status='idle']"  # the kernel is there
 
 
 def make_notebook(code):
@@ -25,6 +26,14 @@ def make_notebook(code):
     kernel = {"name": "python3", "display_name": "Python 3", "language": "python"}
     cells = [{**cell, "id": "explore", "source": code}]
     return {"cells": cells, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
+
+
+def answers(address):
+    try:
+        urllib.request.urlopen(address, timeout=LIMIT_S).close()
+    except OSError:
+        return False
+    return True
 
 
 @pytest.fixture
@@ -49,25 +58,20 @@ def lab(aim, tmp_path):
             stderr=log,
         )
         try:
-            for _ in range(120):
-                try:
-                    urllib.request.urlopen(f"{address}/api", timeout=1).close()
-                    break
-                except OSError:
-                    time.sleep(0.5)
+            wait_until(lambda: answers(f"{address}/api"), "JupyterLab answers")
             yield address
         finally:
             server.terminate()
-            server.wait(timeout=20)
+            server.wait(LIMIT_S)
 
 
 def test_the_widget_shows_and_plays_in_jupyterlab(lab, page):
     page.goto(f"{lab}/lab/tree/explore.ipynb?reset")
-    page.locator(".jp-CodeCell").first.click(timeout=60_000)
-    page.wait_for_timeout(3000)  # until the kernel is there
+    page.locator(".jp-CodeCell").first.click()
+    page.locator(IDLE).wait_for()
     page.keyboard.press("Shift+Enter")
-    page.locator(".geoaim .timeline").wait_for(timeout=90_000)
-    wait_for(page, "performance.getEntriesByName('geoaim-painted').length > 0", 60)
+    page.locator(".geoaim .timeline").wait_for()
+    wait_for(page, "performance.getEntriesByName('geoaim-painted').length > 0")
     page.locator(".geoaim .play").click()
-    wait_for(page, "parseFloat(document.querySelector('.geoaim .time').value) > 0.3", 30)
+    wait_for(page, "parseFloat(document.querySelector('.geoaim .time').value) > 0.3")
     page.screenshot(path=os.environ.get("SCREENSHOT", os.devnull), type="png")

@@ -3,12 +3,14 @@ import json
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from geoaim.web import server as served
 from geoaim.web.map_view import MapView
 from geoaim.web.server import ViewServer
+from tests.waiting import LIMIT_S, wait_until
 
 SECRET = {"kind": "view", "title": "a <b> & c", "rasters": []}
 
@@ -22,13 +24,13 @@ def refuse(action):
 @pytest.fixture
 def server():
     with ViewServer(MapView(SECRET, call=refuse)) as started:
-        threading.Thread(target=started.serve_forever, daemon=True).start()
+        threading.Thread(target=started.serve_forever, args=(0.02,), daemon=True).start()
         yield started
         started.shutdown()
 
 
 def ask(server, path, method="GET", body=None, **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=LIMIT_S)
     connection.putrequest(method, path, skip_host="Host" in headers)
     names = {name.replace("_", "-"): value for name, value in headers.items()}
     if body is not None:
@@ -96,19 +98,35 @@ def test_calls_are_answered_or_refused_by_one_line(server):
 
 
 def test_it_stops_when_its_last_page_is_closed(monkeypatch):
-    monkeypatch.setattr(served, "CLOSED_S", 0.2)
-    monkeypatch.setattr(served, "ALIVE_PERIOD_S", 0.05)
+    passes, now = [], [0.0]  # of the loop that decides when to stop, and its clock
+
+    def sleep(_):
+        if threading.current_thread() is waiting:
+            passes.append(now[0])
+        time.sleep(0.001)
+
+    def pass_seconds(seconds):
+        now[0] += seconds
+        wait_until(lambda: not waiting.is_alive() or passes.count(now[0]) > 2, "it looks thrice")
+
+    clock = SimpleNamespace(monotonic=lambda: now[0], sleep=sleep)
+    monkeypatch.setattr(served, "time", clock)
     with ViewServer(MapView(SECRET)) as started:
-        waiting = threading.Thread(target=started.serve)
+        waiting = threading.Thread(target=started.serve, daemon=True)
         waiting.start()
-        time.sleep(0.4)
+        pass_seconds(1000.0)
         assert waiting.is_alive()  # the page was not opened yet
         connection = http.client.HTTPConnection("127.0.0.1", started.server_port)
         connection.request("GET", f"/{started.token}/alive")
         answer = connection.getresponse()
-        time.sleep(0.4)
+        assert answer.read(3) == b":\n\n"
+        pass_seconds(1000.0)
         assert waiting.is_alive()
         answer.close()
         connection.close()
-        waiting.join(timeout=5)
+        wait_until(lambda: started.open_pages == 0, "the server sees that the page is closed")
+        pass_seconds(served.CLOSED_S / 2)
+        assert waiting.is_alive()  # a page that is reloaded comes back
+        pass_seconds(served.CLOSED_S)
+        waiting.join(LIMIT_S)
         assert not waiting.is_alive()

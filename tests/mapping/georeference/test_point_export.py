@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError
@@ -39,7 +39,6 @@ def check_numbers(found, points, tolerance=0.0):
     assert found.crs == points.crs
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(PIXEL, LONLATS, NAME, FRAME), min_size=1, max_size=5))
 @example([((1.0, 2.0), (3.0, 4.0), '#1, "kerb"; östlich\n\x85', None)])
 def test_csv_keeps_every_point_its_name_and_its_frame(rows):
@@ -51,7 +50,6 @@ def test_csv_keeps_every_point_its_name_and_its_frame(rows):
     assert found.frames == points.frames
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(PIXEL, METRES, NAME, FRAME), min_size=1, max_size=5))
 def test_lists_of_opendronemap_and_qgis_give_the_same_places(rows):
     points = make_points(rows, "EPSG:32635")
