@@ -1,5 +1,7 @@
 # make demo       an AIM from the bundled sample video, and what may happen on it
-# make test       lint, format, types, layers, tests, documentation, notebooks
+# make test       lint, format, types, layers, and the tests, in a few minutes
+# make test-slow  what takes longer: kills, mutations, documentation, notebooks, many examples
+# make check      lint, types and the tests of changed files, before a commit
 # make test-lowest   the package's tests with the lowest versions that pyproject.toml allows
 # make lint       ruff, mypy and import-linter alone
 # make docs       the documentation, in build/site
@@ -19,11 +21,13 @@ LOWEST_BIN := $(subst .venv,.venv-lowest,$(BIN))
 SAMPLE ?= samples/hover.mp4
 POINTS ?= samples/gcps.csv
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
+QUICK_NOTEBOOKS := $(wildcard notebooks/03_*.ipynb notebooks/05_*.ipynb)
 
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export NO_MKDOCS_2_WARNING = 1
+unexport PYTHONDONTWRITEBYTECODE  # processes of tests would compile all again
 
-.PHONY: bench demo test test-lowest lint ruff mypy layers docs coverage install clean
+.PHONY: demo test test-slow test-lowest check tests changed lint ruff mypy layers docs coverage install clean
 
 demo: install
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
@@ -38,10 +42,26 @@ demo: install
 	@echo "     demo/futures.png  what the vehicles may do in the next four seconds"
 
 # there is a worker for each core already
-test test-lowest coverage: export OMP_NUM_THREADS = 1
-test: lint
-	$(BIN)/python tests/second_chance.py -n auto --dist loadfile
-	$(if $(NOTEBOOKS),$(BIN)/python tests/second_chance.py -n auto -o addopts= --nbmake $(NOTEBOOKS))
+tests changed test-slow test-lowest coverage: export OMP_NUM_THREADS = 1
+# a lint that waits for one core leaves the others to the tests
+test: install
+	$(MAKE) --no-print-directory -j 2 --output-sync=target lint tests
+
+tests: install
+	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "not slow" \
+		geoaim tests $(if $(QUICK_NOTEBOOKS),--nbmake $(QUICK_NOTEBOOKS))
+
+test-slow: install
+	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "slow or hypothesis" \
+		--hypothesis-profile many
+	$(if $(NOTEBOOKS),$(BIN)/python tests/second_chance.py -n auto -o addopts= --nbmake \
+		$(filter-out $(QUICK_NOTEBOOKS),$(NOTEBOOKS)))
+
+check: install
+	$(MAKE) --no-print-directory -j 2 --output-sync=target lint changed
+
+changed: install
+	$(BIN)/python tests/rooms.py -n auto --dist loadfile -m "not slow"
 
 # old versions beside new ones warn; the documentation and the layers need tools of their own
 test-lowest: .venv-lowest/installed

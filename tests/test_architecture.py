@@ -83,6 +83,7 @@ def is_command(path: Path, node: ast.FunctionDef) -> bool:
     return path.parent.name == "cli" or ("benchmarks" in path.parts and node.name in COMMANDS)
 
 
+@pytest.mark.slow  # `make lint` checks it, too
 def test_imports_point_backwards_along_the_way():
     found = subprocess.run(
         [sys.executable, "-c", "from importlinter.cli import lint_imports_command as run; run()"],

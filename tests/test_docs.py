@@ -54,23 +54,44 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_site_has_every_public_module(site: Path, hooks: ModuleType) -> None:
     for package, modules in hooks.list_modules().items():
         page = (site / "reference" / f"{package}.html").read_text("utf-8")
         assert [name for name in modules if f'id="{name}"' not in page] == []
 
 
+ROOMS = ["", "mapping", "imagery", "hdmap", "simulation", "prediction", "catalog"]
+ROOMS += ["track_formats", "web", "cli", "synthetic"]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_architecture_lists_the_files_of_each_folder(room: str) -> None:
+    folder, rows = ROOT / "geoaim" / room, set()
+    for path in folder.glob("**/[a-z]*.py" if room else "[a-z]*.py"):
+        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+        name = path.relative_to(folder).with_suffix("").as_posix()
+        rows.add(f"| `{name}` | {text.splitlines()[0]} |")
+    for path in folder.glob("src/*.js"):
+        text = path.read_text("utf-8").splitlines()[0].removeprefix("/** ").removesuffix(" */")
+        rows.add(f"| `src/{path.name}` | {text} |")
+    assert rows - set(_read("docs/architecture.md").splitlines()) == set()
+
+
+@pytest.mark.slow
 def test_site_has_no_placeholder_left(site: Path) -> None:
     left = [page.name for page in site.rglob("*.html") if "&lt;!-- " in page.read_text("utf-8")]
     assert left == []
 
 
+@pytest.mark.slow
 def test_comments_beside_fields_are_attributes_on_the_page(site: Path) -> None:
     page = (site / "reference" / "geoaim.prediction.html").read_text("utf-8")
     assert "the highest one, of one cycle (Smith 2018)" in page  # beside a field of TrainConfig
     assert "share of the steps in which that weight rises from zero" in page  # above a field
 
 
+@pytest.mark.slow
 def test_each_command_has_a_guide_with_its_options(site: Path, hooks: ModuleType) -> None:
     for command in hooks.list_commands():
         page = (site / "guides" / f"{command.split()[0]}.html").read_text("utf-8")

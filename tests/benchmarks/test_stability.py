@@ -53,6 +53,7 @@ def test_truth_of_a_frame_in_itself_is_the_identity(still, generator, kind):
     np.testing.assert_allclose(clip.find_truth(2, 2), clips.make_check_points(SMALL), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("generator", ["warped", "splines"])
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if ", and" not in kind])
 def test_every_kind_is_rendered_by_both_generators(still, generator, kind):
@@ -154,6 +155,7 @@ def test_sweep_is_judged_written_and_read_again(tmp_path):
     assert (tmp_path / "a-verdicts.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_benchmark_sweeps_the_kinds_that_it_is_given(monkeypatch):
     monkeypatch.setattr(benchmark, "QUICK_KINDS", ["plain"])
     monkeypatch.setattr(clips, "SMALL", SMALL)

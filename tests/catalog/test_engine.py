@@ -12,6 +12,7 @@ from geoaim.catalog.building import make_record, make_task
 from tests.waiting import LIMIT_S
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_nothing(table, tmp_path):
     catalog = tmp_path / "maps"
     with LocalCluster(

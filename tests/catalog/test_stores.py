@@ -12,6 +12,7 @@ from geoaim.catalog.inputs import list_inputs
 from geoaim.catalog.storage import join_address, list_folder, make_address
 
 
+@pytest.mark.slow
 def test_a_catalogue_in_a_failing_and_slow_store_equals_one_on_disk(table, tmp_path, monkeypatch):
     monkeypatch.setattr(
         catalog_pipeline, "run_tasks", lambda tasks, *_: map(build_recording, tasks)

@@ -120,18 +120,20 @@ def seeds(tmp_path_factory):
 @pytest.mark.parametrize("reader", READERS)
 def test_file_leads_to_no_other_file_and_no_request(seeds, tmp_path, canary, serve, reader):
     server, address = serve()
+    folder = tmp_path / "files"
+    shutil.copytree(seeds, folder)
+    path = folder / READERS[reader].file
     for trap in TRAPS:
         for named in (str(canary), f"{address}/a.tif"):
-            folder = tmp_path / "files"
-            shutil.copytree(seeds, folder)
-            trap(folder / READERS[reader].file, named)
+            trap(path, named)
             with warnings.catch_warnings(), suppress(GeoaimError, ValueError):
                 warnings.simplefilter("ignore")
                 found = READERS[reader].read(folder)
                 image = np.asarray(getattr(found, "image", 0))
                 assert (image == SECRET).mean() < 0.1, trap
             assert server.requests == [], trap
-            shutil.rmtree(folder)
+            for sidecar in folder.glob(f"{path.name}.*"):
+                sidecar.unlink()
 
 
 @pytest.mark.parametrize(

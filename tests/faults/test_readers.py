@@ -8,35 +8,35 @@ import pytest
 
 from tests.faults.readers import READERS
 
-MUTATIONS = 40  # of each reader; docs/bench/faults.json counts 10,000
+MUTATIONS = (4, pytest.param(40, marks=pytest.mark.slow))  # docs/bench/faults.json: 10,000
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="memory is measured in /proc")
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", params=MUTATIONS)
 def results(request, tmp_path_factory):
-    """Outcomes of the mutations of the chosen readers, counted in a process that forks."""
+    """Number and outcomes of the mutations of the chosen readers, by a process that forks."""
     here = [item for item in request.session.items if item.path == request.path]
-    chosen = [
-        argument for item in here for argument in ("--reader", item.callspec.params["reader"])
-    ]
+    names = dict.fromkeys(item.callspec.params["reader"] for item in here)
+    chosen = [argument for name in names for argument in ("--reader", name)]
     path = tmp_path_factory.mktemp("faults") / "faults.json"
     command = [
         sys.executable,
         "-m",
         "tests.faults.run",
         "--count",
-        str(MUTATIONS),
+        str(request.param),
         "-o",
         str(path),
         *chosen,
     ]
     subprocess.run(command, stdout=subprocess.DEVNULL, check=False)
-    return json.loads(path.read_text())
+    return request.param, json.loads(path.read_text())
 
 
 @pytest.mark.parametrize("reader", READERS)
 def test_mutated_file_is_read_or_refused(results, reader):
+    count, results = results
     assert [fault for fault in results["faults"] if fault["reader"] == reader] == []
     (counts,) = [row for row in results["rows"] if row["reader"] == reader]
-    assert counts["read"] + counts["refused"] == MUTATIONS
+    assert counts["read"] + counts["refused"] == count

@@ -10,7 +10,10 @@ from tests.faults import small_sample
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
 from tests.faults.kills import read_files, write_next
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork"),
+]
 
 
 def interrupt_sample(target: Path, step: int | None = None, how: How = "kill") -> Outcome:

@@ -11,7 +11,10 @@ from tests.faults import writers
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
 from tests.faults.kills import count_kills, make_case, read_after_next_run, read_files
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform == "win32", reason="processes cannot fork"),
+]
 KILLS = 4  # of each command; docs/bench/kills.json counts 50
 EXIT_CODES: dict[How, set[int]] = {
     "kill": {KILLED},

@@ -22,13 +22,16 @@ from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import formats, read_tracks
 from tests.prediction.tiny import TINY
 from tests.prediction.track_files import FORMS, make_rows
+from tests.sizes import keep_quick
 
 FIRST, LAST, STEPS = 5, 12, 16  # first and last observed step, and the end of the predicted ones
 PAST = slice(FIRST, LAST + 1)
 HISTORY, HORIZON = LAST + 1 - FIRST, STEPS - LAST - 1
 
 
-@pytest.fixture(params=FORMS)
+@pytest.fixture(
+    params=keep_quick(FORMS, "plain, other rate", "Waymo Open Motion", "SDD, pedestrians")
+)
 def form(request, monkeypatch):
     """A format of tracks; noise is read without the check that refuses what is implausible."""
     monkeypatch.setattr(formats, "check_plausibility", lambda *_: None)

@@ -127,6 +127,7 @@ sys.stdout.write(f"{total}\\n")  # at once: two processes write here
 """
 
 
+@pytest.mark.slow
 def test_two_processes_end_with_the_same_weights(tmp_path):
     script = tmp_path / "run.py"
     script.write_text(SCRIPT)

@@ -6,6 +6,7 @@ import pytest
 from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.layouts import PLACE_KINDS
 from geoaim.synthetic.roads.plan import make_roads
+from tests.sizes import keep_quick
 
 SMALL = Hover(count=25, frame_rate=2.0, drift=4.0, perspective=0.3)
 
@@ -16,13 +17,16 @@ def sample():
     return make_sample(3, minutes=0.3, video=(180, 320), hover=SMALL, resolution=0.2)
 
 
-@pytest.fixture(scope="session", params=PLACE_KINDS)
+KINDS = keep_quick(PLACE_KINDS, "junction", "street")
+
+
+@pytest.fixture(scope="session", params=KINDS)
 def roads(request):
     """A plan of each kind."""
     return make_roads(request.param, np.random.default_rng(5))
 
 
-@pytest.fixture(scope="session", params=PLACE_KINDS)
+@pytest.fixture(scope="session", params=KINDS)
 def recorded(request):
     """Two minutes of traffic in a place of each kind, and its tracks."""
     sample = make_sample(11, kind=request.param, minutes=2.0, video=None)

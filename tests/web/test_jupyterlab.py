@@ -65,6 +65,7 @@ def lab(aim, tmp_path):
             server.wait(LIMIT_S)
 
 
+@pytest.mark.slow
 def test_the_widget_shows_and_plays_in_jupyterlab(lab, page):
     page.goto(f"{lab}/lab/tree/explore.ipynb?reset")
     page.locator(".jp-CodeCell").first.click()
