@@ -58,6 +58,7 @@ def test_gradient_goes_through_the_renderer():
     assert image.grad.abs().sum() > 0
 
 
+@pytest.mark.slow
 def test_model_overfits_one_segment():
     segments = drive(10, 1)
     itra = model(replace(TINY, sigma=0.05, view_stride=5))

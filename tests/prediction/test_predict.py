@@ -24,6 +24,7 @@ from geoaim.simulation.scene import make_scene, slice_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.lights import read_lights
 from tests.prediction.tiny import TINY
+from tests.sizes import keep_quick
 
 run = CliRunner().invoke
 
@@ -79,7 +80,7 @@ def test_samples_are_the_same_whether_or_not_the_map_is_prefiltered(scene):
     assert fine.image.shape != plain.image.shape
 
 
-@pytest.mark.parametrize("kind", ["vehicle", "pedestrian"])
+@pytest.mark.parametrize("kind", keep_quick(["vehicle", "pedestrian"], "pedestrian"))
 def test_pretrained_models_beat_constant_velocity_on_the_sample(hdmap, kind):
     """The sample's place is not among those that the models are trained on."""
     model = read_pretrained(kind)

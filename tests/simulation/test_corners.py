@@ -70,6 +70,7 @@ def test_views_of_a_texture_are_those_of_the_map(tmp_path):
     assert again.world == aim.world
 
 
+@pytest.mark.slow
 def test_a_cluster_without_rasterio_and_opencv_predicts_the_same(tmp_path):
     aim = geoaim.build_aim("samples/hover.mp4", "samples/gcps.csv")
     geoaim.write_aim(aim, tmp_path / "aim.tif")

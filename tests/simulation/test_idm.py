@@ -10,6 +10,7 @@ from geoaim.simulation.routes import Routes, extract_routes, resample_points
 from geoaim.simulation.simulator import Scenario, rollout
 from geoaim.simulation.spawning import rollout_routes
 from geoaim.tracks.lights import GREEN, RED
+from tests.sizes import keep_quick
 
 DT = 0.1
 CAR, PERSON = (4.5, 1.9), (0.5, 0.6)
@@ -81,7 +82,7 @@ def test_driver_waits_for_green():
     assert result[119, 1, 0] > 80
 
 
-@pytest.mark.parametrize("angle", [90, 60, 120, 150, 180])
+@pytest.mark.parametrize("angle", keep_quick([90, 60, 120, 150, 180], 90, 150))
 def test_drivers_whose_routes_cross_do_not_overlap(angle):
     turn = np.radians(angle)
     away = 40 * np.array([np.cos(turn), np.sin(turn)])
@@ -117,7 +118,7 @@ def test_stopped_drivers_do_not_wait_for_each_other_where_they_merge():
     assert not present[-1].any()
 
 
-@pytest.mark.parametrize("place", [-3.75, -3.5, -3.25])
+@pytest.mark.parametrize("place", keep_quick([-3.75, -3.5, -3.25], -3.5))
 def test_drivers_who_both_stand_at_a_crossing_do_not_wait_for_each_other(place):
     scenario = _drive([[-3.5, 0.0, 0, 0], [0.0, place, np.pi / 2, 0]])
     _, present, overlaps = _simulate(scenario, _follow([[-40, 0], [40, 0]], [[0, -40], [0, 40]]))

@@ -57,7 +57,9 @@ def read_methods(paths):
     return json.loads(path.read_text())["methods"]
 
 
-@pytest.mark.parametrize("experiment", [vehicles, pedestrians])
+@pytest.mark.parametrize(
+    "experiment", [pytest.param(vehicles, marks=pytest.mark.slow), pedestrians]
+)
 def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
     names = ("HD map", "AIM", "constant velocity")
     cases = {name: experiment.TABLE.cases[name] for name in names}
@@ -70,12 +72,14 @@ def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
     assert paths[2].read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_pretrained_models_are_written_to_the_workspace(workspace):
     paths = pretrained.run(workspace)
     assert [path.parent for path in paths[:2]] == [workspace.folder / "pretrained"] * 2
     assert "pedestrians, ITRA" in read_methods(paths)
 
 
+@pytest.mark.slow
 def test_songdo_splits_its_vehicles(place, workspace, monkeypatch):
     recording, aim = read_recordings(place)[0], read_map(place, "aim")
     scene = slice_scene(make_place_scene(recording, aim, dt=0.1), slice(100, 150))
@@ -99,6 +103,7 @@ def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
     assert {"aim, fine-tuned", "hdm, zero-shot"} < set(read_methods(sind.run(workspace)))
 
 
+@pytest.mark.slow
 def test_stanford_trains_on_other_scenes_than_it_evaluates_on(workspace, monkeypatch, tmp_path):
     generator = np.random.default_rng(0)
     for folder in ("windows", "images"):
