@@ -61,23 +61,6 @@ def test_site_has_every_public_module(site: Path, hooks: ModuleType) -> None:
         assert [name for name in modules if f'id="{name}"' not in page] == []
 
 
-ROOMS = ["", "mapping", "imagery", "hdmap", "simulation", "prediction", "catalog"]
-ROOMS += ["track_formats", "web", "cli", "synthetic"]
-
-
-@pytest.mark.parametrize("room", ROOMS)
-def test_architecture_lists_the_files_of_each_folder(room: str) -> None:
-    folder, rows = ROOT / "geoaim" / room, set()
-    for path in folder.glob("**/[a-z]*.py" if room else "[a-z]*.py"):
-        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
-        name = path.relative_to(folder).with_suffix("").as_posix()
-        rows.add(f"| `{name}` | {text.splitlines()[0]} |")
-    for path in folder.glob("src/*.js"):
-        text = path.read_text("utf-8").splitlines()[0].removeprefix("/** ").removesuffix(" */")
-        rows.add(f"| `src/{path.name}` | {text} |")
-    assert rows - set(_read("docs/architecture.md").splitlines()) == set()
-
-
 @pytest.mark.slow
 def test_site_has_no_placeholder_left(site: Path) -> None:
     left = [page.name for page in site.rglob("*.html") if "&lt;!-- " in page.read_text("utf-8")]

@@ -10,7 +10,8 @@ from numpy import ndarray as Array
 
 from geoaim.base.files import atomic_write
 
-ENCODER_THREADS = 2  # of x264, whose output depends on their number: else on the machine's cores
+# with two threads x264 gives other bytes in most runs, with as many as cores on each machine
+ENCODER_THREADS = 1
 
 
 def write_video(

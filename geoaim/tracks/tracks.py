@@ -1,6 +1,6 @@
 """Tracks: the states of agents over time.
 
-Speeds and headings that a file does not state are computed in `track_formats.motion`.
+Speeds and headings that a file does not state are computed in `formats.motion`.
 """
 
 from collections import Counter

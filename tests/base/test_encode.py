@@ -21,3 +21,10 @@ def test_a_video_does_not_depend_on_the_machines_cores(tmp_path):
     finally:
         os.sched_setaffinity(0, cores)
     assert on_one == on_all
+
+
+def test_a_video_is_the_same_each_time(tmp_path):
+    generator = np.random.default_rng(0)
+    frames = list(generator.integers(0, 255, (3, 90, 160, 3), dtype=np.uint8))
+    written = {write_video(frames, tmp_path / "a.mp4", crf=26).read_bytes() for _ in range(40)}
+    assert len(written) == 1

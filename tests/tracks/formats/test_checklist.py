@@ -1,4 +1,4 @@
-"""The files that the checklist for new formats shows, in the docstring of `track_formats`."""
+"""The files that the checklist for new formats shows, in the docstring of `tracks.formats`."""
 
 import re
 import textwrap
