@@ -29,7 +29,7 @@ FOLDER = Path(benchmarks.__file__).parent
 COMMANDS = [
     ".".join(path.relative_to(FOLDER.parent).with_suffix("").parts)
     for path in sorted(FOLDER.rglob("*.py"))
-    if re.search(r"^def main\(.*json", path.read_text(), re.M | re.S)
+    if re.search(r"^def main\(.*JsonFile", path.read_text(), re.M | re.S)
 ]
 
 

@@ -7,6 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from benchmarks.__main__ import list_benchmarks
+from benchmarks.prediction.__main__ import experiment
 from benchmarks.stages import make_main
 from geoaim.mapping.bench.report import Results
 
@@ -39,3 +40,12 @@ def test_a_stage_is_a_command():
     command = [sys.executable, "-m", "benchmarks.background", "--help"]
     found = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "--quick" in found.stdout
+
+
+def test_experiments_are_listed_by_their_names():
+    app = typer.Typer()
+    app.command()(experiment)
+    done = CliRunner().invoke(app, ["list"])
+    assert done.exit_code == 0
+    assert "stanford" in done.output
+    assert CliRunner().invoke(app, ["none"]).exit_code == 1

@@ -5,6 +5,7 @@ from concurrent.futures import CancelledError
 from contextlib import nullcontext
 from types import SimpleNamespace
 
+import pytest
 from distributed import LocalCluster
 
 from geoaim.catalog import Cluster, Recording, build_catalog, engine, verify_catalog

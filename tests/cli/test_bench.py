@@ -29,7 +29,7 @@ def test_a_video_of_ones_own_gives_json_and_markdown(tmp_path, monkeypatch, flag
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["registration"], 2, "VIDEO"),
+        (["registration"], 2, "video"),
         (["registration", "missing.mp4"], 1, "missing.mp4"),
         (["registration", "my.mp4", "-o", "file"], 1, "file"),
         (["decoding", "my.mp4"], 2, "decoding"),

@@ -43,7 +43,6 @@ def test_neither_map_nor_quick_look_replaces_an_input(tmp_path, monkeypatch, giv
         (["simulate", "a.tif", "--tracks", "t", "-o", "a.txt"], "ends in .csv or .parquet"),
         (["simulate", "a.tif", "--tracks", "t.csv", "-o", "t.csv"], "is also an input"),
         (["texture", "a.tif", "pyproject.toml/a"], "is a file; a folder is needed"),
-        (["experiment", "sind", "-o", "pyproject.toml/a"], "is a file; a folder is needed"),
         (["sample", "pyproject.toml/a"], "is a file; a folder is needed"),
         (
             ["simulate", "a.tif", "--tracks", "t", "-o", "o.csv", "--video", "f.png"],

@@ -183,10 +183,6 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     assert "| constant turn rate |" in done.stdout
     done = run(app, ["evaluate", str(tmp_path / "m.tif")])
     assert done.exit_code == 1
-    done = run(app, ["experiment", "list"])
-    assert done.exit_code == 0
-    assert "stanford" in done.output
-    assert run(app, ["experiment", "none"]).exit_code == 1
 
 
 def test_models_are_read_as_they_were_written(tmp_path):
