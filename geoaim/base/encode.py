@@ -47,6 +47,8 @@ def write_video(
         for index, frame in enumerate(frames):
             if index == 0:
                 stream.height, stream.width = frame.shape[:2]
+                if stream.height % 4:  # else x264 reads beyond its picture of half the size
+                    stream.codec_context.options = options | {"mbtree": "0"}
             picture = av.VideoFrame.from_ndarray(frame, format="rgb24")
             picture.pts, picture.time_base = index, 1 / rate
             container.mux(stream.encode(picture))

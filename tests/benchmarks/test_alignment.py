@@ -16,6 +16,8 @@ from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.tracks.tracks import Tracks
 from tests.conftest import textured
 
+pytestmark = pytest.mark.slow
+
 
 def _make_pair(seed):
     image = textured(np.random.default_rng(seed), 200, 260)

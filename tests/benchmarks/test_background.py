@@ -15,6 +15,8 @@ from benchmarks.background.queue_clips import QueueClip, paste_queue
 from geoaim.base.progress import no_progress
 from tests.mapping.background.clips import make_ground, queue
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def clip():

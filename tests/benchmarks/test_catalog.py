@@ -8,6 +8,8 @@ from benchmarks.catalog import benchmark as catalog
 from benchmarks.catalog import losses as catalog_losses
 from benchmarks.catalog import unit_costs
 
+pytestmark = pytest.mark.slow
+
 
 def test_recordings_have_the_planted_bad_ones(tmp_path):
     table = catalog.write_recordings(tmp_path / "clips", catalog.BAD + 1)

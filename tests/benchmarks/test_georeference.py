@@ -14,6 +14,8 @@ from benchmarks.georeference.simulated_points import (
 from geoaim.base.progress import no_progress
 from geoaim.mapping.georeference.control_points import ControlPoints
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.filterwarnings("ignore::geoaim.base.errors.GeoaimWarning")
 @pytest.mark.parametrize("noise", NOISES)

@@ -4,6 +4,8 @@ import pytest
 
 from benchmarks.simulation import policies
 
+pytestmark = pytest.mark.slow
+
 
 def test_rates_stand_beside_those_of_the_recording():
     cases = [policies._make_place("street", 20)]

@@ -18,6 +18,8 @@ from geoaim.mapping.video.video import open_video
 from geoaim.synthetic import Hover
 from geoaim.synthetic.scenery.texture import make_natural_noise
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def ground():

@@ -9,6 +9,8 @@ from benchmarks.rendering import batches as birdview_batches
 from benchmarks.rendering import benchmark as birdview
 from benchmarks.simulation import benchmark as simulator
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def ground():

@@ -14,6 +14,8 @@ from benchmarks.tracking.scores import compute_iou, make_view, measure_errors, s
 from geoaim.tracking import track_boxes
 from tests.tracking.paths import SIZE, detect, drive_straight, make_truth, turn_left
 
+pytestmark = pytest.mark.slow
+
 HAS_TRACKEVAL = find_spec("trackeval") is not None
 
 

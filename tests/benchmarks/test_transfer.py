@@ -1,6 +1,10 @@
+import pytest
+
 from benchmarks.registration import transfer
 from benchmarks.synthetic.motion import VEHICLES
 from geoaim.synthetic import make_sample, tracks_of
+
+pytestmark = pytest.mark.slow
 
 
 def test_rankings_are_compared_on_pairs_that_both_sources_tell_apart():

@@ -1,8 +1,11 @@
 import json
 
+import pytest
 from typer.testing import CliRunner
 
 from benchmarks import viewer
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_small_map_is_timed(chromium, tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ from geoaim.synthetic import Hover, Sample, files, make_sample, write_sample
 cv2.setNumThreads(1)  # threads do not survive a fork
 
 SMALL = make_sample(
-    2, kind="street", minutes=0.1, video=(90, 160), hover=Hover(count=3), resolution=0.2
+    2, kind="street", minutes=0.1, video=(96, 160), hover=Hover(count=3), resolution=0.2
 )
 
 

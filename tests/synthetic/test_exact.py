@@ -93,6 +93,7 @@ def test_blur_without_width_changes_nothing():
     assert blur(image, 0.0) is image
 
 
+@pytest.mark.slow
 def test_made_place_is_the_same_on_a_machine_without_vector_instructions():
     command, options = [sys.executable, "-W", "ignore", "-c", MADE], {"check": True, "text": True}
     results = [

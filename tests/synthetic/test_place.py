@@ -9,11 +9,12 @@ from geoaim.synthetic import Day, draw_place, make_place
 from geoaim.synthetic.place import plan_from_image
 from geoaim.synthetic.roads.markings import make_markings
 from geoaim.synthetic.scenery.canvas import make_canvas
+from tests.sizes import keep_quick
 
 COARSE = 0.2
 
 
-@pytest.fixture(scope="module", params=["junction", "roundabout"])
+@pytest.fixture(scope="module", params=keep_quick(["junction", "roundabout"], "junction"))
 def place(request):
     return make_place(6, kind=request.param)
 

@@ -7,6 +7,7 @@ from geoaim.synthetic import Hover, make_sample, tracks_of
 from geoaim.synthetic.roads.paving import outline_crossing
 from geoaim.synthetic.traffic.signals import compute_light_states
 from geoaim.tracks.lights import RED
+from tests.sizes import keep_quick
 
 VEHICLES = ("car", "van", "truck", "bus")
 WHEELBASE = 0.6  # share of the length
@@ -136,6 +137,7 @@ def test_agents_of_several_types_move_and_wait(recorded):
     assert 10 < tracks.present.sum(axis=0).mean() < 90
 
 
+@pytest.mark.slow
 def test_cars_enter_and_leave_the_car_park():
     sample = make_sample(2, kind="street", minutes=5.0, video=None)
     recording, tables = sample.recordings[0], sample.traffic_model.tables
@@ -148,13 +150,14 @@ def test_cars_enter_and_leave_the_car_park():
     assert np.nanmin(tracks.states[..., 3]) < -0.5  # a vehicle reverses
 
 
-@pytest.mark.parametrize("kind", ["junction", "roundabout"])
+@pytest.mark.parametrize("kind", keep_quick(["junction", "roundabout"], "junction"))
 def test_same_seed_gives_the_same_tracks(kind):
     one, again = (tracks_of(make_sample(9, kind=kind, minutes=0.2, video=None)) for _ in range(2))
     np.testing.assert_array_equal(one.states, again.states)
     assert one.ids == again.ids
 
 
+@pytest.mark.slow
 def test_long_traffic_is_split_into_different_recordings():
     sample = make_sample(1, kind="street", minutes=6.0, video=None)
     assert [round(float(r.times[-1])) for r in sample.recordings] == [300, 60]
