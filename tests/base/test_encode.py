@@ -1,7 +1,6 @@
 import os
 import sys
 
-import cv2
 import numpy as np
 import pytest
 
@@ -24,10 +23,8 @@ def test_a_video_does_not_depend_on_the_machines_cores(tmp_path):
     assert on_one == on_all
 
 
-def test_a_video_of_an_odd_half_height_is_the_same_each_time(tmp_path):
-    still = cv2.GaussianBlur(
-        np.random.default_rng(0).integers(0, 255, (90, 160, 3), dtype=np.uint8), (0, 0), 2
-    )
-    frames = [np.roll(still, 3 * index, axis=1) for index in range(3)]
-    written = {write_video(frames, tmp_path / "a.mp4").read_bytes() for _ in range(100)}
-    assert len(written) == 1
+@pytest.mark.parametrize(("height", "expected"), [(90, b"mbtree=0"), (96, b"mbtree=1")])
+def test_x264_runs_without_what_makes_its_bytes_differ(tmp_path, height, expected):
+    """Of one video in a hundred, by memory that it reads beyond pictures of an odd half height."""
+    frames = np.zeros((3, height, 160, 3), np.uint8)
+    assert expected in write_video(frames, tmp_path / "a.mp4").read_bytes()  # it writes its options
