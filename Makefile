@@ -45,7 +45,7 @@ demo: install
 tests changed test-slow test-lowest coverage: export OMP_NUM_THREADS = 1
 # a lint that waits for one core leaves the others to the tests
 test: install
-	$(MAKE) --no-print-directory -j 2 --output-sync=target lint tests
+	$(MAKE) --no-print-directory -j 2 lint tests
 
 tests: install
 	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "not slow" \
@@ -58,7 +58,7 @@ test-slow: install
 		$(filter-out $(QUICK_NOTEBOOKS),$(NOTEBOOKS)))
 
 check: install
-	$(MAKE) --no-print-directory -j 2 --output-sync=target lint changed
+	$(MAKE) --no-print-directory -j 2 lint changed
 
 changed: install
 	$(BIN)/python tests/rooms.py -n auto --dist loadfile -m "not slow"
@@ -93,11 +93,11 @@ docs: install
 
 install: .venv/installed
 
-# made again when the dependencies change
+# made again when the dependencies change; modules are compiled when they are first imported
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'geoaim needs Python 3.11 or newer, found ' + sys.version.split()[0] + '; name another one: make PYTHON=python3.12')"
 	$(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[test]'
 	touch $@
 
 .venv-lowest/installed: pyproject.toml constraints-lowest.txt
