@@ -7,6 +7,7 @@ import statistics
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,9 +27,14 @@ def run_python(code: str) -> str:
     ).stdout
 
 
+@cache
+def parse(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def public_definitions(path: Path) -> list[ast.FunctionDef | ast.ClassDef]:
     """Functions and classes of a file, and methods of its classes, without a leading underscore."""
-    tree = ast.parse(path.read_text())
+    tree = parse(path)
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
     bodies = [tree.body, *(node.body for node in classes if not node.name.startswith("_"))]
     kinds = (ast.FunctionDef, ast.ClassDef)
@@ -40,7 +46,7 @@ def find_functions() -> list[tuple[Path, ast.FunctionDef]]:
     return [
         (path, node)
         for path in SOURCES
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(parse(path))
         if isinstance(node, ast.FunctionDef)
     ]
 
@@ -67,7 +73,7 @@ def find_imports(path: Path) -> set[str]:
     """Modules that a file imports, by their names or through a public name of geoaim."""
     text = path.read_text()
     imported = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(parse(path)):
         if isinstance(node, ast.ImportFrom) and node.module:
             imported |= {node.module, *(f"{node.module}.{name.name}" for name in node.names)}
         elif isinstance(node, ast.Import):
@@ -129,7 +135,7 @@ def test_file_is_short_and_says_what_it_holds(path):
     assert len(path.read_text().splitlines()) <= 400
     assert path.stem not in {"utils", "helpers", "common", "misc"}
     if path.read_text().strip():
-        assert ast.get_docstring(ast.parse(path.read_text()))
+        assert ast.get_docstring(parse(path))
 
 
 def test_most_files_and_functions_are_short():
