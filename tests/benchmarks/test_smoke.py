@@ -84,6 +84,7 @@ def test_every_benchmark_is_a_command_with_help(name):
     assert "--json" in result.output
 
 
+@pytest.mark.slow
 def test_cost_is_measured_in_a_new_process(video, tmp_path):
     clip = write_video(list(video), tmp_path / "clip.mp4")
     seconds, peak = report.run_in_process(pipeline._measure_cost, pipeline.decode, clip)
@@ -91,6 +92,7 @@ def test_cost_is_measured_in_a_new_process(video, tmp_path):
     assert peak > 50
 
 
+@pytest.mark.slow
 def test_pipeline_repeats_packets_and_counts_frames(video, tmp_path):
     clip = write_video(list(video), tmp_path / "clip.mp4")
     long = pipeline.repeat_packets(clip, tmp_path / "long.mp4", 0.4)
@@ -101,6 +103,7 @@ def test_pipeline_repeats_packets_and_counts_frames(video, tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::geoaim.base.errors.GeoaimWarning")
+@pytest.mark.slow
 def test_short_clips_count_decoded_frames_and_the_error_of_the_map(video, tmp_path):
     clip = write_video(list(video), tmp_path / "clip.mp4", crf=10)
     auto, whole = short_clips.measure_clip(clip, render_background(video.clip))
@@ -109,6 +112,7 @@ def test_short_clips_count_decoded_frames_and_the_error_of_the_map(video, tmp_pa
     assert 0 < auto["RMSE, grey levels"] < 60
 
 
+@pytest.mark.slow
 def test_statistics_are_no_distance_from_themselves():
     field = make_natural_noise((800, 1600), 1.2, np.random.default_rng(0))
     grey = (110 + 30 * field).clip(0, 255).astype(np.uint8)

@@ -1,3 +1,5 @@
+from itertools import islice
+
 import pytest
 
 pytest.importorskip("distributed", reason="the extra catalog is not installed")
@@ -10,7 +12,9 @@ PLACES = [(40, 30), (600, 50), (580, 320), (60, 330), (300, 180)]
 
 @pytest.fixture(scope="session")
 def clip_file(clip, tmp_path_factory):
-    return write_video(render_frames(clip), tmp_path_factory.mktemp("clip") / "hover.mp4")
+    return write_video(
+        islice(render_frames(clip), 5), tmp_path_factory.mktemp("clip") / "hover.mp4"
+    )
 
 
 @pytest.fixture
