@@ -8,6 +8,7 @@ import errno
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import c_int
@@ -143,6 +144,9 @@ def _run(
         exit_code = 1
     except SystemExit as error:
         exit_code = error.code
+    except Exception:  # told to the test, since this stderr is read by it alone
+        traceback.print_exc()
+        exit_code = 1
     printed.put(sys.stderr.getvalue())
     os._exit(exit_code)
 
