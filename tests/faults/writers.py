@@ -20,11 +20,13 @@ import torch._dynamo
 from matplotlib.figure import Figure
 
 from benchmarks.prediction import tables
+from benchmarks.prediction.__main__ import experiment
 from geoaim import cli
 from geoaim.aim import quicklook
 from geoaim.aim.files import read_aim, write_aim
 from geoaim.base import encode, raster_files
 from geoaim.base.files import write_figure
+from geoaim.imagery.alignment import before_after
 from geoaim.imagery.alignment import pipeline as alignment
 from geoaim.mapping import pipeline as mapping
 from geoaim.mapping import texture
@@ -157,7 +159,7 @@ def repeat_experiment(inputs: Path, target: Path) -> None:
         patch.object(tables, "evaluate_case", lambda *_: metrics),
         patch.object(tables, "draw_futures_on_maps", lambda *_: _draw_small_figure(inputs)),
     ):
-        cli.experiment("pedestrians", inputs, target.parent)
+        experiment("pedestrians", inputs, target.parent)
 
 
 def write(name: str, inputs: Path, target: Path) -> None:
@@ -166,7 +168,7 @@ def write(name: str, inputs: Path, target: Path) -> None:
     figure = _draw_small_figure(inputs)
     with (
         patch.object(quicklook, "draw_quicklook", lambda *_, **__: figure),
-        patch.object(quicklook, "draw_alignment", lambda *_, **__: figure),
+        patch.object(before_after, "draw_alignment", lambda *_, **__: figure),
         patch.object(pictures, "draw_futures", lambda _: figure),
         patch.object(report, "plot_training", lambda _, path: write_figure(figure, path)),
     ):
