@@ -2,10 +2,13 @@
 
 import sys
 import warnings
+from contextvars import ContextVar
 
 # characters that end a line or control a terminal; damaged files have them in names and values
 CONTROLS = dict.fromkeys((*range(32), *range(127, 160), 0x2028, 0x2029), " ")
 MAX_START, MAX_END = 700, 300  # characters of a longer message that are kept
+# whether a command of geoaim runs, and not a program that imports it
+IN_COMMAND = ContextVar("IN_COMMAND", default=False)
 
 
 class GeoaimError(Exception):
@@ -72,3 +75,12 @@ def warn(message: str) -> None:
     while frame.f_back and frame.f_back.f_globals.get("__name__", "").startswith("geoaim"):
         level, frame = level + 1, frame.f_back
     warnings.warn(message.translate(CONTROLS), GeoaimWarning, stacklevel=level + 1)
+
+
+def name_option(option: str, argument: str) -> str:
+    """Name what a message advises to give: a command's option, or the argument in Python.
+
+    >>> name_option("--height", "height=")
+    'height='
+    """
+    return option if IN_COMMAND.get() else argument

@@ -25,7 +25,7 @@ from geoaim.mapping.sampling import parse_frame_count
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a folder on every system, and part of a URL
 MAX_LISTED_NAMES = 3  # names that a message lists
-NUMBERS = ("resolution", "frame_resolution", "height", "yaw")
+NUMBERS = ("resolution", "frame_resolution", "height", "yaw", "focal_length")
 
 
 @dataclass(frozen=True)

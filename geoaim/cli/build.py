@@ -45,6 +45,12 @@ def build(
         float | None,
         typer.Option(help="compass heading of the image's top, degrees, if telemetry lacks it"),
     ] = None,
+    focal_length: Annotated[
+        float | None,
+        typer.Option(
+            help="focal length, 35 mm equivalent with any zoom, mm, if telemetry lacks it"
+        ),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video, or from one image.
@@ -73,6 +79,7 @@ def build(
                 frame_origin=frame_origin,
                 height=height,
                 yaw=yaw,
+                focal_length=focal_length,
             ),
             progress=progress,
         )

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from geoaim.base.errors import GeoaimError, GeoaimWarning
+from geoaim.base.errors import IN_COMMAND, GeoaimError, GeoaimWarning
 from geoaim.base.progress import Progress
 
 # line length where the output is no terminal, so that each message stays on one line
@@ -57,6 +57,7 @@ def report_errors() -> Iterator[None]:
         warnings.showwarning = lambda message, *_, **__: console.print(
             Text.assemble(("warning", "yellow"), f": {message}")
         )
+        token = IN_COMMAND.set(True)
         try:
             yield
         except KeyboardInterrupt:
@@ -80,6 +81,8 @@ def report_errors() -> Iterator[None]:
             message = message.encode(errors="backslashreplace").decode()  # for undecodable names
             console.print(Text.assemble((type(error).__name__, "bold red"), message))
             sys.exit(1)
+        finally:
+            IN_COMMAND.reset(token)
 
 
 def stop_when_terminated() -> None:

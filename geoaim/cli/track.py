@@ -43,6 +43,7 @@ def track(
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.mapping.video.detection_columns import parse_columns
     from geoaim.mapping.video.detections import read_detections
+    from geoaim.mapping.video.video import open_video
     from geoaim.tracking.pipeline import track_video
     from geoaim.tracking.report import summarize_tracking
     from geoaim.tracks.files import write_tracks
@@ -51,9 +52,10 @@ def track(
         check_output(output, TRACKS, [aim, hdmap])
         names = tuple(name.strip() for name in classes.split(",") if name.strip())
         chosen = None if columns is None else parse_columns(columns)
-        boxes = read_detections(detections, columns=chosen, rate=rate, classes=names)
+        opened = open_video(video)
+        boxes = read_detections(detections, columns=chosen, rate=rate, classes=names, video=opened)
         ground = read_aim(aim)
         lanes = None if hdmap is None else read_hdmap(hdmap, ground.world)
-        tracks = track_video(video, ground, boxes, hdmap=lanes, progress=progress)
+        tracks = track_video(opened, ground, boxes, hdmap=lanes, progress=progress)
         write_tracks(tracks, output)
     print_result([output], summarize_tracking(tracks, ground), as_json)

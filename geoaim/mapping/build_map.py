@@ -31,6 +31,8 @@ class MapSettings:
         frame_origin: origin of such a map: the top-left corner or the middle of the frame.
         height: of the camera above the ground, metres, if telemetry lacks it.
         yaw: compass heading of the image's top, degrees, if telemetry lacks it.
+        focal_length: of the camera, 35 mm equivalent with any zoom, millimetres, if telemetry
+            lacks it.
     """
 
     frames: FrameCount = "auto"
@@ -40,6 +42,7 @@ class MapSettings:
     frame_origin: Literal["corner", "middle"] = "corner"
     height: float | None = None
     yaw: float | None = None
+    focal_length: float | None = None
 
 
 def build_map(
@@ -70,7 +73,12 @@ def build_map(
     """
     settings = settings or MapSettings()
     _check_settings(settings, gcps)
-    opened = override_telemetry(open_video(video), height=settings.height, yaw=settings.yaw)
+    opened = override_telemetry(
+        open_video(video),
+        height=settings.height,
+        yaw=settings.yaw,
+        focal_length=settings.focal_length,
+    )
     local, resolution = _make_local_georeference(opened, gcps, settings)
     aim = build_aim(
         opened,
@@ -93,11 +101,12 @@ def build_map(
 def _check_settings(settings: MapSettings, gcps: Path | None) -> None:
     if settings.frame_resolution is not None and gcps is not None:
         raise ValueError("--gcps and --frame-resolution exclude each other; give one")
-    completes_telemetry = (settings.height, settings.yaw) != (None, None)
+    given = settings.height, settings.yaw, settings.focal_length
+    completes_telemetry = given != (None, None, None)
     if completes_telemetry and (gcps, settings.frame_resolution) != (None, None):
         raise ValueError(
-            "--height and --yaw complete telemetry, which --gcps and --frame-resolution "
-            "replace; give one or the other"
+            "--height, --yaw and --focal-length complete telemetry, which --gcps and "
+            "--frame-resolution replace; give one or the other"
         )
 
 

@@ -91,7 +91,7 @@ def build_aim(
         raise ValueError(f"crs is {crs}, but there are no control points to transform to it")
     opened = open_video(video)
     sampling = sample_video(opened, frames)
-    vehicles = None if detections is None else read_detections(detections)
+    vehicles = None if detections is None else read_detections(detections, video=opened)
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
     batches = sampling.read()
     probes = list(next(batches)) if frames == "auto" else []

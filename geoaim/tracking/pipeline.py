@@ -58,7 +58,8 @@ def track_video(
         TracksError: no track is found.
         GeoaimError: detections are in no known format.
     """
-    opened, found = open_video(video), read_detections(detections)
+    opened = open_video(video)
+    found = read_detections(detections, video=opened)
     boxes: dict[int, DetectedBoxes | None] = {}
 
     def read_frames() -> Iterator[Frame]:

@@ -21,6 +21,7 @@ def place_tracks(
     georeference: Georeference,
     *,
     resolution: float,
+    frame_rate: float | None = None,
     half_window: float = 0.5,
 ) -> Tracks:
     """Transform tracks in pixels of a video's frames to the world of its map.
@@ -31,6 +32,9 @@ def place_tracks(
         registration: registration of all frames of the video to the georeferenced frame.
         georeference: georeference of that frame.
         resolution: metres per pixel with which the tracks were read.
+        frame_rate: frames per second with which the tracks were read, where their file has frame
+            numbers: these are looked up then, and the times become those of the frames. None: the
+            file has times, or the rate of the video is constant.
         half_window: seconds to each side over which `derive_motion` computes headings and speeds.
 
     Returns:
@@ -41,6 +45,8 @@ def place_tracks(
         TracksError: a track has a time at which there is no frame, or no agent is present at a
             registered one.
     """
+    if frame_rate is not None:
+        tracks = _replace_times(tracks, registration, frame_rate)
     time = registration.time
     nearest = np.rint(np.interp(tracks.times, time, np.arange(len(time)))).astype(int)
     offset = np.abs(time[nearest] - tracks.times)
@@ -60,3 +66,16 @@ def place_tracks(
     states[present, :2] = world_from_pixels(georeference, pixels[present])
     placed = replace(tracks, states=states, present=present, world=georeference.world)
     return derive_motion(placed, half_window=half_window)
+
+
+def _replace_times(tracks: Tracks, registration: Registration, frame_rate: float) -> Tracks:
+    """Replace times that were made of frame numbers by those of the frames."""
+    numbers = np.rint(tracks.times * frame_rate).astype(int)
+    missing = np.setdiff1d(numbers, registration.index)
+    if len(missing):
+        raise TracksError(
+            f"the tracks have agents in frame {missing[0]}, which the registration has not: "
+            "register all frames of the video of the tracks"
+        )
+    times = np.asarray(registration.time)[np.searchsorted(registration.index, numbers)]
+    return replace(tracks, times=times)

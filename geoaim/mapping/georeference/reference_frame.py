@@ -1,13 +1,13 @@
 """Georeference the reference frame of a video: by control points on any frame, or by telemetry."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.base.errors import GeoreferenceError, warn
+from geoaim.base.errors import GeoreferenceError, name_option, warn
 from geoaim.base.geometry import transform_points, wrap_angle
 from geoaim.base.world import LONLAT, choose_world, transform_crs
 from geoaim.mapping.georeference.control_points import (
@@ -34,6 +34,21 @@ from geoaim.mapping.video.video import Video
 MAX_TILT = np.radians(10.0)
 FILM_DIAGONAL_MM = 43.27  # diagonal of the film to which a 35 mm equivalent focal length refers
 MAX_GAP_S = 1.0  # a warning is given where the nearest entry that states a position is further away
+# What a caller gives where telemetry lacks a field: by an option of build, or in Python.
+ADVICE = {
+    "height": (
+        "--height (metres above the ground)",
+        "override_telemetry(height=...) (metres above the ground)",
+    ),
+    "yaw": (
+        "--yaw (compass heading of the image's top, degrees)",
+        "override_telemetry(yaw=...) (compass heading of the image's top, degrees)",
+    ),
+    "focal_length": (
+        "--focal-length (35 mm equivalent with any zoom, mm)",
+        "override_telemetry(focal_length=...) (35 mm equivalent with any zoom, mm)",
+    ),
+}
 FrameName = str | int | None  # names the frame that a control point was picked on
 
 
@@ -94,7 +109,7 @@ def _place_points(
     frames = {picked: _find_frame_index(picked, video) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
-        time = index / video.rate
+        time = video.find_time(index)
         if abs(time - reference.time) < TIME_TOLERANCE_S:
             transforms[picked] = np.eye(3)
             continue
@@ -117,7 +132,7 @@ def _place_by_links(
 ) -> tuple[ControlPoints, Reference]:
     links = link_photos(video, detections)
     central = choose_central_photo(links, list(frames.values()))
-    reference = choose_reference(video, detections=detections, time=central / video.rate)
+    reference = choose_reference(video, detections=detections, time=video.find_time(central))
     chained = {picked: chain_links(links, index, central) for picked, index in frames.items()}
     transforms = {picked: matrix for picked, matrix in chained.items() if matrix is not None}
     reasons = dict.fromkeys(set(chained) - set(transforms), "it overlaps with no other")
@@ -156,10 +171,11 @@ def _move_points(
 
 def _find_frame_index(picked: FrameName, video: Video) -> int:
     if picked is None or isinstance(picked, int):
-        if picked and video.frame_count is not None and picked >= video.frame_count:
+        count = video.count_frames() if picked else None
+        if picked and count is not None and picked >= count:
             raise GeoreferenceError(
-                f"control points name frame {picked}, but {video.source} has {video.frame_count} "
-                "frames, counted from 0"
+                f"control points name frame {picked}, but {video.source} has {count} frames, "
+                "counted from 0"
             )
         return picked or 0
     if video.names is None or picked not in video.names:
@@ -171,30 +187,42 @@ def _find_frame_index(picked: FrameName, video: Video) -> int:
 
 
 def override_telemetry(
-    video: Video, *, height: float | None = None, yaw: float | None = None
+    video: Video,
+    *,
+    height: float | None = None,
+    yaw: float | None = None,
+    focal_length: float | None = None,
 ) -> Video:
-    """Replace the height or heading that the telemetry of a video states.
+    """Replace the height, heading or focal length that the telemetry of a video states.
 
-    Where either is given, a camera whose pitch is not stated is taken to look straight down.
+    Where a height or heading is given, a camera whose pitch is not stated is taken to look straight
+    down.
 
     Args:
         video: the video, with telemetry that states at least a position.
         height: metres above the ground; None keeps what the telemetry states.
         yaw: compass heading of the image's top, degrees clockwise from north; None keeps it.
+        focal_length: 35 mm equivalent with any zoom, millimetres; None keeps it.
 
     Returns:
         The video with this telemetry.
 
     Raises:
-        ValueError: the height is not positive, or a value is not finite.
+        ValueError: the height or the focal length is not positive, or a value is not finite.
     """
     given = {}
     if height is not None:
         given["height"] = height
     if yaw is not None:
         given["yaw"] = float(wrap_angle(np.radians([90.0 - yaw]))[0])
-    if not (np.isfinite(list(given.values())).all() and given.get("height", 1.0) > 0.0):
-        raise ValueError(f"height {height}, yaw {yaw}: numbers are needed, and a positive height")
+    if focal_length is not None:
+        given["focal_length"] = focal_length
+    positive = given.get("height", 1.0) > 0.0 and given.get("focal_length", 1.0) > 0.0
+    if not (np.isfinite(list(given.values())).all() and positive):
+        raise ValueError(
+            f"height {height}, yaw {yaw}, focal length {focal_length}: numbers are needed, a "
+            "positive height and a positive focal length"
+        )
 
     def read() -> Telemetry | None:
         telemetry = video.read_telemetry()
@@ -202,7 +230,7 @@ def override_telemetry(
             return None
         count = len(telemetry.time)
         values = {name: np.full(count, value) for name, value in given.items()}
-        if given and np.isnan(telemetry.pitch).all():
+        if {"height", "yaw"} & set(given) and np.isnan(telemetry.pitch).all():
             values["pitch"] = np.full(count, -np.pi / 2)
         return replace(telemetry, **values)
 
@@ -221,8 +249,11 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
         raise GeoreferenceError(
             f"{video.source}: no control points were given and no telemetry can be read beside it "
             "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
-            "points, or for a map in a local plane the metres per pixel of the frames "
-            "(--frame-resolution, or --resolution of a single image)"
+            f"points ({name_option('--gcps', 'gcps=')}), or for a map in a local plane the metres "
+            + name_option(
+                "per pixel of the frames (--frame-resolution, or --resolution of a single image)",
+                "per pixel of the frames (gcps=make_local_georeference(resolution=...))",
+            )
         )
     image = "" if video.names is None else f", {video.names[reference.index]}"
     source, time = f"{video.source}{image}", reference.time
@@ -236,12 +267,7 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
         )
     missing = [name for name in names if np.isnan(stated[name])]
     if missing:
-        raise GeoreferenceError(
-            f"{source}: its telemetry (.SRT, or EXIF and XMP) states no "
-            f"{', no '.join(missing).replace('_', ' ')}. Give --height (metres above the ground) "
-            "and --yaw (degrees from north; in Python `override_telemetry`) of a camera that looks "
-            "straight down, or four or more control points"
-        )
+        raise GeoreferenceError(f"{source}: {_describe_missing(telemetry, missing)}")
     known = np.flatnonzero(np.isfinite(telemetry.latitude + telemetry.longitude))
     nearest = known[np.argmin(np.abs(telemetry.time[known] - time))]
     if abs(telemetry.time[nearest] - time) >= MAX_GAP_S:
@@ -260,6 +286,22 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
         yaw=stated["yaw"],
         field_of_view=float(2 * np.arctan(half_width / stated["focal_length"])),
         size=(reference.height, reference.width),
+    )
+
+
+def _describe_missing(telemetry: Telemetry, missing: Sequence[str]) -> str:
+    """Describe the fields that telemetry lacks, why, and what to give."""
+    reasons = [telemetry.remarks[name] for name in missing if name in telemetry.remarks]
+    lacking = f"no {', no '.join(missing).replace('_', ' ')}"
+    given = [name_option(*ADVICE[name]) for name in missing if name != "pitch"]
+    if "pitch" in missing and not {"height", "yaw"} & set(missing):
+        given.append(name_option(*ADVICE["yaw"]))
+    straight_down = " of a camera that looks straight down" if "pitch" in missing else ""
+    why = f" ({'; '.join(reasons)})" if reasons else ""
+    return (
+        f"its telemetry (.SRT, or EXIF and XMP) states {lacking}{why}. Give "
+        f"{' and '.join(given)}{straight_down}, or four or more control points "
+        f"({name_option('--gcps', 'gcps=')})"
     )
 
 

@@ -143,7 +143,7 @@ def register(
         RegistrationError: no frame can serve as the reference, or none can be registered to it.
     """
     video = open_video(video)
-    detections = None if detections is None else read_detections(detections)
+    detections = None if detections is None else read_detections(detections, video=video)
     reference = choose_reference(video, detections=detections, model=model, time=reference_time)
     rows = []
     for frame, registration in register_frames(video, reference, detections=detections):

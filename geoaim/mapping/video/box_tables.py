@@ -9,6 +9,9 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from geoaim.mapping.video.frame_numbers import find_first
+from geoaim.mapping.video.video import Video
+
 CORNERS = ("u0", "v0", "u1", "v1", "u2", "v2", "u3", "v3")
 BOX = ("left", "top", "right", "bottom")
 DEFAULTS: Mapping[str, float | str] = {"score": np.nan, "class": "", "id": ""}
@@ -21,7 +24,8 @@ class BoxTable:
 
     rows: pd.DataFrame
     has_shares: bool  # whether positions are shares of the image's size, and not pixels
-    rows_of_name: Mapping[str, Int[Array, " _"]] | None = None  # by the frame's name or number
+    rows_of_name: Mapping[str, Int[Array, " _"]] | None = None  # by the name of the image
+    rows_of_number: Mapping[int, Int[Array, " _"]] | None = None  # by the index of the frame
     times: Float[Array, " K"] | None = None  # of the frames that have rows, increasing, s
     rows_of_time: Sequence[Int[Array, " _"]] = ()
 
@@ -37,9 +41,10 @@ class BoxTable:
             Numbers of rows; None: the boxes of the frame are not known. Between the first and the
             last frame with rows, one without rows has no boxes.
         """
-        if self.rows_of_name is not None:
-            stem = Path(name).stem if name else str(index)
-            return self.rows_of_name.get(strip_zeros(stem))
+        if self.rows_of_name is not None and name is not None:
+            return self.rows_of_name.get(strip_zeros(Path(name).stem))
+        if self.rows_of_number is not None:
+            return self.rows_of_number.get(index)
         if self.times is None or not len(self.times):
             return None
         nearest = int(np.abs(self.times - time).argmin())
@@ -57,13 +62,18 @@ def strip_zeros(stem: str) -> str:
 
 
 def make_named_table(
-    rows: pd.DataFrame, names: Iterable[str], *, has_shares: bool = False
+    rows: pd.DataFrame,
+    names: Iterable[str],
+    numbers: Mapping[str, int] | None,
+    *,
+    has_shares: bool = False,
 ) -> BoxTable:
     """Make a table whose rows have the names of frames.
 
     Args:
         rows: a row for each box, with the column `name`.
         names: of all frames, with boxes or without.
+        numbers: the index of the frame of each name; None where names tell none.
         has_shares: whether positions are shares of the image's size.
 
     Returns:
@@ -72,18 +82,26 @@ def make_named_table(
     rows = _complete(rows)
     known = {strip_zeros(name): np.empty(0, int) for name in names}
     known |= _find_groups(rows["name"].map(strip_zeros))
-    return BoxTable(rows, has_shares, known)
+    by_number = {number: known[strip_zeros(name)] for name, number in (numbers or {}).items()}
+    return BoxTable(rows, has_shares, known, by_number or None)
 
 
-def make_numbered_table(rows: pd.DataFrame, rate: float | None) -> BoxTable:
-    """Make a table of rows with a column `frame`, from 0; with a rate (Hz) it counts as a time."""
+def make_numbered_table(
+    rows: pd.DataFrame, rate: float | None, video: Video | None, source: Path, usual: int | None
+) -> BoxTable:
+    """Make a table of rows with a column `frame`; with a rate (Hz) it counts as a time.
+
+    The other arguments are those of `find_first`.
+    """
     rows = rows.assign(frame=rows["frame"].round().astype(int))
     if rate is not None:
-        return make_timed_table(rows.assign(time=rows["frame"] / rate))
-    rows = _complete(rows)
-    numbers = range(int(rows["frame"].min()), int(rows["frame"].max()) + 1)
-    known = {str(number): np.empty(0, int) for number in numbers}
-    return BoxTable(rows, False, known | _find_groups(rows["frame"].map(str)))
+        first = usual if usual and rows["frame"].min() > 0 else 0
+        return make_timed_table(rows.assign(time=(rows["frame"] - first) / rate))
+    first = find_first(set(rows["frame"]), video, source, usual=usual)
+    rows = _complete(rows.assign(frame=rows["frame"] - first))
+    known = {number: np.empty(0, int) for number in range(rows["frame"].min(), rows["frame"].max())}
+    groups = {int(name): found for name, found in _find_groups(rows["frame"].map(str)).items()}
+    return BoxTable(rows, False, None, known | groups)
 
 
 def make_timed_table(rows: pd.DataFrame) -> BoxTable:
@@ -92,7 +110,7 @@ def make_timed_table(rows: pd.DataFrame) -> BoxTable:
     times, place = np.unique(rows["time"].to_numpy(np.float64), return_inverse=True)
     order = np.argsort(place, kind="stable")
     parts = np.split(order, np.searchsorted(place[order], np.arange(1, len(times))))
-    return BoxTable(rows, False, None, times, parts)
+    return BoxTable(rows, False, times=times, rows_of_time=parts)
 
 
 def _find_groups(names: "pd.Series[str]") -> dict[str, Int[Array, " _"]]:

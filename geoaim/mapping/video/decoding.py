@@ -4,27 +4,31 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import chain, dropwhile, groupby, islice
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
 import av
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
 
 from geoaim.base.errors import VideoError, warn
-from geoaim.base.limits import MAX_RECORDING_S, check_regular
+from geoaim.base.limits import MAX_RECORDING_S
+from geoaim.mapping.video.containers import (
+    TIMESTAMP_STEP_S,
+    open_container,
+    read_frame_count,
+    read_frame_times,
+    select_stream,
+)
 from geoaim.mapping.video.frames import Frame
 
-TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 DEFAULT_RATE = 25  # frames per second, where a file states none
 KEYFRAMES_TOGETHER = 8  # keyframes whose packets are read in one go
 SKIPPING_FRAMES = 2.0  # frames of slack, from which frames that no other needs are not decoded
-# FFmpeg's containers and raw streams; playlists and lists of files would name others
-FORMATS = (
-    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,"
-    "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
-)
-READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
 MAX_FAILURES_AT_END = 64  # frames that a decoder holds at the end; some repeat errors for ever
 MIN_END_TOLERANCE_S = 0.25  # a file may last so much longer than its last frame
 
@@ -43,6 +47,23 @@ class VideoFile:
     count_is_exact: bool  # whether `count` is a count of frames, not duration times rate
     seekable: bool  # whether frames can be found by time; not in raw streams and AVI
     keyframe_interval: float = math.inf  # seconds in the middle of the file; inf if not seekable
+    lists_frames: bool = False  # whether an index tells every frame, damaged ones too
+
+    @cached_property
+    def frame_times(self) -> Float[Array, " N"]:
+        """Seconds of all frames since the first; without time stamps by their number and rate."""
+        if math.isnan(self.start):
+            return np.arange(self.count) / self.rate
+        return read_frame_times(self.path, self.start)
+
+    def find_number(self, time: float) -> int:
+        """Find the number of the frame at a time (s), from 0 in order of presentation."""
+        times = self.frame_times
+        if not len(times):
+            return round(time * self.rate)
+        after = int(np.searchsorted(times, time))
+        near = [number for number in (after - 1, after) if 0 <= number < len(times)]
+        return min(near, key=lambda number: abs(float(times[number]) - time))
 
 
 @dataclass(frozen=True)
@@ -72,14 +93,14 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
         FileNotFoundError: there is no such file.
         VideoError: the file is empty, no video, has no video stream, or no frame can be decoded.
     """
-    with _open_container(path) as container:
-        stream = _select_stream(container, path, threads)
+    with open_container(path) as container:
+        stream = select_stream(container, path, threads)
         decoded = _decode(stream.codec_context, container.demux(stream))
         first = next((frame for frame in decoded if frame is not None), None)
         if first is None:
             raise VideoError(f"{path}: no frame can be decoded; it has none, or is damaged")
         rate = float(stream.average_rate or stream.guessed_rate or DEFAULT_RATE)
-        count, count_is_exact = _read_frame_count(container, stream, rate)
+        count, count_is_exact = read_frame_count(container, stream, rate)
         stamped = first.pts is not None and container.format.name != "avi"  # AVI has none
         by_time = any(name in container.format.name for name in ("mov", "matroska", "mpegts"))
         file = VideoFile(
@@ -92,6 +113,7 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
             count=count,
             count_is_exact=count_is_exact,
             seekable=stamped and count > 0 and by_time,
+            lists_frames=stamped and "mov" in container.format.name,
         )
         interval = _measure_keyframe_interval(file, container, stream)
         return replace(file, keyframe_interval=interval)
@@ -101,15 +123,15 @@ def read_frames(file: VideoFile) -> Iterator[Frame]:
     """Yield every frame in presentation order; `GeoaimWarning` at the end if some were missing."""
     index, time, missing = -1, -1 / file.rate, 0
     gaps: list[str] = []
-    with _open_container(file.path) as container:
-        stream = _select_stream(container, file.path, file.threads)
+    with open_container(file.path) as container:
+        stream = select_stream(container, file.path, file.threads)
         for decoded in _decode(stream.codec_context, container.demux(stream)):
             if decoded is None:
                 missing += 1
                 continue
             now = _compute_time(file, stream, decoded, time + (missing + 1) / file.rate)
             if missing:  # the decoder may drop more than it reports; the timestamps tell how many
-                lost = max(round((now - time) * file.rate) - 1, 0)
+                lost = max(_count_frames_between(file, time, now), 0)
                 gaps.append(f"{lost} frame(s) after frame {index} ({time:.3f} s)")
                 index += lost
             index, time, missing = index + 1, now, 0
@@ -133,16 +155,15 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
         slack: seconds; 0 decodes exactly the frame at each time.
 
     Yields:
-        The frames; their index is estimated from the time. Those that cannot be read are left out,
-        with a `GeoaimWarning`.
+        The frames. Those that cannot be read are left out, with a `GeoaimWarning`.
     """
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)
         return
     unread: list[float] = []
     last = -math.inf
-    with _open_container(file.path) as container:
-        stream = _select_stream(container, file.path, file.threads)
+    with open_container(file.path) as container:
+        stream = select_stream(container, file.path, file.threads)
         runs = _plan_runs(file, container, stream, times, slack)
         for run, frames in _decode_runs(file, container, stream, runs):
             any_read = False
@@ -161,48 +182,6 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
             f"{file.path}: {len(unread)} of {len(times)} requested frames cannot be read, the "
             f"first at {unread[0]:.3f} s: the file ends earlier, or is damaged"
         )
-
-
-def _open_container(path: Path) -> Any:
-    check_regular(path, VideoError)
-    try:
-        return av.open(f"file:{path}", options=READ_OPTIONS, metadata_errors="replace")
-    except av.FFmpegError as error:
-        with path.open("rb") as opened:
-            head = opened.read(8)
-        if not head:
-            raise VideoError(f"{path}: the file is empty") from error
-        if head[4:] == b"ftyp":
-            raise VideoError(
-                f"{path}: an MP4 or MOV whose index (moov atom) cannot be read: the recording or "
-                "the copy was interrupted; copy it again, or repair it (untrunc)"
-            ) from error
-        raise VideoError(f"{path}: not a video that FFmpeg can read ({error.strerror})") from error
-
-
-def _select_stream(container: Any, path: Path, threads: int | None) -> Any:
-    cover = av.stream.Disposition.attached_pic
-    streams = [stream for stream in container.streams.video if not stream.disposition & cover]
-    if not streams:
-        kinds = ", ".join(sorted({one.type for one in container.streams})) or "no stream at all"
-        raise VideoError(f"{path}: no video in this file, but {kinds}; give a video file")
-    if streams[0].codec_context is None:
-        raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
-    streams[0].thread_type = "AUTO"
-    if threads is not None:
-        streams[0].thread_count = threads
-    return streams[0]
-
-
-def _read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:
-    """Number of frames that the file states, and whether it is a count, not a duration."""
-    if stream.frames and "mov" in container.format.name:  # an edit list may hide some of them
-        return sum(not entry.is_discard for entry in stream.index_entries), True
-    if stream.frames:
-        return stream.frames, True
-    if stream.duration is not None:
-        return round(stream.duration * stream.time_base * rate), False
-    return round((container.duration or 0) / av.time_base * rate), False
 
 
 def _decode(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
@@ -234,6 +213,13 @@ def _compute_time(file: VideoFile, stream: Any, decoded: Any, default: float) ->
     if decoded.pts is None or math.isnan(file.start):
         return default
     return float(decoded.pts * stream.time_base) - file.start
+
+
+def _count_frames_between(file: VideoFile, before: float, after: float) -> int:
+    """Count the frames that a file lost between two times (s)."""
+    if not file.lists_frames or before < 0:
+        return round((after - before) * file.rate) - 1
+    return file.find_number(after) - file.find_number(before) - 1
 
 
 def _make_frame(file: VideoFile, decoded: Any, index: int, time: float) -> Frame:
@@ -393,8 +379,8 @@ def _demux_from(container: Any, stream: Any, keyframe: _Keyframe) -> Iterator[An
 def _decode_frames(
     file: VideoFile, stream: Any, packets: Iterator[Any], default_time: float
 ) -> Iterator[Frame]:
-    """Decode packets to frames; their index is estimated from the time."""
+    """Decode packets to frames, whose numbers follow from their times."""
     for decoded in _decode(stream.codec_context, packets):
         if decoded is not None:
             time = _compute_time(file, stream, decoded, default_time)
-            yield _make_frame(file, decoded, round(time * file.rate), time)
+            yield _make_frame(file, decoded, file.find_number(time), time)

@@ -19,8 +19,11 @@ from geoaim.mapping.video.box_tables import (
     make_named_table,
     make_numbered_table,
     make_timed_table,
+    strip_zeros,
 )
 from geoaim.mapping.video.detection_columns import name_columns
+from geoaim.mapping.video.frame_numbers import number_names, refuse_other_names
+from geoaim.mapping.video.video import Video
 from geoaim.tracks.formats.geotrax import VEHICLE_CLASSES
 from geoaim.tracks.formats.geotrax_pixels import BOX as GEOTRAX_BOX
 from geoaim.tracks.formats.geotrax_pixels import PIXEL_COLUMNS
@@ -41,6 +44,7 @@ def read_box_table(
     columns: Mapping[str, str] | None = None,
     rate: float | None = None,
     classes: Sequence[str] = (),
+    video: Video | None = None,
 ) -> BoxTable:
     """Read a folder or a file of detections.
 
@@ -49,6 +53,7 @@ def read_box_table(
         columns: as in `read_detections`.
         rate: as there, frames per second.
         classes: names of class numbers.
+        video: the video that the boxes are of, by which names and numbers are checked.
 
     Returns:
         The boxes of all frames.
@@ -60,18 +65,18 @@ def read_box_table(
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file or folder")
     if path.is_dir():
-        return _read_folder(path, classes)
+        return _read_folder(path, classes, video)
     with refuse_damaged(path, GeoaimError, "a table of detections"):
         if path.suffix.lower() == ".json":
-            return _read_coco(path, rate)
+            return _read_coco(path, rate, video)
         with open(path, encoding="utf-8-sig", errors="replace") as file:
             head = file.readline()
         if any(character.isalpha() and character not in "eE" for character in head):
-            return _read_table(path, columns, rate, classes)
-        return _read_numbers(path, rate, classes)
+            return _read_table(path, columns, rate, classes, video)
+        return _read_numbers(path, rate, classes, video)
 
 
-def _read_folder(folder: Path, classes: Sequence[str]) -> BoxTable:
+def _read_folder(folder: Path, classes: Sequence[str], video: Video | None) -> BoxTable:
     files = sorted(folder.glob("*.txt"))
     texts = {file: _read_text(file) for file in files if file.name != CLASS_NAMES}
     if not texts:
@@ -93,7 +98,22 @@ def _read_folder(folder: Path, classes: Sequence[str]) -> BoxTable:
     if CORNERS[0] in rows and rows[list(CORNERS)].isna().to_numpy().any():
         raise GeoaimError(f"{folder} mixes upright and oriented boxes; give one kind")
     names = [file.stem for file in texts]
-    return make_named_table(rows[rows["class"] != IGNORED], names, has_shares=not is_visdrone)
+    numbers = _match_names(names, video, folder)
+    kept = rows[rows["class"] != IGNORED]
+    return make_named_table(kept, names, numbers, has_shares=not is_visdrone)
+
+
+def _match_names(names: Sequence[str], video: Video | None, source: Path) -> dict[str, int] | None:
+    """Number the names of frames of a video; refuse those of which none is that of a frame."""
+    if video is not None and video.names is not None:
+        images = {strip_zeros(Path(name).stem) for name in video.names}
+        if not images & {strip_zeros(name) for name in names}:
+            refuse_other_names(names, [Path(name).stem for name in video.names], video, source)
+        return None
+    numbers = number_names(names, video, source)
+    if numbers is None and video is not None:
+        refuse_other_names(names, (), video, source)
+    return numbers
 
 
 def _read_text(file: Path) -> str:
@@ -108,6 +128,8 @@ def _read_yolo_file(file: Path, text: str) -> pd.DataFrame:
         if not all(len(row) in YOLO_FIELDS for row in rows):
             raise ValueError("5 or 9 fields are needed, a confidence and an id may follow")
         numbers = [[float(value) for value in row] for row in rows]
+        if any(len(row) in (7, 11) and row[-1] % 1 for row in numbers):
+            raise ValueError("its last field is no id, a whole number: are these polygons?")
     except ValueError as error:
         raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error
     table = pd.DataFrame([_describe_yolo_row(row) for row in numbers])
@@ -116,7 +138,7 @@ def _read_yolo_file(file: Path, text: str) -> pd.DataFrame:
     shares = table[[name for name in (*BOX, *CORNERS) if name in table]].to_numpy()
     if not (np.abs(shares) <= MAX_SHARE).all():
         largest = np.abs(shares).max()
-        raise GeoaimError(f"{file}: values reach {largest:g}; shares of the size are needed")
+        raise GeoaimError(f"{file}: values reach {float(largest)!r}; shares of the size are needed")
     return table.assign(name=file.stem)
 
 
@@ -171,7 +193,9 @@ def _name_classes(numbers: "pd.Series[Any]", names: Sequence[str]) -> list[str]:
     return [known.get(str(number), str(number)) for number in numbers]
 
 
-def _read_numbers(path: Path, rate: float | None, classes: Sequence[str]) -> BoxTable:
+def _read_numbers(
+    path: Path, rate: float | None, classes: Sequence[str], video: Video | None
+) -> BoxTable:
     """Read a file without a header: geo-trax (14 columns or 15), VisDrone or MOT (7 to 10)."""
     with open(path, encoding="utf-8-sig") as file:
         delimiter = "," if "," in file.readline() else r"\s+"
@@ -179,7 +203,7 @@ def _read_numbers(path: Path, rate: float | None, classes: Sequence[str]) -> Box
     values = table.to_numpy(np.float64)
     count = values.shape[1]
     if count in (len(PIXEL_COLUMNS), len(PIXEL_COLUMNS) + 1):
-        return _make_geotrax(values, rate)
+        return _make_geotrax(values, rate, video, path)
     if not 6 <= count <= 10:
         raise GeoaimError(
             f"{path} has {count} columns and no header; MOT and VisDrone have 6 to 10, geo-trax 14"
@@ -191,12 +215,14 @@ def _read_numbers(path: Path, rate: float | None, classes: Sequence[str]) -> Box
     rows = _make_rows(values[:, 2:6], np.where((score < 0) | (score > 1), np.nan, score), number)
     rows["class"] = _name_classes(rows["class"], VISDRONE_CLASSES if is_visdrone else classes)
     ids = ["" if value < 0 else f"{value:.0f}" for value in values[:, 1]]
-    first = 0 if values[:, 0].min() < 1 else 1  # both formats count frames from 1
-    rows = rows.assign(frame=values[:, 0] - first, id=ids)
-    return make_numbered_table(rows[rows["class"] != IGNORED], rate)
+    rows = rows.assign(frame=values[:, 0], id=ids)
+    # both formats count frames from 1
+    return make_numbered_table(rows[rows["class"] != IGNORED], rate, video, path, 1)
 
 
-def _make_geotrax(values: Float[Array, "m c"], rate: float | None) -> BoxTable:
+def _make_geotrax(
+    values: Float[Array, "m c"], rate: float | None, video: Video | None, path: Path
+) -> BoxTable:
     column = {name: values[:, number] for number, name in enumerate(PIXEL_COLUMNS)}
     box = np.column_stack([column[name] for name in GEOTRAX_BOX])
     box[:, :2] -= box[:, 2:] / 2
@@ -204,15 +230,20 @@ def _make_geotrax(values: Float[Array, "m c"], rate: float | None) -> BoxTable:
     names = [VEHICLE_CLASSES.get(number, "") for number in range(max(VEHICLE_CLASSES) + 1)]
     rows["class"] = _name_classes(rows["class"], names)
     ids = [f"{value:.0f}" for value in column["track"]]
-    return make_numbered_table(rows.assign(frame=column["frame"], id=ids), rate)
+    return make_numbered_table(rows.assign(frame=column["frame"], id=ids), rate, video, path, 0)
 
 
-def _read_coco(path: Path, rate: float | None) -> BoxTable:
-    """Read COCO's annotations, or its list of results, whose image_id is the frame's number."""
+def _read_coco(path: Path, rate: float | None, video: Video | None) -> BoxTable:
+    """Read COCO's annotations, or its list of results, whose image_id numbers or names frames."""
     content = json.loads(path.read_text("utf-8-sig"))
     found = content if isinstance(content, list) else content["annotations"]
     if not found:
         raise GeoaimError(f"{path} has no annotations")
+    if any(entry.get("attributes", {}).get("rotation", 0) for entry in found):
+        raise GeoaimError(
+            f"{path} has boxes with a rotation, which COCO's boxes do not hold; export them as "
+            "oriented boxes of YOLO"
+        )
     box = np.array([entry["bbox"] for entry in found], np.float64)
     score = np.array([entry.get("score", np.nan) for entry in found], np.float64)
     rows = _make_rows(box, score, np.zeros(len(found)))
@@ -223,15 +254,38 @@ def _read_coco(path: Path, rate: float | None) -> BoxTable:
         str(entry.get("track_id", entry.get("attributes", {}).get("track_id", "")))
         for entry in found
     ]
-    if isinstance(content, list):
-        return make_numbered_table(rows.assign(frame=[entry["image_id"] for entry in found]), rate)
-    stems = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
+    if not isinstance(content, list):
+        _check_image_sizes(path, content["images"], video)
+        stems = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
+    elif all(str(entry["image_id"]).isdecimal() for entry in found):
+        numbers = [int(entry["image_id"]) for entry in found]
+        return make_numbered_table(rows.assign(frame=numbers), rate, video, path, None)
+    else:
+        stems = {entry["image_id"]: str(entry["image_id"]) for entry in found}
     rows["name"] = [stems[entry["image_id"]] for entry in found]
-    return make_named_table(rows, stems.values())
+    names_of_frames = list(dict.fromkeys(stems.values()))
+    return make_named_table(rows, names_of_frames, _match_names(names_of_frames, video, path))
+
+
+def _check_image_sizes(
+    path: Path, images: Sequence[Mapping[str, Any]], video: Video | None
+) -> None:
+    """Refuse boxes of images of another size than the frames."""
+    for image in images if video is not None else ():
+        size = image.get("width", video.width), image.get("height", video.height)
+        if size != (video.width, video.height):
+            raise GeoaimError(
+                f"{path} has boxes of images of {size[0]} x {size[1]} pixels, and the frames of "
+                f"{video.source} have {video.width} x {video.height}; give boxes of that size"
+            )
 
 
 def _read_table(
-    path: Path, columns: Mapping[str, str] | None, rate: float | None, classes: Sequence[str]
+    path: Path,
+    columns: Mapping[str, str] | None,
+    rate: float | None,
+    classes: Sequence[str],
+    video: Video | None,
 ) -> BoxTable:
     """Read a CSV with a header."""
     delimiter = None if path.suffix.lower() != ".csv" else ","
@@ -241,4 +295,6 @@ def _read_table(
     table.columns = table.columns.str.strip()
     rows = name_columns(path, table, columns or {})
     rows["class"] = _name_classes(rows["class"], classes)
-    return make_timed_table(rows) if "time" in rows else make_numbered_table(rows, rate)
+    if "time" in rows:
+        return make_timed_table(rows)
+    return make_numbered_table(rows, rate, video, path, None)

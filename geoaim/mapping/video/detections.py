@@ -12,6 +12,7 @@ from numpy import ndarray as Array
 from geoaim.mapping.video.box_tables import CORNERS, BoxTable
 from geoaim.mapping.video.detection_files import read_box_table
 from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import Video
 from geoaim.tracks.formats.shared import AGENT_TYPES
 
 # names of classes in datasets of detections -> agent types
@@ -67,34 +68,39 @@ def read_detections(
     columns: Mapping[str, str] | None = None,
     rate: float | None = None,
     classes: Sequence[str] = (),
+    video: Video | None = None,
 ) -> Detections:
     """Read boxes of agents from files, arrays or a detector's results.
 
     Args:
-        source: a folder of text files named like the frames' images or by the frames' indices
-            (`000123.txt` or `123.txt`), in YOLO's format or VisDrone's; a file of all frames (MOT,
-            VisDrone, geo-trax, COCO's JSON, or a CSV with a header); a sequence with an entry for
-            each frame, or a function of a `Frame`. An entry is an array of rows left, top, right,
-            bottom in pixels, an object with `xyxy` as those of supervision and ultralytics, a
-            `DetectedBoxes`, or None for a frame without labels.
+        source: a folder of text files in YOLO's format or VisDrone's, named like the frames'
+            images or by the frames' indices (`000123.txt`, `123.txt`, or `hover_124.txt` as
+            ultralytics names them, from 1); a file of all frames (MOT, VisDrone, geo-trax, COCO's
+            JSON, or a CSV with a header); a sequence with an entry for each frame, or a function
+            of a `Frame`. An entry is an array of rows left, top, right, bottom in pixels, an
+            object with `xyxy` as those of supervision and ultralytics, a `DetectedBoxes`, or None
+            for a frame without labels.
         columns: names of a CSV's columns by what they hold: frame or time (s), id, class, score,
             and left, top, right, bottom or x, y, width, height (of the box's middle), pixels.
         rate: frames per second by which frame numbers of a file count; None: they number the
             frames of the video.
         classes: names of class numbers; those of a `classes.txt` in the folder if empty.
+        video: the video that the boxes are of. With it the names of files are checked, and
+            numbers that count from 1 are found; None: names tell nothing of that.
 
     Returns:
         A function from a `Frame` to its boxes, or to None for a frame without any known.
 
     Raises:
-        GeoaimError: the file or folder holds no detections in a known format.
+        GeoaimError: the file or folder holds no detections in a known format, or none of the
+            frames of the video.
     """
     if callable(source):
         return lambda frame: convert_boxes(source(frame))
     if not isinstance(source, str | Path):
         entries = source
         return lambda f: convert_boxes(entries[f.index]) if f.index < len(entries) else None
-    table = read_box_table(Path(source), columns=columns, rate=rate, classes=classes)
+    table = read_box_table(Path(source), columns=columns, rate=rate, classes=classes, video=video)
     return lambda frame: _select_frame(table, frame)
 
 

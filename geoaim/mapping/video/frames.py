@@ -32,9 +32,7 @@ class YuvEncoding(NamedTuple):
 class Frame:
     """One decoded frame. `grey` and `image` are computed on first access and cached."""
 
-    # position in presentation order; from `sample` and `frames_at` of a video file it is time x
-    # average rate, an estimate where the frame rate varies
-    index: int
+    index: int  # number in presentation order, from 0
     time: float  # seconds since the first frame, from presentation timestamps
     name: str | None  # file name of an image, None for a frame of a video
     decoded: Any  # the frame of PyAV, or the array, that holds the pixels

@@ -26,7 +26,16 @@ PATTERNS = {
     "focal_length": rf"\bfocal_len{VALUE}",
     "place": r"\b(?:GPS|RTK)\s*\(([^)]*)\)",
     "attitude": r"\bG\.PRY\s*\(([^)]*)\)",
+    "roll": rf"\bgb_roll{VALUE}",
 }
+ZOOM = re.compile(rf"\b(\w*zoom\w*){VALUE}", re.IGNORECASE)
+DIGITAL_ZOOMS = ("dzoom", "dzoom_ratio", "digital_zoom")
+ZOOM_UNIT = 10_000  # some models write 10000 for no zoom
+UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--")  # what stands for no value
+ALTITUDE_ALONE = (
+    "its `altitude` counts from the take-off in some models and from the sea in others, and the "
+    "file does not tell which"
+)
 MAX_LEFT_OUT = 0.05  # share of the entries that may jump
 METRES_PER_DEGREE = 111_320.0
 # The most that a value changes: per second, and at once because of rounding and rare updates.
@@ -59,13 +68,14 @@ def read_srt(path: str | Path) -> Telemetry:
             "time such as 00:00:00,000: the file is damaged"
         )
     ends = [line.start() for line in lines[1:]] + [len(text)]
-    rows = []
+    rows, remarks = [], dict[str, str]()
     for number, (line, end) in enumerate(zip(lines, ends, strict=True), start=1):
         try:
-            rows.append(_parse_entry(text[line.end() : end]))
+            rows.append(_parse_entry(text[line.end() : end], remarks))
         except ValueError as error:
             raise GeoreferenceError(f"{path}: entry {number}: {error}") from None
-    telemetry = make_telemetry([_parse_seconds(line) for line in lines], rows, str(path))
+    times = [_parse_seconds(line) for line in lines]
+    telemetry = make_telemetry(times, rows, str(path), remarks)
     _check_changes(telemetry, path)
     return telemetry
 
@@ -75,34 +85,63 @@ def _parse_seconds(line: re.Match[str]) -> float:
     return 3600 * int(hours) + 60 * int(minutes) + int(seconds) + float(f"0.{fraction}")
 
 
-def _parse_entry(text: str) -> dict[str, float]:
-    """Fields of an entry, in degrees, metres and millimetres; ValueError if one is not a number."""
+def _parse_entry(text: str, remarks: dict[str, str]) -> dict[str, float]:
+    """Parse the fields of an entry, in degrees, metres and millimetres.
+
+    Fields whose meaning the file leaves open are left out, with the reason in `remarks`.
+
+    Raises:
+        ValueError: a field is not a number.
+    """
     stated = {}
     for name, pattern in PATTERNS.items():
         found = [match[match.lastindex or 0] for match in re.finditer(pattern, text)]
         if len(found) > 1:
             raise ValueError(f"{name} is stated {len(found)} times")
-        if found and found[0].rstrip(",") != "n/a":
+        if found and found[0].rstrip(",").lower() not in UNKNOWN:
             stated[name] = found[0].rstrip(",")
     row = _parse_place(stated.pop("place")) if "place" in stated else {}
     if "attitude" in stated:
         parts = [part.strip().rstrip("°\ufffd") for part in stated.pop("attitude").split(",")]
         if len(parts) != 3:
             raise ValueError(f"G.PRY has {len(parts)} parts; pitch, roll and yaw are needed")
-        stated |= {"pitch": parts[0], "yaw": parts[2]}
+        stated |= dict(zip(("pitch", "roll", "yaw"), parts, strict=True))
     for name, value in stated.items():
         row[name] = _parse_number(name, re.sub("[mM]$", "", value) if name == "height" else value)
-    # A model that states one altitude only means that above take-off.
-    row = {"height": row.pop("only altitude"), **row} if "only altitude" in row else row
+    if row.pop("only altitude", None) is not None and "height" not in row:
+        remarks["height"] = ALTITUDE_ALONE
     if "." not in stated.get("focal_length", "."):
         row["focal_length"] /= 10.0  # older models write tenths: "focal_len : 240" is 24 mm
-    return row
+    zoom, problem = _parse_zoom(text)
+    if problem and row.pop("focal_length", None) is not None:
+        remarks["focal_length"] = problem
+    return row | {"zoom": zoom}
+
+
+def _parse_zoom(text: str) -> tuple[float, str]:
+    """Parse the digital zoom; with the problem, where fields contradict each other or are unknown.
+
+    Zooms are written as 2.00, or as 20000 where 10000 is none; 0 is none in EXIF, too.
+    """
+    zooms = {}
+    for name, value in ZOOM.findall(text):
+        written = value.rstrip(",")
+        if written.lower() not in UNKNOWN:
+            number = _parse_number(name, written)
+            is_share = "." not in written and number >= ZOOM_UNIT / 100
+            zooms[name.lower()] = number / ZOOM_UNIT if is_share else number or 1.0
+    digital = {zoom for name, zoom in zooms.items() if name in DIGITAL_ZOOMS}
+    others = {name: zoom for name, zoom in zooms.items() if name not in DIGITAL_ZOOMS}
+    if len(digital) > 1 or any(zoom != 1.0 for zoom in others.values()):
+        listed = ", ".join(f"{name} {zoom:g}" for name, zoom in zooms.items())
+        return 1.0, f"its zooms do not tell which one the focal length has: {listed}"
+    return next(iter(digital), 1.0), ""
 
 
 def _parse_place(text: str) -> dict[str, float]:
     """Position as GPS (longitude, latitude, satellites) or GPS(latitude, longitude, 0.0M)."""
     parts = [part.strip() for part in text.split(",")]
-    if parts[:2] == ["n/a", "n/a"]:  # no fix
+    if all(part.lower() in UNKNOWN for part in parts[:2]):  # no fix
         return {}
     latitude_first = parts[-1].endswith("M")
     if len(parts) != 3 or not (latitude_first or parts[-1].isdecimal()):

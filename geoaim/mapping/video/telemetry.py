@@ -1,7 +1,8 @@
 """Telemetry: the camera's position and attitude over time."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,9 @@ PLAUSIBLE = {
     "pitch": (-180.0, 180.0),
     "focal_length": (5.0, 1500.0),
 }
+# Fields that change the meaning of others, and their ranges.
+MODIFIERS = {"roll": (-360.0, 360.0), "zoom": (1.0, 200.0)}
+NADIR_DEGREES = 45.0  # from straight down, within which the image's top has a heading
 
 
 @dataclass(frozen=True)
@@ -35,17 +39,26 @@ class Telemetry:
     # the image when the camera looks straight down
     yaw: Float[Array, " T"]
     pitch: Float[Array, " T"]  # radians, 0 at the horizon and -pi/2 straight down
-    focal_length: Float[Array, " T"]  # millimetres, 35 mm equivalent
+    focal_length: Float[Array, " T"]  # millimetres, 35 mm equivalent, with digital zoom
+    # why a field is not stated though the file seems to have it, for messages; by field
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
 
-def make_telemetry(times: list[float], rows: list[dict[str, float]], source: str) -> Telemetry:
+def make_telemetry(
+    times: list[float],
+    rows: list[dict[str, float]],
+    source: str,
+    remarks: Mapping[str, str] | None = None,
+) -> Telemetry:
     """Make telemetry from fields as files state them.
 
     Args:
         times: (T) seconds.
-        rows: (T) the fields of `PLAUSIBLE` at each time, of which any may be missing: degrees,
-            metres, millimetres; yaw clockwise from north, pitch -90 straight down.
+        rows: (T) the fields of `PLAUSIBLE` and `MODIFIERS` at each time, of which any may be
+            missing: degrees, metres, millimetres; yaw clockwise from north, pitch -90 straight
+            down, roll clockwise about the view; zoom is digital, by which the focal length grows.
         source: the file that messages name.
+        remarks: those of the telemetry.
 
     Returns:
         The telemetry in its own units; NaN where a row lacks a field.
@@ -53,12 +66,15 @@ def make_telemetry(times: list[float], rows: list[dict[str, float]], source: str
     Raises:
         GeoreferenceError: no time has a position, or a value is not possible.
     """
-    table = np.array([[row.get(name, math.nan) for name in PLAUSIBLE] for row in rows], np.float64)
+    limits = PLAUSIBLE | MODIFIERS
+    table = np.array([[row.get(name, math.nan) for name in limits] for row in rows], np.float64)
     table[(table[:, 0] == 0) & (table[:, 1] == 0), :2] = np.nan  # DJI writes (0, 0) without a fix
     table[table[:, 6] == 0, 6] = np.nan  # EXIF writes 0 for an unknown focal length
     if not np.isfinite(table[:, :2]).all(axis=1).any():
         raise GeoreferenceError(f"{source}: no latitude and longitude found")
-    for (name, (least, greatest)), values in zip(PLAUSIBLE.items(), table.T, strict=True):
+    roll, zoom = table[:, 7], table[:, 8]
+    table[:, 6] *= np.where(np.isnan(zoom), 1.0, zoom)
+    for (name, (least, greatest)), values in zip(limits.items(), table.T, strict=True):
         wrong = (values < least) | (values > greatest)
         if wrong.any():
             first = int(np.argmax(wrong))
@@ -67,6 +83,22 @@ def make_telemetry(times: list[float], rows: list[dict[str, float]], source: str
                 f"{source}: {name} is {values[first]:g} in entry {first + 1}; it lies between "
                 f"{least:g} and {greatest:g}{hint}"
             )
-    table[:, 4] = wrap_angle(np.radians(90.0 - table[:, 4]))
+    heading = _find_heading_of_top(table[:, 4], table[:, 5], roll)
+    table[:, 4] = wrap_angle(np.radians(90.0 - heading))
     table[:, 5] = np.radians(table[:, 5])
-    return Telemetry(np.array(times, np.float64), *table.T)
+    return Telemetry(np.array(times, np.float64), *table.T[:7], remarks=remarks or {})
+
+
+def _find_heading_of_top(
+    yaw: Float[Array, " T"], pitch: Float[Array, " T"], roll: Float[Array, " T"]
+) -> Float[Array, " T"]:
+    """Find the compass heading of the image's top where the camera looks down; else the yaw.
+
+    Gimbals write straight down also as yaw + 180, pitch -90 and roll 180. A pitch that is not
+    stated is taken to be straight down, as it is everywhere. Angles are in degrees.
+    """
+    down = np.radians(np.where(np.isnan(pitch), -90.0, pitch))
+    turn = np.radians(np.where(np.isnan(roll), 0.0, roll))
+    by_roll = np.degrees(np.arctan2(np.sin(turn), -np.sin(down) * np.cos(turn)))
+    near = np.abs(np.degrees(down) + 90.0) < NADIR_DEGREES
+    return np.where(near, yaw + by_roll, yaw)

@@ -47,6 +47,7 @@ class Video:
         names: file names of images, None for other sources.
         keyframe_interval: seconds between keyframes, which are decoded alone; 0 where every frame
             is, inf where frames are only read from the first on.
+        read_times: reads the times of all frames, s; None where they are evenly spaced.
     """
 
     source: str
@@ -59,6 +60,7 @@ class Video:
     read_telemetry: Callable[[], Telemetry | None] = lambda: None
     names: tuple[str, ...] | None = None
     keyframe_interval: float = 0.0
+    read_times: Callable[[], Float[Array, " N"] | None] = lambda: None
 
     def __iter__(self) -> Iterator[Frame]:
         return self.read_all()
@@ -67,6 +69,23 @@ class Video:
     def duration(self) -> float:
         """Seconds, by the number of frames and their rate; NaN when that number is unknown."""
         return math.nan if self.frame_count is None else self.frame_count / self.rate
+
+    def count_frames(self) -> int | None:
+        """Count the frames, by the index of a video file; None where only reading tells."""
+        times = self.read_times()
+        return self.frame_count if times is None else len(times)
+
+    def find_time(self, index: int) -> float:
+        """Find the time of a frame by its number, s since the first.
+
+        Raises:
+            ValueError: the video has no frame of that number.
+        """
+        count = self.count_frames()
+        if index < 0 or (count is not None and index >= count):
+            raise ValueError(f"{self.source} has {count} frames, from 0, and none is {index}")
+        times = self.read_times()
+        return index / self.rate if times is None else float(times[index])
 
     @cached_property
     def telemetry(self) -> Telemetry | None:
@@ -175,15 +194,24 @@ def _open_file(path: Path, threads: int | None) -> Video:
         frame_count=file.count or None,
         read_all=lambda: read_frames(file),
         read_at=lambda times, slack: read_frames_at(file, times.tolist(), slack),
-        read_telemetry=lambda: _read_sidecar(path),
+        read_telemetry=lambda: _read_sidecar(path, file.quarter_turns),
         keyframe_interval=file.keyframe_interval,
+        read_times=lambda: file.frame_times if len(file.frame_times) else None,
     )
 
 
-def _read_sidecar(path: Path) -> Telemetry | None:
-    """Telemetry from the .SRT file beside a video, or None."""
+def _read_sidecar(path: Path, quarter_turns: int) -> Telemetry | None:
+    """Telemetry from the .SRT file beside a video, or None.
+
+    The heading is left out where the video is turned for display, since it may be that of either.
+    """
     sidecars = [path.with_suffix(suffix) for suffix in (".SRT", ".srt")]
-    return next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
+    found = next((read_srt(sidecar) for sidecar in sidecars if sidecar.exists()), None)
+    if found is None or quarter_turns % 4 == 0:
+        return found
+    reason = f"the video is turned by {90 * quarter_turns} degrees for display"
+    remarks = {**found.remarks, "yaw": reason}
+    return replace(found, yaw=np.full_like(found.yaw, np.nan), remarks=remarks)
 
 
 def _list_images(source: str) -> list[Path] | None:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,3 +48,16 @@ def test_tracks_in_pixels_of_a_moving_camera_lie_in_the_world(registration):
 def test_tracks_of_another_video_are_refused(registration):
     with pytest.raises(TracksError, match=r"no frame of the registration is at 0.3 s"):
         place(make_tracks(np.array([0.0, 0.2, 0.3, 0.4])), registration)
+
+
+def test_frame_numbers_find_their_frames_on_irregular_stamps(registration):
+    stamps = np.array([0.0, 1.0, 1.2, 1.4])  # a recorder that dropped the frames of a second
+    irregular = replace(registration, time=stamps)
+    georeference = make_local_georeference(resolution=RESOLUTION, size=(320, 480))
+    options = {"resolution": READ_RESOLUTION, "frame_rate": 30.0}
+    placed = place_tracks(make_tracks(np.arange(4) / 30), irregular, georeference, **options)
+    np.testing.assert_allclose(placed.times, stamps)
+    x = placed.states[0, :, 0]
+    np.testing.assert_allclose(x, RESOLUTION * (100 + 10 * np.arange(4)), atol=0.02)
+    with pytest.raises(TracksError, match="agents in frame 4, which the registration has not"):
+        place_tracks(make_tracks(np.arange(1, 5) / 30), irregular, georeference, **options)

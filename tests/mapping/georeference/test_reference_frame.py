@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -67,15 +68,20 @@ def reference_at(index):
         ({"height": 80.0, "pitch": -1.5}, "no yaw"),
         ({"yaw": 0.0, "pitch": -1.5}, "no height"),
         ({"height": 80.0, "yaw": 0.0}, "no pitch"),
+        ({"height": 80.0, "yaw": 0.0, "pitch": -1.5, "focal_length": np.nan}, "no focal length"),
     ],
 )
 def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
     stated, missing, unchecked
 ):
     video = open_with_telemetry(**stated)
-    with pytest.raises(GeoreferenceError, match=rf"photos, a\.jpg.*states {missing}\. .*--height"):
+    names = {name.replace(" ", "_") for name in re.findall("no (focal length|[a-z]+)", missing)}
+    asked = {f"{name}=" for name in names - {"pitch"} or {"yaw"}}
+    with pytest.raises(GeoreferenceError, match=rf"photos, a\.jpg.*states {missing}\. ") as caught:
         _georeference_by_telemetry(video, reference_at(0))
-    given = override_telemetry(video, height=80.0, yaw=90.0)  # the image's top points east
+    assert set(re.findall(r"\((\w+=)\.\.\.", str(caught.value))) == asked
+    # the image's top points east
+    given = override_telemetry(video, height=80.0, yaw=90.0, focal_length=24.0)
     place = _georeference_by_telemetry(given, reference_at(0)).world_from_image
     up = -place[:2, 1]
     np.testing.assert_allclose(up / np.linalg.norm(up), [1.0, 0.0], atol=0.06)  # grid north
@@ -87,7 +93,17 @@ def test_a_position_of_another_time_is_used_with_a_warning(unchecked):
         assert _georeference_by_telemetry(video, reference_at(2)).approximate
 
 
-@pytest.mark.parametrize("given", [{"height": 0.0}, {"yaw": np.nan}])
+def test_the_message_says_why_a_field_is_not_read(unchecked):
+    video = open_with_telemetry(yaw=0.0, pitch=-1.5)
+    telemetry = replace(video.telemetry, remarks={"height": "its altitude is of an unknown kind"})
+    video = replace(video, read_telemetry=lambda: telemetry)
+    with pytest.raises(
+        GeoreferenceError, match=r"no height \(its altitude is of an unknown kind\)"
+    ):
+        _georeference_by_telemetry(video, reference_at(0))
+
+
+@pytest.mark.parametrize("given", [{"height": 0.0}, {"yaw": np.nan}, {"focal_length": -24.0}])
 def test_an_impossible_height_or_heading_is_refused(given):
     with pytest.raises(ValueError, match="positive height"):
         override_telemetry(open_with_telemetry(), **given)

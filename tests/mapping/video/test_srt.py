@@ -7,6 +7,8 @@ import pytest
 
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.mapping.video.srt import read_srt
+from geoaim.mapping.video.video import open_video
+from tests.mapping.video.test_video import write_clip
 
 DIALECTS = Path(__file__).parent / "srt"
 # Each flies at 54.6872 N, 25.2797 E, 60 m above the take-off: an invented flight of four entries.
@@ -15,8 +17,8 @@ STATED = {
     "matrice_300": {"height"},
     "mavic_mini": {"height"},
     "phantom_4_rtk": {"height", "yaw", "pitch"},
-    "mavic_2_zoom": {"height", "focal_length"},
-    "air_2": {"height", "focal_length"},
+    "mavic_2_zoom": {"focal_length"},
+    "air_2": {"focal_length"},
     "mini_3_pro": {"height", "focal_length", "altitude"},
     "mavic_3": {"height", "focal_length", "altitude", "yaw", "pitch"},
 }
@@ -56,6 +58,7 @@ def test_not_available_is_no_fix(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
+        ("dzoom: 1.00", "dzoom: 1,00", "entry 1: dzoom is '1,00'"),
         ("54.687200", "54,687200", "entry 1: latitude is '54,687200'; a number with a decimal"),
         ("focal_len: 24.00", "focal_len: 24,00", "focal_length is '24,00'"),
         ("60.200 abs", "60.2OO abs", "entry 3: height is '60.2OO'"),
@@ -81,6 +84,68 @@ def test_what_is_not_plausible_is_refused(tmp_path: Path, old: str, new: str, me
     assert old in FIRST
     with pytest.raises(GeoreferenceError, match=message):
         read(tmp_path, FIRST.replace(old, new, -1 if every else 1))
+
+
+@pytest.mark.parametrize("unknown", ["N/A", "n/a", "NaN", "null", "--"])
+def test_every_spelling_of_no_fix_leaves_the_entry_out_alone(tmp_path: Path, unknown: str) -> None:
+    text = (DIALECTS / "mavic_pro.SRT").read_text()
+    text = text.replace("GPS(25.2791,54.6872,16)", f"GPS({unknown},{unknown},3)")
+    assert np.isnan(read(tmp_path, text).latitude).tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize("roll", [180.0, -180.0, 90.0, 3.0])
+def test_roll_turns_the_top_of_a_picture_taken_straight_down(tmp_path: Path, roll: float) -> None:
+    flat = read(tmp_path, FIRST.replace("gb_pitch: -89", "gb_pitch: -90"))
+    yaw = 90.0 - roll  # what stays is the heading of the top, here east
+    text = FIRST.replace("gb_pitch: -89", "gb_pitch: -90").replace(
+        "gb_roll: 0.0", f"gb_roll: {roll}"
+    )
+    for old in (90.0, 90.1, 90.2, 90.3):
+        text = text.replace(f"gb_yaw: {old} ", f"gb_yaw: {old - 90 + yaw:.1f} ")
+    turned = read(tmp_path, text)
+    np.testing.assert_allclose(turned.yaw, flat.yaw, atol=0.01)
+
+
+def test_roll_leaves_the_heading_of_an_oblique_view(tmp_path: Path) -> None:
+    text = FIRST.replace("gb_pitch: -89", "gb_pitch: -20").replace("gb_roll: 0.0", "gb_roll: 3.0")
+    np.testing.assert_allclose(read(tmp_path, text).yaw, read(tmp_path, FIRST).yaw, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("dzoom", "ratio", "focal_length"),
+    [("2.00", "20000", 48.0), ("1.00", "10000", 24.0), ("0.00", "0", 24.0), ("2", "20000", 48.0)],
+)
+def test_digital_zoom_lengthens_the_focal_length(
+    tmp_path: Path, dzoom: str, ratio: str, focal_length: float
+) -> None:
+    text = FIRST.replace("dzoom: 1.00", f"dzoom: {dzoom}").replace(": 10000,", f": {ratio},")
+    np.testing.assert_allclose(read(tmp_path, text).focal_length, focal_length)
+
+
+@pytest.mark.parametrize("other", ["dzoom: 3.00", "hybrid_zoom: 2.0"])
+def test_zooms_that_do_not_tell_the_focal_length_leave_it_out(tmp_path: Path, other: str) -> None:
+    found = read(tmp_path, FIRST.replace("dzoom: 1.00", other))
+    assert np.isnan(found.focal_length).all()
+    assert other.split(":")[0] in found.remarks["focal_length"]
+
+
+@pytest.mark.parametrize("dialect", ["mavic_2_zoom", "air_2"])
+def test_an_altitude_alone_is_no_height(dialect: str) -> None:
+    found = read_srt(DIALECTS / f"{dialect}.SRT")
+    assert np.isnan(found.height).all()
+    assert "from the sea" in found.remarks["height"]
+
+
+@pytest.mark.parametrize("rotation", [0, 90])
+def test_a_video_that_is_turned_for_display_states_no_heading(
+    tmp_path: Path, rotation: int
+) -> None:
+    clip = write_clip(tmp_path / "DJI_0001.mp4", 12, rotation=rotation)
+    read(tmp_path, FIRST)
+    found = open_video(clip).telemetry
+    assert found is not None
+    assert np.isnan(found.yaw).all() == bool(rotation)
+    assert np.isfinite(found.pitch).all()
 
 
 def read(folder: Path, text: str):
