@@ -268,10 +268,9 @@ def _describe_json(source: str) -> Description:
 def _describe_shapes(source: str) -> Description:
     from collections import Counter
 
-    from geoaim.base.geojson import read_features
-    from geoaim.base.world import World
+    from geoaim.base.geojson import list_shapes
 
-    kinds = Counter(shape.geometry.geom_type for shape in read_features(source, World(None)))
+    kinds = Counter(shape.geom_type for shape in list_shapes(source))
     facts = {"shapes": ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())}
     lines = LINE_COMMANDS if any("Line" in kind for kind in kinds) else ()
     areas = AREA_COMMANDS if any("Polygon" in kind for kind in kinds) else ()

@@ -23,22 +23,19 @@ from shapely.ops import polygonize
 from geoaim.base.displays import Display
 from geoaim.base.errors import MapError
 from geoaim.base.limits import name_file, refuse_damaged
-from geoaim.base.world import (
-    LONLAT,
-    World,
-    choose_world,
-    describe_world,
-    transform_crs,
-    world_from_lonlat,
-)
+from geoaim.base.world import World, describe_world
+from geoaim.hdmap.node_places import locate_nodes
 from geoaim.tracks.lights import STOP_LINE_COLOUR, StopLine
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-MAX_LOCAL_DEGREES = 0.1  # about (0, 0), within which degrees stand for local metres
 WALKING = ("crosswalk", "walkway", "stairs")  # lanelets of pedestrians
-LOCAL_CRS = "EPSG:32631"  # the CRS in which lanelet2's projector places such degrees
+# tags by which a lanelet is one way for vehicles, the most specific first
+ONE_WAY_TAGS = ("one_way:vehicle:car", "one_way:vehicle", "one_way")
+TRUTHS = {"yes": True, "true": True, "1": True, "no": False, "false": False, "0": False}
+BOTH_WAYS = (*WALKING, "shared_walkway")  # subtypes that are not one way unless they say so
+LOCAL_TAGS = ("local_x", "local_y")
 XML_DECLARATIONS = (b"<!DOCTYPE", b"<!ENTITY")  # maps need none; entity expansion attacks do
 
 Ways = Mapping[str | None, "MapLine"]  # keys: the ids in the file
@@ -135,7 +132,7 @@ def read_hdmap(path: str | os.PathLike[str], world: World | None = None) -> HDMa
         raise FileNotFoundError(f"{path}: no such file")
     file = _parse(path)
     with name_file(path):
-        points, world = _locate_nodes(path, file, world)
+        points, world = locate_nodes(path, list(file.nodes), file.lonlat, file.local, world)
     ways = _read_ways(path, file, points)
     lanelets = tuple(_make_lanelet(path, x, ways) for x in _list_relations(file, "lanelet"))
     if not lanelets:
@@ -165,6 +162,7 @@ class _File:
     nodes: dict[str | None, int] = field(default_factory=dict)  # number of each id
     # longitude and latitude of each node in turn
     lonlat: list[str | None] = field(default_factory=list)
+    local: list[str | None] = field(default_factory=list)  # tags local_x and local_y of each
     ways: list[_Element] = field(default_factory=list)
     relations: list[_Element] = field(default_factory=list)
 
@@ -188,25 +186,31 @@ def _parse(path: Path) -> _File:
 
 def _make_handler(file: _File) -> Callable[[str, Mapping[str, str]], None]:
     """Make the function that adds what an XML element states to a file."""
-    nodes, lonlat = file.nodes, file.lonlat
+    nodes, lonlat, local = file.nodes, file.lonlat, file.local
     last = of_node = _Element(None)
 
     def add(name: str, values: Mapping[str, str]) -> None:
         nonlocal last
+        # editors keep deleted elements
+        is_deleted = values.get("action") == "delete" or values.get("visible") == "false"
         if name == "nd":
             last.nodes.append(values.get("ref"))
         elif name == "node":
-            last = of_node
-            if values.get("action") != "delete":  # editors keep deleted elements
+            last = _Element(None) if is_deleted else of_node
+            if not is_deleted:
                 nodes[values.get("id")] = len(lonlat) // 2
                 lonlat.extend((values.get("lon"), values.get("lat")))
+                local.extend((None, None))
         elif name == "member":
             last.members.append((values.get("role"), values.get("ref")))
+        elif name == "tag" and last is of_node:
+            if values.get("k") in LOCAL_TAGS:
+                local[len(local) - 2 + LOCAL_TAGS.index(values["k"])] = values.get("v")
         elif name == "tag":
             last.tags.setdefault(values.get("k"), values.get("v", ""))
         elif name in ("way", "relation"):
             last = _Element(values.get("id"))
-            if values.get("action") != "delete":
+            if not is_deleted:
                 (file.ways if name == "way" else file.relations).append(last)
 
     return add
@@ -226,45 +230,6 @@ def _read_ways(path: Path, file: _File, points: Float[Array, "n 2"]) -> Ways:
         kind, subtype = way.tags.get("type", ""), way.tags.get("subtype", "")
         ways[way.id] = MapLine(kind, subtype, points[rows])
     return ways
-
-
-def _locate_nodes(
-    path: Path, file: _File, world: World | None
-) -> tuple[Float[Array, "n 2"], World]:
-    """World metres of the nodes, and the world."""
-    if not file.nodes:
-        raise MapError(f"{path} has no nodes, the points of a map")
-    numbers = map(_parse_degrees, file.lonlat)
-    lonlat = np.fromiter(numbers, np.float64, len(file.lonlat)).reshape(-1, 2)
-    wrong = ~np.isfinite(lonlat).all(axis=1)
-    if wrong.any():
-        first = int(wrong.argmax())
-        name = next((name for name, number in file.nodes.items() if number == first), None)
-        lon, lat = file.lonlat[2 * first : 2 * first + 2]
-        raise MapError(
-            f"{path}: node {name} has lon {lon!r} and lat {lat!r}; two numbers of degrees are "
-            "needed"
-        )
-    local = bool((np.abs(lonlat) < MAX_LOCAL_DEGREES).all())
-    if world is None:
-        world = World(None) if local else choose_world(lonlat)
-    if local == (world.crs is not None):
-        kind = "local metres" if local else "longitudes and latitudes"
-        raise MapError(
-            f"{path} has {kind}, and the world is {world.crs or 'a plane without a CRS'}; give a "
-            "world of the same kind"
-        )
-    if not local:
-        return world_from_lonlat(world, lonlat), world
-    corner = transform_crs(LONLAT, LOCAL_CRS, np.zeros((1, 2)))
-    return transform_crs(LONLAT, LOCAL_CRS, lonlat) - corner - world.origin, world
-
-
-def _parse_degrees(text: str | None) -> float:
-    try:
-        return float(text or "nan")
-    except ValueError:
-        return np.nan
 
 
 def _make_lanelet(path: Path, relation: _Element, ways: Ways) -> Lanelet:
@@ -287,8 +252,20 @@ def _make_lanelet(path: Path, relation: _Element, ways: Ways) -> Lanelet:
     x, y = np.concatenate([left, right[::-1]]).T
     if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() > 0:  # the left border lies on the right
         left, right = left[::-1], right[::-1]
-    one_way = relation.tags.get("one_way") != "no"
-    return Lanelet(relation.tags.get("subtype") or "road", one_way, left, right)
+    return Lanelet(relation.tags.get("subtype") or "road", _is_one_way(path, relation), left, right)
+
+
+def _is_one_way(path: Path, relation: _Element) -> bool:
+    """Whether vehicles may drive a lanelet in one direction only."""
+    name = next((name for name in ONE_WAY_TAGS if relation.tags.get(name)), None)
+    if name is None:
+        return relation.tags.get("subtype") not in BOTH_WAYS
+    value = relation.tags[name]
+    if value.lower() not in TRUTHS:
+        raise MapError(
+            f"{path}: lanelet {relation.id} has {name}={value!r}; {', '.join(TRUTHS)} are known"
+        )
+    return TRUTHS[value.lower()]
 
 
 def _list_members(relation: _Element, role: str) -> list[str | None]:

@@ -141,3 +141,70 @@ def test_memory_of_many_nodes_is_half_of_a_tree_of_the_xml(tmp_path):
         assert tracemalloc.get_traced_memory()[1] < 500 * MANY_NODES  # 330; with a tree 680
     finally:
         tracemalloc.stop()
+
+
+def _write_local(path, *, lat, lon, scale=1.0):
+    """The lane of `_osm` with its place in the tags local_x and local_y."""
+    text = _osm(path).read_text()
+    for k, (x, y) in NODES.items():
+        old = text[text.index(f"<node id='{k}'") :].split("/>")[0] + "/>"
+        degrees = f"lon='{lon + x * METRE * bool(lon):.9f}' lat='{lat + y * METRE * bool(lat):.9f}'"
+        tags = f"<tag k='local_x' v='{scale * x}'/><tag k='local_y' v='{scale * y}'/>"
+        text = text.replace(old, f"<node id='{k}' {degrees}>{tags}</node>")
+    path.write_text(text)
+    return path
+
+
+def test_local_metres_in_tags_are_read_where_all_degrees_are_one_place(tmp_path):
+    hdmap = read_hdmap(_write_local(tmp_path / "a.osm", lat=0.0, lon=0.0))
+    assert hdmap.world == World(None)
+    np.testing.assert_allclose(hdmap.lanelets[0].left, [[0, 4], [20, 4]])
+
+
+def test_degrees_that_agree_with_local_metres_are_read_and_others_refused(tmp_path):
+    path = _write_local(tmp_path / "a.osm", lat=0.5, lon=9.0)
+    assert read_hdmap(path).world.crs == "EPSG:32632"
+    with pytest.raises(MapError, match=r"by lat and lon, and .* by local_x and local_y"):
+        read_hdmap(_write_local(tmp_path / "b.osm", lat=0.5, lon=9.0, scale=3.0))
+
+
+@pytest.mark.parametrize(
+    ("scale", "message"), [(1e-9, "all of its 6 nodes at one place"), (111_320.0, "no degrees")]
+)
+def test_nodes_at_one_place_and_metres_as_degrees_are_refused(tmp_path, scale, message):
+    path = _osm(tmp_path / "a.osm")
+    text = path.read_text()
+    for x in (20, 4):
+        text = text.replace(f"'{x * METRE:.9f}'", f"'{x * METRE * scale:.12f}'")
+    path.write_text(text)
+    with pytest.raises(MapError, match=message):
+        read_hdmap(path)
+
+
+@pytest.mark.parametrize(
+    ("tags", "one_way"),
+    [
+        ({}, True),
+        ({"one_way": "yes"}, True),
+        ({"one_way": "true"}, True),
+        ({"one_way": "1"}, True),
+        ({"one_way": "no"}, False),
+        ({"one_way": "false"}, False),
+        ({"one_way": "0"}, False),
+        ({"one_way": "yes", "one_way:vehicle": "no"}, False),
+        ({"subtype": "crosswalk"}, False),
+    ],
+)
+def test_one_way_has_the_spellings_and_defaults_of_lanelet2(tmp_path, tags, one_way):
+    path = _osm(tmp_path / "a.osm")
+    written = "".join(f"<tag k='{key}' v='{value}'/>" for key, value in tags.items())
+    path.write_text(path.read_text().replace("v='lanelet'/>", f"v='lanelet'/>{written}"))
+    assert read_hdmap(path).lanelets[0].one_way == one_way
+
+
+def test_an_unknown_value_of_one_way_is_refused(tmp_path):
+    path = _osm(tmp_path / "a.osm")
+    tag = "v='lanelet'/><tag k='one_way' v='maybe'/>"
+    path.write_text(path.read_text().replace("v='lanelet'/>", tag))
+    with pytest.raises(MapError, match="lanelet 20 has one_way='maybe'"):
+        read_hdmap(path)
