@@ -1,8 +1,38 @@
 """Rows of CSV tables that users write by hand: cells by the names of their columns."""
 
+import codecs
 import csv
 import math
 from collections.abc import Iterable
+
+BYTE_ORDER_MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le"} | {
+    codecs.BOM_UTF16_BE: "utf-16-be"
+}
+
+
+def decode_text(content: bytes) -> str:
+    """Decode the text of a table: UTF-8, or what its byte order mark says.
+
+    Raises:
+        ValueError: it is no such text.
+
+    >>> decode_text("u,v".encode("utf-16"))
+    'u,v'
+    """
+    mark = next((mark for mark in BYTE_ORDER_MARKS if content.startswith(mark)), b"")
+    try:
+        return content[len(mark) :].decode(BYTE_ORDER_MARKS.get(mark, "utf-8"))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is no text in UTF-8 ({error}); save it as UTF-8") from error
+
+
+def trim_comment(line: str) -> str:
+    """Remove what a spreadsheet adds to a comment line: separators at its end, and quotes.
+
+    >>> trim_comment('"# crs: EPSG:32635",,,,')
+    '# crs: EPSG:32635'
+    """
+    return line.strip().rstrip(",;\t ").strip('"').rstrip(",;\t ")
 
 
 def read_rows(lines: Iterable[str]) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:

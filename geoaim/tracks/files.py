@@ -36,6 +36,7 @@ from geoaim.base.checksums import (
     verify_checksum,
     write_checksum,
 )
+from geoaim.base.csv_rows import trim_comment
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import check_memory, refuse_damaged
@@ -177,8 +178,8 @@ def _check_unpacked_size(path: Path) -> None:
 
 def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
     with open(path, encoding="utf-8-sig") as file:
-        lines = list(takewhile(lambda line: line.startswith("#"), file))
-    pairs = (line[1:].partition(":") for line in lines)
+        lines = list(takewhile(lambda line: line.startswith(("#", '"#')), file))
+    pairs = (trim_comment(line)[1:].partition(":") for line in lines)
     fields = {name.strip(): value.strip() for name, _, value in pairs}
     if "crs" not in fields:
         raise ValueError("its first line is not '# crs: EPSG:n' or '# crs: local'")

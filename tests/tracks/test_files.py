@@ -185,3 +185,11 @@ def make_uncertain_tracks():
         np.array([[True, True, False]]),
         np.full((1, 3, 2), [0.1, np.pi]),
     )
+
+
+def test_comment_lines_that_a_spreadsheet_filled_up_are_read(tmp_path):
+    path = tmp_path / "a.csv"
+    head = '# crs: EPSG:32635,,,,,,,,\n"# origin: 583000.0 6062000.0",,,,,,,\n'
+    rows = "id,type,time,x,y,heading,speed,length,width\n0,car,0,1,2,0,0,4,2\n"
+    path.write_text(head + rows, encoding="utf-8-sig")
+    assert read_plain_tracks(path).world == World("EPSG:32635", (583000.0, 6062000.0))

@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 from rasterio.control import GroundControlPoint
 from rasterio.crs import CRS
 
-from geoaim.base.errors import GeoreferenceError, warn
+from geoaim.base.errors import GeoreferenceError, name_option, warn
 from geoaim.base.world import LONLAT, parse_crs
 from geoaim.mapping.georeference import point_files
 
@@ -114,7 +114,8 @@ def _collect_points(
     if None in stated:
         raise GeoreferenceError(
             f"{rows[stated.index(None)].source}: no coordinate reference system. Write the line "
-            "'# crs: EPSG:n' into the file, or '# crs: local' for a local plane (in Python crs=)."
+            "'# crs: EPSG:n' into the file, or '# crs: local' for a local plane"
+            f"{name_option('', ' (or give crs=)')}."
         )
     frames = [row.frame.strip() for row in rows]
     return ControlPoints(

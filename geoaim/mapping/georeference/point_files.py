@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from geoaim.base.csv_rows import decode_text, trim_comment
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.limits import refuse_damaged
 from geoaim.base.world import LONLAT
@@ -21,9 +22,16 @@ COLUMN_NAMES = {
     "name": ("name", "id", "label", "point", "gcp"),
     "frame": ("frame", "image", "image_name", "img"),
     "crs": ("crs", "epsg", "srs"),
+    "accuracy": ("accuracy", "accuracy_m", "accuracy_(m)", "sigma", "horz_accuracy"),
+    "enable": ("enable", "enabled", "use"),
 }
+OFF = ("0", "false", "no")  # values of the column enable
 DEGREE_COLUMNS = {"lon", "longitude", "lng", "lat", "latitude"}
 QGIS_COLUMNS = ("mapx", "mapy", "pixelx", "pixely")
+# "WGS84 UTM 35N" as OpenDroneMap writes it, or as PROJ names the CRS: "WGS 84 / UTM zone 35N"
+UTM_HEADER = re.compile(
+    r"WGS\s*_?(?:19)?84\s*[/_]?\s*UTM\s*_?(?:zone)?\s*_?(\d{1,2})\s*([NS])", re.IGNORECASE
+)
 ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre, to its corner
 
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
@@ -52,10 +60,14 @@ def read_point_file(path: Path) -> list[PointRow]:
     """
     try:
         with refuse_damaged(path, GeoreferenceError, "a table of control points", reads_once=True):
-            lines = path.read_text(encoding="utf-8-sig").splitlines()
+            lines = decode_text(path.read_bytes()).splitlines()
     except OSError as error:
         raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
-    numbered = [(number, line.strip()) for number, line in enumerate(lines, 1) if line.strip()]
+    numbered = [
+        (number, trim_comment(line) if re.match(r'\s*"?#', line) else line.strip())
+        for number, line in enumerate(lines, 1)
+        if line.strip(' \t,;"') and not re.match(r'\s*"?sep=', line, re.I)
+    ]
     content = [(number, line) for number, line in numbered if not line.startswith("#")]
     if not content:
         raise GeoreferenceError(f"{path}: holds no control points.")
@@ -67,7 +79,8 @@ def read_point_file(path: Path) -> list[PointRow]:
         return _read_qgis(content, crs, path)
     if odm_crs := _parse_odm_crs(header):
         return _read_odm(content, odm_crs, path)
-    return [replace(row, accuracy=accuracy) for row in _read_csv(content, crs, path)]
+    rows = _read_csv(content, crs, path)
+    return [replace(row, accuracy=max(row.accuracy, accuracy)) for row in rows]
 
 
 def _find_comment(numbered: Lines, key: str) -> tuple[int, str | None]:
@@ -87,11 +100,15 @@ def _parse_accuracy(text: str, source: str) -> float:
 
 def _parse_odm_crs(header: str) -> str | None:
     """The CRS of an OpenDroneMap header, or None when the line is no such header."""
-    if utm := re.fullmatch(r"WGS84\s+UTM\s+(\d{1,2})\s*([NS])", header, re.I):
+    header = trim_comment(header).strip("'")
+    if (utm := UTM_HEADER.fullmatch(header)) and 1 <= int(utm[1]) <= 60:
         return f"EPSG:{(32600 if utm[2].upper() == 'N' else 32700) + int(utm[1])}"
-    if re.fullmatch(r"EPSG:\d+", header, re.I) or header.startswith(("+proj", "+init", "PROJCS")):
-        return header
-    return None
+    if epsg := re.fullmatch(r"EPSG\s*[:\s]\s*(\d+)", header, re.I):
+        return f"EPSG:{epsg[1]}"
+    if re.fullmatch(r"WGS\s*_?84|LAT\s*/?\s*LON(G)?", header, re.I):
+        return LONLAT
+    starts = ("+proj", "+init", "PROJCS", "PROJCRS", "GEOGCS", "GEOGCRS", "COMPD_CS", "COMPOUNDCRS")
+    return header if header.upper().startswith(tuple(map(str.upper, starts))) else None
 
 
 def _read_odm(content: Lines, crs: str, path: Path) -> list[PointRow]:
@@ -152,12 +169,13 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
         if len(fields) <= max(columns[key] for key in "uvxy"):
             raise GeoreferenceError(f"{source}: {line!r} has too few fields.")
         values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
-        rows.append(make_row({**values, "crs": values.get("crs") or crs}, source))
+        if values.get("enable", "1").lower() not in OFF:
+            rows.append(make_row({**values, "crs": values.get("crs") or crs}, source))
     return rows
 
 
 def make_row(values: Mapping[str, Any], source: str) -> PointRow:
-    """Make a row of the values u, v, x, y and, where they are stated, name, frame and crs.
+    """Make a row of the values u, v, x, y and, where stated, name, frame, crs and accuracy (m).
 
     A pixel or a place whose two fields are both empty becomes NaN: it was not picked yet.
 
@@ -169,7 +187,9 @@ def make_row(values: Mapping[str, Any], source: str) -> PointRow:
     x, y = _parse_pair(values["x"], values["y"], source)
     name, frame = str(values.get("name") or ""), values.get("frame")
     frame = "" if frame is None else str(frame)
-    return PointRow((u, v), (x, y), source, values.get("crs"), name, frame)
+    accuracy = values.get("accuracy")
+    sigma = 0.0 if accuracy in (None, "") else _parse_accuracy(str(accuracy), source)
+    return PointRow((u, v), (x, y), source, values.get("crs"), name, frame, sigma)
 
 
 def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
@@ -191,7 +211,8 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
         raise GeoreferenceError(
             f"{source}: no column for {', '.join(missing)} among {list(header)}. Control points"
             " need u, v (or pixel_x, pixel_y; col, row) and x, y (or easting, northing; lon, lat)."
-            " OpenDroneMap lists start with their CRS, QGIS files with mapX."
+            " OpenDroneMap lists start with their CRS, such as EPSG:32635 or WGS84 UTM 35N, QGIS"
+            " files with mapX."
         )
     return columns
 

@@ -6,7 +6,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import TracksError, name_option
 from geoaim.base.limits import check_regular, name_file
 from geoaim.base.world import World
 from geoaim.tracks.files import read_plain_tracks
@@ -31,7 +31,7 @@ _has_plain_columns = has_columns("id", "type", "time", "heading")
 
 def _is_plain(path: Path, line: str) -> bool:
     is_parquet = path.suffix.lower() == ".parquet"
-    return is_parquet or line.startswith("#") or _has_plain_columns(path, line)
+    return is_parquet or line.startswith(("#", '"#')) or _has_plain_columns(path, line)
 
 
 PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks)
@@ -74,8 +74,8 @@ def read_tracks(
             plane of a `meta_data.csv` beside a file of the INTERACTION format, or a local plane.
         resolution: metres per pixel, for formats in pixels, those with "resolution" in their
             options; without it SDD raises, and TrajNet needs a `scenes.csv` that has it.
-        frame_rate: frames per second, for tables in pixels that have frames and no times, and
-            for geo-trax in pixels (29.97 without it).
+        frame_rate: frames per second, for tables that have frames and no times; geo-trax in
+            pixels has 29.97 without it.
         scenario: id of a scenario, for formats with several in a file (Waymo); None where the file
             has one only.
 
@@ -100,15 +100,18 @@ def read_tracks(
     for name in given:
         if name not in track_format.options:
             words = name.replace("_", " ")
+            prefix = "" if name == "scenario" else "tracks-"
+            option = name_option(f"--{prefix}{name.replace('_', '-')}", f"{name}=")
             raise ValueError(
-                f"{path} is in the {track_format.name} format, which takes no {words}; omit it"
+                f"{path} is in the {track_format.name} format, which takes no {words}; omit "
+                f"{option}"
             )
     if resolution is not None:
         check_resolution(resolution)
     if "resolution" in track_format.required and resolution is None:
         raise ValueError(
-            f"{path} is in the {track_format.name} format, which needs a resolution: give metres "
-            "per pixel, such as 0.04"
+            f"{path} is in the {track_format.name} format, which needs a resolution: give "
+            f"{name_option('--tracks-resolution', 'resolution=')}, metres per pixel, such as 0.04"
         )
     with name_file(path):
         tracks = track_format.read(path, **given)
@@ -144,5 +147,9 @@ def _read_first_line(path: Path) -> str:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
         with opened(path, "rt", encoding="utf-8-sig") as file:
             return str(file.readline(MAX_LINE_CHARS)).strip()
-    except (UnicodeDecodeError, OSError, EOFError, zlib.error) as error:
+    except UnicodeDecodeError as error:
+        raise TracksError(
+            f"{path} is not a table of tracks in UTF-8 ({error}); save it as UTF-8"
+        ) from error
+    except (OSError, EOFError, zlib.error) as error:
         raise TracksError(f"{path} is not a table of tracks: {error}") from error

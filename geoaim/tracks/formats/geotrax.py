@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import TracksError, warn
+from geoaim.base.errors import TracksError, name_option, warn
 from geoaim.base.files import atomic_write
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import World, change_world, crs_from_world, lonlat_from_world
@@ -25,10 +25,17 @@ VEHICLE_CLASSES = {0: "car", 1: "bus", 2: "truck", 3: "motorcycle"}
 CLASS_OF_TYPE = {name: number for number, name in VEHICLE_CLASSES.items()} | {"van": 0}
 SIZES = ("Vehicle_Length", "Vehicle_Width")
 KMH_PER_MPS = 3.6
+DAY_S = 86_400.0
 
 
-def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tracks:
+def read_geotrax(
+    path: str | os.PathLike[str], *, crs: str | None = None, frame_rate: float | None = None
+) -> Tracks:
     """Read a geo-trax .csv: `Vehicle_ID, Timestamp, Frame_Number, ..., Local_X, Local_Y, ...`.
+
+    Times are those of `Timestamp`, or of `Local_Time` in tables that `geotrax aggregate` wrote.
+    Without a flight log there is neither: frames are numbered, and `frame_rate` (frames/s) is
+    needed.
 
     Headings and speeds are derived from the positions over half a second; a size that was not
     measured is typical of the type; a class number N other than those of `VEHICLE_CLASSES` is
@@ -37,12 +44,13 @@ def read_geotrax(path: str | os.PathLike[str], *, crs: str | None = None) -> Tra
 
     Raises:
         FileNotFoundError: there is no such file.
-        TracksError: columns are missing, or a value is not a number.
+        TracksError: columns are missing, a value is not a number, or times are missing or given
+            twice.
     """
-    table = read_table(path, text=("Vehicle_ID",))
+    table = read_table(path, text=("Vehicle_ID", "Local_Time"))
     numbers = ("Local_X", "Local_Y", "Vehicle_Class", *SIZES)
-    check_columns(path, table, numbers=numbers, others=("Vehicle_ID", "Timestamp"))
-    time = _parse_times(path, table["Timestamp"])
+    check_columns(path, table, numbers=numbers, others=("Vehicle_ID",))
+    time = _read_times(path, table, frame_rate)
     origin = shared.choose_origin(table[["Local_X", "Local_Y"]].to_numpy(np.float64))
     rows = pd.DataFrame(
         {
@@ -141,20 +149,51 @@ def name_classes(classes: "pd.Series[Any]") -> "pd.Series[Any]":
     return classes.map(VEHICLE_CLASSES).fillna(classes.map("class {:g}".format))
 
 
-def _parse_times(path: str | os.PathLike[str], stamps: "pd.Series[Any]") -> "pd.Series[float]":
-    """Convert time stamps, which are dates with times or numbers, to seconds."""
+def _read_times(
+    path: str | os.PathLike[str], table: pd.DataFrame, frame_rate: float | None
+) -> "pd.Series[float]":
+    """Read times (s) from stamps, from clock times, or from numbers of frames."""
+    clock = next((name for name in ("Timestamp", "Local_Time") if name in table), None)
+    option = name_option("--tracks-frame-rate", "frame_rate=")
+    if clock is not None:
+        if frame_rate is not None:
+            raise TracksError(f"{Path(path)} has times in the column {clock}; omit {option}")
+        return _parse_times(path, table[clock], clock)
+    check_columns(path, table, numbers=("Frame_Number",))
+    if frame_rate is None:
+        raise TracksError(
+            f"{Path(path)} has frame numbers and neither Timestamp nor Local_Time, as geo-trax "
+            f"writes without a flight log; give the video's frames per second: {option}"
+        )
+    if not 0 < frame_rate < np.inf:
+        raise ValueError(f"frame_rate is {frame_rate}; a positive number of frames/s is needed")
+    return table["Frame_Number"] / frame_rate
+
+
+def _parse_times(
+    path: str | os.PathLike[str], stamps: "pd.Series[Any]", name: str
+) -> "pd.Series[float]":
+    """Convert stamps to seconds: numbers, dates with times, or times of a day."""
     if pd.api.types.is_numeric_dtype(stamps):
         return stamps.astype(float)
     try:
-        clock = pd.to_datetime(stamps)
+        if name == "Local_Time":
+            seconds = pd.to_timedelta(stamps).dt.total_seconds()
+            is_next_day = seconds < seconds.max() - DAY_S / 2  # the recording crosses midnight
+            return seconds + DAY_S * is_next_day
+        clock = pd.to_datetime(stamps, format="ISO8601")  # with fractions of a second or without
     except ValueError as error:
-        raise TracksError(f"{Path(path)}: a Timestamp is not a time: {error}") from error
+        raise TracksError(
+            f"{Path(path)}: {name} is not a time such as 2022-10-07 17:52:13.5: {error}"
+        ) from error
     return (clock - clock.min()).dt.total_seconds()
 
 
 GEOTRAX = TrackFormat(
     "geo-trax",
     has_columns("Vehicle_ID", "Local_X", "Local_Y"),
-    lambda path, world=None: read_geotrax(path, crs=world and world.crs),
-    options=("world",),
+    lambda path, world=None, frame_rate=None: read_geotrax(
+        path, crs=world and world.crs, frame_rate=frame_rate
+    ),
+    options=("world", "frame_rate"),
 )

@@ -152,3 +152,57 @@ def test_one_place_seen_on_two_frames_becomes_one_point():
     np.testing.assert_array_equal(merged.pixels, [[11.0, 5.0], [50.0, 5.0]])
     same = merge_observations(replace(points, frames=("a", "a", "a")))
     assert len(same.names) == 3
+
+
+SPREADSHEET = [
+    "# crs: EPSG:32611{0}",
+    '"# accuracy: 0.05"{0}',
+    "name,u,v,x,y",
+    "kerb,100.5,200.25,235269.88,3811198.11",
+    ",,,,",
+]
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_what_a_spreadsheet_saves_is_read(tmp_path, separator, encoding):
+    text = "\n".join(["sep=,", *SPREADSHEET]).format(",,,,").replace(",", separator)
+    (tmp_path / "a.csv").write_bytes(text.encode(encoding))
+    points = read_control_points(tmp_path / "a.csv")
+    assert (points.crs, points.accuracy, points.names) == ("EPSG:32611", 0.05, ("kerb",))
+    np.testing.assert_array_equal(points.coordinates, UTM[:1])
+
+
+def test_text_of_another_encoding_says_what_to_do(tmp_path):
+    (tmp_path / "a.csv").write_bytes("name,u,v,lon,lat\nStraße,1,2,3,4\n".encode("latin-1"))
+    with pytest.raises(GeoreferenceError, match="save it as UTF-8"):
+        read_control_points(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("header", "crs"),
+    [
+        ("WGS84 UTM 35N", "EPSG:32635"),
+        ("WGS84 UTM 35 S", "EPSG:32735"),
+        ("wgs84 utm 35n", "EPSG:32635"),
+        ("WGS 84 / UTM zone 35N", "EPSG:32635"),
+        ("WGS_1984_UTM_Zone_35N", "EPSG:32635"),
+        ("EPSG:32635", "EPSG:32635"),
+        ("epsg: 32635", "EPSG:32635"),
+        ("EPSG 32635", "EPSG:32635"),
+        ("WGS84", "EPSG:4326"),
+        ("'+proj=utm +zone=35 +datum=WGS84 +units=m +no_defs +type=crs'", "EPSG:32635"),
+    ],
+)
+def test_headers_of_opendronemap_in_common_spellings(tmp_path, header, crs):
+    rows = "583193.6 6062228.2 120 767.4 312.4 a.jpg kerb\n" * 2
+    points = read_control_points(written(tmp_path, f"{header}\n{rows}", "gcp_list.txt"))
+    assert points.crs == crs
+    np.testing.assert_allclose(points.pixels[0], [767.9, 312.9])
+    assert points.frames[0] == "a.jpg"
+
+
+def test_points_may_be_switched_off_and_have_an_accuracy(tmp_path):
+    text = "name,enable,accuracy,u,v,lon,lat\na,1,0.02,1,2,27.5,53.9\nb,0,9,3,4,27.6,53.8\n"
+    points = read_control_points(written(tmp_path, text))
+    assert (points.names, points.accuracy) == (("a",), 0.02)

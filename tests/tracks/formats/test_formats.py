@@ -59,7 +59,7 @@ def test_missing_and_superfluous_options_are_refused(tmp_path):
     path = tmp_path / "annotations.txt"
     path.write_text('0 10 10 20 20 0 0 0 0 "Biker"\n')
     with pytest.raises(
-        ValueError, match=r"needs a resolution: give metres per pixel, such as 0.04"
+        ValueError, match=r"needs a resolution: give resolution=, metres per pixel, such as 0.04"
     ):
         read_tracks(path)
     assert read_tracks(path, resolution=0.1).types == ("cyclist",)
