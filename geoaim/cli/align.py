@@ -31,6 +31,16 @@ def align(
     crs: Annotated[
         str | None, typer.Option(help="CRS of imagery or control points that state none")
     ] = None,
+    zoom: Annotated[
+        int | None,
+        typer.Option(help="zoom level of tiles; by --resolution if omitted", min=0, max=30),
+    ] = None,
+    tms: Annotated[
+        bool, typer.Option("--tms", help="y of tiles counts from the south (Tile Map Service)")
+    ] = False,
+    tile_size: Annotated[
+        int, typer.Option(help="side of a tile service's tiles, pixels", min=1)
+    ] = 256,
     max_shift: Annotated[
         float, typer.Option(help="largest expected shift, m", min=1)
     ] = DEFAULT_PRIOR.max_shift,
@@ -54,6 +64,7 @@ def align(
     from geoaim.base.files import atomic_files, write_figure
     from geoaim.imagery.alignment.before_after import draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles
+    from geoaim.imagery.tiles import Tiles
     from geoaim.tracks.changes import to_world
 
     with report_errors():
@@ -62,8 +73,10 @@ def align(
         agents = None
         if tracks is not None:
             agents = read_any_tracks(tracks, tracks_world, tracks_resolution, tracks_frame_rate)
+        is_plain = zoom is None and not tms and tile_size == Tiles.tile_size
+        sources = imagery if is_plain else [Tiles(x, zoom, tms, tile_size) for x in imagery]
         aligned = align_tiles(
-            imagery[0] if len(imagery) == 1 else imagery,
+            sources[0] if len(sources) == 1 else sources,
             tracks=agents,
             aim=reference,
             gcps=gcps,

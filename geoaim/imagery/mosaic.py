@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import GeoreferenceError, ImageryError, warn
+from geoaim.base.errors import GeoreferenceError, ImageryError, name_option, warn
 from geoaim.base.geometry import translation
 from geoaim.base.grid import Grid, fit_affine, make_north_up_grid
 from geoaim.base.limits import check_memory, name_file
@@ -153,8 +153,9 @@ def _select_layers(layers: Sequence[Layer], region: Region) -> list[Layer]:
     if not selected:
         raise ImageryError(
             f"{message}: do the imagery and what places it (an AIM, tracks, or a world and corners "
-            "in metres from its origin) show the same place? Else check crs= or tms= of files that "
-            "do not name these themselves"
+            "in metres from its origin) show the same place? Else check "
+            + name_option("--crs or --tms", "crs= or tms=")
+            + " of files that do not name these themselves"
         )
     if elsewhere:
         warn(message)

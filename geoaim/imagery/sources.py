@@ -3,6 +3,7 @@
 import glob
 import os
 import sqlite3
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -12,9 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.base.errors import ImageryError, warn
+from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
 from geoaim.base.limits import refuse_damaged
+from geoaim.imagery.addresses import is_address, normalise_address
+from geoaim.imagery.placeholders import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
+from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
 from geoaim.imagery.tile_service import Service, fetch_tiles
 from geoaim.imagery.tiles import (
     MAX_ZOOM,
@@ -30,6 +34,8 @@ from geoaim.imagery.tiles import (
 )
 
 GEOTIFF_SUFFIXES = {".tif", ".tiff"}
+FINEST_RESOLUTION_M = 0.1  # of a service's tiles, where none is asked for
+ZOOMS_TRIED = 6  # zoom levels, from that resolution on, at which a service may have imagery
 Source = str | os.PathLike[str] | Tiles
 Describer = Callable[[str, Georeference | None], Raster]
 
@@ -62,7 +68,7 @@ def describe_source(
         region: the ground for which imagery is wanted; None: all of it, which a tile service
             refuses.
         resolution: wanted metres per pixel, which chooses the zoom level of tiles if a region is
-            given; None: the finest there is. A tile service needs it, or `Tiles` with a zoom.
+            given; None: the finest there is, of a tile service from 0.1 m on.
         crs: CRS of rasters that name none; None: such rasters are refused.
         bands: numbers, from 1, of a grey band or of the red, green and blue bands; None: by the
             file's colour interpretation.
@@ -76,14 +82,14 @@ def describe_source(
     """
     tiles = source if isinstance(source, Tiles) else Tiles(source)
     path = os.fspath(tiles.path)
-    if "{z}" in path and "{x}" in path and "y}" in path:
+    if is_address(path) and not os.path.exists(path):
         return _describe_service(tiles, path, region, resolution)
 
     def describe(file: str, georeference: Georeference | None) -> Raster:
         return describe_raster(file, crs=crs, bands=bands, georeference=georeference)
 
     if Path(path).is_dir():
-        numbered = sorted(list_tiles(Path(path), tiles.tms))
+        numbered = sorted(list_tiles(Path(path), tiles.tms or bool(read_scheme(Path(path)))))
         if numbered:
             return _describe_tiles(tiles, numbered, region, resolution, describe)
         files = [f for f in sorted(Path(path).rglob("*")) if f.suffix.lower() in GEOTIFF_SUFFIXES]
@@ -100,11 +106,13 @@ def _describe_single(
 ) -> Layer:
     options = {} if tiles.zoom is None else {"ZOOM_LEVEL": tiles.zoom}
     if options and not path.lower().endswith(".mbtiles"):
-        raise ImageryError(f"{path} is not an .mbtiles file; omit `zoom`")
+        raise ImageryError(f"{path} is not an .mbtiles file; omit {name_option('--zoom', 'zoom=')}")
     raster = describe_raster(path, crs=crs, bands=bands, options=options)
     outline = raster.crs, outline_raster(raster)
     if path.lower().endswith(".mbtiles"):
-        outline = MERCATOR, _outline_mbtiles(path, tiles.zoom)
+        corners = _outline_mbtiles(path, tiles.zoom)
+        check_mbtiles(path, corners)
+        outline = MERCATOR, corners
     return Layer(path, (raster,), (outline,), zoom=tiles.zoom, single=True)
 
 
@@ -176,7 +184,13 @@ def _describe_tiles(
     level = numbers[numbers[:, 0] == zoom, 1:]
     corners = compute_tile_corners(zoom, level.min(axis=0), level.max(axis=0) + 1)
     chosen = [tile for tile, use in zip(numbered, inside, strict=True) if use and tile[0] == zoom]
-    files = ((path, georeference_tile(z, x, y)) for z, x, y, path in chosen)
+    kept = leave_out_placeholders([(x, y, Path(path)) for _, x, y, path in chosen], name)
+    if chosen and not kept:
+        raise ImageryError(
+            f"{name}: all of its {len(chosen)} tiles of zoom {zoom} there are the same picture, "
+            "and no imagery; choose another zoom"
+        )
+    files = ((str(path), georeference_tile(zoom, x, y)) for x, y, path in kept)
     rasters, unreadable = _describe_all(files, describe, name)
     return Layer(name, rasters, ((MERCATOR, corners),), zoom=zoom, unreadable=unreadable)
 
@@ -185,30 +199,57 @@ def _describe_service(
     tiles: Tiles, address: str, region: Region | None, resolution: float | None
 ) -> Layer:
     name = _hide_query(address)
-    if region is None or (resolution is None and tiles.zoom is None):
+    address = normalise_address(address, name)
+    if region is None:
         raise ImageryError(
-            f"{name} is a service of the whole Earth without a resolution of its own: give the "
-            "world, the corners, and a resolution or Tiles(..., zoom=...)"
+            f"{name} is a service of the whole Earth: give what says where, "
+            + name_option("--aim or --tracks", "the world and the corners")
         )
-    zoom = choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
     service = Service(
         address=address.replace("{y}", "{-y}") if tiles.tms else address,
         name=name,
         tile_size=tiles.tile_size,
         cache=Path(tiles.cache),
     )
+    if resolution is None and tiles.zoom is None:
+        zoom = _find_finest_zoom(tiles, service, region)
+    else:
+        zoom = choose_zoom(tiles, np.arange(MAX_ZOOM), region, resolution)
     low, high = (limit * 2.0**zoom for limit in compute_world_fractions(region))
     low = np.clip(np.floor(low) - 1, 0, 2**zoom - 1).astype(int)
     high = np.clip(np.ceil(high) + 1, low + 1, 2**zoom).astype(int)
     numbers = [(x, y) for x in range(low[0], high[0]) for y in range(low[1], high[1])]
+    fetched = list(fetch_tiles(service, zoom, numbers))
+    kept = leave_out_placeholders(fetched, name)
+    if not kept:
+        found = f"{len(fetched)} tiles that are all the same picture" if fetched else "no tile"
+        raise ImageryError(
+            f"{name} has {found} there at zoom {zoom}, and no imagery; choose a coarser one: "
+            + name_option("--zoom or --resolution", "Tiles(..., zoom=) or resolution=")
+        )
     rasters = tuple(
         describe_raster(str(file), georeference=georeference_tile(zoom, x, y))
-        for x, y, file in fetch_tiles(service, zoom, numbers)
+        for x, y, file in kept
     )
-    if not rasters:
-        raise ImageryError(f"{name} has nothing but missing tiles there; choose another zoom")
     outlines = ((MERCATOR, compute_tile_corners(zoom, low, high)),)
     return Layer(name, rasters, outlines, zoom=zoom, single=True)
+
+
+def _find_finest_zoom(tiles: Tiles, service: Service, region: Region) -> int:
+    """Find the finest zoom level of which a service has imagery about the middle of a region."""
+    finest = choose_zoom(tiles, np.arange(MAX_ZOOM), region, FINEST_RESOLUTION_M)
+    middle = np.mean(compute_world_fractions(region), axis=0)
+    for zoom in range(finest, finest - ZOOMS_TRIED, -1):
+        x, y = np.clip(np.floor(middle * 2.0**zoom - 0.5), 0, 2**zoom - 2).astype(int).tolist()
+        four = [(x + i, y + j) for i in range(2) for j in range(2)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", GeoaimWarning)  # of placeholders, which are expected
+            if leave_out_placeholders(list(fetch_tiles(service, zoom, four)), service.name):
+                return zoom
+    raise ImageryError(
+        f"{service.name} has no imagery there at the zooms {finest - ZOOMS_TRIED + 1} to {finest}; "
+        f"choose another one: {name_option('--zoom', 'Tiles(..., zoom=)')}"
+    )
 
 
 def _hide_query(address: str) -> str:

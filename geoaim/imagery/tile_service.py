@@ -14,9 +14,10 @@ from typing import Any
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
 
-from geoaim.base.errors import ImageryError
+from geoaim.base.errors import ImageryError, name_option
 from geoaim.base.files import atomic_write
 from geoaim.base.raster_files import open_raster_file
+from geoaim.imagery.addresses import make_quadkey
 
 CONNECTIONS = 4
 TIMEOUT_S = 20
@@ -31,7 +32,8 @@ TILE_DRIVERS = ("PNG", "JPEG", "WEBP")
 class Service:
     """A tile service."""
 
-    address: str  # its URL with {z}, {x} and {y}, or {-y} where y counts from the south
+    # its URL with {z}, {x} and {y}, or {-y} where y counts from the south, or {q}: a quadkey
+    address: str
     name: str  # used in messages; without access keys
     tile_size: int  # pixels
     cache: Path  # folder
@@ -103,7 +105,8 @@ def fetch_tiles(
 
 def _make_url(address: str, zoom: int, x: int, y: int) -> str:
     values = {"z": zoom, "x": x, "y": y, "-y": 2**zoom - 1 - y, "s": "a"}
-    return re.sub(r"\{(-?[xyzs])\}", lambda found: str(values[found[1]]), address)
+    values["q"] = make_quadkey(zoom, x, y)
+    return re.sub(r"\{(-?[xyzsq])\}", lambda found: str(values[found[1]]), address)
 
 
 def _request(service: Service, url: str) -> bytes:
@@ -138,5 +141,6 @@ def _check_size(service: Service, path: Path) -> None:
         ) from error
     if (height, width) != (service.tile_size, service.tile_size):
         raise ImageryError(
-            f"{service.name} has tiles of {height} x {width} pixels; give that as tile_size"
+            f"{service.name} has tiles of {height} x {width} pixels; give that as "
+            + name_option("--tile-size", "tile_size=")
         )

@@ -1,8 +1,14 @@
+import http.server
+import io
+from pathlib import Path
+
 import numpy as np
+from PIL import Image
 from typer.testing import CliRunner
 
 from geoaim.aim.files import read_aim
 from geoaim.cli import app
+from tests.http_servers import run_servers
 
 run = CliRunner().invoke
 
@@ -29,3 +35,36 @@ def test_align_writes_nothing_after_an_error(tmp_path):
     assert result.exit_code == 1
     assert run(app, ["align", "samples/ortho.tif", "-o", "samples/ortho.tif"]).exit_code == 1
     assert not list(tmp_path.iterdir())
+
+
+class SampleTiles(http.server.BaseHTTPRequestHandler):
+    """The sample's tiles; every other tile is one grey picture, with status 200."""
+
+    def do_GET(self) -> None:
+        file = Path(f"samples/tiles{self.path}.jpg")
+        grey = io.BytesIO()
+        Image.new("RGB", (256, 256), (204, 204, 204)).save(grey, "JPEG")
+        content = file.read_bytes() if file.exists() else grey.getvalue()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+def test_the_guides_example_of_a_service_needs_no_resolution(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))  # of the cache of tiles
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    output = tmp_path / "aligned.tif"
+    with run_servers(SampleTiles) as start:
+        _, address = start()
+        words = ["align", f"{address}/{{z}}/{{x}}/{{y}}", "--tracks", "samples/tracks.csv"]
+        words += ["--max-shift", "8", "--max-rotation", "2", "-o", f"{output}"]
+        result = run(app, words)
+    assert result.exit_code == 0, result.output
+    aim = read_aim(output)
+    assert aim.report["imagery"][0]["zoom"] == 19
+    if (aim.coverage == 0).any():
+        assert "are the same picture as another one" in " ".join(result.output.split())

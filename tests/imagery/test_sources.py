@@ -1,3 +1,6 @@
+import sqlite3
+from contextlib import closing
+
 import pytest
 import rasterio
 from rasterio.enums import Resampling
@@ -60,3 +63,32 @@ def test_mbtiles_are_read_at_any_zoom(tmp_path, zoom):
     aim = read_imagery(tiles, world=WORLD, corners=corners, resolution=0.6)
     assert aim.coverage.all()
     assert misplaced(aim, 15.0) < 0.05
+
+
+def set_metadata(path, **values):
+    with closing(sqlite3.connect(path)) as database, database:
+        for name, value in values.items():
+            database.execute("DELETE FROM metadata WHERE name = ?", (name,))
+            database.execute("INSERT INTO metadata VALUES (?, ?)", (name, value))
+
+
+def write_mbtiles(path):
+    place = tile_place(*tiles_here(17)[0], 512)
+    bands = painted("EPSG:3857", place, (512, 512), 15.0)
+    return write(path, bands, "EPSG:3857", place, driver="MBTILES", TILE_FORMAT="PNG")
+
+
+def test_mbtiles_whose_rows_count_from_the_north_are_refused(tmp_path):
+    path = write_mbtiles(tmp_path / "a.mbtiles")
+    read_imagery(path, world=WORLD, corners=BOX, resolution=1.0)
+    with closing(sqlite3.connect(path)) as database, database:
+        [(text,)] = database.execute("SELECT value FROM metadata WHERE name = 'bounds'")
+        west, south, east, north = map(float, text.split(","))
+    set_metadata(path, scheme="xyz")  # a slip: the bounds agree with the rows
+    read_imagery(path, world=WORLD, corners=BOX, resolution=1.0)
+    set_metadata(path, bounds=f"{west},{-north},{east},{-south}", scheme="tms")
+    with pytest.raises(ImageryError, match=r"rows count from the north .its bounds"):
+        read_imagery(path, world=WORLD, corners=BOX, resolution=1.0)
+    set_metadata(path, bounds="", scheme="xyz")
+    with pytest.raises(ImageryError, match=r"rows count from the north .its scheme is xyz"):
+        read_imagery(path, world=WORLD, corners=BOX, resolution=1.0)

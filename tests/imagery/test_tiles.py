@@ -192,7 +192,7 @@ def test_tiles_that_a_service_lacks_are_holes(tmp_path, service, status):
     assert 0.01 < (aim.coverage == 0).mean() < 0.9
     assert misplaced(aim, 15.0) < 0.02
     _, address = service(lambda *_: (status, b""))
-    with pytest.raises(ImageryError, match="missing tiles"):
+    with pytest.raises(ImageryError, match="has no tile there at zoom 18"):
         read_imagery(Tiles(address, cache=tmp_path), **AREA)
 
 
@@ -219,11 +219,73 @@ def test_failing_service_is_an_error(tmp_path, service, answer, reason, monkeypa
     assert address in str(caught.value)
 
 
-def test_service_needs_a_place_and_a_resolution():
-    address = "http://127.0.0.1:9/{z}/{x}/{y}.png"
-    for area in ({}, {"world": WORLD, "corners": BOX}, {"resolution": 1.0}):
-        with pytest.raises(ImageryError, match="give the world, the corners, and a resolution"):
-            read_imagery(address, **area)
+@pytest.mark.parametrize("area", [{}, {"resolution": 1.0}])
+def test_service_needs_a_place(area):
+    with pytest.raises(ImageryError, match="give what says where, the world and the corners"):
+        read_imagery("http://127.0.0.1:9/{z}/{x}/{y}.png", **area)
+
+
+NOT_AVAILABLE = tile_png(18, 0, 0)  # one picture for every tile
+
+
+def test_without_a_resolution_the_finest_zoom_with_imagery_is_read(tmp_path, service):
+    def answer(path, n):
+        return good(path, n) if numbers(path)[0] <= 18 else (200, NOT_AVAILABLE, 0.0)
+
+    _, address = service(answer)
+    aim = read_imagery(Tiles(address, cache=tmp_path), world=WORLD, corners=BOX)
+    assert aim.report["imagery"][0]["zoom"] == 18
+    assert misplaced(aim, 15.0) < 0.02
+
+
+def test_tiles_that_are_one_picture_are_holes_with_a_warning(tmp_path, service):
+    gone = tiles_here(18)[:2]
+
+    def answer(path, n):
+        return (200, NOT_AVAILABLE, 0.0) if numbers(path) in gone else good(path, n)
+
+    _, address = service(answer)
+    with pytest.warns(GeoaimWarning, match=r"2 of \d+ tiles are the same picture"):
+        aim = read_imagery(Tiles(address, cache=tmp_path), **AREA)
+    assert 0.01 < (aim.coverage == 0).mean() < 0.9
+    assert misplaced(aim, 15.0) < 0.02
+
+
+def test_a_zoom_of_which_all_tiles_are_one_picture_is_refused(tmp_path, service):
+    _, address = service(lambda *_: (200, NOT_AVAILABLE, 0.0))
+    with (
+        pytest.warns(GeoaimWarning, match="the same picture"),
+        pytest.raises(ImageryError, match="all the same picture there at zoom 18"),
+    ):
+        read_imagery(Tiles(address, cache=tmp_path), **AREA)
+
+
+def test_a_folder_says_that_y_counts_from_the_south(tmp_path):
+    folder = write_tiles(tmp_path / "t", 17, "{z}/{x}/{tms}.png")
+    (folder / "tilemapresource.xml").write_text(
+        '<TileMap version="1.0.0"><SRS>EPSG:900913</SRS><Origin x="-20037508.34279" '
+        'y="-20037508.34279"/><TileSets profile="mercator"/></TileMap>'
+    )
+    area = {"world": WORLD, "corners": BOX, "resolution": 1.0}
+    assert misplaced(read_imagery(folder, **area), 15.0) < 0.02
+    (folder / "metadata.json").write_text('{"scheme": "xyz"}')
+    with pytest.raises(ImageryError, match=r"tilemapresource.xml, metadata.json of .* differ"):
+        read_imagery(folder, **area)
+    (folder / "tilemapresource.xml").unlink()
+    (folder / "metadata.json").write_text('{"scheme": "tms"}')
+    assert misplaced(read_imagery(folder, **area), 15.0) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("srs", "profile"), [("EPSG:4326", "geodetic"), ("EPSG:3857", "raster"), ("EPSG:2154", "")]
+)
+def test_tiles_of_another_grid_are_refused(tmp_path, srs, profile):
+    folder = write_tiles(tmp_path / "t", 17)
+    (folder / "tilemapresource.xml").write_text(
+        f'<TileMap><SRS>{srs}</SRS><TileSets profile="{profile}"/></TileMap>'
+    )
+    with pytest.raises(ImageryError, match=r"those of web Mercator are read"):
+        read_imagery(folder, world=WORLD, corners=BOX, resolution=1.0)
 
 
 def test_tile_size_of_a_service_is_an_option(tmp_path, service):
