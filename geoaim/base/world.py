@@ -1,6 +1,7 @@
 """World: the local metric plane in which tracks live, a projected CRS and an origin."""
 
 import re
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -8,9 +9,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 from pyproj import CRS, Proj, Transformer
+from pyproj.aoi import AreaOfInterest
 from pyproj.exceptions import CRSError, ProjError
+from pyproj.transformer import TransformerGroup
 
-from geoaim.base.errors import GeoreferenceError
+from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.limits import MAX_POSITION_M
 
 LONLAT = "EPSG:4326"
@@ -190,6 +193,75 @@ def transform_crs(
             " Is the CRS the right one, and are the coordinates in the order x, y (lon, lat)?"
         )
     return mapped
+
+
+@dataclass(frozen=True)
+class Operation:
+    """How PROJ transforms between two CRSs at a place."""
+
+    name: str
+    accuracy: float  # metres; 0 within one datum, NaN where PROJ does not know it
+    better: str  # a more accurate operation whose grids are missing, and these; "" for none
+
+
+def find_operation(source: str, destination: str, points: Float[Array, "m 2"]) -> Operation:
+    """Find the operation by which PROJ transforms points, and whether a better one lacks a grid.
+
+    Args:
+        source: the CRS of the points.
+        destination: the CRS to transform to.
+        points: (M, 2) coordinates, x (or longitude) first.
+
+    Returns:
+        The operation, the best one that is available there.
+
+    Raises:
+        GeoreferenceError: a CRS is unknown, or a point has no longitude and latitude.
+    """
+    lonlat = transform_crs(source, LONLAT, points)
+    low, high = np.floor(lonlat.min(axis=0)), np.ceil(lonlat.max(axis=0))
+    return _find_operation(source, destination, (*low.tolist(), *high.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _find_operation(
+    source: str, destination: str, area: tuple[float, float, float, float]
+) -> Operation:
+    """Find the operation in an area: west, south, east and north in degrees."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pyproj warns of missing grids in words of its own
+        group = TransformerGroup(
+            parse_crs(source),
+            parse_crs(destination),
+            always_xy=True,
+            area_of_interest=AreaOfInterest(*area),
+        )
+    if not group.transformers:
+        return Operation("none", np.nan, "")
+    chosen = group.transformers[0]
+    accuracy = float(chosen.accuracy) if chosen.accuracy >= 0 else np.nan
+    better = ""
+    for lacking in group.unavailable_operations:
+        grids = [grid.short_name for grid in lacking.grids if not grid.available]
+        if grids and lacking.accuracy >= 0 and not lacking.accuracy >= accuracy:
+            better = f"{lacking.name} ({lacking.accuracy:g} m) needs {', '.join(grids)}"
+            break
+    return Operation(chosen.description, accuracy, better)
+
+
+def warn_of_operation(operation: Operation, source: str, destination: str) -> None:
+    """Warn where the accuracy of an operation is unknown, or a better one lacks its grids."""
+    if operation.better:
+        stated = f"{operation.accuracy:g} m" if operation.accuracy >= 0 else "an unknown accuracy"
+        warn(
+            f"{source} to {destination}: transformed with {stated}, since {operation.better}, "
+            "which is missing; install it (pyproj sync --file NAME) for less uncertainty"
+        )
+    elif np.isnan(operation.accuracy):
+        warn(
+            f"{source} to {destination}: PROJ does not know how accurate this is "
+            f"({operation.name}); datums may differ by 100 m. Name the CRS by its EPSG code"
+        )
 
 
 def world_from_crs(

@@ -10,6 +10,8 @@ from geoaim import __version__
 from geoaim.cli import options
 from geoaim.cli.console import print_result, report_errors
 
+MAX_LISTED_GRIDS = 5
+
 
 def doctor(as_json: options.AsJson = False) -> None:
     """Print versions, drivers, threads, GPU and folders: what a bug report needs.
@@ -31,6 +33,7 @@ def doctor(as_json: options.AsJson = False) -> None:
             "Python": f"{platform.python_version()} on {platform.platform()}",
             **{name: _find_version(name) for name in sorted(names)},
             "GDAL": rasterio.__gdal_version__,
+            "PROJ": _describe_proj(),
             "raster drivers": str(len(set(raster_driver_extensions().values()))),
             "processors": str(os.cpu_count()),
             "threads": f"OpenCV {cv2.getNumThreads()}, torch {torch.get_num_threads()}",
@@ -46,6 +49,19 @@ def _find_version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "missing"
+
+
+def _describe_proj() -> str:
+    """Describe PROJ, and the grids on which accurate transformations between datums depend."""
+    import pyproj
+    from pyproj.datadir import get_data_dir, get_user_data_dir
+    from pyproj.network import is_network_enabled
+
+    folders = {Path(part) for part in (*get_data_dir().split(os.pathsep), get_user_data_dir())}
+    grids = sorted({file.name for folder in folders for file in folder.glob("*.tif")})
+    listed = f"{len(grids)} ({', '.join(grids[:MAX_LISTED_GRIDS])})" if grids else "none"
+    network = "on" if is_network_enabled() else "off"
+    return f"{pyproj.proj_version_str}; grids: {listed}; network for missing ones: {network}"
 
 
 def _describe_folder(folder: Path) -> str:

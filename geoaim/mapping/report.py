@@ -62,6 +62,7 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         "approximate": georeference.approximate,
         "radial": georeference.radial,
         "noise_m": georeference.noise,
+        "datum_accuracy_m": georeference.datum_accuracy,
         "probability_by_model": dict(georeference.probabilities),
         "corner_sigma_m": sigma,
         "corner_uncertainty_m": bound,

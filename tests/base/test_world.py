@@ -3,13 +3,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from geoaim.base.errors import GeoreferenceError
+from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.base.world import (
     World,
     choose_world,
     crs_from_world,
+    find_operation,
     find_utm_crs,
     lonlat_from_world,
+    warn_of_operation,
     world_from_crs,
     world_from_lonlat,
 )
@@ -95,3 +97,21 @@ def test_a_world_without_a_crs_has_no_longitude():
 def test_a_point_beyond_the_projection_is_refused():
     with pytest.raises(GeoreferenceError, match="cannot be expressed"):
         world_from_lonlat(World("EPSG:32635", (500000.0, 0.0)), np.array([[27.0, 120.0]]))
+
+
+@pytest.mark.parametrize(
+    ("source", "destination", "accuracy"),
+    [("EPSG:4326", "EPSG:32635", 0.0), ("EPSG:4284", "EPSG:32635", 3.0)],
+)
+def test_the_accuracy_of_a_transformation_is_that_of_proj(source, destination, accuracy):
+    found = find_operation(source, destination, np.array([[28.0, 54.0]]))
+    assert (found.accuracy, found.better) == (accuracy, "")
+
+
+def test_a_better_transformation_that_lacks_its_grid_is_named():
+    found = find_operation("EPSG:27700", "EPSG:32630", np.array([[530_000.0, 180_000.0]]))
+    if not found.better:
+        pytest.skip("the grids of Great Britain are installed")
+    assert found.accuracy == 2.0
+    with pytest.warns(GeoaimWarning, match=r"with 2 m, since .* needs .*OSTN15.*pyproj sync"):
+        warn_of_operation(found, "EPSG:27700", "EPSG:32630")

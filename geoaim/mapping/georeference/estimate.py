@@ -9,7 +9,9 @@ from geoaim.base.world import (
     World,
     choose_world,
     describe_crs_problem,
+    find_operation,
     transform_crs,
+    warn_of_operation,
     world_from_crs,
 )
 from geoaim.mapping.georeference import normalised_plane, point_checks
@@ -104,7 +106,17 @@ def estimate_georeference(
         terms=best.terms,
         posterior=posterior,
         world_from_plane=world_from_plane,
+        datum_accuracy=_measure_datum_accuracy(points, world),
     )
+
+
+def _measure_datum_accuracy(points: ControlPoints, world: World) -> float:
+    """Accuracy (m) of the transformation to the world's CRS; 0 where PROJ does not know it."""
+    if points.crs is None or world.crs is None or points.crs == world.crs:
+        return 0.0
+    operation = find_operation(points.crs, world.crs, points.coordinates)
+    warn_of_operation(operation, points.crs, world.crs)
+    return float(np.nan_to_num(operation.accuracy))
 
 
 def project_points(

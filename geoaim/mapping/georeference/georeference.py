@@ -44,6 +44,9 @@ class Georeference(Display):
     world_from_plane: Float[Array, "3 3"] = field(repr=False)
     # True when it comes from telemetry or an assumed resolution, not from points
     approximate: bool = False
+    # one sigma of the transformation from the points' CRS to the world's, metres; all of the image
+    # is off alike
+    datum_accuracy: float = 0.0
 
     def summarize(self) -> dict[str, str]:
         """Summarize the model, its errors at the control points and the size of the image."""
@@ -54,6 +57,8 @@ class Georeference(Display):
             lines["leave-one-out error"] = f"{rms:.4f} m (RMS of {errors.size} points)"
         lines["control points"] = f"{self.used.sum()} of {len(self.used)} used"
         lines["image"] = f"{self.width} x {self.height} px"
+        if self.datum_accuracy:
+            lines["accuracy of the CRS's transformation"] = f"{self.datum_accuracy:g} m"
         return lines | {"world": describe_world(self.world)}
 
     def _draw(self, axes: "Axes") -> None:

@@ -30,7 +30,8 @@ def predict_uncertainty(
         place in 95 % of cases; by the F distribution it is larger for few points.
     """
     sigma = _measure_sigma(_design_errors(georeference, pixels))
-    return sigma, sigma * ellipse_factor(georeference.posterior.dof)
+    bound = sigma * ellipse_factor(georeference.posterior.dof)
+    return np.hypot(sigma, georeference.datum_accuracy), _add_datum(georeference, bound)
 
 
 def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
@@ -45,10 +46,11 @@ def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
         _design_errors(georeference, _list_places(georeference)),
         georeference.posterior.dof,
     )
-    grid = _measure_sigma(design) * ellipse_factor(dof)
+    grid = _add_datum(georeference, _measure_sigma(design) * ellipse_factor(dof))
     corners = [0, columns - 1, rows * columns - 1, (rows - 1) * columns]
     worst = int(np.argmax(grid[corners]))
     with_point = _predict_with_points(georeference, design, [corners[worst]])[0]
+    with_point = _add_datum(georeference, with_point)
     return {
         "map_m": grid.reshape(GRID_SHAPE).round(4),
         "middle_m": float(grid[rows * columns // 2]),
@@ -71,7 +73,8 @@ def predict_ellipses(georeference: Georeference, pixels: Points) -> Float[Array,
     directions, lengths, _ = np.linalg.svd(
         _design_errors(georeference, pixels), full_matrices=False
     )
-    return np.asarray(factor * (directions * lengths[:, None, :]).transpose(0, 2, 1))
+    axes = _add_datum(georeference, factor * lengths)
+    return np.asarray((directions * axes[:, None, :]).transpose(0, 2, 1))
 
 
 def suggest_point(georeference: Georeference) -> tuple[Float[Array, "2"], float, float]:
@@ -86,7 +89,16 @@ def suggest_point(georeference: Georeference) -> tuple[Float[Array, "2"], float,
     now = _measure_sigma(design).max() * ellipse_factor(georeference.posterior.dof)
     largest = _predict_with_points(georeference, design, range(len(places))).max(axis=1)
     best = int(np.argmin(largest))
-    return places[best], float(now), float(largest[best])
+    radii = _add_datum(georeference, np.array([now, largest[best]]))
+    return places[best], float(radii[0]), float(radii[1])
+
+
+def _add_datum(georeference: Georeference, radius: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Add the uncertainty of the CRS's transformation, which points in it do not lower.
+
+    The radius holds 95 %, as the result does.
+    """
+    return np.asarray(np.hypot(radius, georeference.datum_accuracy * ellipse_factor(np.inf)))
 
 
 def _list_places(georeference: Georeference) -> Points:
