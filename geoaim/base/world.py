@@ -234,7 +234,7 @@ def _find_operation(
             parse_crs(source),
             parse_crs(destination),
             always_xy=True,
-            area_of_interest=AreaOfInterest(*area),
+            area_of_interest=AreaOfInterest(*area),  # type: ignore[arg-type]  # stubs differ
         )
     if not group.transformers:
         return Operation("none", np.nan, "")

@@ -57,7 +57,11 @@ def _read_origin(path: Path) -> World | None:
     if len(places) != 1:
         raise TracksError(
             f"{meta} has {len(places)} origins; one is needed, or give the CRS and the origin of "
-            f"{path.name}, such as World('EPSG:32632', (459000, 5428000))"
+            f"{path.name}, such as "
+            + name_option(
+                "--tracks-world 'EPSG:32632 459000 5428000'",
+                "world=World('EPSG:32632', (459000, 5428000))",
+            )
         )
     crs = find_utm_crs(*places[0])
     east, north = transform_crs(LONLAT, crs, places)[0].tolist()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from geoaim.base.errors import name_option
 from geoaim.base.world import World
 from geoaim.tracks.files import read_table
 from geoaim.tracks.formats import levelx, shared
@@ -48,7 +49,7 @@ def read_pixels(
     if clock == "frame" and not (frame_rate and 0 < frame_rate < np.inf):
         raise ValueError(
             f"{Path(path)} has frames and no times, and the frame rate is {frame_rate}; give "
-            "frames per second, such as 29.97"
+            f"{name_option('--tracks-frame-rate', 'frame_rate=')}, frames per second, such as 29.97"
         )
     types = table.get("type", pd.Series(UNKNOWN_TYPE, table.index)).fillna(UNKNOWN_TYPE)
     rows = pd.DataFrame(

@@ -5,11 +5,12 @@ import pytest
 
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import transform_points
-from geoaim.base.world import World, lonlat_from_world
+from geoaim.base.world import World, lonlat_from_world, transform_crs
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.georeference.normalised_plane import distort_points
+from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty
 from tests.mapping.georeference.points import GRID, SIZE, TILTED, TRUTH, UTM, make_points
 
 
@@ -78,3 +79,22 @@ def test_points_in_the_wrong_order_are_refused():
     order = np.random.default_rng(1).permutation(len(GRID))
     with pytest.raises(GeoreferenceError, match=r"No place fits|mirrored|contradict"):
         estimate_georeference(replace(points, coordinates=points.coordinates[order]), **SIZE)
+
+
+@pytest.mark.filterwarnings("ignore:EPSG.27700 to:geoaim.base.errors.GeoaimWarning")
+def test_the_accuracy_of_the_transformation_enters_the_uncertainty():
+    points = make_points()
+    world = World("EPSG:32630", (530_000.0, 5_700_000.0))
+    lonlat = lonlat_from_world(world, points.coordinates - points.coordinates.mean(axis=0))
+    national = transform_crs("EPSG:4326", "EPSG:27700", lonlat)
+    same = replace(points, coordinates=lonlat, crs="EPSG:4326")
+    other = replace(points, coordinates=national, crs="EPSG:27700")
+    exact, datum = (estimate_georeference(x, **SIZE, world=world) for x in (same, other))
+    assert exact.datum_accuracy == 0.0
+    assert datum.datum_accuracy in (1.0, 2.0)  # with the grid OSTN15 and without
+    middle = np.array([[SIZE["width"] / 2, SIZE["height"] / 2]])
+    sigma, bound = predict_uncertainty(datum, middle)
+    assert sigma[0] >= datum.datum_accuracy
+    assert bound[0] >= 2.4 * datum.datum_accuracy
+    assert map_uncertainty(datum)["worst_corner_with_point_there_m"] >= 2.4
+    assert predict_uncertainty(exact, middle)[1][0] < 1.0
