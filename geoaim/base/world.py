@@ -250,7 +250,13 @@ def _find_operation(
 
 
 def warn_of_operation(operation: Operation, source: str, destination: str) -> None:
-    """Warn where the accuracy of an operation is unknown, or a better one lacks its grids."""
+    """Warn where the accuracy of an operation is unknown, or a better one lacks its grids.
+
+    Args:
+        operation: the operation.
+        source: the CRS of the points.
+        destination: the CRS that they are transformed to.
+    """
     if operation.better:
         stated = f"{operation.accuracy:g} m" if operation.accuracy >= 0 else "an unknown accuracy"
         warn(

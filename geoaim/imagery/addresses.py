@@ -80,6 +80,14 @@ def normalise_address(text: str, name: str) -> str:
 def make_quadkey(zoom: int, x: int, y: int) -> str:
     """Make the quadkey of a tile: a digit for each zoom level, of the bits of x and y.
 
+    Args:
+        zoom: level.
+        x: number of the tile from the west.
+        y: number of the tile from the north.
+
+    Returns:
+        The digits.
+
     >>> make_quadkey(3, 3, 5)
     '213'
     """

@@ -16,9 +16,10 @@ from numpy import ndarray as Array
 from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
 from geoaim.base.limits import refuse_damaged
 from geoaim.imagery.addresses import is_address, normalise_address
+from geoaim.imagery.mbtiles import check_mbtiles
 from geoaim.imagery.placeholders import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
-from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
+from geoaim.imagery.tile_schemes import read_scheme
 from geoaim.imagery.tile_service import Service, fetch_tiles
 from geoaim.imagery.tiles import (
     MAX_ZOOM,

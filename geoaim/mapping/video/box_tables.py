@@ -89,9 +89,17 @@ def make_named_table(
 def make_numbered_table(
     rows: pd.DataFrame, rate: float | None, video: Video | None, source: Path, usual: int | None
 ) -> BoxTable:
-    """Make a table of rows with a column `frame`; with a rate (Hz) it counts as a time.
+    """Make a table of rows with a column `frame`.
 
-    The other arguments are those of `find_first`.
+    Args:
+        rows: a row for each box.
+        rate: frames per second by which numbers count as times; None: they number the frames.
+        video: as in `find_first`.
+        source: as there.
+        usual: as there.
+
+    Returns:
+        The table.
     """
     rows = rows.assign(frame=rows["frame"].round().astype(int))
     if rate is not None:

@@ -1,13 +1,9 @@
-"""Containers of video files: open them, choose the video stream, list the times of its frames."""
+"""Containers of video files: open them, choose the video stream, count its frames."""
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import av
-import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from geoaim.base.errors import VideoError
 from geoaim.base.limits import check_regular
@@ -18,8 +14,6 @@ FORMATS = (
     "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
 )
 READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
-MAX_UNEVENNESS = 0.01  # of steps between evenly spaced frames, as a share
-TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
 
 
 def open_container(path: Path) -> Any:
@@ -45,7 +39,15 @@ def open_container(path: Path) -> Any:
 
 
 def select_stream(container: Any, path: Path, threads: int | None) -> Any:
-    """Select the video stream of a container, which `threads` decode.
+    """Select the video stream of a container.
+
+    Args:
+        container: PyAV's container.
+        path: the file that messages name.
+        threads: decoding threads; None leaves the number to the decoder.
+
+    Returns:
+        The stream.
 
     Raises:
         VideoError: it has no video, or an unknown codec.
@@ -64,7 +66,16 @@ def select_stream(container: Any, path: Path, threads: int | None) -> Any:
 
 
 def read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:
-    """Number of frames that the file states, and whether it is a count, not a duration."""
+    """Read the number of frames that a file states.
+
+    Args:
+        container: PyAV's container.
+        stream: its video stream.
+        rate: frames per second, on average.
+
+    Returns:
+        The number, 0 for none; and whether it is a count, not a duration.
+    """
     if stream.frames and "mov" in container.format.name:  # an edit list may hide some of them
         return sum(not entry.is_discard for entry in stream.index_entries), True
     if stream.frames:
@@ -72,37 +83,3 @@ def read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, boo
     if stream.duration is not None:
         return round(stream.duration * stream.time_base * rate), False
     return round((container.duration or 0) / av.time_base * rate), False
-
-
-def read_frame_times(path: Path, start: float) -> Float[Array, " N"]:
-    """Read the times of all frames without decoding one.
-
-    MP4 and MOV have an index of decoding times, which are as far apart as presentation times where
-    frames are evenly spaced or are not reordered; otherwise the packets of the file are read.
-
-    Args:
-        path: the file.
-        start: presentation time of the first frame, seconds.
-
-    Returns:
-        (N) seconds since the first frame, increasing.
-    """
-    with open_container(path) as container:
-        stream = select_stream(container, path, None)
-        unit = float(stream.time_base)
-        if "mov" in container.format.name:
-            entries = [entry.timestamp for entry in stream.index_entries if not entry.is_discard]
-            times = (np.sort(np.array(entries, np.float64)) - min(entries, default=0)) * unit
-            steps = np.diff(times)
-            is_even = not len(steps) or np.ptp(steps) <= MAX_UNEVENNESS * steps.mean()
-            if len(times) and (is_even or not stream.codec_context.has_b_frames):
-                return times
-        stamps: list[int] = []
-        with suppress(av.FFmpegError):  # a damaged file: its frames up to there
-            stamps.extend(
-                packet.pts
-                for packet in container.demux(stream)
-                if packet.pts is not None and not packet.is_discard
-            )
-    times = np.unique(np.array(stamps, np.float64)) * unit - start
-    return times[times > -TIMESTAMP_STEP_S]

@@ -17,13 +17,8 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import VideoError, warn
 from geoaim.base.limits import MAX_RECORDING_S
-from geoaim.mapping.video.containers import (
-    TIMESTAMP_STEP_S,
-    open_container,
-    read_frame_count,
-    read_frame_times,
-    select_stream,
-)
+from geoaim.mapping.video.containers import open_container, read_frame_count, select_stream
+from geoaim.mapping.video.frame_times import TIMESTAMP_STEP_S, read_frame_times
 from geoaim.mapping.video.frames import Frame
 
 DEFAULT_RATE = 25  # frames per second, where a file states none

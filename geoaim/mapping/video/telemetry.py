@@ -68,12 +68,14 @@ def make_telemetry(
     """
     limits = PLAUSIBLE | MODIFIERS
     table = np.array([[row.get(name, math.nan) for name in limits] for row in rows], np.float64)
-    table[(table[:, 0] == 0) & (table[:, 1] == 0), :2] = np.nan  # DJI writes (0, 0) without a fix
-    table[table[:, 6] == 0, 6] = np.nan  # EXIF writes 0 for an unknown focal length
-    if not np.isfinite(table[:, :2]).all(axis=1).any():
+    # views of the table's columns
+    latitude, longitude, height, altitude, yaw, pitch, focal_length, roll, zoom = table.T
+    no_fix = (latitude == 0) & (longitude == 0)  # as DJI writes it
+    latitude[no_fix] = longitude[no_fix] = np.nan
+    focal_length[focal_length == 0] = np.nan  # EXIF writes 0 for an unknown one
+    focal_length *= np.where(np.isnan(zoom), 1.0, zoom)
+    if not np.isfinite(latitude + longitude).any():
         raise GeoreferenceError(f"{source}: no latitude and longitude found")
-    roll, zoom = table[:, 7], table[:, 8]
-    table[:, 6] *= np.where(np.isnan(zoom), 1.0, zoom)
     for (name, (least, greatest)), values in zip(limits.items(), table.T, strict=True):
         wrong = (values < least) | (values > greatest)
         if wrong.any():
@@ -83,10 +85,17 @@ def make_telemetry(
                 f"{source}: {name} is {values[first]:g} in entry {first + 1}; it lies between "
                 f"{least:g} and {greatest:g}{hint}"
             )
-    heading = _find_heading_of_top(table[:, 4], table[:, 5], roll)
-    table[:, 4] = wrap_angle(np.radians(90.0 - heading))
-    table[:, 5] = np.radians(table[:, 5])
-    return Telemetry(np.array(times, np.float64), *table.T[:7], remarks=remarks or {})
+    return Telemetry(
+        time=np.array(times, np.float64),
+        latitude=latitude,
+        longitude=longitude,
+        height=height,
+        altitude=altitude,
+        yaw=wrap_angle(np.radians(90.0 - _find_heading_of_top(yaw, pitch, roll))),
+        pitch=np.radians(pitch),
+        focal_length=focal_length,
+        remarks=remarks or {},
+    )
 
 
 def _find_heading_of_top(

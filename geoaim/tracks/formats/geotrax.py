@@ -39,8 +39,15 @@ def read_geotrax(
 
     Headings and speeds are derived from the positions over half a second; a size that was not
     measured is typical of the type; a class number N other than those of `VEHICLE_CLASSES` is
-    the type "class N", with a warning. `crs` is that of Local_X (east) and Local_Y (north), None
-    for a local plane without a CRS; the world's origin is near the mean position. Times begin at 0.
+    the type "class N", with a warning.
+
+    Args:
+        path: the file.
+        crs: CRS of Local_X (east) and Local_Y (north); None: a local plane without a CRS.
+        frame_rate: frames per second; needed where the file has no times, and refused where it has.
+
+    Returns:
+        The tracks, in a world whose origin is near the mean position. Times begin at 0.
 
     Raises:
         FileNotFoundError: there is no such file.
