@@ -1,14 +1,14 @@
 """Errors about data; a bad call raises ValueError or TypeError."""
 
+import contextvars
 import sys
 import warnings
-from contextvars import ContextVar
 
 # characters that end a line or control a terminal; damaged files have them in names and values
 CONTROLS = dict.fromkeys((*range(32), *range(127, 160), 0x2028, 0x2029), " ")
 MAX_START, MAX_END = 700, 300  # characters of a longer message that are kept
 # whether a command of geoaim runs, and not a program that imports it
-IN_COMMAND = ContextVar("IN_COMMAND", default=False)
+IN_COMMAND = contextvars.ContextVar("IN_COMMAND", default=False)
 
 
 class GeoaimError(Exception):
