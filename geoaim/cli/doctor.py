@@ -54,8 +54,8 @@ def _find_version(name: str) -> str:
 def _describe_proj() -> str:
     """Describe PROJ, and the grids on which accurate transformations between datums depend."""
     import pyproj
-    from pyproj.datadir import get_data_dir, get_user_data_dir
-    from pyproj.network import is_network_enabled
+    from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
+    from pyproj.network import is_network_enabled  # type: ignore[attr-defined]
 
     folders = {Path(part) for part in (*get_data_dir().split(os.pathsep), get_user_data_dir())}
     grids = sorted({file.name for folder in folders for file in folder.glob("*.tif")})

@@ -232,7 +232,7 @@ def override_telemetry(
         values = {name: np.full(count, value) for name, value in given.items()}
         if {"height", "yaw"} & set(given) and np.isnan(telemetry.pitch).all():
             values["pitch"] = np.full(count, -np.pi / 2)
-        return replace(telemetry, **values)
+        return replace(telemetry, **values)  # type: ignore[arg-type]  # mypy: or `remarks`
 
     return replace(video, read_telemetry=read)
 

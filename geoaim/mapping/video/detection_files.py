@@ -255,7 +255,8 @@ def _read_coco(path: Path, rate: float | None, video: Video | None) -> BoxTable:
         for entry in found
     ]
     if not isinstance(content, list):
-        _check_image_sizes(path, content["images"], video)
+        if video is not None:
+            _check_image_sizes(path, content["images"], video)
         stems = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
     elif all(str(entry["image_id"]).isdecimal() for entry in found):
         numbers = [int(entry["image_id"]) for entry in found]
@@ -267,11 +268,9 @@ def _read_coco(path: Path, rate: float | None, video: Video | None) -> BoxTable:
     return make_named_table(rows, names_of_frames, _match_names(names_of_frames, video, path))
 
 
-def _check_image_sizes(
-    path: Path, images: Sequence[Mapping[str, Any]], video: Video | None
-) -> None:
+def _check_image_sizes(path: Path, images: Sequence[Mapping[str, Any]], video: Video) -> None:
     """Refuse boxes of images of another size than the frames."""
-    for image in images if video is not None else ():
+    for image in images:
         size = image.get("width", video.width), image.get("height", video.height)
         if size != (video.width, video.height):
             raise GeoaimError(

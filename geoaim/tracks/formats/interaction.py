@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from geoaim.base.errors import TracksError, warn
+from geoaim.base.errors import TracksError, name_option, warn
 from geoaim.base.world import LONLAT, World, find_utm_crs, transform_crs
 from geoaim.tracks.files import read_table
 from geoaim.tracks.formats import shared
