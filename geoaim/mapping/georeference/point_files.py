@@ -25,6 +25,7 @@ COLUMN_NAMES = {
     "accuracy": ("accuracy", "accuracy_m", "accuracy_(m)", "sigma", "horz_accuracy"),
     "enable": ("enable", "enabled", "use"),
 }
+COMMENT = re.compile(r'\s*(#|"#\s*(crs|accuracy):)', re.IGNORECASE)  # a name may begin with "#
 OFF = ("0", "false", "no")  # values of the column enable
 DEGREE_COLUMNS = {"lon", "longitude", "lng", "lat", "latitude"}
 QGIS_COLUMNS = ("mapx", "mapy", "pixelx", "pixely")
@@ -64,7 +65,7 @@ def read_point_file(path: Path) -> list[PointRow]:
     except OSError as error:
         raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
     numbered = [
-        (number, trim_comment(line) if re.match(r'\s*"?#', line) else line.strip())
+        (number, trim_comment(line) if re.match(COMMENT, line) else line.strip())
         for number, line in enumerate(lines, 1)
         if line.strip(' \t,;"') and not re.match(r'\s*"?sep=', line, re.I)
     ]
