@@ -9,16 +9,18 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8, UInt16
 from numpy import ndarray as Array
 
+from geoaim.aim.position import bind_report
 from geoaim.aim.summary import summarize_report
 from geoaim.base.displays import Display
 from geoaim.base.errors import AimError
-from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.geometry import image_corners, transform_points, translation
 from geoaim.base.grid import Grid
 from geoaim.base.limits import MAX_POSITION_M
 from geoaim.base.world import World, describe_world
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from xarray import DataArray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,7 +34,9 @@ class AIM(Display):
         coverage: (H, W) number of frames behind each pixel; 0 where the ground was not seen.
         contested: (H, W) pixels for which the frames do not agree on a background.
         report: how it was made and how accurate it is. Kept as plain JSON: arrays become lists,
-            and numbers that do not exist (NaN, infinity) become None.
+            and numbers that do not exist (NaN, infinity) become None. What it states of the
+            position holds for this place: a map that is moved (`replace(aim, world_from_image=...)`
+            or by another program) says so.
 
     Raises:
         ValueError: a field has a wrong type or shape, or the matrix has no inverse.
@@ -57,7 +61,38 @@ class AIM(Display):
         _check_transform(self.world_from_image, height, width)
         text = json.dumps(dict(self.report), default=lambda value: value.tolist())
         plain = json.loads(text, parse_constant=lambda _: None)
-        object.__setattr__(self, "report", plain)
+        object.__setattr__(self, "report", bind_report(plain, self.grid))
+
+    def to_xarray(self) -> "DataArray":
+        """Make an array of xarray in the CRS of the world, which rioxarray (`.rio`) knows.
+
+        Returns:
+            (band, y, x) red, green, blue and alpha, uint8; x and y are absolute coordinates of the
+            pixels' centres, and "spatial_ref" holds the CRS and the transform. A map that is not
+            north-up is rectified first.
+
+        Raises:
+            ImportError: rioxarray is missing; `pip install 'geoaim[gis]'` installs it.
+        """
+        import rioxarray  # noqa: F401, which adds .rio to arrays
+        from rasterio import Affine
+        from xarray import DataArray
+
+        matrix = self.world_from_image
+        aim = self
+        if not self.is_affine or matrix[0, 1] or matrix[1, 0]:
+            # imported by name, since it stands above maps
+            aim = import_module("geoaim.aim.rectification").rectify(self)
+        crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
+        height, width = aim.coverage.shape
+        x = crs_from_image[0, 0] * (np.arange(width) + 0.5) + crs_from_image[0, 2]
+        y = crs_from_image[1, 1] * (np.arange(height) + 0.5) + crs_from_image[1, 2]
+        alpha = np.where(aim.coverage > 0, np.uint8(255), np.uint8(0))
+        values = np.moveaxis(np.dstack([aim.image, alpha]), -1, 0)
+        coordinates = {"band": ["red", "green", "blue", "alpha"], "y": y, "x": x}
+        array = DataArray(values, coordinates, ("band", "y", "x"), name="aim")
+        array = array.rio.write_transform(Affine(*crs_from_image[:2].flat))
+        return array if aim.world.crs is None else array.rio.write_crs(aim.world.crs)
 
     @classmethod
     def from_image(

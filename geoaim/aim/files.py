@@ -5,6 +5,7 @@ import os
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
 from geoaim.aim.aim import AIM
+from geoaim.aim.position import bind_report
 from geoaim.aim.rectification import rectify
 from geoaim.base.checksums import (
     PLACEHOLDER,
@@ -57,26 +59,42 @@ def write_aim(aim: AIM, path: str | os.PathLike[str]) -> None:
     """
     if not aim.is_affine:
         aim = rectify(aim)
-    height, width = aim.coverage.shape
-    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
-    profile = {
-        "driver": "COG",
-        "height": height,
-        "width": width,
-        "count": len(BANDS),
-        "dtype": "uint8",
-        "crs": aim.world.crs,
-        "transform": rasterio.Affine(*crs_from_image[:2].flat),
-        "compress": "deflate",
-        "predictor": "yes",
-        "num_threads": "all_cpus",
-    }
+    profile = {**_make_profile(aim), "count": len(BANDS)}
     try:
         with atomic_write(path) as temporary:
             with _allow_identity_transform(), create_raster_file(temporary, profile) as dataset:
                 _write_bands(dataset, aim)
                 _write_tags(dataset, aim)
             write_checksum(temporary)
+    except (RasterioError, CPLE_BaseError, OSError) as error:
+        raise AimError(f"{Path(path).name} could not be written: {error}") from error
+
+
+def write_rgb(aim: AIM, path: str | os.PathLike[str]) -> None:
+    """Write the image of an AIM as a GeoTIFF of red, green and blue with a mask.
+
+    It is for tools that take three bands, such as rio-tiler. The coverage, the contested pixels and
+    the report are not in it: `read_aim` needs a file of `write_aim`.
+
+    Args:
+        aim: the AIM to write; rectified first when its transform is not affine.
+        path: the .tif file.
+
+    Raises:
+        AimError: the grid would be too large, or the file cannot be written.
+    """
+    if not aim.is_affine:
+        aim = rectify(aim)
+    profile = {**_make_profile(aim), "count": 3}
+    try:
+        with (
+            atomic_write(path) as temporary,
+            _allow_identity_transform(),
+            create_raster_file(temporary, profile) as dataset,
+        ):
+            dataset.write(np.moveaxis(aim.image, -1, 0))
+            dataset.write_mask(aim.coverage > 0)
+            dataset.colorinterp = [ColorInterp.red, ColorInterp.green, ColorInterp.blue]
     except (RasterioError, CPLE_BaseError, OSError) as error:
         raise AimError(f"{Path(path).name} could not be written: {error}") from error
 
@@ -130,8 +148,30 @@ def open_aim(path: str | os.PathLike[str]) -> Iterator[tuple[Any, Grid, dict[str
         frame = _read_frame(dataset, path, has_checksum)
         world = World(crs=frame["world"]["crs"], origin=tuple(frame["world"]["origin"]))
         transform = _read_transform(dataset, world, frame, path)
+        grid = Grid((dataset.height, dataset.width), transform, world)
         report = dict(json.loads(dataset.tags().get("GEOAIM_REPORT", "{}")))
-        yield dataset, Grid((dataset.height, dataset.width), transform, world), report
+        if "place" not in report:  # written before reports were bound to their places
+            written = np.array(frame["world_from_image"], np.float64)
+            report = bind_report(report, replace(grid, world_from_grid=written))
+        report = bind_report(report, grid)
+        yield dataset, grid, report
+
+
+def _make_profile(aim: AIM) -> dict[str, Any]:
+    """The profile of rasterio of a cloud-optimised, lossless GeoTIFF, without its bands."""
+    height, width = aim.coverage.shape
+    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
+    return {
+        "driver": "COG",
+        "height": height,
+        "width": width,
+        "dtype": "uint8",
+        "crs": aim.world.crs,
+        "transform": rasterio.Affine(*crs_from_image[:2].flat),
+        "compress": "deflate",
+        "predictor": "yes",
+        "num_threads": "all_cpus",
+    }
 
 
 @contextmanager

@@ -9,11 +9,15 @@ from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
-from geoaim.base.geometry import to_opencv, transform_points
-from geoaim.base.grid import make_north_up_grid
+from geoaim.aim.position import keep_place
+from geoaim.base.errors import AimError
+from geoaim.base.geometry import to_opencv, transform_points, translation
+from geoaim.base.grid import Grid, make_north_up_grid
+from geoaim.base.world import World, change_world
 
 BLOCK_PX = 1024  # side of the blocks that are resampled at a time
 SAMPLES_PER_SIDE = 33  # pixel sizes are measured at so many places along each side of the image
+MAX_WORLD_ERROR_PX = 0.1  # of taking the map between two worlds as affine
 MIN_ALPHA = 0.01  # a pixel of lower alpha has no colour of its own
 
 
@@ -37,9 +41,13 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
     sides = _measure_pixels(aim)
     if resolution is None:
         resolution = float(f"{np.median(np.sqrt(sides.prod(axis=1))):.2g}")
-    grid = make_north_up_grid(aim.corners, resolution)
+    return resample(aim, make_north_up_grid(aim.corners, resolution, aim.world))
+
+
+def resample(aim: AIM, grid: Grid) -> AIM:
+    """Resample an AIM to a grid in the same world, as `rectify` does."""
     image_from_grid = aim.grid.grid_from_world @ grid.world_from_grid
-    oversampling = int(np.clip(round(resolution / sides.min()), 1, BLOCK_PX))
+    oversampling = int(np.clip(round(grid.resolution / _measure_pixels(aim).min()), 1, BLOCK_PX))
     coverage = sample_nearest(aim.coverage, image_from_grid, grid.shape)
     contested = sample_nearest(aim.contested.astype(np.uint8), image_from_grid, grid.shape)
     image = _resample_colours(aim, image_from_grid, grid.shape, oversampling)
@@ -50,7 +58,38 @@ def rectify(aim: AIM, resolution: float | None = None) -> AIM:
         world_from_image=grid.world_from_grid,
         coverage=coverage,
         contested=contested > 0,
+        report=keep_place(aim.report, grid),
     )
+
+
+def change_aim_world(aim: AIM, world: World) -> AIM:
+    """Express where an AIM lies in another world; its pixels stay as they are.
+
+    The map between the two worlds is taken as affine over the image, which is right to millimetres
+    over a kilometre.
+
+    Raises:
+        AimError: it is not affine to a tenth of a pixel over this image.
+    """
+    if aim.world == world:
+        return aim
+    low, high = aim.corners.min(axis=0), aim.corners.max(axis=0)
+    shares = np.stack(np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9)), axis=-1)
+    points = low + (high - low) * shares.reshape(-1, 2)
+    targets = change_world(aim.world, world, points)
+    middle = points.mean(axis=0)
+    design = np.column_stack([points - middle, np.ones(len(points))])
+    solution = np.linalg.lstsq(design, targets)[0]
+    error = float(np.abs(design @ solution - targets).max())
+    if error > MAX_WORLD_ERROR_PX * aim.resolution:
+        raise AimError(
+            f"the map is {high[0] - low[0]:.0f} m wide, too large to be expressed in {world.crs} "
+            f"instead of {aim.world.crs} as it is: {error:.2f} m would be wrong; give a smaller one"
+        )
+    affine = np.vstack([solution.T, [0.0, 0.0, 1.0]]) @ translation(*-middle)
+    moved = Grid(aim.coverage.shape, affine @ aim.world_from_image, world)
+    report = keep_place(aim.report, moved)
+    return replace(aim, world_from_image=moved.world_from_grid, world=world, report=report)
 
 
 def _measure_pixels(aim: AIM) -> Float[Array, "m 2"]:

@@ -1,12 +1,15 @@
 """The report of an AIM in a dozen short lines."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from textwrap import shorten
 from typing import Any
 
 import numpy as np
 
+from geoaim.aim.position import MOVED, describe_covariance, measure_azimuth
+
 MAX_REASON_CHARS = 70
+MIN_OFFSET_M = 0.1  # imagery that stays farther from where its reference shows it says so
 Lines = dict[str, str]
 
 
@@ -29,14 +32,23 @@ def summarize_report(report: Mapping[str, Any]) -> Lines:
         lines |= _summarize_georeference(georeference)
     alignments = report.get("alignment", {})
     placed = "georeference" in report or any("checked" not in one for one in alignments.values())
-    if report.get("source") == "imagery" and not placed:
+    position = report.get("position", {})
+    if position.get("source") == MOVED:
+        lines["position"] = f"{MOVED}: how well it lies is unknown"
+    elif by_hand := report.get("moved_by_hand"):
+        moved = _summarize_shift(by_hand["shift_m"], by_hand["turn_degrees"])
+        lines["position"] = f"moved by hand: {moved}"
+    elif report.get("source") == "imagery" and not placed:
         lines["position"] = "not aligned: as the georeference of the imagery says"
     for evidence, alignment in alignments.items():
         if "checked" in alignment:
             lines[f"check by {evidence}"] = _summarize_check(alignment)
         else:
             lines |= _summarize_alignment(evidence, alignment)
-    return lines
+            if not position:  # a report of version 0.1
+                covariance = _describe(alignment["covariance_m2"])
+                lines["uncertainty (95 %)"] = covariance
+    return lines | _summarize_position(position)
 
 
 def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
@@ -61,16 +73,49 @@ def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
 
 
 def _summarize_alignment(evidence: str, alignment: Mapping[str, Any]) -> Lines:
-    east, north = alignment["shift_m"]
-    line = (
-        f"{alignment['model']}, {east:+.2f} m east, {north:+.2f} m north, "
-        f"{alignment['rotation_degrees']:+.2f} degrees; {alignment['uncertainty_m']:.2f} m (95 %)"
-    )
-    lines = {f"alignment by {evidence}": line}
+    shift = _summarize_shift(alignment["shift_m"], alignment["rotation_degrees"])
+    line = f"{alignment['model']}, {shift}"
+    lines = {}
+    for part in alignment.get("parts", []):
+        line = "each part for itself"
+        covariance = _describe(part["covariance_m2"])
+        shift = _summarize_shift(part["shift_m"], part["rotation_degrees"])
+        how = "" if part["aligned"] else ", as the others on average"
+        lines[f"part {part['name'].removeprefix('part ')}"] = f"{shift}{how}; {covariance} (95 %)"
+    lines = {f"alignment by {evidence}": line, **lines}
     direction = alignment["undetermined_degrees"]
     if direction is not None:
-        lines["undetermined"] = f"along {direction % 180:.0f} degrees"
+        along = np.array([np.cos(np.radians(direction)), np.sin(np.radians(direction))])
+        lines["undetermined"] = (
+            f"along azimuth {measure_azimuth(along):.0f}°, where only --max-shift limits it"
+        )
     return lines
+
+
+def _summarize_shift(shift: Sequence[float], degrees: float) -> str:
+    east, north = shift
+    return f"{east:+.2f} m east, {north:+.2f} m north, {degrees:+.2f} degrees"
+
+
+def _summarize_position(position: Mapping[str, Any]) -> Lines:
+    """Summarize how well the place is known, relative to a reference and in the world."""
+    if "relative_to" not in position:
+        return {}
+    name = position["relative_to"]
+    relative = _describe(position["relative_covariance_m2"])
+    offset = position.get("offset_from_reference_m", [0.0, 0.0])
+    if (distance := float(np.hypot(*offset))) > MIN_OFFSET_M:
+        azimuth = float(np.degrees(np.arctan2(*offset))) % 360
+        relative += f"; the {name} shows it {distance:.2f} m away at azimuth {azimuth:.0f}°"
+    lines = {f"relative to the {name} (95 %)": relative}
+    in_world = _describe(position["covariance_m2"])
+    if assumed := position.get("assumes"):
+        in_world += f", taking the {' and the '.join(assumed)} as right"
+    return lines | {"in the world (95 %)": in_world}
+
+
+def _describe(covariance: Sequence[Sequence[float]] | None) -> str:
+    return describe_covariance(None if covariance is None else np.array(covariance, float))
 
 
 def _summarize_check(check: Mapping[str, Any]) -> str:
@@ -78,5 +123,9 @@ def _summarize_check(check: Mapping[str, Any]) -> str:
     if not check["checked"]:
         return f"not possible: {shorten(check['reason'], MAX_REASON_CHARS, placeholder=' ...')}"
     verdict = "agrees" if check["agrees"] else "DISAGREES"
+    direction = check.get("undetermined_degrees")
+    if direction is not None:  # along a straight road nothing is checked
+        across = np.array([-np.sin(np.radians(direction)), np.cos(np.radians(direction))])
+        verdict += f" at azimuth {measure_azimuth(across):.0f}°, nothing is told along the road"
     off, uncertainty = check["corner_offset_m"], check["corner_uncertainty_m"]
     return f"{verdict}: corners {off:.2f} m off, uncertainty {uncertainty:.2f} m (95 %)"

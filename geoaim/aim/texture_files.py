@@ -4,6 +4,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from numpy import ndarray as Array
 from PIL import Image
 
 from geoaim.aim.aim import AIM
+from geoaim.aim.position import read_position_covariance
 from geoaim.base.errors import AimError
 from geoaim.base.limits import check_memory, name_file, refuse_damaged
 from geoaim.base.world import World
@@ -23,6 +25,7 @@ FRAME_FILE, PICTURE_FILE = "texture.json", "texture.png"
 BYTES_PER_PIXEL = 12  # memory needed to read a texture
 SIZES = ("height", "width", "pixel_height", "pixel_width")
 REQUIRED = frozenset({"version", "image", *SIZES, "corner_order", "corners", "world"})
+POSITION_KEYS = ("position", "place")  # of the report: how well it is known, and where that holds
 ORIENTATION_TAG, UPRIGHT = 0x0112, 1  # EXIF
 MAX_SKEW = 1e-12  # largest skew of a parallelogram as a share of its sides: rounding
 
@@ -57,7 +60,8 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
     Returns:
         The AIM. Its transform is that of the four corners: affine where they are a parallelogram,
         otherwise a homography. Pixels of alpha 0 have coverage 0, all others 1; none are contested,
-        and the report says where the texture comes from, since a texture keeps no more.
+        and the report says where the texture comes from and how well its position is known, since
+        a texture keeps no more.
 
     Raises:
         AimError: a file is damaged, the JSON does not follow the schema, or the picture has more
@@ -68,6 +72,7 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
     with refuse_damaged(path, AimError, "the JSON of a corner frame"):
         frame = json.loads(path.read_text("utf-8"))
         _check_frame(frame)
+        read_position_covariance(frame)
         east, north = frame["world"]["origin"]
         world = World(frame["world"]["crs"], (float(east), float(north)))
         corners = np.array(frame["corners"], float)
@@ -80,7 +85,8 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
     with name_file(path):
         aim = AIM.from_image(pixels[..., :3].copy(), world_from_image, world, f"texture {path}")
     aim.coverage[:] = pixels[..., 3] > 0
-    return aim
+    stated = {name: frame[name] for name in POSITION_KEYS if name in frame}
+    return replace(aim, report={**aim.report, **stated})
 
 
 def fit_corners(corners: Float[Array, "4 2"], height: int, width: int) -> Float[Array, "3 3"]:

@@ -76,15 +76,15 @@ def read_features(path: str | os.PathLike[str], world: World) -> list[Feature]:
         ]
 
 
-def list_shapes(path: str | os.PathLike[str]) -> list[BaseGeometry]:
-    """List the shapes of a GeoJSON file in its own coordinates.
+def list_features(path: str | os.PathLike[str]) -> list[Feature]:
+    """List the shapes of a GeoJSON file, with their properties, in its own coordinates.
 
     Raises:
         FileNotFoundError: there is no such file.
         MapError: the file is not GeoJSON, or has no geometry.
     """
     with refuse_damaged(path, MapError, "GeoJSON", reads_once=True):
-        return [feature.geometry for feature in _load_features(path)[1]]
+        return _load_features(path)[1]
 
 
 def _load_features(path: str | os.PathLike[str]) -> tuple[str | None, list[Feature]]:

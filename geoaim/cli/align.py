@@ -1,7 +1,7 @@
 """The command that aligns third-party imagery."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 import typer
@@ -11,6 +11,9 @@ from geoaim.cli.console import print_result, report_errors
 from geoaim.cli.inputs import read_any_tracks
 from geoaim.cli.outputs import check_map_output
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+
+if TYPE_CHECKING:
+    from geoaim.imagery.alignment.pipeline import Shift
 
 DEFAULT_ROTATION_DEGREES = float(np.degrees(DEFAULT_PRIOR.max_rotation))
 
@@ -27,6 +30,10 @@ def align(
     tracks_frame_rate: options.TracksFrameRate = None,
     aim: Annotated[Path | None, typer.Option(help="AIM of the same place")] = None,
     gcps: options.ControlPoints = None,
+    shift: Annotated[
+        str | None,
+        typer.Option(help="move it by hand first: metres east,north[,degrees counter-clockwise]"),
+    ] = None,
     resolution: Annotated[float | None, options.resolution()] = None,
     crs: Annotated[
         str | None, typer.Option(help="CRS of imagery or control points that state none")
@@ -41,6 +48,29 @@ def align(
     tile_size: Annotated[
         int, typer.Option(help="side of a tile service's tiles, pixels", min=1)
     ] = 256,
+    nodata: Annotated[
+        str | None,
+        typer.Option(
+            help="value that shows nothing, in imagery that states none; 'none' keeps plain white "
+            "or black at the edge"
+        ),
+    ] = None,
+    output_crs: Annotated[
+        str | None, typer.Option(help="CRS of the map, projected and in metres")
+    ] = None,
+    keep_extent: Annotated[
+        bool, typer.Option(help="keep all of the imagery, also far from the AIM or the tracks")
+    ] = False,
+    model: Annotated[
+        Literal["auto", "similarity"],
+        typer.Option(
+            help="with --gcps: 'similarity' for a picture that is an orthophoto, free of tilt"
+        ),
+    ] = "auto",
+    bands: Annotated[
+        Literal["all", "rgb"],
+        typer.Option(help="bands to write: an AIM, or red, green and blue only for other programs"),
+    ] = "all",
     max_shift: Annotated[
         float, typer.Option(help="largest expected shift, m", min=1)
     ] = DEFAULT_PRIOR.max_shift,
@@ -56,11 +86,12 @@ def align(
 
     The position comes from control points, else from an AIM of the same place, else from tracks
     of vehicles; further ones that are given check that position. Without any of them the imagery
-    stays at its stated position. A .png beside the output shows the imagery before and after.
+    is not aligned: it stays at its stated position, or where --shift moves it. A .png beside the
+    output shows the imagery before and after.
 
     Example: geoaim align samples/ortho.tif --tracks samples/tracks.csv -o ortho.tif
     """
-    from geoaim.aim.files import read_aim, write_aim
+    from geoaim.aim.files import read_aim, write_aim, write_rgb
     from geoaim.base.files import atomic_files, write_figure
     from geoaim.imagery.alignment.before_after import draw_alignment
     from geoaim.imagery.alignment.pipeline import align_tiles
@@ -83,10 +114,37 @@ def align(
             resolution=resolution,
             crs=crs,
             prior=Prior(max_shift, float(np.radians(max_rotation)), max_scaling / 100),
+            shift=None if shift is None else _parse_shift(shift),
+            nodata=_parse_nodata(nodata),
+            similarity=model == "similarity",
+            output_crs=output_crs,
+            keep_extent=keep_extent,
         )
         if agents is not None:
             agents = to_world(agents, aligned.world)
         with atomic_files(output, look) as (map_part, look_part):
-            write_aim(aligned, map_part)
+            (write_rgb if bands == "rgb" else write_aim)(aligned, map_part)
             write_figure(draw_alignment(aligned, aim=reference, tracks=agents), look_part)
     print_result([output, look], aligned.summarize(), as_json, report=aligned.report)
+
+
+def _parse_shift(text: str) -> "Shift":
+    from geoaim.imagery.alignment.pipeline import Shift
+
+    try:
+        east, north, *turn = (float(word) for word in text.split(","))
+        [degrees] = turn or [0.0]
+    except ValueError as error:
+        raise ValueError(f"--shift {text!r} is not metres E,N or E,N,degrees: 2.5,-1") from error
+    return Shift(east, north, float(np.radians(degrees)))
+
+
+def _parse_nodata(text: str | None) -> float | Literal["none"] | None:
+    if text is None:
+        return None
+    if text == "none":
+        return "none"
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ValueError(f"--nodata {text!r} is neither a number nor 'none'") from error

@@ -15,6 +15,8 @@ from geoaim.base.errors import GeoaimError
 Facts = dict[str, str]
 Description = tuple[str, Facts, tuple[str, ...]]
 
+TIME_NAMES = {"time", "timestamp", "t", "frame", "frame_id"}  # properties of points of tracks
+ID_NAMES = {"id", "track_id", "trackid", "agent_id", "vehicle_id", "object_id"}
 MAX_LISTED = 5  # scenarios of a file
 IMAGES = {".png", ".jpg", ".jpeg"}
 ON_A_MAP = "render map.tif --tracks tracks.csv --ego ID"
@@ -79,11 +81,18 @@ def _describe_folder(folder: Path) -> Description:
         kind, facts, commands = _describe_model(str(folder / "model.pt"))
         inside = tuple(command.replace("FILE", "FILE/model.pt") for command in commands)
         return f"folder of a {kind}", facts, inside
-    for describe in (_describe_tracks, _describe_imagery, _describe_video):
+    describers = [_describe_tracks, _describe_imagery, _describe_video]
+    rasters = any(file.suffix.lower() in (".tif", ".tiff") for file in folder.rglob("*"))
+    if rasters:  # whatever lies beside them
+        describers = [_describe_imagery, _describe_video]
+    reason = None
+    for describe in describers:
         try:
             return describe(str(folder))
-        except (GeoaimError, FileNotFoundError):
-            continue
+        except (GeoaimError, FileNotFoundError) as error:
+            reason = reason or error
+    if rasters and reason is not None:
+        raise reason
     if texts := list(folder.glob("*.txt")):
         facts = {"frames": str(len(texts))}
         command = "build video.mp4 --gcps points.csv --detections FILE -o map.tif"
@@ -112,16 +121,24 @@ def _describe_raster(source: str) -> Description:
 
 def _describe_image(source: str) -> Description:
     """An image, which has a place where a world file lies beside it."""
+    from geoaim.imagery.side_files import read_pam, read_world_file
+
     path = Path(source)
-    world_files = (path.with_suffix(f"{path.suffix}w"), *path.parent.glob(f"{path.stem}.?[gn]w"))
-    placed = any(file.exists() for file in world_files)
+    placed = read_pam(path)[0] or read_world_file(path)
     return _describe_imagery(source) if placed else _describe_video(source)
 
 
 def _describe_imagery(source: str) -> Description:
+    from geoaim.base.errors import ImageryError
     from geoaim.imagery.sources import describe_source
 
-    layer = describe_source(source, None)
+    try:
+        layer = describe_source(source, None)
+    except ImageryError as error:
+        if "coordinate reference system" not in str(error):
+            raise
+        commands = tuple(f"{command} --crs EPSG:n" for command in IMAGERY_COMMANDS)
+        return "imagery", {"CRS": "not stated: give --crs"}, commands
     first = layer.rasters[0]
     height, width = first.grid.shape
     facts = {"files": str(len(layer.rasters)), "first": f"{width} x {height} px, {first.crs}"}
@@ -268,9 +285,15 @@ def _describe_json(source: str) -> Description:
 def _describe_shapes(source: str) -> Description:
     from collections import Counter
 
-    from geoaim.base.geojson import list_shapes
+    from geoaim.base.geojson import list_features
 
-    kinds = Counter(shape.geom_type for shape in list_shapes(source))
+    features = list_features(source)
+    kinds = Counter(shape.geometry.geom_type for shape in features)
+    names = {name.lower() for shape in features[:1] for name in shape.properties}
+    if set(kinds) <= {"Point"} and names & TIME_NAMES and names & ID_NAMES:
+        facts = {"points": str(len(features)), "properties": ", ".join(sorted(names))}
+        facts["read as"] = "GeoPackage or CSV: save it as one of these in QGIS, or by geopandas"
+        return "tracks (GeoJSON points)", facts, ()
     facts = {"shapes": ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())}
     lines = LINE_COMMANDS if any("Line" in kind for kind in kinds) else ()
     areas = AREA_COMMANDS if any("Polygon" in kind for kind in kinds) else ()

@@ -23,7 +23,10 @@ def pick(
     time: Annotated[float, typer.Option(help="time of the frame, s", min=0)] = 0.0,
     crs: Annotated[
         str | None,
-        typer.Option(help="CRS of typed coordinates: EPSG:4326 (lon, lat) if omitted, or 'local'"),
+        typer.Option(
+            help="CRS of typed coordinates: EPSG:4326 (lon, lat) if omitted, or 'local'; also of "
+            "imagery that states none"
+        ),
     ] = None,
     browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
 ) -> None:
@@ -41,7 +44,10 @@ def pick(
     with report_errors():
         check_output(output, (".csv",), [Path(video)])
         plane = None if crs == "local" else crs or LONLAT
-        task = read_task(video, output, imagery=imagery or None, time=time, crs=plane)
+        own = None if crs == "local" else crs  # for imagery that states none
+        task = read_task(
+            video, output, imagery=imagery or None, time=time, crs=plane, imagery_crs=own
+        )
         serve_page(make_picking_view(task, f"{Path(video).name}: control points"), browser=browser)
         if output.exists():
             console.print(f"{output}: next, geoaim build {video} --gcps {output} -o map.tif")

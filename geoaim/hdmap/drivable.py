@@ -1,6 +1,7 @@
 """The drivable area and the lane directions of an HD map, and drivable areas drawn by hand."""
 
 import os
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -11,8 +12,11 @@ from shapely.geometry.base import BaseGeometry
 
 from geoaim.base.errors import MapError
 from geoaim.base.geojson import read_features
-from geoaim.base.world import World
+from geoaim.base.world import World, world_from_crs
 from geoaim.hdmap.lanelet2 import HDMap, Lanelet
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
 
 NOT_DRIVABLE = ("walkway", "crosswalk", "stairs", "bicycle_lane", "bikelane", "shared_walkway")
 DRIVABLE_AREAS = ("parking",)
@@ -79,14 +83,23 @@ def sample_lane_directions(
     return np.concatenate(points), np.concatenate(directions), np.concatenate(reaches)
 
 
-def read_drivable_area(path: str | os.PathLike[str], world: World) -> MultiPolygon:
-    """Read polygons drawn by hand (see `read_features`) as one area, in metres of the world.
+def read_drivable_area(
+    path: "str | os.PathLike[str] | BaseGeometry | GeoDataFrame", world: World
+) -> MultiPolygon:
+    """Read polygons drawn by hand as one area, in metres of the world.
+
+    Args:
+        path: GeoJSON (see `read_features`); or an object: a geometry of shapely, in metres of the
+            world, or a GeoDataFrame, in its own CRS (without one in metres of the world).
+        world: the plane of the area.
 
     Raises:
         FileNotFoundError: there is no such file.
         MapError: it is not GeoJSON with polygons, or they enclose nothing.
+        GeoreferenceError: only one of the world and the GeoDataFrame has a CRS.
     """
-    parts = [feature.geometry for feature in read_features(path, world)]
+    parts = _read_shapes(path, world)
+    path = path if isinstance(path, str | os.PathLike) else f"the {type(path).__name__}"
     polygons = [part for part in parts if isinstance(part, Polygon | MultiPolygon)]
     if not polygons:
         kinds = ", ".join(sorted({part.geom_type for part in parts})) or "nothing"
@@ -99,6 +112,21 @@ def read_drivable_area(path: str | os.PathLike[str], world: World) -> MultiPolyg
             f"numbers are taken for {unit}"
         )
     return area
+
+
+def _read_shapes(
+    source: "str | os.PathLike[str] | BaseGeometry | GeoDataFrame", world: World
+) -> list[BaseGeometry]:
+    """The shapes of a file or an object, in metres of the world."""
+    if isinstance(source, BaseGeometry):
+        return [source]
+    if isinstance(source, str | os.PathLike):
+        return [feature.geometry for feature in read_features(source, world)]
+    shapes = list(source.geometry)
+    if source.crs is None:
+        return shapes
+    crs = source.crs.to_string()
+    return [shapely.transform(x, lambda points: world_from_crs(world, points, crs)) for x in shapes]
 
 
 def to_polygons(geometry: BaseGeometry) -> MultiPolygon:

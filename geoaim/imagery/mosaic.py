@@ -8,19 +8,30 @@ aim = read_imagery(["ortho.tif", service], world=aim.world, corners=aim.corners)
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, NamedTuple, TypedDict, Unpack
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, UInt16
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import GeoreferenceError, ImageryError, name_option, warn
+from geoaim.aim.files import open_aim
+from geoaim.base.errors import (
+    GeoaimError,
+    GeoreferenceError,
+    ImageryError,
+    name_option,
+    warn,
+)
 from geoaim.base.geometry import translation
 from geoaim.base.grid import Grid, fit_affine, make_north_up_grid
 from geoaim.base.limits import check_memory, name_file
-from geoaim.base.world import World
+from geoaim.base.world import LONLAT, World, transform_crs
 from geoaim.imagery import resampling
+from geoaim.imagery.collars import hide_collars
+from geoaim.imagery.objects import ImageryObject, list_sources, write_objects
 from geoaim.imagery.rasters import (
     Region,
     describe_extent,
@@ -29,8 +40,7 @@ from geoaim.imagery.rasters import (
     make_region,
     measure_resolution,
 )
-from geoaim.imagery.sources import Layer, Source, describe_source
-from geoaim.imagery.tiles import Tiles
+from geoaim.imagery.sources import Layer, Source, describe_source, number_parts
 
 BYTES_PER_PIXEL = 8  # memory for a pixel of an image and its coverage
 BLOCK_PX = 1024  # side of the blocks to begin with
@@ -38,6 +48,27 @@ MIN_BLOCK_PX = 16  # side below which blocks are not divided
 MAX_AFFINE_ERROR_PX = 0.005  # largest error of the affine map from a block to a CRS
 # a source whose pixels are larger than the image's by a greater factor gives a warning
 MAX_UPSAMPLING = 3.0
+
+
+class ReadOptions(TypedDict, total=False):
+    """Options of `read_imagery`."""
+
+    resolution: float | None
+    crs: str | None
+    bands: Sequence[int] | None
+    nodata: float | Literal["none"] | None
+
+
+class Mosaic(NamedTuple):
+    """A mosaic, and which of its parts each pixel comes from.
+
+    Parts were placed each for itself: the files of a mosaic, or a service or folder of tiles.
+    """
+
+    aim: AIM
+    # number of the part, from 1; 0 where nothing is; None where there is one part only
+    labels: UInt16[Array, "H W"] | None
+    names: tuple[str, ...]  # names of the parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +82,11 @@ class _Source:
 
 
 def read_imagery(
-    sources: Source | Sequence[Source],
+    sources: Source | ImageryObject | Sequence[Source | ImageryObject],
     *,
     world: World | None = None,
     corners: Float[Array, "n 2"] | None = None,
-    resolution: float | None = None,
-    crs: str | None = None,
-    bands: Sequence[int] | None = None,
+    **options: Unpack[ReadOptions],
 ) -> AIM:
     """Read imagery from one or several sources as one north-up image.
 
@@ -66,7 +95,8 @@ def read_imagery(
     - a GeoTIFF, an image with a world file, or an MBTiles file,
     - a folder or a pattern of such files,
     - a folder of tiles (`z/x/y.png` or `NAME-x-y-z.png`),
-    - the address of a tile service (`https://host/{z}/{x}/{y}.png`).
+    - the address of a tile service (`https://host/{z}/{x}/{y}.png`),
+    - an open dataset of rasterio, or an array of xarray with a CRS in `.rio` (needs rioxarray).
 
     `Tiles` has options for tiles. Colours are averaged where a source is finer than the grid, then
     resampled by cubic convolution. Nodata, masks and alpha leave holes; so do missing tiles and,
@@ -79,10 +109,12 @@ def read_imagery(
         sources: one or several, the topmost first.
         world: plane of the image, with a CRS; None: the UTM zone of the imagery.
         corners: (N, 2) metres of `world`, whose bounds are covered; None: all the imagery.
-        resolution: metres per pixel; None: that of the finest source there, to four digits.
-        crs: CRS of sources that name none, such as images with world files.
-        bands: number of the grey band or of the red, green and blue ones, from 1; None: by their
-            colour interpretation, else the first three (the first of fewer).
+        options: `resolution` (metres per pixel; None: that of the finest source there, to four
+            digits), `crs` (of sources that name none, such as images with world files), `bands`
+            (number of the grey band or of the red, green and blue ones, from 1; None: by their
+            colour interpretation, else the first three, the first of fewer), `nodata` (value of
+            pixels that show nothing, in all bands, of files that do not tell; "none" keeps all;
+            None: of such files plain white or black at the edge shows nothing).
 
     Returns:
         The image; coverage is 1 where imagery is. The report has, for each source, its CRS, its
@@ -94,8 +126,41 @@ def read_imagery(
         AimError: the image would have more than 30,000 pixels a side.
         ValueError: no source is given, or resolution, corners or bands are invalid.
     """
-    several = not isinstance(sources, str | os.PathLike | Tiles)
-    listed: list[Source] = list(sources) if several else [sources]  # type: ignore[list-item, arg-type]
+    return read_mosaic(sources, world=world, corners=corners, **options).aim
+
+
+def read_mosaic(
+    sources: Source | ImageryObject | Sequence[Source | ImageryObject],
+    *,
+    world: World | None = None,
+    corners: Float[Array, "n 2"] | None = None,
+    **options: Unpack[ReadOptions],
+) -> Mosaic:
+    """Read imagery, and tell which part each pixel comes from.
+
+    Args:
+        sources: as in `read_imagery`.
+        world: as in `read_imagery`.
+        corners: as in `read_imagery`.
+        options: as in `read_imagery`.
+
+    Returns:
+        The image and its parts.
+    """
+    with TemporaryDirectory(prefix="geoaim-") as folder:
+        listed = write_objects(list_sources(sources), Path(folder))
+        return _read_files(listed, world, corners, options)
+
+
+def _read_files(
+    listed: Sequence[Source],
+    world: World | None,
+    corners: Float[Array, "n 2"] | None,
+    options: ReadOptions,
+) -> Mosaic:
+    """Read files, folders and services, with the options of `read_imagery`."""
+    resolution, bands = options.get("resolution"), options.get("bands")
+    nodata = options.get("nodata")
     if not listed:
         raise ValueError("no source of imagery was given: name at least one")
     if resolution is not None and not (np.isfinite(resolution) and resolution > 0):
@@ -104,8 +169,9 @@ def read_imagery(
         raise ValueError(f"bands must be one for grey or three for RGB, found {list(bands)}")
     _check_region(world, corners)
     region = None if corners is None or world is None else make_region(world, corners)
-    options: dict[str, Any] = {"resolution": resolution, "crs": crs, "bands": bands}
-    layers = [describe_source(source, region, **options) for source in listed]
+    value = None if nodata == "none" else nodata
+    given: dict[str, Any] = {**options, "nodata": value}
+    layers = [describe_source(source, region, **given) for source in listed]
     if region is None:
         with name_file(", ".join(layer.name for layer in layers)):
             region = enclose_outlines([line for layer in layers for line in layer.outlines], world)
@@ -120,9 +186,25 @@ def read_imagery(
         for layer in layers
     ]
     finest = float(f"{min(source.resolution for source in measured):.4g}")
-    aim = _compose(measured, region, resolution or finest)
+    mosaic = _compose(measured, region, resolution or finest)
+    rasters = [raster for layer in layers for raster in layer.rasters]
+    if nodata is None and not all(x.masked or x.dtype != "uint8" for x in rasters):
+        name = ", ".join(layer.name for layer in layers if layer.zoom is None)
+        mosaic = mosaic._replace(aim=hide_collars(mosaic.aim, name or None))
+    mosaic = _keep_position(mosaic, measured)
     _warn_of_upsampling(measured, resolution or finest)
-    return aim
+    return mosaic
+
+
+def read_lonlat(
+    sources: Source | ImageryObject | Sequence[Source | ImageryObject], crs: str | None
+) -> Float[Array, "m 2"]:
+    """Read longitudes and latitudes of the outlines of imagery."""
+    with TemporaryDirectory(prefix="geoaim-") as folder:
+        listed = write_objects(list_sources(sources), Path(folder))
+        layers = [describe_source(source, None, crs=crs) for source in listed]
+    outlines = [outline for layer in layers for outline in layer.outlines]
+    return np.concatenate([transform_crs(own, LONLAT, points) for own, points in outlines])
 
 
 def _check_region(world: World | None, corners: Float[Array, "n 2"] | None) -> None:
@@ -178,26 +260,44 @@ def _warn_of_upsampling(sources: Sequence[_Source], resolution: float) -> None:
             )
 
 
-def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> AIM:
+def _compose(sources: Sequence[_Source], region: Region, resolution: float) -> Mosaic:
     """Resample the sources block by block, each below the ones before it."""
     with name_file(", ".join(source.layer.name for source in sources)):
         grid = make_north_up_grid(region.points, resolution, region.world)
     _check_size(sources, grid)
     image, covered = np.zeros((*grid.shape, 3), np.uint8), np.zeros(grid.shape, bool)
     counts = np.zeros(len(sources))
+    parts, names = number_parts([source.layer for source in sources])
+    labels = np.zeros(grid.shape, np.uint16) if len(names) > 1 else None
     crses = {raster.crs: None for source in sources for raster in source.layer.rasters}
     for block, crs_from_block in _split_into_blocks(grid, region.world, crses):
         total = np.zeros((4, *covered[block].shape), np.float32)
         for number, source in enumerate(sources):
             before = np.count_nonzero(total[3] >= resampling.MIN_ALPHA)
-            _add_below(total, source, crs_from_block)
+            below = None if labels is None else labels[block]
+            _add_below(total, source, crs_from_block, parts, below)
             counts[number] += np.count_nonzero(total[3] >= resampling.MIN_ALPHA) - before
         covered[block] = total[3] >= resampling.MIN_ALPHA
         image[block] = resampling.unpremultiply(total)
     _check_coverage(sources, covered)
     report = _make_report(sources, resolution, counts / covered.size)
     contested, matrix = np.zeros(grid.shape, bool), grid.world_from_grid
-    return AIM(image, matrix, region.world, covered.astype(np.uint16), contested, report)
+    aim = AIM(image, matrix, region.world, covered.astype(np.uint16), contested, report)
+    return Mosaic(aim, labels, names)
+
+
+def _keep_position(mosaic: Mosaic, sources: Sequence[_Source]) -> Mosaic:
+    """Keep what the report of an AIM says of its position, if that is the only source."""
+    paths = [raster.path for source in sources for raster in source.layer.rasters]
+    if len(paths) != 1 or Path(paths[0]).suffix.lower() not in (".tif", ".tiff"):
+        return mosaic
+    try:
+        with open_aim(paths[0]) as (_, _, report):
+            position = report.get("position")
+    except GeoaimError:
+        return mosaic  # an image that is no AIM
+    stated = {} if position is None else {"position": position}
+    return mosaic._replace(aim=replace(mosaic.aim, report={**mosaic.aim.report, **stated}))
 
 
 def _check_size(sources: Sequence[_Source], grid: Grid) -> None:
@@ -235,6 +335,8 @@ def _add_below(
     total: Float32[Array, "4 h w"],
     source: _Source,
     crs_from_block: Mapping[str, Float[Array, "3 3"]],
+    parts: Mapping[str, int],
+    labels: UInt16[Array, "h w"] | None,
 ) -> None:
     """Add a source where alpha is below 1; sums limited by alpha leave no seam between tiles."""
     if np.abs(total[3] - 1.0).max() < 0.001:
@@ -258,6 +360,9 @@ def _add_below(
             below, alpha = total[:, rows, columns], part[3]
             room = np.clip((1.0 - below[3]) / np.maximum(alpha, 1e-6), 0.0, 1.0)
             below += part * np.where((alpha <= 0.0) | (below[3] + alpha <= 1.001), 1.0, room)
+            if labels is not None:
+                shown = (labels[rows, columns] == 0) & (below[3] >= resampling.MIN_ALPHA)
+                labels[rows, columns][shown] = parts[raster.path]
 
 
 def _check_coverage(sources: Sequence[_Source], covered: Bool[Array, "H W"]) -> None:

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from rasterio import Affine
 from rasterio._err import CPLE_BaseError
-from rasterio.enums import ColorInterp
+from rasterio.enums import ColorInterp, MaskFlags
 from rasterio.errors import RasterioError
 
 from geoaim.base.errors import GeoreferenceError, ImageryError
@@ -24,9 +23,11 @@ from geoaim.base.world import (
     World,
     choose_world,
     crs_from_world,
+    parse_crs,
     transform_crs,
     world_from_crs,
 )
+from geoaim.imagery.side_files import read_pam, read_prj, read_world_file
 
 SEQUENTIAL_DRIVERS = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # decode a file from its start
 MAX_BLOCK_PIXELS = 1_000_000_000  # largest block; a block can only be decoded as a whole
@@ -47,6 +48,8 @@ class Raster:
     grid: Grid  # its pixels, mapped to coordinates in that CRS, x first
     bands: tuple[int, ...]  # number of the grey band, or of the red, green and blue ones, from 1
     dtype: str  # data type of these bands
+    masked: bool  # whether the file tells pixels that show nothing: alpha, a mask or nodata
+    nodata: float | None = None  # value of pixels that show nothing, where the file tells none
     options: Mapping[str, int] = field(default_factory=dict)  # options of GDAL's driver
 
 
@@ -57,6 +60,7 @@ def describe_raster(
     bands: Sequence[int] | None = None,
     georeference: tuple[str, Float[Array, "3 3"]] | None = None,
     options: Mapping[str, int] | None = None,
+    nodata: float | None = None,
 ) -> Raster:
     """Read the header of a raster; no pixel is read.
 
@@ -68,6 +72,7 @@ def describe_raster(
             top left and (1, 1) at its bottom right, to coordinates in that CRS, x first. None: the
             file's own, or that of the world file beside it.
         options: options of GDAL's driver.
+        nodata: value of pixels that show nothing, for a raster that does not tell; in all bands.
 
     Returns:
         The raster: its size, bands, data type and CRS, and the map from its pixels to the CRS.
@@ -89,6 +94,8 @@ def describe_raster(
             grid=Grid((dataset.height, dataset.width), matrix),
             bands=chosen,
             dtype=dataset.dtypes[chosen[0] - 1],
+            masked=any(MaskFlags.all_valid not in dataset.mask_flag_enums[x - 1] for x in chosen),
+            nodata=nodata,
             options=options,
         )
 
@@ -168,37 +175,36 @@ def _choose_bands(dataset: Any, bands: Sequence[int] | None, name: str) -> tuple
 
 
 def _read_georeference(dataset: Any, crs: str | None, name: str) -> tuple[str, Float[Array, "3 3"]]:
-    transform = _read_world_file(Path(name)) if dataset.transform.is_identity else dataset.transform
+    pam_transform, pam_crs = read_pam(Path(name))
+    own = None if dataset.transform.is_identity else dataset.transform
+    transform = pam_transform or own or read_world_file(Path(name))
     if transform is None:
         points = f"{len(dataset.gcps[0])} control points and " if dataset.gcps[0] else ""
         raise ImageryError(
             f"{name} has {points}no transform from pixels to coordinates: warp it first "
             "(gdalwarp), put a world file beside it, or georeference it with control points"
         )
-    if dataset.crs is None and crs is None:
+    stated = (
+        (pam_crs and _name_crs(pam_crs))
+        or (dataset.crs and dataset.crs.to_string())
+        or ((prj := read_prj(Path(name))) and _name_crs(prj))
+        or crs
+    )
+    if stated is None:
         raise ImageryError(
             f"{name} names no coordinate reference system; say which its coordinates are in, "
-            "for example crs='EPSG:32635'"
+            "for example crs='EPSG:32635' (--crs), or put a .prj beside it"
         )
-    own = crs if dataset.crs is None else dataset.crs.to_string()
     matrix = np.array(transform, np.float64).reshape(3, 3)
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix)) < MIN_PIXEL_AREA:
         raise ImageryError(f"{name} has the transform {list(transform)[:6]}, which has no inverse")
-    return str(own), matrix
+    return str(stated), matrix
 
 
-def _read_world_file(path: Path) -> Affine | None:
-    """The six numbers of the world file beside an image, for the corner of its first pixel."""
-    suffix = path.suffix
-    for ending in (suffix[:2] + suffix[-1:] + "w", suffix + "w", ".wld"):
-        for file in (path.with_suffix(ending), path.with_suffix(ending.upper())):
-            if file.is_file():
-                try:
-                    a, d, b, e, x, y = map(float, file.read_text(encoding="ascii").split())
-                except ValueError as error:
-                    raise ImageryError(f"{file} does not hold six numbers") from error
-                return Affine(a, b, x, d, e, y) @ Affine.translation(-0.5, -0.5)
-    return None
+def _name_crs(text: str) -> str:
+    """The code of a CRS where it has one, since programs write the same CRS in many ways."""
+    epsg = parse_crs(text).to_epsg()
+    return text if epsg is None else f"EPSG:{epsg}"
 
 
 @dataclass(frozen=True, eq=False)

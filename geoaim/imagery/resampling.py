@@ -176,6 +176,8 @@ def _read_window(
         method = Resampling.nearest  # the mean of two indices is a third colour
     values = dataset.read(bands, **part, resampling=method, out_dtype="float32")
     alpha = _read_alpha(dataset, values, bands, part, method)
+    if raster.nodata is not None and not raster.masked:
+        alpha = alpha * (values != np.float32(raster.nodata)).any(axis=0)
     if palette:
         colours = np.zeros((256, 4), np.float32)
         for index, colour in dataset.colormap(bands[0]).items():

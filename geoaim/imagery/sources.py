@@ -61,6 +61,7 @@ def describe_source(
     resolution: float | None = None,
     crs: str | None = None,
     bands: Sequence[int] | None = None,
+    nodata: float | None = None,
 ) -> Layer:
     """List the rasters of a source.
 
@@ -73,6 +74,7 @@ def describe_source(
         crs: CRS of rasters that name none; None: such rasters are refused.
         bands: numbers, from 1, of a grey band or of the red, green and blue bands; None: by the
             file's colour interpretation.
+        nodata: value of pixels that show nothing, of rasters that do not tell.
 
     Returns:
         The rasters; of tiles, only those that show the region.
@@ -87,7 +89,7 @@ def describe_source(
         return _describe_service(tiles, path, region, resolution)
 
     def describe(file: str, georeference: Georeference | None) -> Raster:
-        return describe_raster(file, crs=crs, bands=bands, georeference=georeference)
+        return describe_raster(file, crs=crs, bands=bands, georeference=georeference, nodata=nodata)
 
     if Path(path).is_dir():
         numbered = sorted(list_tiles(Path(path), tiles.tms or bool(read_scheme(Path(path)))))
@@ -99,16 +101,35 @@ def describe_source(
         if not any(sign in path for sign in "*?["):
             raise FileNotFoundError(f"{path}: no such file")
         return _describe_files(path, sorted(glob.glob(path, recursive=True)), describe)
-    return _describe_single(tiles, path, crs, bands)
+    return _describe_single(tiles, path, crs, bands, nodata)
+
+
+def number_parts(layers: Sequence[Layer]) -> tuple[dict[str, int], tuple[str, ...]]:
+    """Number the parts that were placed each for itself: files, or all tiles of a layer.
+
+    Returns:
+        For the path of each raster the number of its part, from 1; and the names of the parts.
+    """
+    numbers, names = dict[str, int](), list[str]()
+    for layer in layers:
+        tiled = layer.zoom is not None
+        if tiled:
+            names.append(layer.name)
+        for raster in layer.rasters:
+            if raster.path not in numbers:
+                if not tiled:
+                    names.append(Path(raster.path).name)
+                numbers[raster.path] = len(names)
+    return numbers, tuple(names)
 
 
 def _describe_single(
-    tiles: Tiles, path: str, crs: str | None, bands: Sequence[int] | None
+    tiles: Tiles, path: str, crs: str | None, bands: Sequence[int] | None, nodata: float | None
 ) -> Layer:
     options = {} if tiles.zoom is None else {"ZOOM_LEVEL": tiles.zoom}
     if options and not path.lower().endswith(".mbtiles"):
         raise ImageryError(f"{path} is not an .mbtiles file; omit {name_option('--zoom', 'zoom=')}")
-    raster = describe_raster(path, crs=crs, bands=bands, options=options)
+    raster = describe_raster(path, crs=crs, bands=bands, options=options, nodata=nodata)
     outline = raster.crs, outline_raster(raster)
     if path.lower().endswith(".mbtiles"):
         corners = _outline_mbtiles(path, tiles.zoom)

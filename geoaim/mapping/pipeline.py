@@ -37,7 +37,12 @@ from geoaim.mapping.georeference.reference_frame import (
 )
 from geoaim.mapping.registration import register
 from geoaim.mapping.registration.frame_registration import FrameRegistration
-from geoaim.mapping.report import report_background, report_georeference, report_registration
+from geoaim.mapping.report import (
+    report_background,
+    report_georeference,
+    report_position,
+    report_registration,
+)
 from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
@@ -78,7 +83,7 @@ def build_aim(
 
     Returns:
         The map, in the pixels of the reference frame without lens distortion; its report has the
-        keys source, registration, background and georeference.
+        keys source, registration, background, georeference and position.
 
     Raises:
         VideoError: no frame could be read.
@@ -117,6 +122,7 @@ def build_aim(
             "registration": report_registration(registration),
             "background": report_background(background, method),
             "georeference": report_georeference(georeference, points),
+            "position": report_position(georeference, points),
         },
     )
 

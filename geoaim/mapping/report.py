@@ -4,11 +4,16 @@ from typing import Any
 
 import numpy as np
 
+from geoaim.aim.position import state_position
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
-from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty
+from geoaim.mapping.georeference.uncertainty import (
+    average_covariance,
+    map_uncertainty,
+    predict_uncertainty,
+)
 from geoaim.mapping.registration.register import Registration, count_reasons
 
 MAX_PATH_POINTS = 1000  # points of the camera's drift that are stored
@@ -69,6 +74,21 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         "uncertainty": map_uncertainty(georeference),
         "points": rows,
     }
+
+
+def report_position(georeference: Georeference, points: ControlPoints | None) -> dict[str, Any]:
+    """Report how well a georeference places a map: what it adds to what its points share."""
+    if georeference.approximate:
+        return state_position("telemetry", average_covariance(georeference))
+    covariance = average_covariance(georeference)
+    if points is None or points.shared_covariance is None:
+        return state_position("control points", covariance)
+    return state_position(
+        "control points",
+        covariance + points.shared_covariance,
+        relative_to="imagery",
+        relative=covariance,
+    )
 
 
 def report_background(background: Background, method: str) -> dict[str, Any]:

@@ -19,6 +19,7 @@ import gzip
 import json
 import os
 import warnings
+from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import shapely
-from jaxtyping import Shaped
+from jaxtyping import Float, Shaped
 from numpy import ndarray as Array
+from pyproj import CRS
 
 from geoaim.base.checksums import (
     PLACEHOLDER,
@@ -40,7 +42,15 @@ from geoaim.base.csv_rows import trim_comment
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import check_memory, refuse_damaged
-from geoaim.base.world import World, parse_crs
+from geoaim.base.world import (
+    LONLAT,
+    World,
+    choose_world,
+    describe_crs_problem,
+    parse_crs,
+    transform_crs,
+    world_from_crs,
+)
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import COLUMNS, OBSERVED_COLUMNS, TICKS_PER_S, UNCERTAINTY_COLUMNS, Tracks
 
@@ -65,14 +75,20 @@ MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
     """Write tracks in the plain format, as .csv (to the millimetre) or .parquet (exactly).
 
+    A .parquet file is a GeoParquet too. A name that ends in .gpkg is written as a GeoPackage
+    (`geoaim.tracks.formats.write_geopackage`).
+
     Raises:
         ValueError: the suffix is another one, or no agent is present.
         TracksError: times are closer than a millisecond (CSV) or a microsecond (Parquet).
     """
     path = Path(path)
     suffix = path.suffix.lower()
+    if suffix == ".gpkg":  # imported by name, since the formats of others stand above this one
+        import_module("geoaim.tracks.formats.geopackage").write_geopackage(tracks, path)
+        return
     if suffix not in (".csv", ".parquet"):
-        raise ValueError(f"{path}: the name must end in .csv or .parquet")
+        raise ValueError(f"{path}: the name must end in .csv, .parquet or .gpkg")
     if not tracks.present.any():
         raise ValueError(f"no agent is present in the tracks; {path} would have no rows")
     dt = np.diff(tracks.times).min(initial=np.inf)
@@ -84,8 +100,12 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
         write(tracks.to_dataframe(), tracks.world, temporary)
 
 
-def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
+def read_plain_tracks(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
     """Read tracks in the plain format; `geoaim.read_tracks` reads every known format.
+
+    Args:
+        path: the file; also a GeoParquet of another program with the columns of the plain format.
+        world: the plane of a table that does not state its own.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -95,13 +115,14 @@ def read_plain_tracks(path: str | os.PathLike[str]) -> Tracks:
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
     with refuse_damaged(path, TracksError, "a table of tracks"):
-        frame, world = (_read_parquet if path.suffix.lower() == ".parquet" else _read_csv)(path)
+        read = _read_parquet if path.suffix.lower() == ".parquet" else _read_csv
+        frame, own = read(path, world)
     missing = [name for name in COLUMNS if name not in frame.columns]
     if missing:
         columns = ", ".join(map(str, frame.columns))
         raise TracksError(f"{path} lacks the columns {', '.join(missing)}; it has {columns}")
     with refuse_damaged(path, TracksError, "a table of tracks"):
-        return make_tracks(frame, world)
+        return make_tracks(frame, own)
 
 
 def format_world(world: World) -> str:
@@ -176,13 +197,16 @@ def _check_unpacked_size(path: Path) -> None:
             check_memory(path, needed, size, TracksError, f"over {unpacked / 1e6:.0f} MB of text")
 
 
-def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
+def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
     with open(path, encoding="utf-8-sig") as file:
         lines = list(takewhile(lambda line: line.startswith(("#", '"#')), file))
     pairs = (trim_comment(line)[1:].partition(":") for line in lines)
     fields = {name.strip(): value.strip() for name, _, value in pairs}
-    if "crs" not in fields:
-        raise ValueError("its first line is not '# crs: EPSG:n' or '# crs: local'")
+    if "crs" not in fields and world is None:
+        raise ValueError(
+            "its first line is not '# crs: EPSG:n' or '# crs: local', and no world was given "
+            "(--tracks-world 'EPSG:n EAST NORTH')"
+        )
     version = fields.get("format", "1")
     known = int(version) if version.isdecimal() else version
     check_version(path, known, CSV, has_checksum=True)  # text may be edited, and has none
@@ -190,7 +214,11 @@ def _read_csv(path: Path) -> tuple[pd.DataFrame, World]:
     if len(origin) != 2:
         raise ValueError(f"its origin {fields['origin']!r} is not two numbers")
     frame = read_table(path, text=("id", "type"), skip_rows=len(lines))
-    return frame, _make_world(fields["crs"], origin)
+    if "crs" in fields:
+        _refuse_other_world(world, stated := _make_world(fields["crs"], origin))
+        return frame, stated
+    assert world is not None
+    return frame, world
 
 
 def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
@@ -218,16 +246,75 @@ def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
     return file
 
 
-def _read_parquet(path: Path) -> tuple[pd.DataFrame, World]:
+def _refuse_other_world(given: World | None, stated: World) -> None:
+    if given is not None and given != stated:
+        raise ValueError(
+            f"its world is {stated.crs} {stated.origin}, and {given.crs} {given.origin} was given; "
+            "omit it"
+        )
+
+
+def _read_geoparquet(file: "ParquetFile", world: World | None) -> tuple[pd.DataFrame, World]:
+    """Read a GeoParquet of another program: points in its CRS, and the other columns."""
+    metadata = file.schema_arrow.metadata or {}
+    if b"geo" not in metadata:
+        if world is None:
+            raise ValueError(
+                f"it has no metadata {METADATA_KEY.decode()} or geo, and no world was given "
+                "(--tracks-world 'EPSG:n EAST NORTH')"
+            )
+        return file.read().to_pandas(), world
+    stated = json.loads(metadata[b"geo"])
+    name = stated["primary_column"]
+    crs = stated["columns"][name].get("crs", LONLAT)  # the default of GeoParquet
+    crs = crs if crs is None or isinstance(crs, str) else CRS.from_json_dict(crs).to_string()
+    table = file.read().to_pandas()
+    points = shapely.from_wkb(table.pop(name).to_numpy(object))
+    if {shape.geom_type for shape in points} != {"Point"}:
+        raise ValueError(f"its column {name} does not hold points only")
+    places = np.column_stack([shapely.get_x(points), shapely.get_y(points)])
+    return place_rows(table, places, crs, world), world or choose_own_world(places, crs)
+
+
+def choose_own_world(places: Float[Array, "m 2"], crs: str | None) -> World:
+    """Choose the world of positions: in their own CRS if it is metric, else in their UTM zone."""
+    if crs is None:
+        return World(None)
+    east, north = (float(value) for value in places.mean(axis=0))
+    metric = not describe_crs_problem(crs, (east, north))
+    return choose_world(transform_crs(crs, LONLAT, places), crs=crs if metric else None)
+
+
+def place_rows(
+    rows: pd.DataFrame, places: Float[Array, "m 2"], crs: str | None, world: World | None
+) -> pd.DataFrame:
+    """Add x and y to rows of tracks.
+
+    Args:
+        rows: a table of tracks.
+        places: (m, 2) their positions in the CRS.
+        crs: the CRS; None for a local plane.
+        world: the plane of x and y; None: `choose_own_world`.
+
+    Returns:
+        The table with x and y, metres of the world.
+    """
+    world = world or choose_own_world(places, crs)
+    metres = places - world.origin if crs is None else world_from_crs(world, places, crs)
+    return rows.assign(x=metres[:, 0], y=metres[:, 1])
+
+
+def _read_parquet(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
     has_checksum = verify_checksum(path, PARQUET)
     file = open_parquet(path)
+    if METADATA_KEY not in (file.schema_arrow.metadata or {}):
+        return _read_geoparquet(file, world)
     table = file.read([name for name in file.schema_arrow.names if name != GEOMETRY])
-    metadata = (table.schema.metadata or {}).get(METADATA_KEY)
-    if metadata is None:
-        raise ValueError(f"it has no metadata {METADATA_KEY.decode()}")
-    world = json.loads(metadata)
-    check_version(path, world.get("format", 1), PARQUET, has_checksum=has_checksum)
-    return table.to_pandas(), _make_world(world["crs"], world["origin"])
+    stated = json.loads(table.schema.metadata[METADATA_KEY])
+    check_version(path, stated.get("format", 1), PARQUET, has_checksum=has_checksum)
+    own = _make_world(stated["crs"], stated["origin"])
+    _refuse_other_world(world, own)
+    return table.to_pandas(), own
 
 
 def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:

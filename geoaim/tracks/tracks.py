@@ -18,6 +18,9 @@ from geoaim.base.world import World, describe_world
 from geoaim.tracks.agent_types import get_colour
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
+    from geopandas import GeoDataFrame
     from matplotlib.axes import Axes
 
 COLUMNS = ("id", "type", "time", "x", "y", "heading", "speed", "length", "width")
@@ -120,6 +123,29 @@ class Tracks(Display):
             frame[list(UNCERTAINTY_COLUMNS)] = self.uncertainty[agent, step]
         return frame
 
+    def to_geodataframe(self, start: "str | datetime | None" = None) -> "GeoDataFrame":
+        """Make a table of geopandas: that of `to_dataframe`, with points in the CRS of the world.
+
+        Args:
+            start: the date and time (UTC if it names no zone) at which `time` is 0; it gives the
+                column `datetime`. None: the table has no clock time.
+
+        Returns:
+            The table; x and y are absolute coordinates.
+
+        Raises:
+            ImportError: geopandas is missing; `pip install 'geoaim[gis]'` installs it.
+        """
+        from geopandas import GeoDataFrame, points_from_xy
+
+        frame = self.to_dataframe()
+        frame[["x", "y"]] += np.array(self.world.origin)
+        if start is not None:
+            moment = pd.to_datetime(start, utc=True)
+            frame["datetime"] = moment + pd.to_timedelta((frame["time"] * 1e6).round(), unit="us")
+        points = points_from_xy(frame["x"], frame["y"])
+        return GeoDataFrame(frame, geometry=points, crs=self.world.crs)
+
     def summarize(self) -> dict[str, str]:
         """Summarize the agents by type, the times, the extent and the world."""
         positions = self.states[self.present, :2]
@@ -160,8 +186,10 @@ def describe_times(times: Float[Array, "T"]) -> str:
     """
     if len(times) < 2:
         return f"{len(times)} steps"
-    rate = 1 / float(np.median(np.diff(times)))
-    return f"{times[0]:g} to {times[-1]:g} s, {len(times)} steps, {rate:.3g} Hz"
+    steps = np.diff(times)
+    # the mean, since times are often rounded to milliseconds; without gaps
+    rate = 1 / float(steps[steps < 1.5 * np.median(steps)].mean())
+    return f"{times[0]:g} to {times[-1]:g} s, {len(times)} steps, {rate:.4g} Hz"
 
 
 def estimate_heading(

@@ -10,7 +10,7 @@ import shapely
 from shapely.geometry import mapping
 
 from geoaim.base.errors import GeoaimWarning, MapError
-from geoaim.base.geojson import list_shapes, read_features
+from geoaim.base.geojson import list_features, read_features
 from geoaim.base.world import World, lonlat_from_world, transform_crs
 
 WORLD = World("EPSG:32635", (583_000.0, 6_062_000.0))
@@ -89,4 +89,4 @@ def test_a_crs_contradicts_a_local_plane(tmp_path: Path) -> None:
     path = write(tmp_path / "a.geojson", crs=name_crs("EPSG:4326"))
     with pytest.raises(MapError, match="names the CRS EPSG:4326, and the world is a local plane"):
         read_features(path, World(None))
-    assert [shape.geom_type for shape in list_shapes(path)] == ["Polygon"]
+    assert [feature.geometry.geom_type for feature in list_features(path)] == ["Polygon"]

@@ -3,6 +3,8 @@ import io
 from pathlib import Path
 
 import numpy as np
+import pytest
+import rasterio
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -68,3 +70,47 @@ def test_the_guides_example_of_a_service_needs_no_resolution(tmp_path, monkeypat
     assert aim.report["imagery"][0]["zoom"] == 19
     if (aim.coverage == 0).any():
         assert "are the same picture as another one" in " ".join(result.output.split())
+
+
+def test_align_by_hand_says_so(tmp_path):
+    output, stated = tmp_path / "a.tif", tmp_path / "b.tif"
+    given = ["align", "samples/ortho.tif", "--resolution", "1"]
+    result = run(app, [*given, "--shift", "2.5,-1", "-o", f"{output}"])
+    assert result.exit_code == 0, result.output
+    assert "moved by hand: +2.50 m east, -1.00 m north" in " ".join(result.output.split())
+    result = run(app, [*given, "-o", f"{stated}"])
+    assert "not aligned" in result.output
+    moved = read_aim(output).corners + read_aim(output).world.origin
+    before = read_aim(stated).corners + read_aim(stated).world.origin
+    np.testing.assert_allclose(moved - before, [[2.5, -1.0]] * 4, atol=1e-6)
+    result = run(app, [*given, "--shift", "2.5", "-o", f"{output}"])
+    assert result.exit_code == 1
+    assert "metres E,N or E,N,degrees" in result.output
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3346", "EPSG:32634"])
+def test_align_writes_three_bands_in_another_crs(tmp_path, crs):
+    output = tmp_path / "a.tif"
+    given = ["align", "samples/ortho.tif", "--resolution", "1", "--bands", "rgb"]
+    result = run(app, [*given, "--output-crs", crs, "-o", f"{output}"])
+    assert result.exit_code == 0, result.output
+    with rasterio.open(output) as file, rasterio.open("samples/ortho.tif") as ortho:
+        assert file.count == 3
+        assert file.crs == crs
+        assert file.dataset_mask().any()
+        bounds = rasterio.warp.transform_bounds(file.crs, ortho.crs, *file.bounds)
+        middles = [np.reshape(corners, (2, 2)).mean(axis=0) for corners in (bounds, ortho.bounds)]
+    np.testing.assert_allclose(*middles, atol=2)
+
+
+def test_align_keeps_the_extent(tmp_path):
+    output = tmp_path / "a.tif"
+    given = ["align", "samples/ortho.tif", "--tracks", "samples/tracks.csv", "--resolution", "0.5"]
+    given += ["--max-shift", "6", "--max-rotation", "0", "--keep-extent", "-o", f"{output}"]
+    result = run(app, given)
+    assert result.exit_code == 0, result.output
+    with rasterio.open(output) as file, rasterio.open("samples/ortho.tif") as ortho:
+        sides = [
+            (x.bounds.right - x.bounds.left, x.bounds.top - x.bounds.bottom) for x in (file, ortho)
+        ]
+    assert min(np.array(sides[0]) - sides[1]) > -1

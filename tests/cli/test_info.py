@@ -1,9 +1,11 @@
 import json
 import shlex
+import shutil
 
 import numpy as np
 import pytest
 import typer
+from PIL import Image
 from typer.testing import CliRunner
 
 import geoaim
@@ -107,3 +109,30 @@ def test_other_files_are_refused_in_one_line(tmp_path):
         assert "\n" not in str(raised.value)
     with pytest.raises(FileNotFoundError, match="no such file or folder"):
         describe_file(str(tmp_path / "nowhere.csv"))
+
+
+def test_folder_of_geotiffs_is_imagery_whatever_lies_beside_them(tmp_path):
+    shutil.copy("samples/ortho.tif", tmp_path / "a.tif")
+    (tmp_path / "notes.txt").write_text("0 0.5 0.5 0.1 0.1")
+    kind, facts, _ = describe_file(str(tmp_path))
+    assert kind == "imagery"
+    assert facts["files"] == "1"
+
+
+def test_tracks_as_geojson_points_are_no_hand_drawn_shapes(tmp_path):
+    point = {"type": "Point", "coordinates": [25.3, 54.7]}
+    feature = {"type": "Feature", "geometry": point, "properties": {"id": "7", "time": 0.1}}
+    collection = {"type": "FeatureCollection", "features": [feature, feature]}
+    (tmp_path / "a.geojson").write_text(json.dumps(collection))
+    kind, facts, _ = describe_file(str(tmp_path / "a.geojson"))
+    assert kind == "tracks (GeoJSON points)"
+    assert "GeoPackage" in facts["read as"]
+
+
+def test_image_with_a_prj_or_an_aux_xml_is_imagery(tmp_path):
+    path = tmp_path / "a.png"
+    Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(path)
+    path.with_suffix(".wld").write_text("1\n0\n0\n-1\n500000\n5000000")
+    assert describe_file(str(path))[1] == {"CRS": "not stated: give --crs"}
+    path.with_suffix(".prj").write_text("EPSG:32632")
+    assert describe_file(str(path))[1]["first"] == "6 x 4 px, EPSG:32632"

@@ -21,6 +21,7 @@ from tests.imagery.painted_ground import (
     write,
 )
 
+FEET = "+proj=utm +zone=33 +datum=WGS84 +units=us-ft +no_defs"
 CRSES = ["EPSG:32633", "EPSG:32634", "EPSG:4326", "EPSG:3857", "EPSG:31256", "EPSG:2154"]
 
 
@@ -36,6 +37,15 @@ def test_pixels_show_their_own_place(tmp_path, crs, ratio):
     aim = read_imagery(path, world=WORLD, corners=corners, resolution=ratio * pixel)
     assert aim.coverage.all()
     assert misplaced(aim, wave) < 0.02
+
+
+@pytest.mark.parametrize("crs", ["EPSG:25833", "EPSG:3035", FEET])
+def test_further_crs_show_their_own_place(tmp_path, crs):
+    place = place_around(crs, 0.4, (300, 300))
+    path = write(tmp_path / "a.tif", painted(crs, place, (300, 300), 12.0), crs, place)
+    aim = read_imagery(path, world=WORLD, corners=BOX / 2, resolution=0.4)
+    assert aim.coverage.all()
+    assert misplaced(aim, 12.0) < 0.02
 
 
 @pytest.mark.parametrize("turn", [0.3, -1.2, 3.0])

@@ -99,7 +99,7 @@ def test_a_binary_file_is_refused(tmp_path, name):
 
 
 def test_another_suffix_is_refused_before_anything_is_written(tmp_path):
-    with pytest.raises(ValueError, match=r"must end in .csv or .parquet"):
+    with pytest.raises(ValueError, match=r"must end in .csv, .parquet or .gpkg"):
         write_tracks(two_agents(), tmp_path / "tracks.txt")
     assert not list(tmp_path.iterdir())
 

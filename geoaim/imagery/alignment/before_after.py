@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
@@ -29,13 +30,19 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
         tracks: tracks in the same world, drawn on top.
 
     Returns:
-        The figure, with the stated position on the left and the aligned one on the right.
+        The figure, with the stated position on the left and the aligned one on the right; if
+        windows of an AIM aligned it, also how far each of them is off, by parts of the imagery.
     """
-    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    residuals = _find_residuals(imagery)
+    columns = 2 if residuals is None else 3
+    figure = Figure(figsize=(7.5 * columns, 7.5), layout="constrained")
     stated = _undo_alignment(imagery)
     corners = (imagery if aim is None else aim).corners
+    pictures, *others = np.split(figure.subplots(1, columns), [2])
+    if residuals is not None:
+        _draw_window_residuals(others[0][0], residuals, imagery)
     for axes, shown, title in zip(
-        figure.subplots(1, 2), (stated, imagery), ("as stated", "aligned"), strict=True
+        pictures, (stated, imagery), ("as stated", "aligned"), strict=True
     ):
         picture, extent = _draw_checkerboard(shown, aim, corners)
         axes.imshow(picture, extent=extent)
@@ -45,6 +52,33 @@ def draw_alignment(imagery: AIM, *, aim: AIM | None = None, tracks: Tracks | Non
         axes.set(title=title, xlim=extent[:2], ylim=extent[2:])
         add_scale_bar(axes)
     return figure
+
+
+def _find_residuals(imagery: AIM) -> Float[Array, "M 5"] | None:
+    """Number of the part, x, y and the residual in x and y (m) of windows, from the report."""
+    for alignment in imagery.report.get("alignment", {}).values():
+        if "checked" not in alignment and "residuals" in alignment:
+            return np.array(alignment["residuals"])
+    return None
+
+
+def _draw_window_residuals(axes: Axes, residuals: Float[Array, "M 5"], imagery: AIM) -> None:
+    """Draw the residuals of windows as arrows, in a colour for each part of the imagery."""
+    part, x, y, east, north = residuals.T
+    lengths = np.hypot(east, north)
+    key = float(f"{np.percentile(lengths, 90) + 1e-3:.1g}")
+    width = float(np.ptp(imagery.corners[:, 0]))
+    scale = key / (0.05 * width)
+    colours = [f"C{int(number) % 10}" for number in part]
+    arrows = axes.quiver(
+        x, y, east, north, color=colours, angles="xy", scale_units="xy", scale=scale, width=0.003
+    )
+    axes.quiverkey(arrows, 0.85, 1.03, key, f"{key:g} m", labelpos="E")
+    axes.set_aspect("equal")
+    typical = float(np.median(lengths))
+    parts = len(np.unique(part))
+    title = f"residuals of {len(part)} windows, median {typical:.2f} m"
+    axes.set_title(title if parts == 1 else f"{title}; {parts} parts", loc="left")
 
 
 def _undo_alignment(imagery: AIM) -> AIM:

@@ -16,7 +16,7 @@ from geoaim.imagery.resampling import MIN_ALPHA, estimate_stretch, resample_rast
 from geoaim.mapping.georeference.control_points import ControlPointSource, read_control_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.point_checks import warn_of_small_part
-from geoaim.mapping.report import report_georeference
+from geoaim.mapping.report import report_georeference, report_position
 from geoaim.mapping.video.video import open_video
 
 STRIP_ROWS = 2048  # rows that are read at a time
@@ -24,7 +24,12 @@ MASKED_SUFFIXES = {".png", ".tif", ".tiff"}  # may have masks; other pictures ar
 
 
 def georeference_picture(
-    path: Path, gcps: ControlPointSource, *, world: World | None = None, crs: str | None = None
+    path: Path,
+    gcps: ControlPointSource,
+    *,
+    world: World | None = None,
+    crs: str | None = None,
+    similarity: bool = False,
 ) -> AIM:
     """Georeference a picture by control points.
 
@@ -33,6 +38,8 @@ def georeference_picture(
         gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
         world: plane of the AIM; None: that which `estimate_georeference` chooses.
         crs: CRS of control points that name none.
+        similarity: whether the picture is known to show the ground straight from above and
+            undistorted, as an orthophoto does.
 
     Returns:
         The picture as an AIM, not resampled; coverage is 1 where it is not masked.
@@ -45,14 +52,20 @@ def georeference_picture(
     image, valid = _read_picture(path)
     height, width = valid.shape
     warn_of_small_part(points, (height, width))
-    place = estimate_georeference(points, height=height, width=width, world=world)
+    place = estimate_georeference(
+        points, height=height, width=width, world=world, similarity=similarity
+    )
     return AIM(
         image=image,
         world_from_image=place.world_from_image,
         world=place.world,
         coverage=valid.astype(np.uint16),
         contested=np.zeros((height, width), bool),
-        report={"source": str(path), "georeference": report_georeference(place, points)},
+        report={
+            "source": str(path),
+            "georeference": report_georeference(place, points),
+            "position": report_position(place, points),
+        },
     )
 
 

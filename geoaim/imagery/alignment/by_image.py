@@ -44,19 +44,18 @@ REFINEMENTS = 2  # number of refinements on the finest grid
 MIN_MODEL_GAIN_PX = 0.1  # pixels of the finest grid; a richer model must gain more than this
 MIN_SIGMA_PX = 0.1  # pixels of the finest grid; a sensor's own geometry is no better known
 CORRELATED_WINDOWS = 3.0  # windows that shadows and changes shift together
-# pixels of the coarsest grid at the ends of its longer side: step between rotations and scales
-SEARCH_STEP_PX = 1.5
+SEARCH_STEP_PX = 1.5  # between rotations and scales, at the longer ends of the coarsest grid
 MIN_SEPARATION_PX = 4  # distance between candidates, pixels of the coarsest grid
 MAX_CANDIDATES = 4  # candidates that are refined
 MAX_REFINED = 2  # candidates that are kept after a refinement
 MIN_WINDOWS = 8  # windows that a refinement needs
 MAX_RIVAL_SHARE = 0.6  # a candidate with a smaller share of the best candidate's windows is dropped
 REFINE_SEARCH_PX = 6  # search radius for windows when a candidate is refined
-# a window within this distance agrees with a candidate, pixels of the finest grid
-AGREEMENT_PX = 1.5
+AGREEMENT_PX = 1.5  # a window this near agrees with a candidate, pixels of the finest grid
 VERIFY_SEARCH_PX = 10  # search radius for windows when agreements are counted
 LOG10_TESTS = 2.0  # log10 of the number of places that are refined and tested
 MAX_LOG10_FALSE_ALARMS = -2.0  # log10 of the expected number of agreements by chance
+MIN_SHARED = 0.3  # share of windows that two candidates for one part have in common
 PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refused
 
 
@@ -71,6 +70,11 @@ class _Candidate(NamedTuple):
     def agreeing(self) -> int:
         """How many windows agree with the candidate."""
         return len(self.matches.source)
+
+    def shares_windows(self, other: "_Candidate") -> bool:
+        """Whether both hold for the same part of the imagery."""
+        mine, others = (set(map(tuple, x.matches.source.tolist())) for x in (self, other))
+        return len(mine & others) >= MIN_SHARED * len(mine)
 
 
 def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> ImageryAlignment:
@@ -91,6 +95,20 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
     """
     best, finest, false_alarms = _find_place(imagery, aim, prior)
     return _fit_alignment(best, finest, false_alarms)
+
+
+def align_largest_part(imagery: AIM, aim: AIM, prior: Prior) -> ImageryAlignment:
+    """Align the largest part of imagery whose parts may lie at different places.
+
+    Args:
+        imagery: roughly georeferenced imagery.
+        aim: an AIM in the same world.
+        prior: how far off the part may be.
+
+    Returns:
+        The alignment of that part.
+    """
+    return _fit_alignment(*_find_place(imagery, aim, prior, in_parts=True))
 
 
 class MatchedWindows(NamedTuple):
@@ -120,13 +138,13 @@ def match_image(image: AIM, reference: AIM, *, prior: Prior = DEFAULT_PRIOR) -> 
     grid, (source, target, _) = finest.grid, best.matches
     motion = _fit_motion(best, finest)
     near = np.linalg.norm(motion.residuals, axis=1) < AGREEMENT_PX
-    in_reference, in_image = (
-        transform_points(grid.world_from_grid, points[near]) for points in (source, target)
-    )
-    return MatchedWindows(in_reference, in_image, motion.residuals[near] * grid.resolution)
+    places = [transform_points(grid.world_from_grid, points[near]) for points in (source, target)]
+    return MatchedWindows(places[0], places[1], motion.residuals[near] * grid.resolution)
 
 
-def _find_place(imagery: AIM, aim: AIM, prior: Prior) -> tuple[_Candidate, Level, float]:
+def _find_place(
+    imagery: AIM, aim: AIM, prior: Prior, *, in_parts: bool = False
+) -> tuple[_Candidate, Level, float]:
     """The best candidate, the level of its windows, and log10 of its false alarms."""
     if imagery.world != aim.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
@@ -140,6 +158,8 @@ def _find_place(imagery: AIM, aim: AIM, prior: Prior) -> tuple[_Candidate, Level
         others = _find_repetitions((between or [finest])[-1], best.stated_from_true, prior)
         candidates += [_count_agreements(finest, x) for x in _refine_candidates(finest, others)]
     candidates.sort(key=lambda candidate: -candidate.agreeing)
+    if in_parts:
+        candidates = [x for x in candidates if x.shares_windows(candidates[0])]
     false_alarms = _verify_candidates(candidates, finest, prior)
     return candidates[0], finest, false_alarms
 
@@ -356,6 +376,7 @@ def _fit_alignment(best: _Candidate, level: Level, false_alarms: float) -> Image
     """The alignment by the windows' motion, with its covariance."""
     grid, motion = level.grid, _fit_motion(best, level)
     stated_from_true = grid.world_from_grid @ motion.matrix @ grid.grid_from_world
+    centers = transform_points(grid.world_from_grid, best.matches.source)
     variance = _average_covariance(motion, grid.shape) * CORRELATED_WINDOWS * level.overlap
     return ImageryAlignment(
         true_from_stated=np.linalg.inv(stated_from_true),
@@ -367,12 +388,13 @@ def _fit_alignment(best: _Candidate, level: Level, false_alarms: float) -> Image
             "windows_agreeing": best.agreeing,
             "log10_false_alarms": false_alarms,
         },
+        windows=np.hstack([centers, motion.residuals * [grid.resolution, -grid.resolution]]),
+        window_side=level.side * grid.resolution,
     )
 
 
 def _average_covariance(motion: Motion, size: tuple[int, int]) -> Float[Array, "2 2"]:
     """Covariance of a point in square pixels, averaged over the image, y up."""
-    height, width = size
-    grid = np.stack(np.meshgrid(np.linspace(0, width, 7), np.linspace(0, height, 7)), -1)
+    grid = np.stack(np.meshgrid(np.linspace(0, size[1], 7), np.linspace(0, size[0], 7)), -1)
     columns = compute_basis(grid.reshape(-1, 2), motion.model, size=size) * [[1.0], [-1.0]]
     return np.einsum("mik,kl,mjl->ij", columns, motion.covariance, columns) / len(columns)

@@ -1,66 +1,75 @@
 """The stages in order for third-party imagery: read it, correct its position, check it."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
-from geoaim.aim.rectification import rectify
-from geoaim.base.errors import AlignmentError, TracksError, warn
-from geoaim.base.geometry import transform_points
-from geoaim.base.world import World
+from geoaim.aim.position import CHI2_2D, read_position_covariance, state_position
+from geoaim.aim.rectification import change_aim_world, rectify
+from geoaim.base.errors import AlignmentError, warn
+from geoaim.base.geometry import make_similarity, transform_points, translation
+from geoaim.base.world import World, choose_world, lonlat_from_world
 from geoaim.imagery.alignment.by_control_points import georeference_picture
-from geoaim.imagery.alignment.by_image import align_image
-from geoaim.imagery.alignment.by_tracks import align_tracks
+from geoaim.imagery.alignment.evidence import Evidence, list_evidence
+from geoaim.imagery.alignment.placement import apply_alignment, place_mosaic
+from geoaim.imagery.alignment.placement_report import report_alignment
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
-from geoaim.imagery.alignment.result import CHI2_2D, ImageryAlignment
-from geoaim.imagery.mosaic import read_imagery
+from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
+from geoaim.imagery.mosaic import Mosaic, ReadOptions, read_lonlat, read_mosaic
+from geoaim.imagery.objects import ImageryObject
 from geoaim.imagery.sources import Source
 from geoaim.mapping.georeference.control_points import ControlPointSource
 from geoaim.tracks.changes import to_world
 from geoaim.tracks.tracks import Tracks
 
 TRACK_MARGIN_M = 20.0  # distance from the tracks to the edges of the map
+# a check whose evidence would change a standard deviation of the place by less moves nothing
+MIN_GAIN = 0.1
 
 
-class _ReadOptions(TypedDict, total=False):
-    """Options of `align_tiles` for reading imagery."""
+class Shift(NamedTuple):
+    """How far imagery is moved by hand: the middle of what is read, and a turn about it."""
 
-    # metres per pixel; with control points the picture is resampled north up
-    resolution: float | None
-    crs: str | None  # CRS of imagery or of control points that name none
-    # numbers of the grey band, or of the red, green and blue ones, from 1
-    bands: Sequence[int] | None
+    east: float  # metres
+    north: float  # metres
+    turn: float = 0.0  # radians, counter-clockwise
 
 
-class _Evidence(NamedTuple):
-    """Evidence of where imagery lies: its name, the AIM or tracks, and how to align to it."""
+class AlignOptions(ReadOptions, total=False):
+    """Options of `align_tiles`."""
 
-    name: str
-    source: AIM | Tracks
-    align: Callable[[AIM], ImageryAlignment]
+    shift: Shift | None  # how far imagery is moved by hand, before any evidence
+    keep_extent: bool
+    output_crs: str | None
+    similarity: bool
 
 
 def align_tiles(
-    tiles: Source | Sequence[Source],
+    tiles: Source | ImageryObject | Sequence[Source | ImageryObject],
     *,
     tracks: Tracks | None = None,
     aim: AIM | None = None,
     gcps: ControlPointSource | None = None,
     prior: Prior = DEFAULT_PRIOR,
-    **options: Unpack[_ReadOptions],
+    **options: Unpack[AlignOptions],
 ) -> AIM:
     """Read third-party imagery and correct its position.
 
     The strongest evidence places the imagery: control points, then an AIM of the same place, then
     tracks. The others check the place, with a warning where they disagree. Without any evidence
-    the imagery stays where its georeference says.
+    the imagery stays where its georeference says, or where `shift` moves it by hand.
+
+    The parts of a mosaic that lie at different places are moved each for itself. An AIM counts by
+    how well its own report says that its place is known: in a direction in which the imagery's
+    georeference is better known, the imagery stays.
 
     Args:
         tiles: what `read_imagery` takes; with control points one picture, which needs no
@@ -69,12 +78,22 @@ def align_tiles(
         aim: an AIM of the same place, from any day.
         gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
         prior: how far off the imagery may be.
-        options: `resolution` (metres per pixel; None: that of the imagery), `crs` (of imagery or
-            control points that name none) and `bands` (see `read_imagery`; not with `gcps`).
+        options: those of `read_imagery` (`resolution`, `crs`, `bands`, `nodata`; the first two with
+            control points too), and
+
+            - `shift` (how far imagery is moved by hand, before any evidence),
+            - `keep_extent` (True keeps all of the imagery; else it is cropped to the ground of the
+              AIM or the tracks, and a margin),
+            - `output_crs` (CRS of the map, projected and in metres; None: that of the evidence, or
+              the UTM zone of the imagery),
+            - `similarity` (with control points: True for a picture that is an orthophoto, free of
+              tilt and distortion).
 
     Returns:
         The map, in the world of the AIM or else of the tracks; `report["alignment"]` has, by
-        evidence ("aim", "tracks"), shift_m, uncertainty_m (95 %), undetermined_degrees, ...
+        evidence ("aim", "tracks"), shift_m, uncertainty_m (95 %), undetermined_degrees, and parts
+        where they were moved each for itself; `report["position"]` says how well the place is known
+        relative to the evidence and in the world.
 
     Raises:
         FileNotFoundError: `tiles` names no file.
@@ -89,112 +108,133 @@ def align_tiles(
         ...
     ValueError: no source of imagery was given: name at least one
     """
-    if aim is not None and tracks is not None:
+    world = None
+    if (crs := options.get("output_crs")) is not None:
+        world = _choose_output_world(crs, tiles, aim, tracks, options.get("crs"))
+        aim = None if aim is None else change_aim_world(aim, world)
+        tracks = None if tracks is None else to_world(tracks, world)
+    elif aim is not None and tracks is not None:
         tracks = to_world(tracks, aim.world)
-    evidence = _list_evidence(aim, tracks, prior)
+    evidence = list_evidence(aim, tracks, prior)
+    world = evidence[0].source.world if evidence else world
     if gcps is not None:
-        world = evidence[0].source.world if evidence else None
         imagery = _read_picture(tiles, gcps, world, options)
     else:
-        world, corners = _choose_region(evidence, prior)
-        imagery = read_imagery(tiles, world=world, corners=corners, **options)
-        if evidence:
-            imagery = _move(imagery, evidence.pop(0))
+        mosaic = _read_mosaic(tiles, world, evidence, prior, options)
+        imagery = place_mosaic(mosaic, evidence.pop(0)) if evidence else mosaic.aim
     for other in evidence:
         imagery = _check(imagery, other)
     return imagery
 
 
-def _list_evidence(aim: AIM | None, tracks: Tracks | None, prior: Prior) -> list[_Evidence]:
-    """What is given, the strongest first."""
-    evidence = []
-    if aim is not None:
-        evidence.append(_Evidence("aim", aim, lambda x: align_image(x, aim, prior=prior)))
-    if tracks is not None:
-        evidence.append(_Evidence("tracks", tracks, lambda x: align_tracks(x, tracks, prior=prior)))
-    return evidence
+def _read_mosaic(
+    tiles: Source | ImageryObject | Sequence[Source | ImageryObject],
+    world: World | None,
+    evidence: Sequence[Evidence],
+    prior: Prior,
+    options: AlignOptions,
+) -> Mosaic:
+    """Read the ground of the evidence, or all, and move it by hand as the options say."""
+    if options.get("similarity"):
+        raise ValueError("`similarity` needs control points")
+    shift = options.get("shift")
+    corners = None if options.get("keep_extent") else _choose_region(evidence, prior, shift)
+    names = ReadOptions.__annotations__
+    read: Any = {name: value for name, value in options.items() if name in names}
+    mosaic = read_mosaic(tiles, world=world, corners=corners, **read)
+    return mosaic if shift is None else mosaic._replace(aim=_move_by_hand(mosaic, shift))
 
 
 def _read_picture(
-    tiles: Source | Sequence[Source],
+    tiles: Source | ImageryObject | Sequence[Source | ImageryObject],
     gcps: ControlPointSource,
     world: World | None,
-    options: _ReadOptions,
+    options: AlignOptions,
 ) -> AIM:
     if not isinstance(tiles, str | os.PathLike):
         raise ValueError("control points are pixels of one image; give one file")
-    if "bands" in options:
-        raise TypeError("`bands` cannot be combined with `gcps`")
-    picture = georeference_picture(Path(tiles), gcps, world=world, crs=options.get("crs"))
+    others = [name for name in ("bands", "nodata", "shift", "keep_extent") if options.get(name)]
+    if others:
+        raise ValueError(f"control points place the whole picture as it is: omit {others[0]}")
+    picture = georeference_picture(
+        Path(tiles),
+        gcps,
+        world=world,
+        crs=options.get("crs"),
+        similarity=options.get("similarity", False),
+    )
     resolution = options.get("resolution")
     return picture if resolution is None else rectify(picture, resolution)
 
 
+def _choose_output_world(
+    crs: str,
+    tiles: Source | ImageryObject | Sequence[Source | ImageryObject],
+    aim: AIM | None,
+    tracks: Tracks | None,
+    own_crs: str | None,
+) -> World:
+    """The world of a CRS around the AIM, the tracks or else the imagery."""
+    if evidence := list_evidence(aim, tracks, DEFAULT_PRIOR):
+        lonlat = lonlat_from_world(evidence[0].source.world, evidence[0].bounds)
+        return choose_world(lonlat, crs=crs)
+    return choose_world(read_lonlat(tiles, own_crs), crs=crs)
+
+
 def _choose_region(
-    evidence: list[_Evidence], prior: Prior
-) -> tuple[World | None, Float[Array, "n 2"] | None]:
-    """World and corners to read: the evidence's ground, and what may be moved into it."""
+    evidence: Sequence[Evidence], prior: Prior, shift: Shift | None
+) -> Float[Array, "n 2"] | None:
+    """Corners to read: the evidence's ground, and what may be moved into it; None without any."""
     if not evidence:
-        return None, None
+        return None
     source = evidence[0].source
     margin = prior.max_shift + (TRACK_MARGIN_M if isinstance(source, Tracks) else 0.0)
-    return source.world, _find_bounds(source) + np.array([[-margin], [margin]])
+    if shift is not None:
+        margin += float(np.hypot(shift.east, shift.north))
+    return evidence[0].bounds + np.array([[-margin], [margin]])
 
 
-def _find_bounds(source: AIM | Tracks) -> Float[Array, "2 2"]:
-    """Least and greatest x and y of the ground that evidence covers."""
-    points = source.corners if isinstance(source, AIM) else source.states[source.present][:, :2]
-    if not len(points):
-        raise TracksError("no agent is present in the tracks at any time; give others, or none")
-    return np.stack([points.min(axis=0), points.max(axis=0)])
+def _move_by_hand(mosaic: Mosaic, shift: Shift) -> AIM:
+    """Move a mosaic by hand, and report it."""
+    imagery = mosaic.aim
+    turn = make_similarity(imagery.corners.mean(axis=0), shift.turn, 1.0)
+    matrix = translation(shift.east, shift.north) @ turn @ imagery.world_from_image
+    by_hand = {"shift_m": [shift.east, shift.north], "turn_degrees": float(np.degrees(shift.turn))}
+    kept = {name: value for name, value in imagery.report.items() if name != "place"}
+    report = {**kept, "moved_by_hand": by_hand, "position": state_position("shift by hand", None)}
+    return replace(imagery, world_from_image=matrix, report=report)
 
 
-def _move(imagery: AIM, evidence: _Evidence) -> AIM:
-    alignment = evidence.align(imagery)
-    direction = alignment.undetermined_direction
-    if direction is not None:
-        sigma = float(np.sqrt(np.linalg.eigvalsh(alignment.covariance)[1]))
-        warn(
-            f"along {np.degrees(direction) % 180:.0f} degrees from east the place is known by the "
-            f"{evidence.name} to {sigma:.1f} m only (one sigma), as nothing changes along straight "
-            "roads: in this direction the imagery stays where its georeference says"
-        )
-    return _add_report(
-        apply_alignment(imagery, alignment), evidence.name, _report_alignment(alignment)
-    )
-
-
-def _check(imagery: AIM, evidence: _Evidence) -> AIM:
+def _check(imagery: AIM, evidence: Evidence) -> AIM:
     try:
         alignment = evidence.align(imagery)
     except AlignmentError as error:
         message = f"the {evidence.name} could not check the place: {error}"
         warn(message)
         return _add_report(imagery, evidence.name, {"checked": False, "reason": str(error)})
-    return _check_position(imagery, evidence.name, alignment, _find_bounds(evidence.source))
+    checked = _check_position(imagery, evidence, alignment)
+    agrees = checked.report["alignment"][evidence.name]["agrees"]
+    return _add_weight(checked, evidence, alignment) if agrees else checked
 
 
-def apply_alignment(imagery: AIM, alignment: ImageryAlignment) -> AIM:
-    """Move imagery to where an alignment places it; its pixels stay as they are."""
-    return replace(imagery, world_from_image=alignment.true_from_stated @ imagery.world_from_image)
-
-
-def _report_alignment(alignment: ImageryAlignment) -> dict[str, Any]:
-    """Describe an alignment for the report of an AIM, in metres and degrees."""
-    matrix, direction = alignment.true_from_stated, alignment.undetermined_direction
-    east = np.array([[0.0, 0.0], [1.0, 0.0]]) + alignment.center
-    start, end = transform_points(matrix, east)
-    return {
-        "model": alignment.model,
-        "shift_m": alignment.shift,
-        "rotation_degrees": float(np.degrees(np.arctan2(*(end - start)[::-1]))),
-        "scale": float(np.linalg.norm(end - start)),
-        "uncertainty_m": alignment.uncertainty,
-        "covariance_m2": alignment.covariance,
-        "undetermined_degrees": None if direction is None else float(np.degrees(direction)),
-        "true_from_stated": matrix,
-        **alignment.evidence,
+def _add_weight(imagery: AIM, evidence: Evidence, alignment: ImageryAlignment) -> AIM:
+    """Move imagery by the weight of evidence that agrees, where this makes its place surer."""
+    own = read_position_covariance(imagery.report)
+    if own is None or "georeference" in imagery.report:
+        return imagery  # control points were picked for this picture, and hold
+    none = np.zeros((2, 2))
+    reference = none if evidence.covariance is None else evidence.covariance
+    moved, covariance = weigh_alignment(forget_undetermined(alignment), own, reference)
+    if np.sqrt(np.linalg.eigvals(np.linalg.solve(own, covariance)).real.min()) > 1 - MIN_GAIN:
+        return imagery
+    moved = replace(moved, true_from_stated=translation(*moved.shift))
+    position = {**imagery.report["position"], "covariance_m2": covariance}
+    entries = imagery.report["alignment"] | {
+        evidence.name: imagery.report["alignment"][evidence.name] | {"moved_m": moved.shift}
     }
+    report = {**imagery.report, "position": position, "alignment": entries}
+    del report["place"]
+    return replace(apply_alignment(imagery, moved), report=report)
 
 
 def _add_report(imagery: AIM, name: str, report: dict[str, Any]) -> AIM:
@@ -203,13 +243,14 @@ def _add_report(imagery: AIM, name: str, report: dict[str, Any]) -> AIM:
     return replace(imagery, report={**imagery.report, "alignment": {**before, name: report}})
 
 
-def _check_position(
-    imagery: AIM, name: str, alignment: ImageryAlignment, bounds: Float[Array, "2 2"]
-) -> AIM:
+def _check_position(imagery: AIM, evidence: Evidence, alignment: ImageryAlignment) -> AIM:
     """Check the place of imagery within the bounds of evidence, and warn where both differ."""
-    corners = np.clip(imagery.corners, *bounds)  # the evidence says nothing beyond
+    name = evidence.name
+    corners = np.clip(imagery.corners, *evidence.bounds)  # the evidence says nothing beyond
     offsets = transform_points(alignment.true_from_stated, corners) - corners
     covariance = _compute_covariance(alignment, corners) + _read_placement_covariance(imagery)
+    if evidence.covariance is not None:
+        covariance = covariance + evidence.covariance
     squares = np.einsum("mi,mij,mj->m", offsets, np.linalg.inv(covariance), offsets)
     agrees = bool(squares.mean() < 2 * CHI2_2D)  # mean squared Mahalanobis distance
     offset = float(np.linalg.norm(offsets, axis=1).max())
@@ -224,7 +265,7 @@ def _check_position(
         )
     check = {"checked": True, "agrees": agrees}
     distances = {"corner_offset_m": offset, "corner_uncertainty_m": uncertainty}
-    return _add_report(imagery, name, _report_alignment(alignment) | check | distances)
+    return _add_report(imagery, name, report_alignment(alignment) | check | distances)
 
 
 def _compute_covariance(
@@ -242,5 +283,4 @@ def _read_placement_covariance(imagery: AIM) -> Float[Array, "2 2"]:
     if "georeference" in report:
         bounds = np.array(report["georeference"]["corner_uncertainty_m"])
         return np.eye(2) * np.mean(bounds**2) / CHI2_2D
-    [placed] = [entry for entry in report["alignment"].values() if "checked" not in entry]
-    return np.array(placed["covariance_m2"])
+    return np.array(report["position"]["covariance_m2"])

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.special import chdtri
 
+from geoaim.aim.position import CHI2_1D, CHI2_2D, describe_covariance, measure_azimuth
 from geoaim.base.displays import Display
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.registration.motion_models import Model
@@ -16,7 +16,6 @@ from geoaim.mapping.registration.motion_models import Model
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-CHI2_1D, CHI2_2D = float(chdtri(1, 0.05)), float(chdtri(2, 0.05))  # 95 % quantiles: 3.84, 5.99
 MAX_SIGMA_M = 1.0  # a direction of greater standard deviation counts as undetermined
 
 
@@ -30,6 +29,10 @@ class ImageryAlignment(Display):
     center: Float[Array, "2"]  # centre of the ground that the evidence comes from, metres
     # numbers that the alignment rests on, for the report
     evidence: Mapping[str, Any] = field(default_factory=dict)
+    # windows of an AIM that agree: their centres, and how far what the imagery shows there lies
+    # from where the alignment moves it, x and y; metres
+    windows: Float[Array, "M 4"] | None = None
+    window_side: float = 0.0  # metres
 
     @property
     def uncertainty(self) -> float:
@@ -59,10 +62,11 @@ class ImageryAlignment(Display):
         lines = {
             "model": self.model,
             "shift": f"{east:+.2f} m east, {north:+.2f} m north",
-            "uncertainty (95 %)": f"{self.uncertainty:.2f} m",
+            "uncertainty (95 %)": describe_covariance(self.covariance),
         }
         if (direction := self.undetermined_direction) is not None:
-            lines["undetermined"] = f"along {np.degrees(direction) % 180:.0f} degrees"
+            along = np.array([np.cos(direction), np.sin(direction)])
+            lines["undetermined"] = f"along azimuth {measure_azimuth(along):.0f}°"
         return lines
 
     def _draw(self, axes: "Axes") -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 from rasterio.control import GroundControlPoint
@@ -32,6 +33,9 @@ class ControlPoints:
     frames: tuple[str | int | None, ...]
     # one sigma of the coordinates, metres; it counts where it is more than picking is off (2 px)
     accuracy: float = 0.0
+    # covariance of an error that all points share, square metres east and north: that of the
+    # imagery they were picked on; None where they state none
+    shared_covariance: Float[Array, "2 2"] | None = None
 
 
 # What `read_control_points` reads: a file, points of Python, or `dataset.gcps` of rasterio.
@@ -41,6 +45,7 @@ ControlPointSource = (
     | ControlPoints
     | Iterable[GroundControlPoint | Mapping[str, Any] | Sequence[Sequence[float]]]
     | tuple[Sequence[GroundControlPoint], CRS | None]
+    | pd.DataFrame
 )
 
 
@@ -52,7 +57,8 @@ def read_control_points(
     Args:
         source: a path, ControlPoints, a sequence of rasterio GroundControlPoint (or the pair with
             its CRS that `dataset.gcps` gives), of `((u, v), (lon, lat))`, or of mappings with the
-            columns of a file as keys (u, v, x, y, name, frame, crs).
+            columns of a file as keys (u, v, x, y, name, frame, crs); a DataFrame with these
+            columns, or a GeoDataFrame with u, v and points.
         crs: CRS of the coordinates where the source does not state it; "local" for a local
             plane. Where both state it, they must agree.
         keep_incomplete: keep points whose pixel or place is empty, as NaN; else they are left out
@@ -75,10 +81,27 @@ def read_control_points(
         rows = point_files.read_point_file(Path(source))
         rows = rows if keep_incomplete else _leave_out_incomplete(rows, str(source))
         return _collect_points(rows, crs, str(source))
+    if isinstance(source, pd.DataFrame):
+        source, crs = _read_table(source, crs)
     if isinstance(source, tuple) and len(source) == 2 and isinstance(source[1], CRS | None):
         source, dataset_crs = source
         crs = crs or (dataset_crs.to_string() if dataset_crs else None)
     return _collect_points(_read_objects(source, crs), crs, "control points")
+
+
+def _read_table(table: pd.DataFrame, crs: str | None) -> tuple[list[Mapping[str, Any]], str | None]:
+    """Rows of a table of pandas; of geopandas with the coordinates and the CRS of its points."""
+    geometry: Any = getattr(table, "geometry", None)
+    if geometry is None:
+        return _list_rows(table), crs
+    own = None if geometry.crs is None else geometry.crs.to_string()
+    columns = table.drop(columns=geometry.name).assign(x=geometry.x, y=geometry.y)
+    return _list_rows(columns), crs or own
+
+
+def _list_rows(table: pd.DataFrame) -> list[Mapping[str, Any]]:
+    rows = table.to_dict("records")
+    return [{str(name): value for name, value in row.items()} for row in rows]
 
 
 def _read_objects(items: Iterable[Any], crs: str | None) -> list[point_files.PointRow]:
@@ -125,6 +148,7 @@ def _collect_points(
         names=tuple(row.name or f"point {number}" for number, row in enumerate(rows, 1)),
         frames=tuple(int(text) if text.isdecimal() else text or None for text in frames),
         accuracy=max(row.accuracy for row in rows),
+        shared_covariance=rows[0].shared_covariance,
     )
 
 

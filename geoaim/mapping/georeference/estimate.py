@@ -22,6 +22,7 @@ from geoaim.mapping.georeference.model_choice import (
     choose_model,
     compute_probabilities,
     fit_candidates,
+    fit_similarity_candidate,
 )
 from geoaim.mapping.georeference.outliers import reject_outlier
 from geoaim.mapping.georeference.posterior import fit_posterior
@@ -49,6 +50,7 @@ def estimate_georeference(
     width: int,
     world: World | None = None,
     outside: bool = False,
+    similarity: bool = False,
 ) -> Georeference:
     """Estimate the transform from an image to the world from control points picked on it.
 
@@ -63,6 +65,8 @@ def estimate_georeference(
         world: the target plane; None: `choose_world` with the points' CRS if it is metric, else
             with their UTM zone; a local plane for local points.
         outside: whether points may lie outside the image, since other images showed them.
+        similarity: whether the image is known to be free of tilt, stretch and lens distortion, as
+            an orthophoto is; the points then tell shift, rotation and scale only.
 
     Returns:
         The georeference, with the residual of each point and the uncertainty of any pixel.
@@ -85,7 +89,8 @@ def estimate_georeference(
     inliers = select_points(points, np.flatnonzero(used).tolist())
     if not used.all():
         point_checks.check_layout(inliers, targets[used], size, outside=outside)
-    posterior, candidates = _fit_models(inliers.names, select_pairs(pairs, used), sigma, size)
+    fitted = select_pairs(pairs, used)
+    posterior, candidates = _fit_models(inliers.names, fitted, sigma, size, similarity)
     best = choose_model(candidates)
     residuals = apply_terms(best.terms, plane) - pairs.ground
     leave_one_out = np.linalg.norm(residuals, axis=1)
@@ -146,11 +151,14 @@ def project_points(
 
 
 def _fit_models(
-    names: tuple[str, ...], pairs: PointPairs, sigma: float, size: tuple[int, int]
+    names: tuple[str, ...], pairs: PointPairs, sigma: float, size: tuple[int, int], similarity: bool
 ) -> tuple[Posterior, list[Candidate]]:
     """Fit the posterior and each transform model, and check that they are possible."""
-    posterior = fit_posterior(pairs, sigma, 0.0)
-    candidates = fit_candidates(pairs, posterior, sigma)
+    posterior = fit_posterior(pairs, sigma, 0.0, similarity=similarity)
+    if similarity:
+        candidates = [fit_similarity_candidate(pairs, posterior, sigma)]
+    else:
+        candidates = fit_candidates(pairs, posterior, sigma)
     _check_horizon(choose_model(candidates), posterior, size)
     spread = float(np.linalg.norm(pairs.image - pairs.image.mean(axis=0), axis=1).mean())
     _check_plausibility(names, posterior, spread)

@@ -53,6 +53,20 @@ def fit_candidates(pairs: PointPairs, posterior: Posterior, sigma: float) -> lis
     return [choose_model([fit for fit in fits if fit.model == model]) for model in TERM_COUNTS]
 
 
+def fit_similarity_candidate(pairs: PointPairs, posterior: Posterior, sigma: float) -> Candidate:
+    """Fit the model of a transform that is known to be a similarity.
+
+    Args:
+        pairs: control points in the normalised plane.
+        posterior: posterior of its terms.
+        sigma: expected standard deviation of a point's coordinate, in units of that plane.
+
+    Returns:
+        The only candidate.
+    """
+    return _fit_candidate("similarity", pairs, list(range(4)), posterior, sigma)
+
+
 def choose_model(candidates: Sequence[Candidate]) -> Candidate:
     """Choose the model of the highest evidence.
 

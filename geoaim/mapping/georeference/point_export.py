@@ -17,7 +17,7 @@ from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.files import atomic_write
 from geoaim.base.world import LONLAT, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
-from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT
+from geoaim.mapping.georeference.point_files import ODM_PIXEL_SHIFT, SHARED_COVARIANCE
 
 QGIS_HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
 
@@ -63,6 +63,9 @@ def _format_csv(points: ControlPoints) -> str:
         file.write(f"# crs: {_format_crs(points.crs)}\n")
     if points.accuracy:
         file.write(f"# accuracy: {points.accuracy!r}\n")
+    if (shared := points.shared_covariance) is not None:
+        numbers = " ".join(f"{value:.6g}" for value in (shared[0, 0], shared[0, 1], shared[1, 1]))
+        file.write(f"# {SHARED_COVARIANCE}: {numbers}\n")
     file.write(f"name,u,v,{'lon,lat' if lonlat else 'x,y'}{',frame' if framed else ''}\n")
     # texts in quotes, so that a name may begin with "#" or hold a comma
     table = csv.writer(file, quoting=csv.QUOTE_NONNUMERIC, lineterminator="\n")

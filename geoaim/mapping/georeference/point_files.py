@@ -9,6 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
 from geoaim.base.csv_rows import decode_text, trim_comment
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.limits import refuse_damaged
@@ -36,6 +40,7 @@ UTM_HEADER = re.compile(
 ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre, to its corner
 
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
+SHARED_COVARIANCE = "shared covariance"  # comment of a file: three numbers, square metres
 Lines = list[tuple[int, str]]  # lines and their numbers in the file
 
 
@@ -51,6 +56,8 @@ class PointRow:
     name: str = ""
     frame: str = ""  # image name or frame index
     accuracy: float = 0.0  # one sigma of the coordinates by themselves, metres
+    # covariance of an error that all points share, square metres; None where it is not stated
+    shared_covariance: Float[Array, "2 2"] | None = None
 
 
 def read_point_file(path: Path) -> list[PointRow]:
@@ -80,8 +87,12 @@ def read_point_file(path: Path) -> list[PointRow]:
         return _read_qgis(content, crs, path)
     if odm_crs := _parse_odm_crs(header):
         return _read_odm(content, odm_crs, path)
+    number, text = _find_comment(numbered, SHARED_COVARIANCE)
+    shared = None if text is None else _parse_covariance(text, f"{path}, line {number}")
     rows = _read_csv(content, crs, path)
-    return [replace(row, accuracy=max(row.accuracy, accuracy)) for row in rows]
+    return [
+        replace(row, accuracy=max(row.accuracy, accuracy), shared_covariance=shared) for row in rows
+    ]
 
 
 def _find_comment(numbered: Lines, key: str) -> tuple[int, str | None]:
@@ -97,6 +108,19 @@ def _parse_accuracy(text: str, source: str) -> float:
     if (accuracy := _parse_number(text.removesuffix("m"), source)) < 0.0:
         raise GeoreferenceError(f"{source}: accuracy {text!r}; metres, 0 or more, are needed.")
     return accuracy
+
+
+def _parse_covariance(text: str, source: str) -> Float[Array, "2 2"]:
+    """Parse the variance east, the covariance and the variance north, square metres."""
+    numbers = [_parse_number(word, source) for word in text.replace(",", " ").split()]
+    if len(numbers) == 3:
+        east, both, north = numbers
+        if east >= 0 and north >= 0 and east * north >= both**2:
+            return np.array([[east, both], [both, north]])
+    raise GeoreferenceError(
+        f"{source}: {SHARED_COVARIANCE} {text!r}; the variance east, the covariance and the"
+        " variance north are needed, square metres."
+    )
 
 
 def _parse_odm_crs(header: str) -> str | None:

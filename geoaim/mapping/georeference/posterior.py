@@ -25,10 +25,13 @@ from geoaim.mapping.georeference.transform_models import (
 PRIOR_SIGMA = np.array([0.01, 0.01, 0.05, 0.05, 0.005])
 PRIOR_DOF = 3.0  # degrees of freedom of Student's t; clear evidence outweighs its heavy tails
 PRIOR_GROUPS = ([4, 5], [6, 7], [8])  # terms that share a scale
+KNOWN = np.array([0.0] * 4 + [1e12] * 5)  # precision of terms of a similarity: the others are 0
 MAX_ITERATIONS = 30
 
 
-def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterior:
+def fit_posterior(
+    pairs: PointPairs, sigma: float, sigma_dof: float, *, similarity: bool = False
+) -> Posterior:
     """Estimate the transform's nine terms with their prior, and the noise, by reweighting.
 
     The terms are those of similarity (4), stretch and shear (2), perspective (2) and lens (1).
@@ -40,6 +43,7 @@ def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterio
         sigma: expected standard deviation of a point's coordinate, in units of that plane.
         sigma_dof: degrees of freedom that `sigma` counts for beside the residuals; 0: the residuals
             alone determine the noise, from a hundredth of `sigma` up.
+        similarity: whether the transform is known to be a similarity: all other terms are 0.
 
     Returns:
         Mean and covariance of the terms, the noise, and the misfit, which is large where there are
@@ -47,6 +51,8 @@ def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterio
     """
     # Start with a wide prior, so that a strong lens is not suppressed.
     precision = 1.0 / np.concatenate([np.full(4, np.inf), 5.0 * PRIOR_SIGMA]) ** 2
+    if similarity:
+        precision = KNOWN
     variance, terms, start = sigma**2, np.full(9, np.nan), None
     for _ in range(MAX_ITERATIONS):
         previous = terms
@@ -57,7 +63,7 @@ def fit_posterior(pairs: PointPairs, sigma: float, sigma_dof: float) -> Posterio
         squares = float(np.sum((pairs.ground - apply_terms(terms, pairs.image)) ** 2))
         freedom = float(2 * len(pairs.image) - np.trace(inverse @ normal))
         variance, dof = _estimate_noise(squares, freedom, sigma, sigma_dof)
-        precision = _reweight_prior(terms)
+        precision = KNOWN if similarity else _reweight_prior(terms)
         if np.abs(terms - previous).max() < 1e-7:
             break
         start = terms

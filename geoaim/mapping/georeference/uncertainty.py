@@ -62,6 +62,16 @@ def map_uncertainty(georeference: Georeference) -> dict[str, Any]:
     }
 
 
+def average_covariance(georeference: Georeference) -> Float[Array, "2 2"]:
+    """Average the covariance of a pixel's place over the image, square metres east and north.
+
+    It is scaled so that the Gaussian ellipse of 95 % is as large as that of the F distribution.
+    """
+    design = _design_errors(georeference, _list_places(georeference))
+    scale = (ellipse_factor(georeference.posterior.dof) / ellipse_factor(np.inf)) ** 2
+    return np.asarray(scale * np.einsum("mik,mjk->ij", design, design) / len(design))
+
+
 def predict_ellipses(georeference: Georeference, pixels: Points) -> Float[Array, "m 2 2"]:
     """Predict the ellipses that hold the true places of pixels in 95 % of cases.
 

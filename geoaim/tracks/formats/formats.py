@@ -34,7 +34,7 @@ def _is_plain(path: Path, line: str) -> bool:
     return is_parquet or line.startswith(("#", '"#')) or _has_plain_columns(path, line)
 
 
-PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks)
+PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks, options=("world",))
 # the first format that matches a file is used
 FORMATS = (
     ARGOVERSE,

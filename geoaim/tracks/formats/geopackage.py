@@ -21,6 +21,7 @@ from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.world import World, parse_crs
+from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import COLUMNS, Tracks
@@ -95,7 +96,7 @@ def write_geopackage(tracks: Tracks, path: str | os.PathLike[str]) -> None:
 
 
 def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
-    """Read the layer `states` of a GeoPackage that `write_geopackage` wrote.
+    """Read the layer `states` of a GeoPackage that `write_geopackage` or another program wrote.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -112,9 +113,10 @@ def read_geopackage(path: str | os.PathLike[str]) -> Tracks:
         _check_layer(path, database)
         rows = database.execute(f"SELECT geom, {', '.join(STATE_COLUMNS)} FROM states").fetchall()
         frame = pd.DataFrame(rows, columns=["geom", *STATE_COLUMNS])
-        world = _read_world(database)
-        frame[["x", "y"]] = _decode(frame["geom"].tolist()) - np.array(world.origin)
-        return make_tracks(frame[list(COLUMNS)], world)
+        crs, origin = _read_place(database)
+        places = _decode(frame["geom"].tolist())
+        world = choose_own_world(places, crs) if origin is None else World(crs, origin)
+        return make_tracks(place_rows(frame, places, crs, world)[list(COLUMNS)], world)
 
 
 def _check_layer(path: Path, database: sqlite3.Connection) -> None:
@@ -139,7 +141,8 @@ def _check_layer(path: Path, database: sqlite3.Connection) -> None:
     check_memory(path, needed, size, TracksError, f"{count} rows")
 
 
-def _read_world(database: sqlite3.Connection) -> World:
+def _read_place(database: sqlite3.Connection) -> tuple[str | None, tuple[float, float] | None]:
+    """The CRS of the points, and the origin of the world if geoaim wrote the layer."""
     row = database.execute(
         "SELECT c.description, s.srs_id, s.organization, s.organization_coordsys_id, s.definition "
         "FROM gpkg_contents c JOIN gpkg_spatial_ref_sys s ON s.srs_id = c.srs_id "
@@ -147,11 +150,13 @@ def _read_world(database: sqlite3.Connection) -> World:
     ).fetchone()
     description, srs_id, organization, code, definition = row
     is_ours = str(description).startswith('{"origin"')  # other programs may describe the layer
-    east, north = json.loads(description)["origin"] if is_ours else (0.0, 0.0)
+    origin = None
+    if is_ours:
+        east, north = json.loads(description)["origin"]
+        origin = float(east), float(north)
     if srs_id == LOCAL_ID:
-        return World(None, (east, north))
-    crs = f"EPSG:{code}" if str(organization).upper() == "EPSG" else str(definition)
-    return World(crs, (east, north))
+        return None, origin
+    return f"EPSG:{code}" if str(organization).upper() == "EPSG" else str(definition), origin
 
 
 def _write_crs(database: sqlite3.Connection, crs: str | None) -> int:

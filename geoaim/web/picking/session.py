@@ -130,6 +130,7 @@ def collect_points(session: PickingSession) -> ControlPoints:
         names=tuple(point.name for point in points),
         frames=tuple(point.frame for point in points),
         accuracy=session.task.accuracy,
+        shared_covariance=session.task.shared_covariance,
     )
 
 

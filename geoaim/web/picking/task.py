@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
+from geoaim.aim.position import read_position_covariance
 from geoaim.base.world import LONLAT
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.georeference.georeference import Georeference
@@ -34,6 +35,11 @@ class PickingTask:
         """One sigma of the places, metres: a pixel of the imagery they are picked on."""
         return 0.0 if self.imagery is None else self.imagery.resolution
 
+    @property
+    def shared_covariance(self) -> Float[Array, "2 2"] | None:
+        """Covariance of the imagery's own place, square metres, which all points share."""
+        return None if self.imagery is None else read_position_covariance(self.imagery.report)
+
 
 def read_task(
     video: str | Path,
@@ -42,6 +48,7 @@ def read_task(
     imagery: AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None,
     time: float = 0.0,
     crs: str | None = LONLAT,
+    imagery_crs: str | None = None,
 ) -> PickingTask:
     """Read the frame and the imagery on which control points are picked.
 
@@ -51,6 +58,7 @@ def read_task(
         imagery: an AIM, or what `read_imagery` reads; None: coordinates are typed.
         time: time of the frame, s.
         crs: CRS of the coordinates; None for a local metric plane.
+        imagery_crs: CRS of imagery that states none, such as an image with a world file.
 
     Returns:
         The task.
@@ -59,10 +67,12 @@ def read_task(
         GeoaimError: something cannot be read.
     """
     frame = read_frame(open_video(video), time)
+    if imagery is not None and not isinstance(imagery, AIM):
+        imagery = read_imagery(imagery, crs=imagery_crs)
     return PickingTask(
         frame=frame.image,
         frame_name=frame.name or frame.index or None,
-        imagery=imagery if imagery is None or isinstance(imagery, AIM) else read_imagery(imagery),
+        imagery=imagery,
         crs=crs,
         path=Path(path),
     )

@@ -56,7 +56,8 @@ def test_tracks_check_an_alignment_by_an_aim(aim):
     assert said["checked"]
     assert said["agrees"]
     figure = draw_alignment(found, aim=aim, tracks=to_world(tracks, found.world))
-    assert [axes.get_title() for axes in figure.axes] == ["as stated", "aligned"]
+    assert [axes.get_title() for axes in figure.axes[:2]] == ["as stated", "aligned"]
+    assert figure.axes[2].get_title("left").startswith("residuals of")
 
 
 def test_tracks_alone_correct_the_position_of_the_sample_tiles():
@@ -224,3 +225,32 @@ def test_tracks_without_agents_are_refused():
     no_agents = replace(tracks, present=np.zeros_like(tracks.present))
     with pytest.raises(TracksError, match="no agent is present"):
         align_tiles("samples/ortho.tif", tracks=no_agents)
+
+
+def test_picture_that_is_an_orthophoto_is_known_better(picture, tmp_path):
+    path, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
+    wide = align_tiles(str(path), gcps=gcps)
+    known = align_tiles(str(path), gcps=gcps, similarity=True)
+    places = [x.corners + x.world.origin for x in (known, aligned)]
+    np.testing.assert_allclose(*places, atol=0.1)
+    before, after = (max(x.report["georeference"]["corner_uncertainty_m"]) for x in (wide, known))
+    assert after < before / 3
+    with pytest.raises(ValueError, match="needs control points"):
+        align_tiles("samples/ortho.tif", similarity=True)
+
+
+def test_control_points_of_imagery_share_its_error(picture, tmp_path):
+    path, aligned = picture
+    gcps = _picked(tmp_path, aligned.world_from_image, aligned.world)
+    alone = align_tiles(str(path), gcps=gcps).report["position"]
+    gcps.write_text("# shared covariance: 0.04 0.01 9\n" + gcps.read_text())
+    shared = align_tiles(str(path), gcps=gcps)
+    position = shared.report["position"]
+    added = np.array(position["covariance_m2"]) - alone["covariance_m2"]
+    np.testing.assert_allclose(added, [[0.04, 0.01], [0.01, 9.0]], atol=1e-6)
+    np.testing.assert_allclose(position["relative_covariance_m2"], alone["covariance_m2"])
+    assert "at azimuth" in shared.summarize()["in the world (95 %)"]
+    gcps.write_text("# shared covariance: 1 9 1\n" + gcps.read_text().split("\n", 1)[1])
+    with pytest.raises(GeoreferenceError, match="the variance east, the covariance"):
+        align_tiles(str(path), gcps=gcps)

@@ -1,0 +1,130 @@
+"""Alignment of imagery whose parts are displaced against each other, such as a mosaic.
+
+The least model that the evidence needs is taken: one place for all the imagery, or else one for
+each part.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, UInt16
+from numpy import ndarray as Array
+from scipy.special import chdtrc
+
+from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import resample
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import transform_points, translation
+from geoaim.imagery.alignment.result import ImageryAlignment
+
+MIN_PART_SHARE = 0.02  # a part with a smaller share of the imagery is not aligned for itself
+MAX_CHANCE = 1e-3  # parts differ if chance explains their places with a lower probability
+# parts that differ by less, in pixels of the imagery, are placed together
+MIN_DIFFERENCE_PX = 0.5
+Align = Callable[[AIM], ImageryAlignment]
+
+
+class Part(NamedTuple):
+    """A part of imagery, and where it belongs."""
+
+    name: str
+    mask: Bool[Array, "H W"]  # its pixels
+    alignment: ImageryAlignment
+    placed: bool = True  # False where the other parts tell its place, since it cannot be aligned
+
+
+class Labels(NamedTuple):
+    """Numbers of parts, from 1, for each pixel of imagery; 0 where it shows nothing."""
+
+    numbers: UInt16[Array, "H W"]
+    names: Sequence[str]
+
+
+def align_parts(
+    imagery: AIM, labels: Labels, align: Align, whole: ImageryAlignment | None
+) -> list[Part]:
+    """Align the parts of imagery each for itself, where they need it.
+
+    Args:
+        imagery: roughly georeferenced imagery.
+        labels: its parts.
+        align: aligns imagery, or raises AlignmentError.
+        whole: the alignment of all the imagery; None where it cannot be aligned as a whole.
+
+    Returns:
+        Empty if one place suits all of them, or fewer than two can be aligned; else all parts, the
+        largest first. Parts that cannot be aligned are placed as the others are, with the
+        differences between these as uncertainty.
+    """
+    everything = imagery.coverage > 0
+    parts, others = [], []
+    for number, name in enumerate(labels.names, 1):
+        mask = (labels.numbers == number) & everything
+        if not mask.any():
+            continue
+        large = mask.sum() >= MIN_PART_SHARE * everything.sum()
+        found = try_alignment(align, mask_imagery(imagery, mask))[0] if large else None
+        if found is None:
+            others.append((name, mask))
+        else:
+            parts.append(Part(name, mask, found))
+    if len(parts) < 2 or (whole is not None and not _differ(parts, whole, imagery.resolution)):
+        return []
+    middle = [_place_by_others(name, mask, parts) for name, mask in others]
+    return sorted([*parts, *middle], key=lambda part: -int(part.mask.sum()))
+
+
+def mask_imagery(imagery: AIM, mask: Bool[Array, "H W"]) -> AIM:
+    """Keep the pixels of imagery that a mask marks."""
+    return replace(imagery, coverage=np.where(mask, imagery.coverage, np.uint16(0)))
+
+
+def compose_parts(imagery: AIM, parts: Sequence[Part]) -> AIM:
+    """Move each part of imagery to its place; where parts then overlap, the largest is shown."""
+    image, coverage = np.zeros_like(imagery.image), np.zeros_like(imagery.coverage)
+    contested = np.zeros_like(imagery.contested)
+    for part in parts:
+        matrix = part.alignment.true_from_stated @ imagery.world_from_image
+        moved = replace(mask_imagery(imagery, part.mask), world_from_image=matrix)
+        moved = resample(moved, imagery.grid)
+        shown = (moved.coverage > 0) & (coverage == 0)
+        image[shown], coverage[shown] = moved.image[shown], moved.coverage[shown]
+        contested[shown] = moved.contested[shown]
+    return replace(imagery, image=image, coverage=coverage, contested=contested)
+
+
+def try_alignment(
+    align: Align, imagery: AIM
+) -> tuple[ImageryAlignment | None, AlignmentError | None]:
+    """Align imagery, or give the reason why it cannot be."""
+    try:
+        return align(imagery), None
+    except AlignmentError as error:
+        return None, error
+
+
+def _differ(parts: Sequence[Part], whole: ImageryAlignment, resolution: float) -> bool:
+    """Whether parts lie elsewhere than one place for all of them says."""
+    centers = np.array([part.alignment.center for part in parts])
+    expected = transform_points(whole.true_from_stated, centers)
+    apart = np.array([part.alignment.center + part.alignment.shift for part in parts]) - expected
+    inverse = np.linalg.inv([part.alignment.covariance for part in parts])
+    squares = float(np.einsum("mi,mij,mj->", apart, inverse, apart))
+    largest = np.linalg.norm(apart, axis=1).max()
+    chance = chdtrc(2 * len(parts), squares)
+    return bool(chance < MAX_CHANCE and largest > MIN_DIFFERENCE_PX * resolution)
+
+
+def _place_by_others(name: str, mask: Bool[Array, "H W"], parts: Sequence[Part]) -> Part:
+    """Place a part as the mean of the others, which differ as much as it may differ from them."""
+    shifts = np.array([part.alignment.shift for part in parts])
+    mean = shifts.mean(axis=0)
+    # at least the largest difference in any direction: two or three shifts tell little of a spread
+    largest = np.linalg.norm(shifts - mean, axis=1).max()
+    spread = np.cov(shifts.T) * (1 + 1 / len(parts)) + np.eye(2) * largest**2
+    covariance = spread + np.mean([part.alignment.covariance for part in parts], axis=0)
+    center = np.mean([part.alignment.center for part in parts], axis=0)
+    alignment = ImageryAlignment(translation(*mean), "translation", covariance, center)
+    return Part(name, mask, alignment, placed=False)

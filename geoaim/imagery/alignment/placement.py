@@ -1,0 +1,123 @@
+"""Placement of a mosaic: where evidence and its own place say it lies, as a whole or in parts."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from geoaim.aim.aim import AIM
+from geoaim.aim.position import describe_covariance, measure_azimuth, read_position_covariance
+from geoaim.base.errors import AlignmentError, warn
+from geoaim.imagery.alignment.evidence import Evidence, TracksEvidence
+from geoaim.imagery.alignment.parts import Labels, Part, align_parts, compose_parts, try_alignment
+from geoaim.imagery.alignment.placement_report import PlacedPart, report_parts, report_position
+from geoaim.imagery.alignment.result import ImageryAlignment
+from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
+from geoaim.imagery.mosaic import Mosaic
+
+MAX_PARTS = 16  # a mosaic of more files is taken as one source
+
+
+def place_mosaic(mosaic: Mosaic, evidence: Evidence) -> AIM:
+    """Move a mosaic, or each of its parts, to where evidence and its own place say it lies.
+
+    Args:
+        mosaic: roughly georeferenced imagery.
+        evidence: an AIM or tracks.
+
+    Returns:
+        The imagery; its report has the entries "alignment" and "position".
+
+    Raises:
+        AlignmentError: the evidence does not tell the place.
+    """
+    parts = align_mosaic(mosaic, evidence)
+    placed = [weigh_part(part, evidence, mosaic.aim) for part in parts]
+    if len(placed) == 1:
+        imagery = apply_alignment(mosaic.aim, placed[0].moved)
+    else:
+        moved = [part._replace(alignment=alignment) for part, alignment, _ in placed]
+        imagery = compose_parts(mosaic.aim, moved)
+        _warn_of_parts(parts, evidence.name)
+    _warn_of_undetermined(parts[0].alignment, evidence.name)
+    report = {name: value for name, value in mosaic.aim.report.items() if name != "place"}
+    report["alignment"] = {evidence.name: report_parts(placed)}
+    report["position"] = report_position(placed, evidence)
+    return replace(imagery, report=report)
+
+
+def apply_alignment(imagery: AIM, alignment: ImageryAlignment) -> AIM:
+    """Move imagery to where an alignment places it; its pixels stay as they are."""
+    return replace(imagery, world_from_image=alignment.true_from_stated @ imagery.world_from_image)
+
+
+def align_mosaic(mosaic: Mosaic, evidence: Evidence) -> list[Part]:
+    """Align a mosaic: one part if one place suits all of it, else a place for each part.
+
+    Raises:
+        AlignmentError: the evidence does not tell the place.
+    """
+    imagery = mosaic.aim
+    whole, error = try_alignment(evidence.align, imagery)
+    if mosaic.labels is not None and len(np.unique(mosaic.labels)) <= MAX_PARTS:
+        labels = Labels(mosaic.labels, mosaic.names)
+        if parts := align_parts(imagery, labels, evidence.align, whole):
+            return parts
+    found = evidence.find_parts(imagery, whole)
+    if found is not None and (parts := align_parts(imagery, found, evidence.align, whole)):
+        return parts
+    if whole is None:
+        raise error or AlignmentError("the imagery cannot be aligned")
+    if isinstance(evidence, TracksEvidence):
+        whole = evidence.widen(imagery, whole)
+    return [Part("all", imagery.coverage > 0, whole)]
+
+
+def weigh_part(part: Part, evidence: Evidence, imagery: AIM) -> PlacedPart:
+    """Weigh the alignment of a part against its own place, where the evidence states its own.
+
+    Args:
+        part: the part, aligned.
+        evidence: what it was aligned to.
+        imagery: the mosaic, whose report may state its own place.
+
+    Returns:
+        The part, how it is to be moved, and how well its place in the world is then known.
+    """
+    alignment, reference = part.alignment, evidence.covariance
+    own = read_position_covariance(imagery.report)
+    if reference is None and (own is None or not isinstance(evidence, TracksEvidence)):
+        return PlacedPart(part, alignment, alignment.covariance)
+    if reference is None:
+        reference = forget_undetermined(alignment).covariance - alignment.covariance
+    if own is None:
+        own = np.eye(2) * (evidence.prior.max_shift / 2) ** 2
+    return PlacedPart(part, *weigh_alignment(alignment, own, reference))
+
+
+def _warn_of_parts(parts: list[Part], name: str) -> None:
+    """Say that parts of the imagery lie at different places, and which could not be aligned."""
+    listed = ", ".join(
+        "{} {:+.2f} m east {:+.2f} m north".format(part.name, *part.alignment.shift)
+        for part in parts
+    )
+    message = f"by the {name} the parts of the imagery are displaced each for itself: {listed}"
+    if rest := [part.name for part in parts if not part.placed]:
+        message += (
+            f"; {', '.join(rest)} cannot be aligned, and is moved as the others on average: its "
+            "uncertainty is that of their differences"
+        )
+    warn(message)
+
+
+def _warn_of_undetermined(alignment: ImageryAlignment, name: str) -> None:
+    direction = alignment.undetermined_direction
+    if direction is None:
+        return
+    azimuth = measure_azimuth(np.array([np.cos(direction), np.sin(direction)]))
+    region = describe_covariance(alignment.covariance)
+    warn(
+        f"along azimuth {azimuth:.0f}° the {name} hardly tell the place, as nothing "
+        f"changes along straight roads: the imagery is {region}, "
+        "and in this direction it stays where its georeference says; only the stated prior "
+        "(--max-shift) limits how far it may be off there"
+    )
