@@ -18,13 +18,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import open_aim
-from geoaim.base.errors import (
-    GeoaimError,
-    GeoreferenceError,
-    ImageryError,
-    name_option,
-    warn,
-)
+from geoaim.base.errors import GeoaimError, GeoreferenceError, ImageryError, name_option, warn
 from geoaim.base.geometry import translation
 from geoaim.base.grid import Grid, fit_affine, make_north_up_grid
 from geoaim.base.limits import check_memory, name_file
