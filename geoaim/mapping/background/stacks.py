@@ -11,7 +11,7 @@ Masks = Bool[Array, "K h w"]
 Pixels = Int[Array, "2 m"]  # rows and columns
 
 
-def compute_median(stack: Stack, seen: Masks) -> Image:
+def compute_median(stack: UInt8[Array, "K h w c"], seen: Masks) -> UInt8[Array, "h w c"]:
     """Median over the frames that see a pixel, by bisection: 8 counts instead of a sort.
 
     `stack` becomes 0 in place where a frame does not see a pixel.

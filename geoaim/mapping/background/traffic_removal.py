@@ -42,6 +42,7 @@ from geoaim.mapping.background.contested_ground import (
     find_seams,
     remove_outlines,
 )
+from geoaim.mapping.background.outlying_values import mask_outliers
 from geoaim.mapping.background.stacks import (
     Image,
     Masks,
@@ -113,6 +114,7 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
     masks = _segment_frames(stack, seen, background, threshold)
     contested |= _mark_doubtful_changes(stack, masks, background, find_beyond(masks, seen, order))
     masks = _dilate(masks, seen)
+    mask_outliers(stack, seen, masks, background, threshold)
     ground = average_selected(stack, seen & ~masks, background)
     return Traffic(masks, contested | find_seams(stack, seen, ground, threshold), ground)
 

@@ -1,6 +1,7 @@
 """Collect small copies of frames, have `traffic_removal` find their traffic, average the rest.
 
-All frames that are given count; `mapping.sampling` chooses them.
+Boxes of detections count as unseen: what they miss is found as all traffic is. All frames that are
+given count; `mapping.sampling` chooses them.
 """
 
 from collections.abc import Iterable
@@ -16,6 +17,7 @@ from geoaim.mapping.background import running_mean
 from geoaim.mapping.background.exposure import apply_gain, black_level, estimate_gain
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_traffic
 from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
+from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.frames import Frame
 
 MAX_SMALL_SIDE_PX = 1024  # longest side of the small frames in which traffic is searched
@@ -25,9 +27,10 @@ MAX_SMALL_SIDE_PX = 1024  # longest side of the small frames in which traffic is
 class TrafficSearch(running_mean.Accumulation):
     """Small copies of the frames that `add_to_search` has added so far, and the traffic in them."""
 
+    detections: Detections | None = None  # known traffic, or None
     # the small frames, warped to the image
     stack: list[UInt8[Array, "h w 3"]] = field(init=False, default_factory=list)
-    # the pixels of the image that each small frame shows
+    # the pixels of the image that each small frame shows outside of boxes
     seen: list[Bool[Array, "h w"]] = field(init=False, default_factory=list)
     # their times, s
     times: list[float] = field(init=False, default_factory=list)
@@ -41,12 +44,22 @@ class TrafficSearch(running_mean.Accumulation):
 
 
 def remove_traffic(
-    frames: Iterable[running_mean.Registered], *, size: tuple[int, int]
+    frames: Iterable[running_mean.Registered],
+    *,
+    size: tuple[int, int],
+    detections: Detections | None = None,
 ) -> running_mean.Background:
     """Average the pixels of registered frames that `traffic_removal` classifies as ground.
 
-    Some 30 to 60 frames spread over the video suffice, each with its image_from_frame (3, 3). Each
-    takes 5 to 8 MB of memory. They are read twice. `size` is (height, width) of the image, pixels.
+    Args:
+        frames: some 30 to 60, spread over the video, each with its image_from_frame (3, 3). Each
+            takes 5 to 8 MB of memory. They are read twice.
+        size: (height, width) of the image, pixels.
+        detections: boxes of vehicles, which may miss some; a frame for which it gives None is left
+            out as a whole.
+
+    Returns:
+        The background.
 
     Raises:
         BackgroundError: fewer than 4 frames.
@@ -56,7 +69,7 @@ def remove_traffic(
         raise TypeError(
             "the frames are read twice: give a list, or make __iter__ start again from the first"
         )
-    search = TrafficSearch(size)
+    search = TrafficSearch(size, detections=detections)
     for frame, image_from_frame in frames:
         add_to_search(search, frame, image_from_frame)
     return average_ground(frames, search)
@@ -68,17 +81,25 @@ def add_to_search(
     """Add a registered frame to a search, in place, and search at 16, 32, 64 frames.
 
     Args:
-        search: the search.
+        search: the search; if it has detections, a frame without an entry in them is skipped.
         frame: the frame.
         image_from_frame: (3, 3) pixels of the frame to pixels of the background.
     """
+    outside = None
+    if search.detections is not None:
+        outside = running_mean.draw_outside(search.detections, frame, image_from_frame, search.size)
+        if outside is None:
+            return
     small = -(-search.size[0] // search.reduction), -(-search.size[1] // search.reduction)
     small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])
     gain = estimate_gain(search.exposure, frame, image_from_frame)
     pixels, small_from_frame = _shrink_frame(frame, search.reduction, gain)
     matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
+    seen = draw_footprint(pixels.shape, matrix, small)
+    if outside is not None:
+        seen *= np.asarray(cv2.resize(outside, small[::-1], interpolation=cv2.INTER_NEAREST))
     search.stack.append(warp(pixels, matrix, small))
-    search.seen.append(draw_footprint(pixels.shape, matrix, small).view(bool))
+    search.seen.append(seen.view(bool))
     search.times.append(frame.time)
     search.traffic = None
     if search.tolerance > 0 and running_mean.is_time_to_check(len(search.stack)):
@@ -106,7 +127,9 @@ def average_ground(
     traffic = search.traffic or _find_traffic(search)
     search.stack.clear()
     search.seen.clear()
-    mean = running_mean.RunningMean(search.size)
+    mean = running_mean.RunningMean(search.size, detections=search.detections)
+    if (known := search.detections) is not None:
+        frames = (pair for pair in frames if known(pair[0]) is not None)
     # the masks first: when they run out, no further frame is read
     for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
         running_mean.add_to_mean(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))

@@ -42,3 +42,17 @@ def queue(ground, *, count=30, standing=0.6, seed=1):
         image[80:100, (37 * k) % 160 : (37 * k) % 160 + 40] = (40, 40, 60)
         images.append((image + generator.normal(0, 2, image.shape)).clip(0, 255).astype(np.uint8))
     return images
+
+
+def boxes_of_queue(*, count=30, standing=0.6, missing=0.0, scale=1.0, seed=2):
+    """Boxes of the two cars of `queue` in each frame; some are left out at random, or resized."""
+    generator = np.random.default_rng(seed)
+    entries = []
+    for k in range(count):
+        left = CAR[0] + (0 if k < standing * count else 25 * (k - int(standing * count)))
+        other = (37 * k) % 160
+        boxes = np.array([[left, CAR[1], left + 40, CAR[3]], [other, 80, other + 40, 100.0]])
+        middle, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
+        boxes = np.hstack([middle - scale * half, middle + scale * half])
+        entries.append(boxes[generator.random(2) >= missing])
+    return entries
