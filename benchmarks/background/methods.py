@@ -23,7 +23,7 @@ from benchmarks.hover_videos import make_hover_video
 from benchmarks.registration.benchmark import code_frames
 from benchmarks.stills import STILLS
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
-from geoaim.mapping.background.running_mean import Background, average_frames
+from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.background.warping import warp
 from geoaim.mapping.video.detections import read_detections
@@ -95,10 +95,26 @@ def _search_traffic(clip: QueueClip) -> Background:
     return remove_traffic(_list_frames(clip), size=clip.ground.shape[:2])
 
 
-def _mask_boxes(clip: QueueClip) -> Background:
+def _mask_boxes(clip: QueueClip, *, missing: float = 0.0, scale: float = 1.0) -> Background:
+    """Remove traffic with boxes, of which a share is missing at random, or which are too small."""
     assert clip.boxes is not None
-    boxes = read_detections(list(clip.boxes))
-    return average_frames(_list_frames(clip), size=clip.ground.shape[:2], detections=boxes)
+    generator = np.random.default_rng(0)
+    damaged = []
+    for boxes in clip.boxes:
+        kept = boxes[generator.random(len(boxes)) >= missing]
+        middle, half = (kept[:, :2] + kept[:, 2:]) / 2, (kept[:, 2:] - kept[:, :2]) / 2
+        damaged.append(np.hstack([middle - scale * half, middle + scale * half]))
+    size, detections = clip.ground.shape[:2], read_detections(damaged)
+    return remove_traffic(_list_frames(clip), size=size, detections=detections)
+
+
+def _clip_sigmas(stack: Array) -> Array:
+    """Mean of the values within three deviations of the mean, repeated three times."""
+    values = np.ma.masked_array(stack.astype(np.float32))
+    for _ in range(3):
+        off = np.abs(values - values.mean(axis=0))
+        values = np.ma.masked_where(off > 3 * values.std(axis=0), values)
+    return np.asarray(values.mean(axis=0))
 
 
 def _warp_frames(clip: QueueClip) -> Iterable[Image]:
@@ -133,8 +149,11 @@ def _apply_subtractor(make: Callable[[], Any], clip: QueueClip) -> Image:
 METHODS: dict[str, Callable[[QueueClip], Any]] = {
     "geoaim": _search_traffic,
     "geoaim with boxes": _mask_boxes,
+    "geoaim, 10 % of the boxes missing": partial(_mask_boxes, missing=0.1),
+    "geoaim, boxes 10 % too small": partial(_mask_boxes, scale=0.9),
     "mean": partial(_apply_by_rows, lambda stack: stack.mean(axis=0)),
     "trimmed mean": partial(_apply_by_rows, lambda stack: trim_mean(stack, 0.2, axis=0)),
+    "sigma clipping": partial(_apply_by_rows, _clip_sigmas),
     "median": partial(_apply_by_rows, lambda stack: np.median(stack, axis=0)),
     "MOG2": partial(
         _apply_subtractor,
@@ -149,9 +168,9 @@ METHODS: dict[str, Callable[[QueueClip], Any]] = {
 
 
 def measure_methods(clip: QueueClip) -> Iterator[dict[str, Any]]:
-    """Yield a row for each method; the one that needs boxes runs only on clips that have them."""
+    """Yield a row for each method; those that need boxes run only on clips that have them."""
     for name, method in METHODS.items():
-        if clip.boxes is not None or method is not _mask_boxes:
+        if clip.boxes is not None or "boxes" not in name:
             yield {"method": name, **measure_background(clip, method)}
 
 

@@ -27,7 +27,7 @@ def summarize_report(report: Mapping[str, Any]) -> Lines:
         lines["registration"] = f"{registration['uncertainty_px']:.3f} px (1 sigma, corners)"
     if background := report.get("background"):
         lines["background"] = f"{background['method']} of {background['frames_used']} frames"
-        lines["contested"] = f"{background['contested_share']:.2%} of the pixels"
+        lines["contested"] = _summarize_contested(background)
     if georeference := report.get("georeference"):
         lines |= _summarize_georeference(georeference)
     alignments = report.get("alignment", {})
@@ -49,6 +49,13 @@ def summarize_report(report: Mapping[str, Any]) -> Lines:
                 covariance = _describe(alignment["covariance_m2"])
                 lines["uncertainty (95 %)"] = covariance
     return lines | _summarize_position(position)
+
+
+def _summarize_contested(background: Mapping[str, Any]) -> str:
+    share = background["contested_share"]
+    if background["method"] == "mean" and share == 0:
+        return "not looked for: this is a mean with its traffic"
+    return f"{share:.2%} of the pixels"
 
 
 def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:

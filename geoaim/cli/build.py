@@ -51,6 +51,7 @@ def build(
             help="focal length, 35 mm equivalent with any zoom, mm, if telemetry lacks it"
         ),
     ] = None,
+    fixed_camera: options.FixedCamera = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Build a georeferenced map (AIM) from a hovering drone's video, or from one image.
@@ -80,6 +81,7 @@ def build(
                 height=height,
                 yaw=yaw,
                 focal_length=focal_length,
+                fixed_camera=fixed_camera,
             ),
             progress=progress,
         )

@@ -53,6 +53,9 @@ WeightsFile = Annotated[
 ]
 Samples = Annotated[int, typer.Option(help="number of sampled futures", min=1)]
 Seed = Annotated[int, typer.Option(help="random seed", min=0)]
+FixedCamera = Annotated[
+    bool, typer.Option("--fixed-camera", help="the camera stands still, on a mast or a tripod")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON instead of a table")]
 
 

@@ -18,6 +18,7 @@ def register(
         float | None,
         typer.Option(help="time of the reference frame, s; chosen automatically if omitted"),
     ] = None,
+    fixed_camera: options.FixedCamera = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Register the frames of a video to a reference frame.
@@ -34,7 +35,11 @@ def register(
     with show_progress() as progress, report_errors():
         check_output(output, TRACKS)
         result = register_frames(
-            video, detections=detections, reference_time=reference_time, progress=progress
+            video,
+            detections=detections,
+            model="rest" if fixed_camera else None,
+            reference_time=reference_time,
+            progress=progress,
         )
         write_registration(result, output)
     lines = {

@@ -33,6 +33,7 @@ class MapSettings:
         yaw: compass heading of the image's top, degrees, if telemetry lacks it.
         focal_length: of the camera, 35 mm equivalent with any zoom, millimetres, if telemetry
             lacks it.
+        fixed_camera: whether the camera stands still, on a mast or a tripod.
     """
 
     frames: FrameCount = "auto"
@@ -43,6 +44,7 @@ class MapSettings:
     height: float | None = None
     yaw: float | None = None
     focal_length: float | None = None
+    fixed_camera: bool = False
 
 
 def build_map(
@@ -86,6 +88,7 @@ def build_map(
         detections=detections,
         frames=settings.frames,
         crs=settings.crs,
+        fixed_camera=settings.fixed_camera,
         progress=progress,
     )
     progress("write", 0, 1)

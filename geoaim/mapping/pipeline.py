@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TypeVar
+from typing import NoReturn, TypeVar
 
 import cv2
 import numpy as np
@@ -34,9 +34,11 @@ from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.georeference.reference_frame import (
     choose_reference_time,
     georeference_reference_frame,
+    is_anywhere,
 )
 from geoaim.mapping.registration import register
 from geoaim.mapping.registration.frame_registration import FrameRegistration
+from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.report import (
     report_background,
     report_georeference,
@@ -44,13 +46,23 @@ from geoaim.mapping.report import (
     report_registration,
 )
 from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
-from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
+from geoaim.mapping.video.detections import (
+    DetectedBoxes,
+    Detections,
+    DetectionSource,
+    convert_boxes,
+    read_detections,
+)
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video, VideoSource, open_video
 
 MIN_USED_SHARE = 0.5  # the build warns if a smaller share of the frames is used
 MAX_TYPICAL_UNCERTAINTY_PX = 1.0  # the build warns if the registration is less certain
 MAX_CONTESTED_SHARE = 0.1  # the build warns if a greater share of the pixels is contested
+SURVEY_ADVICE = (
+    "of the photos of a survey flight, make an orthophoto first (with OpenDroneMap, for example) "
+    "and read it as imagery"
+)
 
 Accumulated = TypeVar("Accumulated", RunningMean, TrafficSearch)
 
@@ -62,6 +74,7 @@ def build_aim(
     detections: DetectionSource | None = None,
     frames: FrameCount = "auto",
     crs: str | None = None,
+    fixed_camera: bool = False,
     progress: Progress = notebook_progress,
 ) -> AIM:
     """Build an aerial image-based map from a hovering camera's video and control points.
@@ -69,16 +82,21 @@ def build_aim(
     Args:
         video: what `open_video` opens: a video file, a folder or glob of images, or arrays.
         gcps: what `read_control_points` reads: at least four points, better six or more, picked on
-            the first frame unless they name another. Or the georeference of the first frame. None
-            places the map approximately by the telemetry beside the video.
+            the first frame unless they name another. Or the georeference of the first frame; one
+            that only gives a scale (`make_local_georeference`) is of the reference frame, which is
+            the first one if the others can be registered to it. None places the map approximately
+            by the telemetry beside the video.
         detections: vehicles to leave out, as `read_detections` reads them: a folder of YOLO text
-            files, or a function of a frame. None removes traffic by the frames themselves.
+            files, or a function of a frame. What they miss, or all traffic if they are None, is
+            found by the frames themselves.
         frames: how many frames are used: a number, spread over the video; "auto", up to 64, until
             the background has converged; or "all", which averages every frame, and traffic too if
             there are no detections. With "all", each frame of a long video adds one stripe only, so
             that a pixel averages at least 50 frames.
         crs: CRS of the map, projected and in metres, if control points place it; None keeps that of
             the points, or takes their UTM zone.
+        fixed_camera: whether the camera stands still, on a mast or a tripod. Frames that are not at
+            rest are then rejected, and traffic is no reason to reject one, however dense.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
@@ -96,19 +114,25 @@ def build_aim(
         raise ValueError(f"crs is {crs}, but there are no control points to transform to it")
     opened = open_video(video)
     sampling = sample_video(opened, frames)
-    vehicles = None if detections is None else read_detections(detections, video=opened)
+    vehicles = None if detections is None else _remember(read_detections(detections, video=opened))
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
     batches = sampling.read()
     probes = list(next(batches)) if frames == "auto" else []
     reference = register.choose_reference(
-        opened, detections=vehicles, time=choose_reference_time(given), probes=probes
+        opened,
+        detections=vehicles,
+        model="rest" if fixed_camera else None,
+        time=choose_reference_time(given),
+        probes=probes,
+        prefer_first=is_anywhere(given),
     )
     georeference, points, reference = _georeference(given, opened, reference, vehicles, crs)
     batches = chain([map(replace, probes)], batches)
+    photos = opened.names is not None
     registration, background = _register_and_average(
-        sampling, batches, reference, vehicles, progress, photos=opened.names is not None
+        sampling, batches, reference, vehicles, progress, photos=photos
     )
-    _warn_of_limits(registration, background)
+    _warn_of_limits(registration, background, photos=photos)
     background = _remove_distortion(background, georeference.radial)
     method = _describe_method(vehicles, sampling, registration)
     return AIM(
@@ -125,6 +149,18 @@ def build_aim(
             "position": report_position(georeference, points),
         },
     )
+
+
+def _remember(detections: Detections) -> Detections:
+    """Ask for the boxes of each frame once: a detector takes longer than all stages together."""
+    known: dict[float, DetectedBoxes | None] = {}
+
+    def look_up(frame: Frame) -> DetectedBoxes | None:
+        if frame.time not in known:
+            known[frame.time] = convert_boxes(detections(frame))
+        return known[frame.time]
+
+    return look_up
 
 
 def _georeference(
@@ -154,19 +190,20 @@ def _register_and_average(
     *,
     photos: bool,
 ) -> tuple[register.Registration, Background]:
-    """Register and average the frames; without detections, twice over them to remove traffic.
+    """Register the frames, find traffic in small copies, and average the rest, twice over them.
 
-    Where too few photos of a flight overlap with the reference for that, all ground is contested.
+    With detections, too few frames for that are averaged without their boxes; too few photos of a
+    flight that overlap with the reference are averaged as they are, and all ground is contested.
     """
     size, total = (reference.height, reference.width), sampling.frame_count
     registered = chain.from_iterable(
         register.register_frames(batch, reference, detections=detections) for batch in batches
     )
-    if detections or sampling.plain_mean:
+    if sampling.plain_mean:
         mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
         rows = _accumulate_frames(registered, mean, add_to_mean, total, progress)
         return register.collect_registration(rows, reference), finish_mean(mean)
-    search, kept = TrafficSearch(size, sampling.tolerance), []
+    search, kept = TrafficSearch(size, sampling.tolerance, detections), []
 
     def add_and_keep(search: TrafficSearch, frame: Frame, matrix: Float[Array, "3 3"]) -> None:
         add_to_search(search, frame, matrix)
@@ -177,11 +214,15 @@ def _register_and_average(
     registration = register.collect_registration(rows, reference)
     again = kept or read_registered(sampling, registration)
     again = report_each(again, progress, "average", total)
-    if photos and registration.valid.sum() < MIN_FRAMES:
-        background = average_frames(again, size=size)
-        return registration, replace(background, contested=background.coverage > 0)
-    _refuse_few_frames(registration)
-    return registration, average_ground(again, search)
+    if len(search.stack) >= MIN_FRAMES:
+        return registration, average_ground(again, search)
+    if detections:
+        return registration, average_frames(again, size=size, detections=detections)
+    if not photos:
+        _refuse_few_frames(registration)
+    _refuse_other_places(registration)
+    background = average_frames(again, size=size)
+    return registration, replace(background, contested=background.coverage > 0)
 
 
 def _accumulate_frames(
@@ -203,24 +244,45 @@ def _accumulate_frames(
     return rows
 
 
-def _refuse_few_frames(registration: register.Registration) -> None:
+def _refuse_few_frames(registration: register.Registration) -> NoReturn:
+    valid, counts = registration.valid, register.count_reasons(registration.reason)
+    advice = ""
+    if MOVING_PART in counts:
+        advice = "; if the camera stands on a mast or a tripod, say so (--fixed-camera)"
+    reasons = ", ".join(f"{kind}: {count}" for kind, count in counts.items())
+    raise RegistrationError(
+        f"{valid.sum()} of {len(valid)} frames could be registered to the reference at "
+        f"{registration.reference.time:.1f} s{f' ({reasons})' if reasons else ''}; at least "
+        f"{MIN_FRAMES} are needed to tell traffic from ground. Use more frames, or detections, "
+        f"or frames='all' (--frames all) for the mean with traffic{advice}"
+    )
+
+
+def _refuse_other_places(registration: register.Registration) -> None:
+    """Refuse several photos of which no other shows the ground of the reference."""
     valid = registration.valid
-    if valid.sum() < MIN_FRAMES:
-        counts = register.count_reasons(registration.reason)
-        reasons = ", ".join(f"{kind}: {count}" for kind, count in counts.items())
+    if len(valid) > 1 and valid.sum() == 1:
         raise RegistrationError(
-            f"{valid.sum()} of {len(valid)} frames could be registered to the reference at "
-            f"{registration.reference.time:.1f} s{f' ({reasons})' if reasons else ''}; at least "
-            f"{MIN_FRAMES} are needed to tell traffic from ground. Use more frames, or detections, "
-            "or frames='all' (--frames all) for the mean with traffic"
+            f"none of the other {len(valid) - 1} photos could be registered to photo "
+            f"{registration.reference.index + 1}: a map is of one place, seen from one position. "
+            f"Build one map of each photo, or of each hover; {SURVEY_ADVICE}"
         )
 
 
-def _warn_of_limits(registration: register.Registration, background: Background) -> None:
+def _warn_of_limits(
+    registration: register.Registration, background: Background, *, photos: bool
+) -> None:
     """Warn when much of the video could not be used, or the map is smaller than the flight."""
     reference, valid = registration.reference, registration.valid
     if len(valid) == 1:
         warn("the map is a single image: what stands or moves in it stays in it")
+        return
+    if photos and valid.sum() < MIN_FRAMES and background.contested[background.coverage > 0].all():
+        warn(
+            f"only {valid.sum()} of {len(valid)} photos show the ground of photo "
+            f"{reference.index + 1}: too few to tell traffic from ground, which stays in the map "
+            f"and is contested everywhere; {SURVEY_ADVICE}"
+        )
         return
     if valid.mean() < MIN_USED_SHARE:
         warn(

@@ -17,6 +17,10 @@ from geoaim.mapping.georeference.uncertainty import (
 from geoaim.mapping.registration.register import Registration, count_reasons
 
 MAX_PATH_POINTS = 1000  # points of the camera's drift that are stored
+UNDETECTED = (  # what no method knows from the frames alone
+    "what stands in every frame is shown as ground and is not contested; boxes, a longer clip, "
+    "another flight or imagery would tell"
+)
 
 
 def report_registration(registration: Registration) -> dict[str, Any]:
@@ -100,6 +104,7 @@ def report_background(background: Background, method: str) -> dict[str, Any]:
         "change_grey_levels": background.change,
         "contested_share": float(background.contested.mean()),
         "contested_pixels": int(background.contested.sum()),
+        "undetected": UNDETECTED,
         "unseen_share": float(1 - (seen | background.contested).mean()),
         "gain_range": [float(background.gains.min()), float(background.gains.max())],
     }

@@ -41,6 +41,12 @@ def test_summary_has_a_line_for_each_stage():
     assert lines["leave-one-out error"] == "0.0300 m (RMS of 1 points)"
 
 
+def test_contested_pixels_of_a_mean_with_traffic_are_not_said_to_be_none():
+    background = {"method": "mean", "frames_used": 9, "contested_share": 0.0}
+    lines = summarize_report({"background": background})
+    assert lines["contested"] == "not looked for: this is a mean with its traffic"
+
+
 def test_summary_of_a_map_of_version_0_1_has_its_corner_uncertainty():
     report = {"model": "affine", "approximate": False, "points": []}
     bounds = {"corner_uncertainty_m": [0.1, 0.4]}

@@ -1,3 +1,4 @@
+import cv2
 import numpy as np
 import pytest
 
@@ -107,6 +108,18 @@ def test_a_resolution_gives_a_local_map_marked_as_approximate(frames):
     np.testing.assert_allclose(aim.corners[[0, 2]], [[0, 0], [64, -36]], atol=1e-6)
 
 
+def test_without_points_a_first_frame_of_another_place_is_not_the_reference(frames):
+    other = textured(np.random.default_rng(3), 360, 640)
+    aim = build_aim([other, *frames], make_local_georeference(resolution=0.1, size=(360, 640)))
+    assert aim.report["registration"]["reference_index"] > 0
+    assert aim.report["registration"]["valid"] == len(frames)
+
+
+def test_without_points_a_first_frame_that_fits_is_the_reference(frames):
+    aim = build_aim(frames, make_local_georeference(resolution=0.1, size=(360, 640)))
+    assert aim.report["registration"]["reference_index"] == 0
+
+
 def test_progress_reports_each_stage(frames):
     calls = []
     build_aim(frames, points_on(0), progress=lambda *call: calls.append(call))
@@ -124,6 +137,29 @@ def test_a_flight_past_the_reference_is_warned_of():
     frames = [ground[:, left : left + 500] for left in range(0, 800, 50)]
     with pytest.warns(GeoaimWarning, match="the view leaves the reference"):
         build_aim(frames, make_local_georeference(resolution=0.1, size=(360, 500)))
+
+
+def write_photos(folder, images):
+    for number, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{number}.png"), image)
+    return folder
+
+
+def test_photos_of_several_places_are_refused(tmp_path):
+    places = [textured(np.random.default_rng(seed), 360, 500) for seed in range(4)]
+    with pytest.raises(RegistrationError, match=r"none of the other 3 photos .* OpenDroneMap"):
+        build_aim(
+            write_photos(tmp_path, places), make_local_georeference(resolution=0.1, size=(360, 500))
+        )
+
+
+def test_a_survey_flight_is_recognised(tmp_path):
+    ground = textured(np.random.default_rng(8), 360, 2000)
+    photos = [ground[:, left : left + 500] for left in range(0, 1500, 220)]
+    with pytest.warns(GeoaimWarning, match=r"photos show the ground of photo .*survey flight"):
+        build_aim(
+            write_photos(tmp_path, photos), make_local_georeference(resolution=0.1, size=(360, 500))
+        )
 
 
 def test_a_georeference_of_another_size_is_refused(frames):
@@ -158,6 +194,17 @@ def test_detections_of_few_frames_are_warned_of(frames):
     none = np.empty((0, 4))
     with pytest.warns(GeoaimWarning, match="detections are known of 3 of 12 frames"):
         build_aim(frames, points_on(0), detections=lambda f: none if f.index < 3 else None)
+
+
+def test_a_detector_is_asked_once_for_each_frame(frames):
+    asked = []
+
+    def detect(frame):
+        asked.append(frame.index)
+        return np.empty((0, 4))
+
+    build_aim(frames, points_on(0), detections=detect)
+    assert sorted(asked) == list(range(len(frames)))
 
 
 def test_frames_of_unknown_number_are_sampled(frames):

@@ -56,7 +56,12 @@ def choose_reference_time(gcps: ControlPoints | Georeference | None) -> float | 
     """Choose the reference's time: 0.0 if `gcps` are of the first frame; None leaves it open."""
     if isinstance(gcps, ControlPoints):
         return 0.0 if all(frame in (None, 0) for frame in gcps.frames) else None
-    return None if gcps is None else 0.0
+    return None if gcps is None or is_anywhere(gcps) else 0.0
+
+
+def is_anywhere(gcps: ControlPoints | Georeference | None) -> bool:
+    """Whether a georeference only gives a scale, so that any frame can be the reference."""
+    return isinstance(gcps, Georeference) and gcps.approximate and gcps.world.crs is None
 
 
 def georeference_reference_frame(

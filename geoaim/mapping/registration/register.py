@@ -38,6 +38,7 @@ from geoaim.mapping.registration.frame_registration import (
 )
 from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
 from geoaim.mapping.registration.patches import PatchAlignment
+from geoaim.mapping.registration.rest import register_at_rest
 from geoaim.mapping.registration.sequence import check_ground, find_jumps
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
@@ -131,7 +132,8 @@ def register(
     Args:
         video: what `open_video` opens.
         detections: vehicles to leave out, as `read_detections` reads them.
-        model: the motion model; None chooses the simplest that the frames need.
+        model: the motion model; None chooses the simplest that the frames need. "rest" is for a
+            camera that stands still, on a mast or a tripod.
         reference_time: seconds; 0 for the first frame; None chooses the reference by the data.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
@@ -208,6 +210,7 @@ def choose_reference(
     model: Model | None = None,
     time: float | None = None,
     probes: Sequence[Frame] = (),
+    prefer_first: bool = False,
 ) -> Reference:
     """Choose the reference and the motion model by a few frames spread over the video.
 
@@ -221,6 +224,7 @@ def choose_reference(
         time: time of the reference, seconds; None chooses it.
         probes: frames from the whole video, in order of time, that have been read already; five of
             them are used. Without any, five are read, unless time and model are given.
+        prefer_first: whether the first frame is tried instead of the middle one.
 
     Returns:
         The reference.
@@ -228,12 +232,14 @@ def choose_reference(
     Raises:
         RegistrationError: the reference has too little texture.
     """
+    if model == "rest" and time is None:
+        time = 0.0  # any frame serves
     is_given = time is not None and model is not None
     read = list(probes) or ([] if is_given else list(video.sample(PROBE_FRAMES)))
     spread = np.linspace(0, len(read) - 1, min(PROBE_FRAMES, len(read))).round().astype(int)
     probes = [read[i] for i in spread]
     if time is None:
-        frame = probes[len(probes) // 2]
+        frame = probes[0 if prefer_first else len(probes) // 2]
     else:
         known = (one for one in read if abs(one.time - time) < TIME_TOLERANCE_S)
         frame = next(known, None) or next(iter(video.frames_at([time])))
@@ -269,6 +275,9 @@ def register_frames(
     Yields:
         Each frame with its registration, or the reason why it is rejected.
     """
+    if reference.model == "rest":
+        yield from register_at_rest(frames, reference.keyframe)
+        return
     keyframes = [reference.keyframe]
     prior = compared = np.eye(3)
     since = COMPARE_EVERY  # frames since a placement was compared with others

@@ -38,7 +38,10 @@ def check_ground(frames: Iterable[FrameRegistration], size: tuple[int, int]) -> 
     frames = list(frames)
     if len(frames) < MIN_FRAMES:
         return
-    advice = "film more of the ground, or when there is less traffic"
+    advice = (
+        "film more of the ground, or when there is less traffic; if the camera stands on a mast or "
+        "a tripod, say so (--fixed-camera)"
+    )
     ambiguous = sum(MOVING_PART in frame.reason for frame in frames)
     if ambiguous > MAX_AMBIGUOUS_SHARE * len(frames) and not _is_still(frames, size):
         raise RegistrationError(

@@ -32,6 +32,6 @@ def test_points_on_photos_that_only_overlap_in_a_chain_place_the_central_one(pho
         aim = build_aim(photos, points)
     messages = " ".join(str(warning.message) for warning in warned)
     assert f"left out: lost on frame {UNRELATED}" in messages
-    assert "uncertain in 100%" in messages  # two photos overlap with it, too few to find traffic
+    assert "of 6 photos show the ground of photo 3: too few" in messages
     assert aim.report["registration"]["reference_index"] == 2
     np.testing.assert_allclose(aim.corners[0], [0.05 * LEFT_PX[2], 0.0], atol=0.2)
