@@ -1,6 +1,6 @@
 """Build a map from a video and write it with its quick look, as `geoaim build` does."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -81,6 +81,7 @@ def build_map(
         yaw=settings.yaw,
         focal_length=settings.focal_length,
     )
+    opened = replace(opened, is_fixed=settings.fixed_camera or opened.is_fixed)
     local, resolution = _make_local_georeference(opened, gcps, settings)
     aim = build_aim(
         opened,
@@ -88,7 +89,6 @@ def build_map(
         detections=detections,
         frames=settings.frames,
         crs=settings.crs,
-        fixed_camera=settings.fixed_camera,
         progress=progress,
     )
     progress("write", 0, 1)

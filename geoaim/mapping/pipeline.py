@@ -74,13 +74,14 @@ def build_aim(
     detections: DetectionSource | None = None,
     frames: FrameCount = "auto",
     crs: str | None = None,
-    fixed_camera: bool = False,
     progress: Progress = notebook_progress,
 ) -> AIM:
     """Build an aerial image-based map from a hovering camera's video and control points.
 
     Args:
-        video: what `open_video` opens: a video file, a folder or glob of images, or arrays.
+        video: what `open_video` opens: a video file, a folder or glob of images, or arrays. Of a
+            camera on a mast or a tripod, `replace(open_video(path), is_fixed=True)`: frames that
+            are not at rest are then rejected, and traffic is no reason to reject one.
         gcps: what `read_control_points` reads: at least four points, better six or more, picked on
             the first frame unless they name another. Or the georeference of the first frame; one
             that only gives a scale (`make_local_georeference`) is of the reference frame, which is
@@ -95,8 +96,6 @@ def build_aim(
             that a pixel averages at least 50 frames.
         crs: CRS of the map, projected and in metres, if control points place it; None keeps that of
             the points, or takes their UTM zone.
-        fixed_camera: whether the camera stands still, on a mast or a tripod. Frames that are not at
-            rest are then rejected, and traffic is no reason to reject one, however dense.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
     Returns:
@@ -121,7 +120,7 @@ def build_aim(
     reference = register.choose_reference(
         opened,
         detections=vehicles,
-        model="rest" if fixed_camera else None,
+        model="rest" if opened.is_fixed else None,
         time=choose_reference_time(given),
         probes=probes,
         prefer_first=is_anywhere(given),

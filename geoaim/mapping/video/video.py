@@ -48,6 +48,7 @@ class Video:
         keyframe_interval: seconds between keyframes, which are decoded alone; 0 where every frame
             is, inf where frames are only read from the first on.
         read_times: reads the times of all frames, s; None where they are evenly spaced.
+        is_fixed: whether the camera is said to stand still, on a mast or a tripod.
     """
 
     source: str
@@ -61,6 +62,7 @@ class Video:
     names: tuple[str, ...] | None = None
     keyframe_interval: float = 0.0
     read_times: Callable[[], Float[Array, " N"] | None] = lambda: None
+    is_fixed: bool = False
 
     def __iter__(self) -> Iterator[Frame]:
         return self.read_all()
