@@ -1,5 +1,6 @@
 """Textures and corner frames of AIMs: read with numpy and pillow alone, without GDAL or OpenCV."""
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from PIL import Image
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import read_position_covariance
+from geoaim.base.checksums import FileFormat, verify_checksum
 from geoaim.base.errors import AimError
 from geoaim.base.limits import check_memory, name_file, refuse_damaged
 from geoaim.base.world import World
@@ -23,9 +25,11 @@ VERSION = 1  # version of the corner frame: docs/schemas/corner_frame-1.json
 CORNERS = ("top-left", "top-right", "bottom-right", "bottom-left")
 FRAME_FILE, PICTURE_FILE = "texture.json", "texture.png"
 BYTES_PER_PIXEL = 12  # memory needed to read a texture
+FORMAT = FileFormat("corner frame", VERSION, VERSION, VERSION + 1, AimError, editable=True)
 SIZES = ("height", "width", "pixel_height", "pixel_width")
 REQUIRED = frozenset({"version", "image", *SIZES, "corner_order", "corners", "world"})
 POSITION_KEYS = ("position", "place")  # of the report: how well it is known, and where that holds
+OPTIONAL = frozenset({"image_sha256", "checksum"})  # which geoaim writes
 ORIENTATION_TAG, UPRIGHT = 0x0112, 1  # EXIF
 MAX_SKEW = 1e-12  # largest skew of a parallelogram as a share of its sides: rounding
 
@@ -51,7 +55,7 @@ def read_map(path: str | os.PathLike[str]) -> AIM:
 def read_texture(folder: str | os.PathLike[str]) -> AIM:
     """Read a folder that `export_texture` wrote, or another program by the same schema.
 
-    Neither rasterio nor OpenCV is imported.
+    Neither rasterio nor OpenCV is imported. Checksums are verified where the JSON has them.
 
     Args:
         folder: a folder with texture.json (docs/schemas/corner_frame-1.json) and the picture that
@@ -73,6 +77,8 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
         frame = json.loads(path.read_text("utf-8"))
         _check_frame(frame)
         read_position_covariance(frame)
+        if verify_checksum(path, FORMAT) != ("checksum" in frame):
+            raise AimError("the checksum is damaged; export the texture again")
         east, north = frame["world"]["origin"]
         world = World(frame["world"]["crs"], (float(east), float(north)))
         corners = np.array(frame["corners"], float)
@@ -81,12 +87,27 @@ def read_texture(folder: str | os.PathLike[str]) -> AIM:
     if not picture.is_file():
         raise AimError(f"{path} names the picture {picture.name!r}, which is not beside it")
     with refuse_damaged(picture, AimError, "the PNG of a texture"):
+        _check_picture(picture, frame.get("image_sha256"))
         pixels = _read_pixels(picture, frame["height"], frame["width"])
     with name_file(path):
         aim = AIM.from_image(pixels[..., :3].copy(), world_from_image, world, f"texture {path}")
     aim.coverage[:] = pixels[..., 3] > 0
     stated = {name: frame[name] for name in POSITION_KEYS if name in frame}
     return replace(aim, report={**aim.report, **stated})
+
+
+def hash_picture(picture: bytes) -> str:
+    """Compute the SHA-256 of a picture's file."""
+    return hashlib.sha256(picture).hexdigest()
+
+
+def _check_picture(picture: Path, stated: str | None) -> None:
+    if stated is not None and hash_picture(picture.read_bytes()) != stated:
+        raise AimError(
+            f"{picture} is not the picture that {FRAME_FILE} was written with: its SHA-256 is "
+            "another one than image_sha256; export the texture again, or remove that key from the "
+            "JSON if the picture was changed on purpose"
+        )
 
 
 def fit_corners(corners: Float[Array, "4 2"], height: int, width: int) -> Float[Array, "3 3"]:
@@ -163,6 +184,11 @@ def _check_frame(frame: Any) -> None:
         raise AimError(
             f"the corner frame lacks {', '.join(lacking)}; docs/schemas/corner_frame-1.json says "
             "what is needed, and `geoaim texture` writes it"
+        )
+    if unknown := sorted(frame.keys() - REQUIRED - OPTIONAL):
+        raise AimError(
+            f"the corner frame has the unknown key {', '.join(unknown)}; docs/schemas/"
+            "corner_frame-1.json lists those that there are"
         )
     if frame["version"] != VERSION:
         raise AimError(f"version {frame['version']} of the corner frame; {VERSION} is needed")

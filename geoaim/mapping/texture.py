@@ -9,7 +9,15 @@ import numpy as np
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.rectification import rectify
-from geoaim.aim.texture_files import CORNERS, FRAME_FILE, PICTURE_FILE, POSITION_KEYS, VERSION
+from geoaim.aim.texture_files import (
+    CORNERS,
+    FRAME_FILE,
+    PICTURE_FILE,
+    POSITION_KEYS,
+    VERSION,
+    hash_picture,
+)
+from geoaim.base.checksums import PLACEHOLDER, write_checksum
 from geoaim.base.files import atomic_files
 
 
@@ -21,7 +29,8 @@ def export_texture(
     Alpha is 255 where the AIM has coverage and 0 elsewhere. The JSON holds the version of the
     format, the picture's name, height and width (pixels), pixel_height and pixel_width (metres),
     the four corners in the order top-left, top-right, bottom-right, bottom-left, and the world
-    (CRS and origin); and how well the position is known, where the report of the map states it.
+    (CRS and origin), checksums of the picture and of the JSON itself; and how well the position is
+    known, where the report of the map states it.
 
     Args:
         aim: the map. It is rectified first if a resolution is given, or if its transform is not
@@ -50,8 +59,11 @@ def export_texture(
         "corner_order": CORNERS,
         "corners": aim.corners.tolist(),
         "world": {"crs": aim.world.crs, "origin": list(aim.world.origin)},
+        "image_sha256": hash_picture(png.tobytes()),
+        "checksum": PLACEHOLDER,
     }
     frame |= {name: aim.report[name] for name in POSITION_KEYS if name in aim.report}
     with atomic_files(Path(folder, FRAME_FILE), Path(folder, PICTURE_FILE)) as (text, picture):
         picture.write_bytes(png.tobytes())
         text.write_text(json.dumps(frame, indent=2) + "\n")
+        write_checksum(text)

@@ -183,6 +183,7 @@ def test_corners_in_a_wrong_order_are_refused(corners, message):
         ({"width": 79}, "80 x 80 pixels, and texture.json states 79 x 80"),
         ({"image": "../texture.png"}, "the name of a file beside"),
         ({"corners": [[0, 0]] * 3}, "corners have shape"),
+        ({"colour": "red"}, "the unknown key colour"),
         ({"corner_order": ["bottom-left"] * 4}, "corner_order is"),
         ({"world": {"crs": "EPSG:1", "origin": [0, 0]}}, "EPSG:1"),
     ],
@@ -204,6 +205,37 @@ def test_a_texture_in_perspective_is_read_without_opencv(tmp_path):
     command = [sys.executable, "-c", BLOCKED + READ, tmp_path]
     result = subprocess.run(command, check=True, capture_output=True, text=True)
     assert result.stdout.split()[0] == "3"
+
+
+@pytest.mark.parametrize("name", ["texture.json", "texture.png"])
+def test_a_flipped_bit_of_a_texture_is_found(tmp_path, name):
+    export_texture(make_aim(), tmp_path)
+    intact = (tmp_path / name).read_bytes()
+    generator = np.random.default_rng(0)
+    for place in generator.choice(len(intact), 60, replace=False):
+        damaged = bytearray(intact)
+        damaged[place] ^= 1 << generator.integers(8)
+        (tmp_path / name).write_bytes(damaged)
+        with pytest.raises(GeoaimError) as error:
+            geoaim.read_texture(tmp_path)
+        assert "\n" not in str(error.value)
+
+
+def test_a_picture_that_was_exchanged_is_found(tmp_path):
+    for folder, side in (("one", 80), ("other", 81)):
+        export_texture(make_aim(side), tmp_path / folder)
+    (tmp_path / "other/texture.png").replace(tmp_path / "one/texture.png")
+    with pytest.raises(AimError, match=r"not the picture that texture\.json was written with"):
+        geoaim.read_texture(tmp_path / "one")
+
+
+def test_a_texture_without_checksums_is_read(tmp_path):
+    export_texture(make_aim(), tmp_path)
+    frame = json.loads((tmp_path / "texture.json").read_text())
+    for key in ("checksum", "image_sha256"):
+        del frame[key]
+    (tmp_path / "texture.json").write_text(json.dumps(frame))
+    assert geoaim.read_texture(tmp_path).image.shape == (80, 80, 3)
 
 
 @pytest.mark.parametrize("key", ["version", "image", "pixel_width", "corners", "world"])
@@ -229,6 +261,9 @@ def save_deep(path):
 @pytest.mark.parametrize(("save", "message"), [(save_turned, "EXIF"), (save_deep, "8 bits")])
 def test_pictures_that_would_be_misread_are_refused(tmp_path, save, message):
     export_texture(make_aim(), tmp_path)
+    frame = json.loads((tmp_path / "texture.json").read_text())
+    del frame["image_sha256"]
+    (tmp_path / "texture.json").write_text(json.dumps(frame))
     save(tmp_path / "texture.png")
     with pytest.raises(AimError, match=message):
         geoaim.read_texture(tmp_path)
