@@ -35,14 +35,14 @@ def _make_traffic() -> Scenario:
     random = torch.rand(SCENES, AGENTS, 4, generator=torch.Generator().manual_seed(0))
     states = random * torch.tensor([SIDE_M, SIDE_M, 6.28, 10.0]) - torch.tensor([60.0, 0, 0, 0])
     sizes = torch.tensor([4.5, 1.9]).expand(SCENES, AGENTS, 2)
-    present = torch.ones(SCENES, 2, AGENTS, dtype=torch.bool)
+    present = torch.ones(SCENES, AGENTS, 2, dtype=torch.bool)
     pedestrian = torch.arange(AGENTS).expand(SCENES, AGENTS) % 4 == 0
-    return Scenario(torch.stack([states, states], 1), present, sizes, pedestrian, 0.1)
+    return Scenario(torch.stack([states, states], 2), present, sizes, pedestrian, 0.1)
 
 
 def _make_drivers(scenario: Scenario) -> Policy:
     """Make drivers of all agents, straight on."""
-    x, y, heading, _ = scenario.states[:, 0].unbind(-1)
+    x, y, heading, _ = scenario.states[:, :, 0].unbind(-1)
     start = torch.stack([x, y], dim=-1)
     way = ROUTE_M * torch.stack([heading.cos(), heading.sin()], dim=-1)
     points = resample_points(torch.stack([start, start + way], dim=2))
@@ -55,7 +55,7 @@ def _make_drivers(scenario: Scenario) -> Policy:
 
 def _time_stages(repeats: int) -> list[dict[str, Any]]:
     scenario = _make_traffic()
-    states, present, sizes = scenario.states[:, 0], scenario.present[:, 0], scenario.sizes
+    states, present, sizes = scenario.states[:, :, 0], scenario.present[:, :, 0], scenario.sizes
     poses, actions = states[..., :3], torch.full((SCENES, AGENTS, 2), 0.1)
     hdmap = read_hdmap("samples/map.osm")
     drivable = make_drivable(find_drivable_area(hdmap))
@@ -63,7 +63,7 @@ def _time_stages(repeats: int) -> list[dict[str, Any]]:
     driving: dict[str, Callable[[], Any]] = {
         "sines, 4 per agent": lambda: torch.sin(states),
         "step": lambda: step(scenario, 0, states, actions, present),
-        "actions of intelligent drivers": lambda: drivers(scenario, scenario.states[:, :1]),
+        "actions of intelligent drivers": lambda: drivers(scenario, scenario.states[:, :, :1]),
     }
     counting: dict[str, Callable[[], Any]] = {
         "collisions, exact IoU of all pairs": lambda: box_iou(poses, sizes, present),
@@ -92,7 +92,7 @@ def _list_torchdrivesim(scenario: Scenario, hdmap: HDMap) -> dict[str, Callable[
         from torchdrivesim.mesh import BaseMesh, BirdviewMesh
     except ImportError:
         return {}
-    states, sizes = scenario.states[:, 0], scenario.sizes
+    states, sizes = scenario.states[:, :, 0], scenario.sizes
     boxes = torch.cat([states[..., :2], sizes, states[..., 2:3]], dim=-1)
     row, column = torch.triu_indices(AGENTS, AGENTS, offset=1)
     corners, faces = _triangulate_lanes(hdmap)

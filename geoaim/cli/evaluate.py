@@ -122,8 +122,7 @@ def _evaluate_on_map(
 
     config, horizon = model.config, get_horizon(model)
     whole, hdmap, _ = read_scene(source, rate=1 / config.dt)
-    rules = make_road_rules(hdmap)
-    check_rules(whole, rules)
+    rules = check_rules(whole, make_road_rules(hdmap))
     _, scene = split_scene(whole, fraction)
     steps = MAX_HISTORY_STEPS + horizon
     segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)

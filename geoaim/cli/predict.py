@@ -49,11 +49,11 @@ def predict(
     import torch
 
     from geoaim.base.files import write_figure
-    from geoaim.prediction.cutting import mask_agents
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
     from geoaim.simulation.pictures import write_pictures
     from geoaim.simulation.scene import find_step
+    from geoaim.tracks.agent_types import select_group
 
     with show_progress() as progress, report_errors():
         inputs = [aim, tracks, lights, hdmap]
@@ -88,7 +88,8 @@ def predict(
         else:
             write_pictures(film_futures(futures), output, frame_rate=1 / scene.dt)
     known = torch.isfinite(futures.states[0, :, 0, 0])
-    predicted = int((mask_agents(scene, model.config.kind) & known).sum())
+    of_kind = select_group(scene.types, model.config.kind)
+    predicted = int((of_kind & known.cpu().numpy()).sum())
     console.print(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {predicted} agents"

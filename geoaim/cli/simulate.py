@@ -138,7 +138,7 @@ def simulate(
         )
         scene, roads, world = read_scene(source)
         area = None if drivable is None else read_drivable_area(drivable, world)
-        rules = make_road_rules(roads, area)
+        rules = make_road_rules(roads, area, world=world)
         episode = simulate_scene(
             scene, policy, ego=ego, start=start, duration=duration, rules=rules
         )

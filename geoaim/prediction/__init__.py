@@ -18,7 +18,9 @@ from geoaim.prediction.dataset import Dataset, make_dataset
 from geoaim.prediction.evaluation import EvalConfig, evaluate, evaluate_windows
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, bootstrap_interval, compute_metrics, summarise
+from geoaim.prediction.policies import ITRAPolicy
 from geoaim.prediction.predict import predict
+from geoaim.prediction.rollouts import Rollout
 from geoaim.prediction.segments import Segments
 from geoaim.prediction.training import init_model, train
 from geoaim.prediction.windows import WindowFiles, Windows, read_windows
@@ -30,8 +32,10 @@ __all__ = [
     "Config",
     "Dataset",
     "EvalConfig",
+    "ITRAPolicy",
     "Metric",
     "Predictor",
+    "Rollout",
     "Segments",
     "TrainConfig",
     "WindowFiles",

@@ -9,10 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.prediction.segments import PEDESTRIAN, Segments, repeat
+from geoaim.prediction.segments import Segments, make_segment_scenario, repeat
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
-from geoaim.simulation.simulator import Policy, Scenario, rollout
+from geoaim.simulation.simulator import Policy, rollout
 
 HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a share of it
 
@@ -21,7 +21,7 @@ HEADING_NOISE_RAD, SPEED_NOISE = 0.3, 0.3  # standard deviations; of speed, as a
 class Predictor(Protocol):
     """Predicts futures of all controlled agents; a trained model's predictor is `model.sample`.
 
-    Shapes: B segments, K samples, T steps, N agents.
+    Shapes: B segments, K samples, N agents, T steps.
     """
 
     def __call__(
@@ -32,7 +32,7 @@ class Predictor(Protocol):
         history: int,
         samples: int,
         generator: torch.Generator,
-    ) -> Float[Tensor, "B K T N 4"]:
+    ) -> Float[Tensor, "B K N T 4"]:
         """Predict K joint futures of each segment.
 
         Args:
@@ -57,31 +57,31 @@ def _predict_with_policy(
     history: int,
     samples: int,
     generator: torch.Generator,
-) -> Float[Tensor, "B K T N 4"]:
+) -> Float[Tensor, "B K N T 4"]:
     """Roll agents out by a policy of the simulator; all samples are the same."""
-    pedestrian = segments.layers == PEDESTRIAN
-    parts = segments.states, segments.present, segments.sizes, pedestrian, segments.dt
-    states = rollout(Scenario(*parts), policy, segments.controlled, history=history)
+    scenario = make_segment_scenario(segments)
+    states = rollout(scenario, policy, segments.controlled, history=history)
     return states[:, None].expand(-1, samples, -1, -1, -1)
 
 
 def _predict_with_noise(
     segments: Segments, ground: Ground, *, history: int, samples: int, generator: torch.Generator
-) -> Float[Tensor, "B K T N 4"]:
+) -> Float[Tensor, "B K N T 4"]:
     """Continue at constant velocity after noise on heading and speed at the last observed step.
 
     Schöller et al. 2020.
     """
     repeated = repeat(segments, samples)
     states = repeated.states
-    shape = len(repeated), states.shape[2], 2
+    shape = len(repeated), states.shape[1], 2
     noise = torch.randn(shape, generator=generator, device=states.device)
     noise = torch.where(repeated.controlled[..., None], noise, 0.0)
-    x, y, heading, speed = states[:, history - 1].unbind(-1)
+    x, y, heading, speed = states[:, :, history - 1].unbind(-1)
     heading = heading + HEADING_NOISE_RAD * noise[..., 0]
     speed = speed * (1 + SPEED_NOISE * noise[..., 1])
     last = torch.stack([x, y, heading, speed], dim=-1)
-    states = torch.cat([states[:, : history - 1], last[:, None], states[:, history:]], dim=1)
+    parts = states[:, :, : history - 1], last[:, :, None], states[:, :, history:]
+    states = torch.cat(parts, dim=2)
     noisy = replace(repeated, states=states)
     futures = _predict_with_policy(
         constant_velocity, noisy, ground, history=history, samples=1, generator=generator
@@ -91,7 +91,7 @@ def _predict_with_noise(
 
 def replay(
     segments: Segments, ground: Ground, *, history: int, samples: int, generator: torch.Generator
-) -> Float[Tensor, "B K T N 4"]:
+) -> Float[Tensor, "B K N T 4"]:
     """Repeat what was recorded: a `Predictor` that knows the future, for the recording's rates.
 
     Args:

@@ -16,34 +16,53 @@ SEGMENT_STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps from one segment's s
 
 @dataclass(frozen=True)
 class Config:
-    """Hyperparameters of an ITRA model."""
+    """Hyperparameters of an ITRA model.
 
-    kind: str  # group of the agents that the model controls, "vehicle" or "pedestrian"
-    # kinematic model: "bicycle", "unicycle", or "slide" for tracks of positions without measured
-    # headings
+    Attributes:
+        kind: group of the agents that the model controls, "vehicle" or "pedestrian".
+        motion: kinematic model: "bicycle", "unicycle", or "slide" for tracks of positions without
+            measured headings.
+        dt: time between steps, s.
+        use_observations: whether the model gets rendered views; without them it knows the agent's
+            own motion and size only.
+        view_size: side of a view, pixels: an agent sees the square of view_size x resolution metres
+            about it.
+        resolution: metres per pixel of a view.
+        surface_contrast: whether views have a channel of the colour distance to the ground under
+            the agent.
+        light_width: width of a light's bar on its stop line, metres.
+        view_stride: encode a view every `view_stride` steps and reuse its features in between; 1 as
+            in the paper.
+        hidden_size: width of the GRU's hidden state.
+        feature_size: width of an encoded view.
+        latent_size: width of the latent z.
+        sigma: standard deviation of states in the likelihood, metres.
+        heading_scale: an error of 1 rad counts as this many metres in the likelihood: half an
+            agent's length.
+        num_anchors: trajectory proposals; 0 as in the paper.
+        anchor_points: points of a proposal, evenly spaced in time, the last one at its end.
+        history: observed steps that proposals need; 0 without proposals.
+        horizon: predicted steps that proposals cover; 0 without proposals.
+    """
+
+    kind: str
     motion: str
-    dt: float  # time between steps, s
-    # whether the model gets rendered views; without them it knows the agent's own motion and size
-    # only
+    dt: float
     use_observations: bool = True
-    # side of a view, pixels: an agent sees the square of view_size x resolution metres about it
     view_size: int = 64
-    resolution: float = 0.8  # metres per pixel of a view
-    # whether views have a channel of the colour distance to the ground under the agent
+    resolution: float = 0.8
     surface_contrast: bool = False
-    light_width: float = LIGHT_BAR_WIDTH_M  # width of a light's bar on its stop line, metres
-    # encode a view every `view_stride` steps and reuse its features in between; 1 as in the paper
+    light_width: float = LIGHT_BAR_WIDTH_M
     view_stride: int = 5
-    hidden_size: int = 128  # width of the GRU's hidden state
-    feature_size: int = 96  # width of an encoded view
-    latent_size: int = 8  # width of the latent z
-    sigma: float = 0.2  # standard deviation of states in the likelihood, metres
-    # an error of 1 rad counts as this many metres in the likelihood: half an agent's length
+    hidden_size: int = 128
+    feature_size: int = 96
+    latent_size: int = 8
+    sigma: float = 0.2
     heading_scale: float = 2.0
-    num_anchors: int = 0  # trajectory proposals; 0 as in the paper
-    anchor_points: int = 3  # points of a proposal, evenly spaced in time, the last one at its end
-    history: int = 0  # observed steps that proposals need; 0 without proposals
-    horizon: int = 0  # predicted steps that proposals cover; 0 without proposals
+    num_anchors: int = 0
+    anchor_points: int = 3
+    history: int = 0
+    horizon: int = 0
 
     @property
     def view(self) -> ObservationView:

@@ -10,7 +10,7 @@ from geoaim.base.errors import TracksError
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, concat
 from geoaim.simulation.kinematics import bicycle
 from geoaim.simulation.scene import Scene, slice_scene
-from geoaim.tracks.agent_types import AGENT_GROUPS
+from geoaim.tracks.agent_types import select_group
 
 MAX_NEIGHBOURS = 24  # other agents that a segment keeps
 MIN_TRAVEL_M = 1.0  # agents that move less in a whole recording are parked
@@ -45,7 +45,7 @@ def cut_segments(
     scene = _keep_observed(scene)
     complete = _find_complete(scene, group, steps, stride)
     if not complete.any():
-        agents = mask_agents(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
+        agents = _mask_group(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
         longest = int(scene.present[agents].sum(dim=1).max()) if agents.any() else 0
         raise TracksError(
             f"no moving {group} is present for {steps} steps of {dt:g} s; the longest track has "
@@ -79,7 +79,7 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
         TracksError: no agent of the group is present at that step.
     """
     scene = _keep_observed(scene)
-    controlled = mask_agents(scene, group) & scene.present[:, start]
+    controlled = _mask_group(scene, group) & scene.present[:, start]
     if not controlled.any():
         raise TracksError(
             f"no {group} is present at {float(scene.times[start]):g} s, or none for long enough to "
@@ -93,11 +93,8 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
     return _extend(past, steps.stop - start - 1, lights[None])
 
 
-def mask_agents(scene: Scene, group: str) -> Bool[Tensor, "N"]:
-    """Make a mask of the agents of a group ("vehicle", "pedestrian" or "cyclist")."""
-    return torch.tensor([name in AGENT_GROUPS[group] for name in scene.types]).to(
-        scene.present.device
-    )
+def _mask_group(scene: Scene, group: str) -> Bool[Tensor, "N"]:
+    return torch.from_numpy(select_group(scene.types, group)).to(scene.present.device)
 
 
 def _keep_observed(scene: Scene) -> Scene:
@@ -108,7 +105,7 @@ def _keep_observed(scene: Scene) -> Scene:
 
 def _find_complete(scene: Scene, group: str, steps: int, stride: int) -> Bool[Tensor, "N _"]:
     """For each start, the moving agents of a group that are present at all steps of the segment."""
-    moving = mask_agents(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
+    moving = _mask_group(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
     long_enough = steps <= len(scene.times)
     present = scene.present if long_enough else scene.present.new_zeros(len(moving), steps)
     return present.unfold(1, steps, stride).all(dim=2) & moving[:, None]
@@ -145,26 +142,29 @@ def _cut(
     states = torch.where(piece.present[..., None], piece.observed, 0.0)
     count = len(agents)
     return Segments(
-        states=states[agents].transpose(1, 2),
-        present=piece.present[agents].transpose(1, 2),
+        states=states[agents],
+        present=piece.present[agents],
         sizes=piece.sizes[agents],
-        layers=torch.where(mask_agents(piece, "vehicle"), VEHICLE, PEDESTRIAN)[agents],
+        layers=torch.where(_mask_group(piece, "vehicle"), VEHICLE, PEDESTRIAN)[agents],
         controlled=controlled,
         places=torch.zeros(count, dtype=torch.long, device=states.device),
         stop_lines=piece.stop_lines.expand(count, -1, -1, -1),
         light_states=piece.light_states.long().expand(count, -1, -1),
         dt=dt,
+        times=piece.times[:1].expand(count),
+        worlds=() if piece.world is None else (piece.world,),
+        ids=tuple(tuple(piece.ids[k] for k in row) for row in agents.tolist()),
     )
 
 
 def _extend(past: Segments, steps: int, light_states: Int[Tensor, "B T L"]) -> Segments:
     """Extend segments by some steps, in which agents keep speed and heading."""
-    states, no_action = list(past.states.unbind(dim=1)), torch.zeros_like(past.states[:, 0, :, :2])
+    states, no_action = list(past.states.unbind(2)), torch.zeros_like(past.states[:, :, 0, :2])
     for _ in range(steps):
         states.append(bicycle.step(states[-1], no_action, past.sizes[..., 0], past.dt))
-    present = torch.cat([past.present, past.present[:, -1:].expand(-1, steps, -1)], dim=1)
+    present = torch.cat([past.present, past.present[:, :, -1:].expand(-1, -1, steps)], dim=2)
     return replace(
-        past, states=torch.stack(states, dim=1), present=present, light_states=light_states
+        past, states=torch.stack(states, dim=2), present=present, light_states=light_states
     )
 
 

@@ -8,13 +8,14 @@ import torch
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.baselines import Predictor
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Metric, compute_metrics, concat
+from geoaim.prediction.metrics import Metric, check_futures, compute_metrics, concat
 from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
+from geoaim.simulation.worlds import move_ground
 from geoaim.tracks.lights import UNKNOWN
 
 
@@ -52,7 +53,14 @@ def evaluate(
 
     Returns:
         Metrics by name; see `compute_metrics` and, with `config.realism`, `compute_realism`.
+
+    Raises:
+        ValueError: the predictor returns another shape, another number of samples, or states of
+            controlled agents that are not finite.
+        MapError: ground, segments or rules lie in worlds between which moving is not exact.
     """
+    if len(segments.worlds) == 1 and ground.world is not None:
+        ground = move_ground(ground, segments.worlds[0])
     generator = torch.Generator(segments.states.device).manual_seed(config.seed)
     max_agents = int(segments.controlled.sum(dim=1).max())
     size = max(1, MAX_VIEWS // (max_agents * config.samples))
@@ -66,6 +74,7 @@ def evaluate(
         futures = predictor(
             shown, ground, history=config.history, samples=config.samples, generator=generator
         )
+        check_futures(futures, batch, config.history, config.samples)
         metrics = compute_metrics(futures, batch, config.history, rules)
         if config.realism:
             metrics |= compute_realism(futures, batch, config.history, rules)

@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 from torch import Tensor
 
 from geoaim.base.displays import Display
+from geoaim.base.world import World
 from geoaim.simulation.lines import LIGHT_COLOURS
 from geoaim.simulation.scene import Scene
 from geoaim.tracks.agent_types import get_colour
@@ -25,13 +26,24 @@ LIGHT_NAMES = ("green light", "yellow light", "red light")  # names by light sta
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Futures(Display):
-    """K sampled joint futures of the N agents of a scene over T steps."""
+    """K sampled joint futures of the N agents of a scene over T steps.
 
-    # (K, N, T, 4) x, y (metres in the map's world), heading, speed; NaN where absent
+    Attributes:
+        states: (K, N, T, 4) x, y (metres in the scene's world), heading, speed; NaN where absent.
+        scene: map, agents and lights.
+        start: index of the scene's last observed step.
+        dt: time between steps, s.
+    """
+
     states: Float[Tensor, "K N T 4"]
-    scene: Scene  # map, agents and lights
-    start: int  # index of the scene's last observed step
-    dt: float  # time between steps, s
+    scene: Scene
+    start: int
+    dt: float
+
+    @property
+    def world(self) -> World | None:
+        """The plane of the metres: the scene's."""
+        return self.scene.world
 
     @property
     def time(self) -> float:
@@ -68,6 +80,7 @@ class Futures(Display):
 
     def _draw(self, axes: "Axes") -> None:
         from geoaim.base.labels import label_points
+        from geoaim.base.map_axes import move_to_axes
 
         self.scene.draw_ground(axes, self.fit_limits().double().numpy())
         self.draw_step(axes, None)
@@ -78,6 +91,7 @@ class Futures(Display):
         part.figure.draw_without_rendering()  # names are placed in the final layout
         rows = self.mark_predicted().nonzero()[:, 0].tolist()
         places = self.scene.poses[rows, self.start, :2].double().cpu().numpy()
+        places = move_to_axes(axes, places, self.world)
         for text in label_points(axes, places, [self.scene.ids[row] for row in rows]):
             text.set(fontsize=7, clip_on=True)
 
@@ -89,35 +103,40 @@ class Futures(Display):
             step: step of the futures up to which paths are drawn; None: agents at the start, whole
                 paths, and in white what was recorded.
         """
-        from geoaim.base.map_axes import draw_lines
+        from geoaim.base.map_axes import draw_lines, move_to_axes
 
         rows, end = self.mark_predicted().cpu(), self.states.shape[2] if step is None else step + 1
         now, states = self.scene.poses[:, self.start].cpu(), self.states.cpu()
         if step is None:
             recorded = self.scene.poses[:, self.start : self.start + 1 + end].cpu()
-            lines = recorded[rows][..., :2].numpy()
+            lines = move_to_axes(axes, recorded[rows][..., :2].numpy(), self.world)
             draw_lines(axes, lines, TRUTH_COLOUR, width=3.0, label="recorded")
         first = now[None, rows, None, :2].expand(len(states), -1, -1, -1)
         paths = torch.cat([first, states[:, rows, :end, :2]], dim=2).flatten(0, 1)
-        draw_lines(axes, paths.numpy(), FUTURE_COLOUR, label=f"{len(states)} futures")
+        lines = move_to_axes(axes, paths.numpy(), self.world)
+        draw_lines(axes, lines, FUTURE_COLOUR, label=f"{len(states)} futures")
         self._draw_lights(axes)
         for poses in [now] if step is None else states[:, :, step, :3]:
             self._draw_boxes(axes, poses.double().numpy())
-        (left, bottom), (right, top) = self.fit_limits().tolist()
+        limits = move_to_axes(axes, self.fit_limits().double().numpy(), self.world)
+        (left, bottom), (right, top) = limits.tolist()
         axes.set(xlim=(left, right), ylim=(bottom, top))
 
     def _draw_lights(self, axes: "Axes") -> None:
-        from geoaim.base.map_axes import draw_lines
+        from geoaim.base.map_axes import draw_lines, move_to_axes
 
         states = self.scene.light_states[self.start].cpu().numpy()
         for state, name in enumerate(LIGHT_NAMES):
-            lines = self.scene.stop_lines.cpu().numpy()[states == state]
+            lines = move_to_axes(axes, self.scene.stop_lines.cpu().numpy(), self.world)
+            lines = lines[states == state]
             if len(lines):
                 draw_lines(axes, lines, LIGHT_COLOURS[state], width=3.5, label=name)
 
     def _draw_boxes(self, axes: "Axes", poses: Float[Array, "N 3"]) -> None:
         """Draw the agents at x, y and heading, with one entry in the legend for each type."""
         from matplotlib.collections import PolyCollection
+
+        from geoaim.base.map_axes import move_to_axes
 
         unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
         sizes, named = self.scene.sizes.cpu().numpy(), axes.get_legend_handles_labels()[1]
@@ -127,7 +146,8 @@ class Futures(Display):
             cosine, sine = np.cos(poses[rows, 2]), np.sin(poses[rows, 2])
             axis = np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
             boxes = poses[rows, None, :2] + (unit * sizes[rows, None]) @ axis
-            drawn = PolyCollection(list(boxes), facecolor=get_colour(kind), zorder=3)
+            moved = move_to_axes(axes, boxes, self.world)
+            drawn = PolyCollection(list(moved), facecolor=get_colour(kind), zorder=3)
             drawn.set(edgecolor="white", linewidth=0.4)
             if rows and kind not in named:
                 drawn.set_label(kind)

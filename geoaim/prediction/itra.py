@@ -18,15 +18,13 @@ Shapes: B segments, K samples, N agents, T steps, E controlled agents of all seg
 H hidden state, Z latent, A proposals, P points of a proposal.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from geoaim.prediction.anchors import (
-    ANCHOR_SCALE_M,
     HISTORY_NOISE_M,
     AnchorHead,
     compute_anchor_loss,
@@ -42,19 +40,23 @@ from geoaim.prediction.observation import (
     index_controlled,
     render_observation,
 )
-from geoaim.prediction.segments import Segments, repeat
+from geoaim.prediction.rollouts import (
+    Batch,
+    Rollout,
+    check_fits,
+    encode_anchor,
+    normalise_attributes,
+    repeat_rollout,
+)
+from geoaim.prediction.segments import Segments
 from geoaim.simulation.ground import Ground
-from geoaim.simulation.kinematics import MOTION_MODELS, agent_from_world, wrap_angle
+from geoaim.simulation.input_checks import check_shape
+from geoaim.simulation.kinematics import MOTION_MODELS, wrap_angle
 from geoaim.simulation.prefiltering import prefilter_ground
 
 MAX_ACTION = 4.0  # normalised; larger ground-truth actions are noise of headings at standstill
 SPEED_SCALE_S = 0.5  # an error of 1 m/s counts as this many metres in the likelihood
 ATTRIBUTES = 3  # speed, length and width
-DT_TOLERANCE_S = 1e-3
-
-DrawLatent = Callable[[Float[Tensor, "E C"], int], Float[Tensor, "E Z"]]  # takes context and step
-Recurrent = tuple[Float[Tensor, "E F"], Float[Tensor, "E H"]]  # encoded views and hidden states
-ChooseAnchor = Callable[[Float[Tensor, "E 4"], Float[Tensor, "E F"]], Float[Tensor, "E P 2"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,31 +67,6 @@ class Losses:
     nll: Float[Tensor, ""]
     kl: Float[Tensor, ""]  # Kullback-Leibler divergence of the posterior from the prior, nats
     anchor: Float[Tensor, ""]  # `compute_anchor_loss` of the proposals, metres; 0 without proposals
-
-
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """Segments with the index of their controlled agents."""
-
-    segments: Segments  # states of all agents
-    ground: Ground  # the map
-    controlled: Controlled  # index of the E controlled agents
-    history: int  # observed steps
-
-    @property
-    def truth(self) -> Float[Tensor, "E T 4"]:
-        """Ground-truth states of the controlled agents."""
-        return self.segments.states[self.controlled.segment, :, self.controlled.agent]
-
-    @property
-    def sizes(self) -> Float[Tensor, "E 2"]:
-        """Lengths and widths of the controlled agents."""
-        return self.segments.sizes[self.controlled.segment, self.controlled.agent]
-
-    @property
-    def present(self) -> Bool[Tensor, "E T"]:
-        """Presence of the controlled agents."""
-        return self.segments.present[self.controlled.segment, :, self.controlled.agent]
 
 
 class ITRA(nn.Module):
@@ -139,36 +116,24 @@ class ITRA(nn.Module):
             ValueError: the segments do not fit the model.
         """
         batch = self._index(segments, ground, history)
-        truth = batch.truth  # (E, T, 4)
-        actions = self._normalise_actions(batch)  # (E, T - 1, 2)
-        kl, anchor_loss = [], truth.new_zeros(())
-
-        def draw_latent(context: Tensor, step: int) -> Tensor:
-            inputs = torch.cat([context, actions[:, step]], dim=1)  # (E, C + 2)
-            mean, log_scale = self.posterior(inputs).chunk(2, 1)  # (E, Z) each
-            log_scale = log_scale.clamp(-5, 3)
-            scale = log_scale.exp()
-            kl.append((0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1))
-            return mean + scale * torch.randn(mean.shape, generator=generator, device=mean.device)
-
-        def choose_anchor(pose: Tensor, features: Tensor) -> Tensor:
-            nonlocal anchor_loss
-            past = truth[:, :history, :2]
-            noise = torch.randn(past.shape, generator=generator, device=past.device)
-            anchors, logits = self.anchors(pose, past + HISTORY_NOISE_M * noise, features)
-            target = truth[:, [history - 1 + step for step in self.anchors.steps], :2]
-            anchor_loss = compute_anchor_loss(anchors, logits, target, top_k)
-            return target
-
-        recurrent = self._encode_history(batch, actions)
-        states = self._roll_out(batch, recurrent, draw_latent, choose_anchor)  # (B, T, N, 4)
-        predicted = states[batch.controlled.segment, history:, batch.controlled.agent]
+        truth, actions = batch.truth, self._normalise_actions(batch)  # (E, T, 4), (E, T - 1, 2)
+        rollout, anchor_loss = self._start(batch, actions), truth.new_zeros(())
+        predicted, kl = [], []
+        for step in range(history - 1, segments.steps - 1):
+            rollout, context = self._look(rollout)
+            if self.config.num_anchors and step == history - 1:
+                anchor, anchor_loss = self._train_anchors(rollout, generator, top_k)
+                rollout = replace(rollout, anchor=anchor)
+            latent, divergence = self._draw_posterior(context, actions[:, step], generator)
+            action, rollout = self._act(rollout, context, latent)
+            rollout = self._move(rollout, action)
+            predicted.append(rollout.pose)
+            kl.append(divergence)
         scales = truth.new_tensor([1.0, 1.0, self.config.heading_scale, SPEED_SCALE_S])
-        error = _subtract(predicted, truth[:, history:]) * (scales / self.config.sigma)
-        nll = 0.5 * error.square().sum(dim=2).mean()
+        error = _subtract(torch.stack(predicted, dim=1), truth[:, history:])
+        nll = 0.5 * (error * (scales / self.config.sigma)).square().sum(dim=2).mean()
         return Losses(nll, torch.stack(kl, dim=1).mean(), anchor_loss)
 
-    @torch.no_grad()
     def sample(
         self,
         segments: Segments,
@@ -176,10 +141,14 @@ class ITRA(nn.Module):
         *,
         history: int,
         samples: int,
-        generator: torch.Generator,
+        generator: torch.Generator | None = None,
         latent_scale: float = 1.0,
-    ) -> Float[Tensor, "B K T N 4"]:
+        latents: Float[Tensor, "B K N t Z"] | None = None,
+        gradients: bool = False,
+    ) -> Float[Tensor, "B K N T 4"]:
         """Sample joint futures of all controlled agents; all others replay.
+
+        It is `start`, then `step` in a loop, with the same samples for the same seed.
 
         Args:
             segments: segments, whose first steps are observed; later steps of controlled agents are
@@ -188,93 +157,195 @@ class ITRA(nn.Module):
                 before (`prefilter_ground`), which saves time over many calls.
             history: observed steps.
             samples: K futures to draw.
-            generator: source of the noise, on the segments' device.
+            generator: source of the noise, on the segments' device; None: `latents` are given.
             latent_scale: factor on the prior's standard deviation.
+            latents: (B, K, N, t, Z) latents of the t predicted steps; those of agents that are not
+                controlled are not used. None: drawn from the prior.
+            gradients: whether gradients pass, to latents, states, the ground and the weights.
 
         Returns:
             States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
             ones included.
 
         Raises:
+            ValueError: the segments do not fit the model, or latents have another shape.
+        """
+        horizon = segments.steps - history
+        if latents is not None:
+            shape = len(segments), samples, segments.agents, horizon, self.config.latent_size
+            check_shape("latents", latents, shape)
+        with torch.set_grad_enabled(gradients):
+            rollout = self.start(segments, ground, history=history, samples=samples)
+            path = list(rollout.batch.segments.states[:, :, :history].unbind(2))
+            for number in range(horizon):
+                latent = None
+                if latents is not None:
+                    row, agent = rollout.batch.controlled.segment, rollout.batch.controlled.agent
+                    latent = latents.flatten(0, 1)[row, agent, number]
+                elif generator is not None:
+                    latent = latent_scale * self.draw_latent(rollout, generator)
+                rollout = self.step(rollout, latent)
+                path.append(rollout.states)
+            states = torch.stack(path, dim=2)
+        return states.view(len(segments), samples, *states.shape[1:])
+
+    def start(
+        self, segments: Segments, ground: Ground, *, history: int, samples: int = 1
+    ) -> Rollout:
+        """Encode the observed steps of segments, for `step` to go on from.
+
+        Args:
+            segments: as in `sample`. Agents that someone else moves are not `controlled`.
+            ground: the map, as in `sample`.
+            history: observed steps.
+            samples: K futures of each segment, which are rows next to each other.
+
+        Returns:
+            The rollout at the last observed step.
+
+        Raises:
             ValueError: the segments do not fit the model.
         """
         ground = prefilter_ground(ground, self.config.resolution)
         one = self._index(segments, ground, history)
-        features, hidden = self._encode_history(one, self._normalise_actions(one))
-        number = segments.controlled.long()  # (B, N) row of each controlled agent
-        number[one.controlled.segment, one.controlled.agent] = torch.arange(
-            len(one.truth), device=number.device
-        )
-        repeated = repeat(segments, samples)
-        batch = _Batch(repeated, ground, index_controlled(repeated), history)
-        segment = batch.controlled.segment
-        row = number[segment // samples, batch.controlled.agent]  # (E K,)
-        recurrent = features[row], hidden[row]
+        rollout = self._start(one, self._normalise_actions(one))
+        return repeat_rollout(rollout, samples)
 
-        def draw_latent(context: Tensor, step: int) -> Tensor:
-            shape = (len(context), self.config.latent_size)
-            return latent_scale * torch.randn(shape, generator=generator, device=context.device)
+    def draw_latent(self, rollout: Rollout, generator: torch.Generator) -> Float[Tensor, "E Z"]:
+        """Draw the latents of a step of all controlled agents from the prior."""
+        shape = len(rollout.hidden), self.config.latent_size
+        return torch.randn(shape, generator=generator, device=rollout.hidden.device)
 
-        def choose_anchor(pose: Tensor, features: Tensor) -> Tensor:
-            anchors, logits = self.anchors(pose, batch.truth[:, :history, :2], features)
-            return select_anchor(anchors, logits, segment % samples)
+    def step(self, rollout: Rollout, latent: Float[Tensor, "E Z"] | None = None) -> Rollout:
+        """Move all controlled agents by one step; all others are where the segments have them.
 
-        states = self._roll_out(batch, recurrent, draw_latent, choose_anchor)  # (B K, T, N, 4)
-        return states.view(len(segments), samples, *states.shape[1:])
+        Nothing inside the model changes; to let somebody else drive an agent, replace its states in
+        the result (`Rollout.place`) before the next step, which the others then see.
 
-    def _encode_history(self, batch: _Batch, actions: Float[Tensor, "E t 2"]) -> Recurrent:
+        Args:
+            rollout: from `start` or `step`.
+            latent: (E, Z) latents of the controlled agents (`draw_latent`); None: the prior's mean.
+
+        Returns:
+            The rollout at the next step.
+
+        Raises:
+            ValueError: the segments end at this step, or latents have another shape.
+        """
+        action, acted = self.act(rollout, latent)
+        return self._move(acted, action)
+
+    def act(
+        self, rollout: Rollout, latent: Float[Tensor, "E Z"] | None = None
+    ) -> tuple[Float[Tensor, "E 2"], Rollout]:
+        """Decode the actions of all controlled agents, and update what the model remembers.
+
+        Args:
+            rollout: from `start` or `step`.
+            latent: (E, Z) latents of the controlled agents (`draw_latent`); None: the prior's mean.
+
+        Returns:
+            (E, 2) actions, normalised; and the rollout, whose agents have not yet moved.
+
+        Raises:
+            ValueError: as in `step`.
+        """
+        if rollout.index + 1 >= rollout.batch.segments.steps:
+            raise ValueError(f"the segments end at step {rollout.index}; none is left to predict")
+        shape = len(rollout.hidden), self.config.latent_size
+        latent = rollout.hidden.new_zeros(shape) if latent is None else latent
+        check_shape("latent", latent, shape)
+        rollout, context = self._look(rollout)
+        if self.config.num_anchors and rollout.anchor is None:
+            past = rollout.batch.truth[:, : rollout.batch.history, :2]
+            proposals = self.anchors(rollout.pose, past, rollout.features)
+            rank = rollout.batch.controlled.segment % rollout.samples
+            rollout = replace(rollout, anchor=select_anchor(*proposals, rank))
+        return self._act(rollout, context, latent)
+
+    def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
+        """Convert normalised actions to those of the motion model, such as m/s² and radians."""
+        return action * action.new_tensor(self.motion.scale)
+
+    def _start(self, batch: Batch, actions: Float[Tensor, "E t 2"]) -> Rollout:
         """Replay all observed steps but the last one, and update hidden states on the way."""
-        controlled, sizes = batch.controlled, batch.sizes
+        sizes = batch.sizes
         features = sizes.new_zeros(len(sizes), self.config.feature_size)
         hidden = sizes.new_zeros(len(sizes), self.config.hidden_size)
         for step in range(batch.history - 1):
-            states = batch.segments.states[:, step]  # (B, N, 4)
+            states = batch.segments.states[:, :, step]  # (B, N, 4)
             features = self._encode_view(batch, states, step, features)  # (E, F)
-            attributes = _normalise_attributes(states[controlled.segment, controlled.agent], sizes)
+            attributes = normalise_attributes(batch.truth[:, step], sizes)
             inputs = torch.cat([features, actions[:, step], attributes], dim=1)  # (E, F + 2 + 3)
             updated = self.update_hidden(inputs, hidden)  # (E, H)
             # the hidden state of an agent that enters later stays zero until then
             present = batch.present[:, step : step + 2].all(dim=1, keepdim=True)
             hidden = torch.where(present, updated, hidden)
-        return features, hidden
+        last = batch.history - 1
+        return Rollout(batch, last, batch.segments.states[:, :, last], features, hidden)
 
-    def _roll_out(
+    def _look(self, rollout: Rollout) -> tuple[Rollout, Float[Tensor, "E C"]]:
+        """Encode the views; also gives the context of all decisions."""
+        index, before = rollout.index, rollout.features
+        features = self._encode_view(rollout.batch, rollout.states, index, before)  # (E, F)
+        attributes = normalise_attributes(rollout.pose, rollout.batch.sizes)  # (E, 3)
+        context = torch.cat([features, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
+        return replace(rollout, features=features), context
+
+    def _act(
+        self, rollout: Rollout, context: Float[Tensor, "E C"], latent: Float[Tensor, "E Z"]
+    ) -> tuple[Float[Tensor, "E 2"], Rollout]:
+        """Decode normalised actions, and update the hidden states by them."""
+        inputs, total = [context, latent], rollout.batch.segments.steps
+        if rollout.anchor is not None:
+            remaining = (total - 1 - rollout.index) / total
+            inputs.append(encode_anchor(rollout.pose, rollout.anchor, remaining))
+        action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
+        action = MAX_ACTION * torch.tanh(action / MAX_ACTION)
+        attributes = context[:, -ATTRIBUTES:]
+        seen = torch.cat([rollout.features, action, attributes], dim=1)  # (E, F + 2 + 3)
+        return action, replace(rollout, hidden=self.update_hidden(seen, rollout.hidden))
+
+    def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
+        """Move the controlled agents by their actions."""
+        batch, controlled = rollout.batch, rollout.batch.controlled
+        lengths = batch.sizes[:, 0]
+        after = self.motion.step(
+            rollout.pose, self.scale_action(action), lengths, batch.segments.dt
+        )  # (E, 4)
+        states = batch.segments.states[:, :, rollout.index + 1].index_put(
+            (controlled.segment, controlled.agent), after
+        )
+        return replace(rollout, index=rollout.index + 1, states=states)
+
+    def _draw_posterior(
         self,
-        batch: _Batch,
-        recurrent: Recurrent,
-        draw_latent: DrawLatent,
-        choose_anchor: ChooseAnchor,
-    ) -> Float[Tensor, "B T N 4"]:
-        """Roll controlled agents out from the last observed step; all others replay."""
-        segments, controlled, sizes = batch.segments, batch.controlled, batch.sizes
-        first, total = batch.history - 1, segments.states.shape[1]
-        (features, hidden), anchor = recurrent, None
-        states = segments.states[:, first]  # (B, N, 4)
-        path = list(segments.states[:, : batch.history].unbind(dim=1))
-        for step in range(first, total - 1):
-            pose = states[controlled.segment, controlled.agent]  # (E, 4)
-            attributes = _normalise_attributes(pose, sizes)  # (E, 3)
-            features = self._encode_view(batch, states, step, features)  # (E, F)
-            context = torch.cat([features, hidden, attributes], dim=1)  # (E, F + H + 3)
-            if self.config.num_anchors and step == first:
-                anchor = choose_anchor(pose, features)  # (E, P, 2)
-            inputs = [context, draw_latent(context, step)]
-            if anchor is not None:
-                inputs.append(_encode_anchor(pose, anchor, (total - 1 - step) / total))
-            action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
-            action = MAX_ACTION * torch.tanh(action / MAX_ACTION)
-            action_in_units = action * action.new_tensor(self.motion.scale)
-            after = self.motion.step(pose, action_in_units, sizes[:, 0], segments.dt)  # (E, 4)
-            hidden = self.update_hidden(torch.cat([features, action, attributes], dim=1), hidden)
-            states = segments.states[:, step + 1].index_put(
-                (controlled.segment, controlled.agent), after
-            )
-            path.append(states)
-        return torch.stack(path, dim=1)
+        context: Float[Tensor, "E C"],
+        action: Float[Tensor, "E 2"],
+        generator: torch.Generator,
+    ) -> tuple[Float[Tensor, "E Z"], Float[Tensor, "E"]]:
+        """Draw latents given the true actions; also gives the divergence from the prior, nats."""
+        mean, log_scale = self.posterior(torch.cat([context, action], dim=1)).chunk(2, 1)
+        log_scale = log_scale.clamp(-5, 3)
+        scale = log_scale.exp()
+        divergence = (0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1)
+        noise = torch.randn(mean.shape, generator=generator, device=mean.device)
+        return mean + scale * noise, divergence
+
+    def _train_anchors(
+        self, rollout: Rollout, generator: torch.Generator, top_k: int
+    ) -> tuple[Float[Tensor, "E P 2"], Float[Tensor, ""]]:
+        """The true points, which decoders follow in training, and the proposals' loss."""
+        truth, history = rollout.batch.truth, rollout.batch.history
+        past = truth[:, :history, :2]
+        noise = torch.randn(past.shape, generator=generator, device=past.device)
+        proposals = self.anchors(rollout.pose, past + HISTORY_NOISE_M * noise, rollout.features)
+        target = truth[:, [history - 1 + step for step in self.anchors.steps], :2]
+        return target, compute_anchor_loss(*proposals, target, top_k)
 
     def _encode_view(
         self,
-        batch: _Batch,
+        batch: Batch,
         states: Float[Tensor, "B N 4"],
         step: int,
         features: Float[Tensor, "E F"],
@@ -289,7 +360,7 @@ class ITRA(nn.Module):
         return torch.where(batch.present[:, step, None], encoded, features)
 
     def _encode(
-        self, batch: _Batch, states: Float[Tensor, "B N 4"], step: int, controlled: Controlled
+        self, batch: Batch, states: Float[Tensor, "B N 4"], step: int, controlled: Controlled
     ) -> Float[Tensor, "e F"]:
         """Render and encode the views of some of the controlled agents."""
         views = render_observation(
@@ -301,52 +372,17 @@ class ITRA(nn.Module):
         with torch.autocast(device, dtype=torch.bfloat16, enabled=device == "cuda"):
             return self.encoder((views - 0.5).to(memory_format=torch.channels_last))
 
-    def _normalise_actions(self, batch: _Batch) -> Float[Tensor, "E t 2"]:
+    def _normalise_actions(self, batch: Batch) -> Float[Tensor, "E t 2"]:
         """Compute the ground-truth actions of all steps, normalised."""
         before, after = batch.truth[:, :-1], batch.truth[:, 1:]
         actions = self.motion.inverse(before, after, batch.sizes[:, :1], batch.segments.dt)
         return (actions / actions.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
 
-    def _index(self, segments: Segments, ground: Ground, history: int) -> _Batch:
+    def _index(self, segments: Segments, ground: Ground, history: int) -> Batch:
         """Index the controlled agents of segments, and check that they fit the model."""
-        config, total = self.config, segments.states.shape[1]
-        if abs(segments.dt - config.dt) > DT_TOLERANCE_S:
-            raise ValueError(f"segments have a dt of {segments.dt:g} s, the model {config.dt:g} s")
-        if not 1 <= history < total:
-            raise ValueError(
-                f"history is {history}, but the segments have {total} steps; give 1 to "
-                f"{total - 1}, so that a step remains to predict"
-            )
-        if not segments.controlled.any():
-            raise ValueError("no agent in these segments is controlled")
-        batch = _Batch(segments, ground, index_controlled(segments), history)
-        if config.num_anchors:
-            if (history, total - history) != (config.history, config.horizon):
-                raise ValueError(
-                    f"history is {history} and the segments have {total} steps; the model's "
-                    f"proposals need a history of {config.history} and "
-                    f"{config.history + config.horizon} steps"
-                )
-            if not batch.present[:, :history].all():
-                raise ValueError(
-                    f"proposals need agents that are present in all {history} observed steps"
-                )
+        batch = Batch(segments, ground, index_controlled(segments), history)
+        check_fits(self.config, batch)
         return batch
-
-
-def _normalise_attributes(
-    pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]
-) -> Float[Tensor, "E 3"]:
-    """Speed, length and width of agents, normalised."""
-    return torch.cat([pose[:, 3:] / 10, sizes / 5], dim=1)
-
-
-def _encode_anchor(
-    pose: Float[Tensor, "E 4"], anchor: Float[Tensor, "E P 2"], remaining: float
-) -> Float[Tensor, "E _"]:
-    """A proposal in the agent's frame, normalised, and the share of steps that remain."""
-    local = agent_from_world(pose[:, None], anchor) / ANCHOR_SCALE_M
-    return torch.cat([local.flatten(1), torch.full_like(pose[:, :1], remaining)], dim=1)
 
 
 def _subtract(states: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> Tensor:

@@ -8,18 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.prediction.segments import VEHICLE, Segments
-from geoaim.simulation.infractions import detect_offroad, detect_red_light_running
-from geoaim.simulation.overlap import box_iou
-from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
-from geoaim.tracks.lights import UNKNOWN
+from geoaim.prediction.segments import VEHICLE, Segments, repeat
+from geoaim.simulation.input_checks import check_shape
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules_to_any
+from geoaim.simulation.scene_infractions import Motion, find_infractions
 
 BOOTSTRAP_DRAWS = 1000
 CONFIDENCE = 0.95
+# names of metrics by those of infractions
+RATES = {"collision": "collision rate", "off road": "off-road rate", "red light": "red-light rate"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +38,7 @@ class Metric:
 
 
 def compute_metrics(
-    futures: Float[Tensor, "B K T N 4"],
+    futures: Float[Tensor, "B K N T 4"],
     segments: Segments,
     history: int,
     rules: RoadRules = NO_ROAD_RULES,
@@ -50,7 +51,7 @@ def compute_metrics(
       et al. 2023).
     - `MFD`: maximum final distance between two samples (Ścibior et al. 2021).
     - `collision rate`, `off-road rate`: share of agents, samples and predicted steps (Lioutas et
-      al. 2021), by `detect_collisions` and `detect_offroad`; contacts count as collisions here.
+      al. 2021), by `find_infractions`; contacts count as collisions here.
       `red-light rate`: the same, of vehicles' steps that start with known lights. Rates without any
       summand are left out.
 
@@ -58,29 +59,64 @@ def compute_metrics(
         futures: states of all agents, observed steps included.
         segments: the ground truth.
         history: observed steps.
-        rules: road rules (where vehicles may drive).
+        rules: road rules (where vehicles may drive), moved to the segments' world.
 
     Returns:
         Metrics by name: displacements in metres, rates between 0 and 1.
+
+    Raises:
+        ValueError: the futures have another shape than the segments, or no samples.
+        MapError: the rules are of a world from which moving is not exact.
     """
+    check_futures(futures, segments, history)
+    rules = move_rules_to_any(rules, segments.worlds)
     controlled = segments.controlled
     count = controlled.sum(dim=1)
     metrics = {}
-    errors_at_end = (futures[:, :, -1, :, :2] - segments.states[:, None, -1, :, :2]).norm(dim=-1)
+    errors_at_end = (futures[..., -1, :2] - segments.states[:, None, :, -1, :2]).norm(dim=-1)
     for name, errors in (("ADE", compute_ade(futures, segments, history)), ("FDE", errors_at_end)):
         best = torch.where(controlled, errors.amin(dim=1), 0.0).sum(dim=1)
         metrics[f"min{name}"] = _make_metric(best, count)
         joint = torch.where(controlled[:, None], errors, 0.0).sum(dim=2).amin(dim=1)
         metrics[f"joint min{name}"] = _make_metric(joint, count)
-    ends = futures[:, :, -1, :, :2].transpose(1, 2)  # (B, N, K, 2)
+    ends = futures[..., -1, :2].transpose(1, 2)  # (B, N, K, 2)
     distances = (ends[:, :, :, None] - ends[:, :, None]).norm(dim=-1).amax(dim=(2, 3))
     mfd = torch.where(controlled, distances, 0.0).sum(dim=1)
     metrics["MFD"] = _make_metric(mfd, count)
     return metrics | _compute_infraction_rates(futures, segments, history, rules)
 
 
+def check_futures(
+    futures: Float[Tensor, "B K N T 4"],
+    segments: Segments,
+    history: int,
+    samples: int | None = None,
+) -> None:
+    """Check what a predictor returned.
+
+    Args:
+        futures: states of all agents.
+        segments: the segments that it predicted.
+        history: observed steps.
+        samples: K, the number that was asked for; None: any.
+
+    Raises:
+        ValueError: futures have another shape, axes in another order, or a state of a controlled
+            agent that is not finite.
+    """
+    given = futures.shape[1] if samples is None and futures.ndim == 5 else samples or 1
+    check_shape(
+        "futures (segments, samples, agents, steps, 4)",
+        futures,
+        (len(segments), max(1, given), segments.agents, segments.steps, 4),
+    )
+    finite = futures[..., history:, :].isfinite().flatten(3).all(dim=3).all(dim=1)  # (B, N)
+    if not finite[segments.controlled].all():
+        raise ValueError("futures: a controlled agent has a state that is not finite")
+
+
 def compute_ade(
-    futures: Float[Tensor, "B K T N 4"], segments: Segments, history: int
+    futures: Float[Tensor, "B K N T 4"], segments: Segments, history: int
 ) -> Float[Tensor, "B K N"]:
     """Compute the average displacement error of every sample.
 
@@ -92,8 +128,8 @@ def compute_ade(
     Returns:
         Mean distance from the ground truth over predicted steps, metres.
     """
-    offsets = futures[:, :, history:, :, :2] - segments.states[:, None, history:, :, :2]
-    return offsets.norm(dim=-1).mean(dim=2)
+    offsets = futures[..., history:, :2] - segments.states[:, None, :, history:, :2]
+    return offsets.norm(dim=-1).mean(dim=-1)
 
 
 def bootstrap_interval(
@@ -181,56 +217,36 @@ def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
 
 
 def _compute_infraction_rates(
-    futures: Float[Tensor, "B K T N 4"], segments: Segments, history: int, rules: RoadRules
+    futures: Float[Tensor, "B K N T 4"], segments: Segments, history: int, rules: RoadRules
 ) -> dict[str, Metric]:
     """Shares of agents, samples and steps that collide, are off the road or run a red light."""
-    poses = futures[:, :, history - 1 :, :, :3]  # (B, K, 1 + t, N, 3)
-    after = poses[:, :, 1:]
-    present = segments.present[:, None, history:].expand(*after.shape[:4])
-    controlled = present & segments.controlled[:, None, None]
-    sizes = segments.sizes[:, None, None].expand(*present.shape, 2)
-    iou = box_iou(after.flatten(0, 2), sizes.flatten(0, 2), present.flatten(0, 2))
-    rates = {"collision rate": _make_rate((iou > 0).any(-1).view(present.shape), controlled)}
-    vehicles = controlled & (segments.layers == VEHICLE)[:, None, None]
-    if rules.drivable is not None and vehicles.any():
-        offroad, known = detect_offroad(rules.drivable, after, sizes, vehicles)
-        rates["off-road rate"] = _make_rate(offroad, known)
-    states = segments.light_states[:, history - 1 : -1]  # (B, t, L)
-    known = (states != UNKNOWN).any(dim=2)[:, None, :, None]
-    if known.any() and vehicles.any():
-        violations = _find_red_light_violations(poses, segments, states, vehicles)
-        rates["red-light rate"] = _make_rate(violations, vehicles & known)
-    return rates
-
-
-def _find_red_light_violations(
-    poses: Float[Tensor, "B K _ N 3"],
-    segments: Segments,
-    light_states: Int[Tensor, "B t L"],
-    vehicles: Bool[Tensor, "B K t N"],
-) -> Bool[Tensor, "B K t N"]:
-    """Mask of vehicles that cross a stop line in a step while its light is red."""
-    leading = vehicles.shape[:3]
-    arguments = (
-        poses[:, :, :-1],
-        poses[:, :, 1:],
-        segments.sizes[:, None, None, :, 0],
-        vehicles,
-        segments.stop_lines[:, None, None],
-        light_states[:, None],
+    count, samples = futures.shape[:2]
+    many = repeat(segments, samples)  # (B K, ...)
+    motion = Motion(
+        poses=futures[..., history - 1 :, :3].flatten(0, 1),
+        present=many.present[..., history - 1 :],
+        sizes=many.sizes,
+        vehicles=many.layers == VEHICLE,
+        stop_lines=many.stop_lines,
+        light_states=many.light_states[:, history - 1 : -1],
     )
-    flat = (x.expand(*leading, *x.shape[3:]).flatten(0, 2) for x in arguments)
-    return detect_red_light_running(*flat).view(vehicles.shape)
+    drivable = RoadRules(rules.drivable)  # the wrong way is not counted
+    found = find_infractions(motion, many.controlled, drivable)
+    collided, judged = found.pop("collision")
+    found["collision"] = collided | found["contact"][0], judged
+    return {
+        rate: _make_metric(*(x.reshape(count, -1).sum(dim=1) for x in (marks & on, on)))
+        for name, rate in RATES.items()
+        if name in found
+        for marks, on in [found[name]]
+        if name == "collision" or on.any()
+    }
 
 
 def _average_draws(metric: Metric, draws: Int[Array, "D B"]) -> Float[Array, "D"]:
     counts = metric.counts[draws].sum(axis=1)
     sums = metric.sums[draws].sum(axis=1)
     return np.where(counts > 0, sums / np.maximum(counts, 1e-9), np.nan)
-
-
-def _make_rate(violations: Bool[Tensor, "B K t N"], agents: Bool[Tensor, "B K t N"]) -> Metric:
-    return _make_metric((violations & agents).sum(dim=(1, 2, 3)), agents.sum(dim=(1, 2, 3)))
 
 
 def _make_metric(sums: Tensor, counts: Tensor) -> Metric:

@@ -43,7 +43,7 @@ def split_views(
         parts = (torch.split(index, MAX_VIEWS) for index in (controlled.segment, controlled.agent))
         yield from (Controlled(*part) for part in zip(*parts, strict=True))
         return
-    segment, agent = segments.present[:, step].cpu().nonzero().unbind(1)
+    segment, agent = segments.present[:, :, step].cpu().nonzero().unbind(1)
     largest = float(segments.sizes.norm(dim=2).max())
     reach = (np.hypot(view.height, view.width) * view.resolution + largest) / 2 + MARGIN_M
     positions = _stack_segments(states, reach)

@@ -67,7 +67,7 @@ def render_observation(
     layers, sizes = (_gather_agents(x, controlled) for x in (segments.layers, segments.sizes))
     seen = torch.arange(states.shape[1], device=states.device)
     seen = seen[None] if controlled.seen is None else controlled.seen
-    visible = _gather_agents(segments.present[:, step], controlled)
+    visible = _gather_agents(segments.present[:, :, step], controlled)
     visible = visible & (seen != controlled.agent[:, None]) & (seen >= 0)  # (E, n)
     white = sizes.new_ones(3)
     boxes = [

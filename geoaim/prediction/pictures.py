@@ -62,7 +62,9 @@ def _make_figure(futures: Futures) -> Figure:
     return Figure(figsize=(sides[0], sides[1]), dpi=100, layout="constrained")
 
 
-def write_futures(futures: Futures, path: str | os.PathLike[str], *, world: World) -> None:
+def write_futures(
+    futures: Futures, path: str | os.PathLike[str], *, world: World | None = None
+) -> None:
     """Write a CSV with a row for each sample, step and agent that is present in it.
 
     It begins with the comment lines of the tracks format (`# crs`, `# origin`). Columns are sample,
@@ -71,11 +73,11 @@ def write_futures(futures: Futures, path: str | os.PathLike[str], *, world: Worl
     Args:
         futures: the futures from `predict`.
         path: path of the file.
-        world: the world of the scene.
+        world: the world of the scene; None: its own.
     """
     scene = futures.scene
     with atomic_write(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        file.write(format_world(world))
+        file.write(format_world(world or futures.world or World(None)))
         for sample, future in enumerate(futures.states):  # a table of all takes much memory
             agent, step = torch.isfinite(future[..., 0]).nonzero().cpu().numpy().T
             values = future.double().cpu().numpy()[agent, step].round(4)

@@ -7,7 +7,8 @@ from geoaim.base.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
 from geoaim.prediction.futures import Futures
-from geoaim.prediction.itra import DT_TOLERANCE_S, ITRA
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.rollouts import DT_TOLERANCE_S
 from geoaim.simulation.scene import Scene
 
 
@@ -57,9 +58,9 @@ def predict(
     segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     futures = model.sample(
         segment, scene.ground, history=history, samples=samples, generator=generator
-    )[0, :, history:]  # (K, T, N, 4)
-    present = segment.present[0, history:, :, None]
-    states = torch.where(present, futures, torch.nan).transpose(1, 2)
+    )[0, :, :, history:]  # (K, N, T, 4)
+    present = segment.present[0, :, history:, None]
+    states = torch.where(present, futures, torch.nan)
     return Futures(states, scene, start, config.dt)
 
 

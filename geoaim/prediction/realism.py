@@ -12,10 +12,10 @@ from torch import Tensor
 
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.likelihood import CONFIG_2024, Estimator, estimate_log_likelihood
-from geoaim.prediction.metrics import Metric
+from geoaim.prediction.metrics import Metric, check_futures
 from geoaim.prediction.realism_features import compute_features
 from geoaim.prediction.segments import Segments, pick
-from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
+from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules, move_rules_to_any
 
 MIN_HISTORY_STEPS = 2  # steps before the first simulated one, whose acceleration needs them
 
@@ -32,7 +32,7 @@ BINARY_FEATURES = {  # binary features: 1 if the feature times this sign is posi
 
 
 def compute_realism(
-    futures: Float[Tensor, "B K T N 4"],
+    futures: Float[Tensor, "B K N T 4"],
     segments: Segments,
     history: int,
     rules: RoadRules = NO_ROAD_RULES,
@@ -59,6 +59,8 @@ def compute_realism(
     """
     if history < MIN_HISTORY_STEPS:
         raise ValueError(f"history={history}; {MIN_HISTORY_STEPS} or more steps are needed")
+    check_futures(futures, segments, history)
+    rules = move_rules_to_any(rules, segments.worlds)
     scores: dict[str, list[Tensor]] = {}
     for number in range(len(segments)):
         segment = pick(segments, slice(number, number + 1))
@@ -101,8 +103,8 @@ def compute_realism_of_futures(
     sampled = recorded.repeat(len(futures.states), 1, 1, 1)
     sampled[:, controlled, futures.start + 1 :] = futures.states[:, controlled]
     segment = Segments(
-        states=recorded[None].transpose(1, 2),
-        present=scene.present[None, :, :end].transpose(1, 2),
+        states=recorded[None],
+        present=scene.present[None, :, :end],
         sizes=scene.sizes[None],
         layers=torch.zeros(1, len(scene.ids), dtype=torch.long),
         controlled=controlled[None],
@@ -111,9 +113,8 @@ def compute_realism_of_futures(
         light_states=scene.light_states[None, :end],
         dt=futures.dt,
     )
-    metrics = compute_realism(
-        sampled.transpose(1, 2)[None], segment, futures.start + 1, rules, config
-    )
+    rules = move_rules(rules, scene.world)
+    metrics = compute_realism(sampled[None], segment, futures.start + 1, rules, config)
     return {name: metric.mean for name, metric in metrics.items()}
 
 
@@ -132,21 +133,19 @@ def summarise_groups(
 
 
 def _score_segment(
-    futures: Float[Tensor, "K T N 4"],
+    futures: Float[Tensor, "K N T 4"],
     segment: Segments,
     history: int,
     rules: RoadRules,
     config: Mapping[str, Estimator],
 ) -> dict[str, Tensor]:
     """The likelihood of each feature, averaged over agents and steps."""
-    controlled, present = segment.controlled[0], segment.present[0].t()  # (N,), (N, T)
-    if not futures[:, history:, controlled].isfinite().all():
-        raise ValueError("a controlled agent has a state that is not finite")
+    controlled, present = segment.controlled[0], segment.present[0]  # (N,), (N, T)
     simulated = present.clone()
     simulated[:, history:] |= controlled[:, None]
     log, samples = (
         compute_features(
-            states[..., :3].transpose(1, 2),
+            states[..., :3],
             there.expand(len(states), -1, -1),
             segment.sizes[0],
             controlled,

@@ -120,8 +120,8 @@ def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
     states = torch.cat([paths, heading[..., None], speed[..., None]], dim=2)
     every = torch.ones(count, 1, dtype=torch.bool)
     return Segments(
-        states=states[:, :, None],
-        present=every[:, None].expand(-1, steps, -1).clone(),
+        states=states[:, None],
+        present=every[..., None].expand(-1, -1, steps).clone(),
         sizes=torch.full((count, 1, 2), PEDESTRIAN_SIZE_M),
         layers=torch.full((count, 1), PEDESTRIAN),
         controlled=every,
@@ -134,7 +134,7 @@ def make_path_segments(paths: Float[Tensor, "B T 2"]) -> Segments:
 
 def reverse_paths(segments: Segments) -> Segments:
     """Reverse the paths of `make_path_segments` in time, as an augmentation."""
-    reversed_paths = make_path_segments(segments.states[:, :, 0, :2].flip(1))
+    reversed_paths = make_path_segments(segments.states[:, 0, :, :2].flip(1))
     return replace(reversed_paths, places=segments.places)
 
 

@@ -61,6 +61,8 @@ def stack_grounds(grounds: Sequence[Ground]) -> Ground:
         torch.cat(matrices),
         torch.cat(regions),
         first.averaged_over,
+        min(ground.finest for ground in grounds),
+        first.world if all(ground.world == first.world for ground in grounds) else None,
     )
 
 
@@ -79,6 +81,8 @@ def unstack_ground(ground: Ground) -> list[Ground]:
                 (matrix - offset)[None],
                 (region - region.new_tensor([left, top, left, top]))[None],
                 ground.averaged_over,
+                ground.finest,
+                ground.world,
             )
         )
     return parts

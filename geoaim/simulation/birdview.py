@@ -18,9 +18,9 @@ from torch import Tensor
 
 from geoaim.base.errors import warn
 from geoaim.simulation.boxes import OrientedBoxes, stack_layers
-from geoaim.simulation.drawing import Drawing, draw_with_torch
+from geoaim.simulation.drawing import Drawing, draw_with_torch, flatten_scenes
 from geoaim.simulation.ground import Ground, View
-from geoaim.simulation.input_checks import check_cameras, check_layers
+from geoaim.simulation.input_checks import check_cameras, check_layers, warn_of_aliasing
 
 
 def render(
@@ -29,7 +29,7 @@ def render(
     ground: Ground,
     boxes: Iterable[OrientedBoxes] = (),
     *,
-    present: Bool[Tensor, "B A"] | None = None,
+    present: Bool[Tensor, "*B"] | None = None,
 ) -> Float[Tensor, "*B C H W"]:
     """Render the pictures of all cameras.
 
@@ -39,7 +39,8 @@ def render(
     Args:
         view: size and resolution of the pictures.
         cameras: (B, 3) x and y, metres, and heading, radians; or (B, A, 3) of A views of each of B
-            scenes.
+            scenes. There may be more axes of scenes before A, which the boxes then have before
+            theirs, or none: (3,) is one view.
         ground: one map for all views, or one for each of the B views or scenes (see
             `Ground.select`); call `prefilter_ground` first where its pixels are smaller than the
             view's.
@@ -48,11 +49,15 @@ def render(
             pictures are 0. None: all.
 
     Returns:
-        (B, C, H, W) or (B, A, C, H, W) colours, contiguous.
+        (B, C, H, W) or (B, A, C, H, W) colours, contiguous; the cameras' axes come first.
 
     Raises:
         ValueError: shapes or dtypes do not match, the pose of a camera or of a present box is not
             finite, or a box's size is not positive.
+
+    Warns:
+        GeoaimWarning: the ground's pixels, averaged or not, are smaller than half of the view's, so
+            that the view aliases.
 
     >>> import torch
     >>> from geoaim.simulation.ground import make_ground
@@ -80,13 +85,13 @@ def render_layers(
     ground: Ground,
     boxes: Iterable[OrientedBoxes] = (),
     *,
-    present: Bool[Tensor, "B A"] | None = None,
+    present: Bool[Tensor, "*B"] | None = None,
 ) -> Float[Tensor, "*B K H W"]:
     """Render channels for models: the ground's colours, then a plane for each layer of boxes.
 
     Args:
         view: size and resolution of the pictures.
-        cameras: (B, 3) or (B, A, 3) x and y, metres, and heading, radians.
+        cameras: (B, 3), (B, A, 3) or more axes, as in `render`.
         ground: the map or maps, as in `render`.
         boxes: layers, whose colours are not used.
         present: which cameras exist, as in `render`.
@@ -118,17 +123,19 @@ def _set_plane_colours(layer: OrientedBoxes) -> OrientedBoxes:
 
 def _draw(drawing: Drawing, layers: Sequence[OrientedBoxes]) -> Float[Tensor, "*B C H W"]:
     """Draw by the compiled loops on CPUs, where numba is installed; else by torch."""
+    shape = drawing.cameras.shape[:-1]
+    drawing, layers = flatten_scenes(drawing, layers)
     check_cameras(drawing.cameras, drawing.ground, drawing.present)
     check_layers(layers, drawing.cameras)
+    warn_of_aliasing(drawing.view, drawing.ground)
     boxes = stack_layers(layers) if layers else None
     compiled = drawing.cameras.device.type == "cpu" and _has_kernel()
     if compiled:
         from geoaim.simulation.kernel.function import draw_with_kernel as draw
     else:
         draw = draw_with_torch
-    shape = drawing.cameras.shape[:-1]
     pictures = draw(drawing, boxes)
-    return pictures if len(shape) == 1 else pictures.view(*shape, *pictures.shape[1:])
+    return pictures.view(*shape, *pictures.shape[1:])
 
 
 @cache

@@ -12,10 +12,11 @@ from torch import Tensor
 class OrientedBoxes:
     """Oriented boxes in B scenes; later ones are painted over earlier ones.
 
+    Poses may have more axes of scenes, or none, as the cameras of `render`.
     Sizes, colours and presence broadcast: colours may be (C,), (1, C), (A, C) or (B, A, C).
     """
 
-    poses: Float[Tensor, "B A 3"]  # x and y of the centre, metres, and heading, radians
+    poses: Float[Tensor, "*B A 3"]  # x and y of the centre, metres, and heading, radians
     sizes: Float[Tensor, "... 2"]  # (B, A, 2), (A, 2) or (2,) length and width, metres
     colours: Float[Tensor, "... C"]  # (B, A, C), (A, C) or (C,)
     present: Bool[Tensor, "... A"] | None = None  # (B, A) or (A,); None: all are present

@@ -51,18 +51,18 @@ def collate_scenarios(scenarios: Sequence[Scenario]) -> Scenario:
     Raises:
         ValueError: there are none, or steps or dt differ.
     """
-    kinds = {(scenario.states.shape[1], scenario.dt) for scenario in scenarios}
+    kinds = {(scenario.states.shape[2], scenario.dt) for scenario in scenarios}
     if len(kinds) != 1:
         stated = ", ".join(f"{steps} steps of {dt:g} s" for steps, dt in sorted(kinds)) or "none"
         raise ValueError(f"scenarios of {stated}; one or more with the same steps are needed")
-    most = max(scenario.states.shape[2] for scenario in scenarios)
+    most = max(scenario.states.shape[1] for scenario in scenarios)
     parts = []
     for scenario in scenarios:
-        more = most - scenario.states.shape[2]
+        more = most - scenario.states.shape[1]
         parts.append(
             (
-                F.pad(scenario.states, (0, 0, 0, more)),
-                F.pad(scenario.present, (0, more)),
+                F.pad(scenario.states, (0, 0, 0, 0, 0, more)),
+                F.pad(scenario.present, (0, 0, 0, more)),
                 F.pad(scenario.sizes, (0, 0, 0, more), value=1.0),
                 F.pad(scenario.pedestrian, (0, more)),
             )

@@ -1,13 +1,14 @@
 """What the renderer draws, and how torch draws it: the ground, then fragments of boxes."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.simulation.boxes import StackedBoxes
+from geoaim.simulation.boxes import OrientedBoxes, StackedBoxes
 from geoaim.simulation.compositing import composite
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.rasterization import PixelBoxes, project_poses, rasterize
@@ -28,6 +29,41 @@ class Drawing:
     ground: Ground  # one map, or B
     present: Bool[Tensor, "*B"] | None  # which cameras exist; None: all
     planes: int = 0  # one for each layer of boxes, after the ground's channels; 0: boxes in colour
+
+
+def flatten_scenes(
+    drawing: Drawing, layers: Sequence[OrientedBoxes]
+) -> tuple[Drawing, Sequence[OrientedBoxes]]:
+    """Bring cameras of (3,) or (*S, A, 3), and the boxes of the scenes *S, to one axis of scenes.
+
+    What broadcasts over all scenes, such as one colour, stays as it is.
+    """
+    cameras, present = drawing.cameras, drawing.present
+    if cameras.ndim in (2, 3):
+        return drawing, layers
+    if cameras.ndim == 1:
+        present = None if present is None else present[None]
+        return replace(drawing, cameras=cameras[None], present=present), [
+            replace(layer, poses=layer.poses[None]) if layer.poses.ndim == 2 else layer
+            for layer in layers
+        ]
+    scenes = cameras.shape[:-2]
+    flat = replace(
+        drawing,
+        cameras=cameras.flatten(0, -3),
+        present=present if present is None else present.flatten(0, -2),
+    )
+    return flat, [_flatten_layer(layer, scenes) for layer in layers]
+
+
+def _flatten_layer(layer: OrientedBoxes, scenes: torch.Size) -> OrientedBoxes:
+    flat = {
+        field.name: value.flatten(0, len(scenes) - 1)
+        for field in fields(layer)
+        if (value := getattr(layer, field.name)) is not None
+        and value.shape[:-1][: len(scenes)] == scenes
+    }
+    return replace(layer, **flat)
 
 
 def draw_with_torch(drawing: Drawing, boxes: StackedBoxes | None) -> Float[Tensor, "V C H W"]:

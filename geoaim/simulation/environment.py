@@ -119,7 +119,7 @@ class DrivingEnv(gymnasium.Env[Float32[Array, "O"], Float32[Array, "2"]]):
                 another place.
         """
         check_even_steps(scene, len(scene.times))
-        check_rules(scene, rules)
+        rules = check_rules(scene, rules)
         self.scene, self.rules, self.reward, self.config = scene, rules, reward, config
         # shape (T, N, ...); in NumPy, which is faster than torch for few numbers
         self._states = scene.states.nan_to_num().transpose(0, 1).contiguous().numpy()

@@ -70,7 +70,7 @@ def simulate_scene(
         TracksError: the ego is unknown or absent, no agent can be controlled, or the rules are of
             another place.
     """
-    check_rules(scene, rules)
+    rules = check_rules(scene, rules)
     first, steps = _find_steps(scene, start, duration)
     controlled = _select_controlled(scene, first, steps, ego, vehicles=policy == "idm")
     given = scene, controlled, first, steps
@@ -147,7 +147,7 @@ def _simulate_idm(scene: Scene, controlled: Bool[Tensor, "A"], first: int, steps
     """
     scenario = simulator.make_scenario(scene, torch.tensor([first]), steps)
     rest = simulator.make_scenario(scene, torch.tensor([first]), len(scene.times) - first)
-    routes, desired_speeds = extract_routes(rest), rest.states[..., 3].amax(dim=1)
+    routes, desired_speeds = extract_routes(rest), rest.states[..., 3].amax(dim=2)
     given = routes, desired_speeds, scenario.sizes, controlled[None]
     act = make_idm_policy(*given, scene.stop_lines, scene.light_states[None, first:])
     states, present = rollout_routes(scenario, act, controlled[None], routes, history=HISTORY_STEPS)

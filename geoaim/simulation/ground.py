@@ -8,7 +8,10 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from geoaim.base.world import World
+
 GREY = 0.5
+MAX_BRIGHTNESS = 2.0  # interpolation may exceed 1 a little; colours from 0 to 255 exceed this
 MAX_FLOAT_SPACING_PX = 0.25  # largest spacing of neighbouring floats at a map, in its pixels
 MAX_AFFINE_ERROR = 1e-6  # tolerance for the last row of a (3, 3) transform, which must be 0, 0, 1
 
@@ -37,16 +40,26 @@ class Ground:
     """The textures of M maps in one image, and the place of each in its world.
 
     A batch of views shows one map if M is 1, else one map for each view: `select` chooses them.
+
+    Attributes:
+        image: (C, h, w) the textures, 0 to 1, each with a border of one pixel in the colour beyond
+            its edges; channels last in memory.
+        coverage: (1, h, w) 1 where a texture shows the ground, 0 where not and in the border.
+        image_from_world: (M, 2, 3) metres of each map to pixels (corner origin).
+        regions: (M, 4) left, top, right and bottom edge of each texture in the image, with its
+            border, pixels.
+        averaged_over: metres to a side, by `prefilter_ground`; 0: not averaged.
+        finest: metres per pixel of the finest texture; infinite: not known, or a plain colour.
+        world: the plane of the metres of all maps; None: not known, or there are several.
     """
 
-    # each texture has a border of one pixel in the colour beyond its edges; channels last in memory
     image: Float[Tensor, "C h w"]
-    # 1 where a texture shows the ground, 0 where not and in the border
     coverage: Float[Tensor, "1 h w"]
-    image_from_world: Float[Tensor, "M 2 3"]  # metres of each map to pixels (corner origin)
-    # left, top, right and bottom edge of each texture in the image, with its border, pixels
+    image_from_world: Float[Tensor, "M 2 3"]
     regions: Int[Tensor, "M 4"]
-    averaged_over: float = 0.0  # metres to a side, by `prefilter_ground`; 0: not averaged
+    averaged_over: float = 0.0
+    finest: float = math.inf
+    world: World | None = None
 
     @property
     def bounds(self) -> Float[Tensor, "M 2 2"]:
@@ -97,9 +110,9 @@ def make_ground(
         The ground, of the image's dtype and on its device.
 
     Raises:
-        ValueError: a transform is singular or not affine, the image has another dtype or a number
-            that is not finite, shapes do not match, or a map lies so far from its world's origin
-            that positions in its dtype are inexact.
+        ValueError: a transform is singular or not affine, the image has another dtype, a number
+            that is not finite or colours from 0 to 255, shapes do not match, or a map lies so far
+            from its world's origin that positions in its dtype are inexact.
 
     >>> maps = make_ground(torch.zeros(2, 3, 8, 8), torch.eye(3).expand(2, 3, 3))
     >>> maps.image.shape, maps.regions.tolist()
@@ -110,9 +123,10 @@ def make_ground(
     if coverage is None:
         coverage = torch.ones_like(images[:, 0], dtype=torch.bool)
     colour = images.new_full((1, channels, 1, 1), GREY)
+    is_plain = height == width == 1
     if outside is not None:
         colour = outside.to(images).view(1, -1, 1, 1)
-    elif height == width == 1:  # plain colours
+    elif is_plain:
         colour = images
     _check_images(images, coverage, colour.shape[1], len(matrices))
     _check_near(matrices, images.dtype)
@@ -130,6 +144,7 @@ def make_ground(
         coverage=F.pad(coverage.to(images), (1, 1, 1, 1)).view(1, count * rows, columns),
         image_from_world=matrices,
         regions=torch.stack([tops * 0, tops, torch.full_like(tops, columns), tops + rows], dim=1),
+        finest=math.inf if is_plain or not count else float(compute_resolutions(matrices).min()),
     )
 
 
@@ -156,6 +171,12 @@ def _check_images(
         raise ValueError(f"a texture of {images.dtype}; float32 or float64 is needed")
     if not torch.isfinite(images).all():
         raise ValueError("the texture has pixels that are not finite")
+    brightest = float(images.detach().max()) if images.numel() else 0.0
+    if brightest > MAX_BRIGHTNESS:
+        raise ValueError(
+            f"the texture has values up to {brightest:g}; colours are from 0 to 1: divide those "
+            "from 0 to 255 by 255"
+        )
     if coverage.shape[-2:] != images.shape[-2:] or outside != images.shape[1]:
         raise ValueError(
             f"the texture has the shape {tuple(images.shape[1:])}, its mask "

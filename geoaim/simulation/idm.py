@@ -64,9 +64,9 @@ def make_idm_policy(
         lines = intersect_stop_lines(routes.points, stop_lines)
     plan = make_plan(routes, sizes, controlled)
 
-    def act(scenario: Scenario, path: Float[Tensor, "B t A 4"]) -> Tensor:
-        now = path.shape[1] - 1
-        states, speed = path[:, -1], path[:, -1, :, 3].clamp_min(0)
+    def act(scenario: Scenario, path: Float[Tensor, "B A t 4"]) -> Tensor:
+        now = path.shape[2] - 1
+        states, speed = path[:, :, -1], path[:, :, -1, 3].clamp_min(0)
         here = locate(plan.points, states[..., :2])
         room = torch.where(routes.stops, routes.lengths - here, torch.inf)
         if lines is not None and light_states is not None:
@@ -74,7 +74,7 @@ def make_idm_policy(
             to_line = find_red_lights(lines, fronts, speed, light_states[:, now])
             room = torch.where(scenario.pedestrian, room, torch.minimum(room, to_line - STOP_GAP_M))
         standing = compute_gap_ratio(DRIVER, speed, speed, room + DRIVER.standstill_gap)
-        agents = locate_entries(plan, here, speed, scenario.present[:, now])
+        agents = locate_entries(plan, here, speed, scenario.present[:, :, now])
         ratio = torch.maximum(standing, _find_leaders(plan, agents).view_as(speed))
         acceleration = _accelerate(speed, desired_speeds, ratio)
         limited = limit_acceleration(plan, agents, acceleration.flatten(), scenario.dt)

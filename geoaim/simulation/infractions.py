@@ -102,7 +102,7 @@ def detect_collisions(
     poses: Float[Tensor, "B A 3"],
     sizes: Float[Tensor, "B A 2"],
     present: Bool[Tensor, "B A"],
-    vehicles: Bool[Tensor, "A"],
+    vehicles: Bool[Tensor, "*B A"],
 ) -> tuple[Bool[Tensor, "B A A"], Bool[Tensor, "B A A"]]:
     """Mark pairs of agents whose boxes overlap.
 
@@ -110,14 +110,14 @@ def detect_collisions(
         poses: (B, A, 3) x, y, heading.
         sizes: (B, A, 2) length and width, metres.
         present: (B, A); poses of absent agents may be NaN.
-        vehicles: (A) which agents are vehicles.
+        vehicles: (A,) or (B, A) which agents are vehicles.
 
     Returns:
         (B, A, A) collisions: overlaps of two boxes, at least one of which is a vehicle's. (B, A, A)
         contacts: overlaps of two others, such as pedestrians side by side.
     """
     overlaps = box_iou(poses, sizes, present) > 0
-    either = vehicles[:, None] | vehicles
+    either = vehicles[..., :, None] | vehicles[..., None, :]
     return overlaps & either, overlaps & ~either
 
 

@@ -6,10 +6,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from geoaim.base.errors import warn
 from geoaim.simulation.boxes import OrientedBoxes
-from geoaim.simulation.ground import Ground
+from geoaim.simulation.ground import Ground, View
 
 DTYPES = (torch.float32, torch.float64)
+MAX_FINENESS = 2.0  # a view with pixels so many times as large as the ground's aliases
 
 
 def check_cameras(
@@ -33,8 +35,8 @@ def check_cameras(
         )
     if cameras.ndim not in (2, 3) or cameras.shape[-1] != 3:
         raise ValueError(
-            f"cameras have shape {tuple(cameras.shape)}; (B, 3) or (B, A, 3) of x, y and heading "
-            "is needed"
+            f"cameras have shape {tuple(cameras.shape)}; (B, 3), or (B, A, 3) of A views of each "
+            "scene, of x, y and heading is needed"
         )
     views, maps = len(cameras), len(ground.regions)
     if maps not in (1, views):
@@ -48,6 +50,17 @@ def check_cameras(
                 f"present has shape {tuple(present.shape)} and cameras {tuple(cameras.shape)}; "
                 "give one truth value for each camera"
             )
+
+
+def warn_of_aliasing(view: View, ground: Ground) -> None:
+    """Warn of a ground much finer than the view that was not averaged for it."""
+    pixel = max(ground.finest, ground.averaged_over)
+    if pixel < view.resolution / MAX_FINENESS:
+        warn(
+            f"the ground has pixels of {pixel:.3g} m and the view of {view.resolution:.3g} m, so "
+            "that markings are hit or missed by chance; call prefilter_ground(ground, "
+            "view.resolution) before"
+        )
 
 
 def check_layers(layers: Sequence[OrientedBoxes], cameras: Float[Tensor, "*B 3"]) -> None:
@@ -82,3 +95,37 @@ def _check_dtypes(*dtypes: torch.dtype) -> None:
 def _check_mask(present: Tensor) -> None:
     if present.dtype != torch.bool:
         raise ValueError(f"present is a tensor of {present.dtype}; convert the mask by `.bool()`")
+
+
+def check_traffic(
+    states: Float[Tensor, "B N T 4"], **rest: tuple[Tensor, Sequence[str | int]]
+) -> None:
+    """Check tensors of agents against their states.
+
+    Args:
+        states: (B, N, T, 4).
+        rest: each tensor, and its axes: "B", "N" and "T" as in the states, or numbers.
+
+    Raises:
+        ValueError: a tensor has another shape; the message names the argument.
+    """
+    if states.ndim != 4 or states.shape[-1] != 4:
+        raise ValueError(
+            f"states have the shape {tuple(states.shape)}; (B, N, T, 4) of segments, agents, steps "
+            "and x, y, heading, speed is needed"
+        )
+    sides = dict(zip("BNT", states.shape[:3], strict=True))
+    for name, (tensor, axes) in rest.items():
+        shape = [axis if isinstance(axis, int) else sides[axis] for axis in axes]
+        if tuple(tensor.shape) != tuple(shape):
+            stated = ", ".join(map(str, axes))
+            raise ValueError(
+                f"{name} has the shape {tuple(tensor.shape)} and states {tuple(states.shape)}; "
+                f"({stated}) = {tuple(shape)} is needed"
+            )
+
+
+def check_shape(name: str, tensor: Tensor, shape: Sequence[int]) -> None:
+    """Raise ValueError, naming the argument, for a tensor of another shape than `shape`."""
+    if tuple(tensor.shape) != tuple(shape):
+        raise ValueError(f"{name} has the shape {tuple(tensor.shape)}; {tuple(shape)} is needed")

@@ -1,6 +1,7 @@
 """The renderer as a module of torch, for models that keep their map among their buffers."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
@@ -9,6 +10,8 @@ from geoaim.simulation.birdview import render, render_layers
 from geoaim.simulation.boxes import OrientedBoxes
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.prefiltering import prefilter_ground
+
+TENSORS = ("image", "coverage", "image_from_world", "regions")
 
 
 class Renderer(nn.Module):
@@ -34,15 +37,15 @@ class Renderer(nn.Module):
     def __init__(self, view: View, ground: Ground, *, planes: bool = False) -> None:
         super().__init__()
         ground = prefilter_ground(ground, view.resolution)
-        self.view, self.planes, self.averaged_over = view, planes, ground.averaged_over
-        for name in ("image", "coverage", "image_from_world", "regions"):
+        self.view, self.planes, self._given = view, planes, ground
+        for name in TENSORS:
             self.register_buffer(name, getattr(ground, name), persistent=False)
 
     @property
     def ground(self) -> Ground:
         """The maps, prefiltered for the view."""
-        tensors = self.image, self.coverage, self.image_from_world, self.regions
-        return Ground(*tensors, averaged_over=self.averaged_over)
+        tensors = {name: getattr(self, name) for name in TENSORS}
+        return replace(self._given, **tensors)
 
     def forward(
         self,
@@ -50,7 +53,7 @@ class Renderer(nn.Module):
         boxes: Iterable[OrientedBoxes] = (),
         *,
         maps: Int[Tensor, "B"] | None = None,
-        present: Bool[Tensor, "B A"] | None = None,
+        present: Bool[Tensor, "*B"] | None = None,
     ) -> Float[Tensor, "*B C H W"]:
         """Render the pictures of all cameras.
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -54,7 +55,14 @@ def _prefilter_map(ground: Ground, resolution: float, density: float) -> Ground:
     height, width = image.shape[1:]
     regions = ground.regions.new_tensor([[0, 0, width, height]])
     image = image.permute(1, 2, 0).contiguous().permute(2, 0, 1)
-    return Ground(image, coverage, matrix, regions, averaged_over=resolution)
+    return replace(
+        ground,
+        image=image,
+        coverage=coverage,
+        image_from_world=matrix,
+        regions=regions,
+        averaged_over=resolution,
+    )
 
 
 def _filter(

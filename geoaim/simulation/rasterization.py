@@ -115,8 +115,8 @@ def find_pixels(
     """
     half = sizes / 2 + HALF_DIAGONAL_PX
     v, reach = centre[:, 1], (axis.abs().flip(1) * half).sum(1)
-    top, bottom = _span_pixels(v - reach, v + reach, view.height)
-    box, row = _enumerate_spans(top, bottom)
+    top, bottom = span_pixels(v - reach, v + reach, view.height)
+    box, row = enumerate_spans(top, bottom)
     u, v, right, down, length, width = torch.cat([centre, axis, half], dim=1)[box].unbind(1)
     y = row + 0.5 - v
     intervals = []  # intervals of columns x in which |x slope + offset| <= limit, along and across
@@ -126,11 +126,11 @@ def find_pixels(
         intervals.append(ends.sort(0).values)
     (low, high), (left, far) = intervals
     low, high = u + torch.maximum(low, left), u + torch.minimum(high, far)
-    line, column = _enumerate_spans(*_span_pixels(low, high, view.width))
+    line, column = enumerate_spans(*span_pixels(low, high, view.width))
     return box[line], torch.stack([column, row[line]], dim=1)
 
 
-def _span_pixels(
+def span_pixels(
     low: Float[Tensor, "n"], high: Float[Tensor, "n"], count: int
 ) -> tuple[Int[Tensor, "n"], Int[Tensor, "n"]]:
     """Find the first pixel whose centre lies in an interval, and the one after the last."""
@@ -138,7 +138,7 @@ def _span_pixels(
     return first.long(), end.long()
 
 
-def _enumerate_spans(
+def enumerate_spans(
     first: Int[Tensor, "N"], end: Int[Tensor, "N"]
 ) -> tuple[Int[Tensor, "n"], Int[Tensor, "n"]]:
     """List all numbers from `first` to before `end` of each span: index of the span, and number."""

@@ -10,20 +10,30 @@ from jaxtyping import Int
 from shapely import MultiPolygon
 from torch import Tensor
 
+from geoaim.base.errors import MapError
+from geoaim.base.world import World, describe_world
 from geoaim.hdmap.drivable import find_drivable_area, sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.simulation.atlas import pack_rectangles
 from geoaim.simulation.ground import world_from_pixels
 from geoaim.simulation.infractions import Drivable, Lanes
 from geoaim.simulation.scene import Scene, check_near_origin, check_touches_map
+from geoaim.simulation.worlds import find_offset, move_transform
 
 
 @dataclass(frozen=True, eq=False)
 class RoadRules:
-    """Drivable area and one-way lanes, by which infractions are found; None where unknown."""
+    """Drivable area and one-way lanes, by which infractions are found; None where unknown.
 
-    drivable: Drivable | None = None  # distances from the drivable area
-    lanes: Lanes | None = None  # directions of one-way lanes
+    Attributes:
+        drivable: distances from the drivable area.
+        lanes: directions of one-way lanes.
+        world: the plane of the metres; None: not known, or there are several.
+    """
+
+    drivable: Drivable | None = None
+    lanes: Lanes | None = None
+    world: World | None = None
 
     def select(self, places: Int[Tensor, "B"]) -> "RoadRules":
         """Choose, from rules of several places (`stack_rules`), the place of each of B scenes."""
@@ -36,14 +46,24 @@ class RoadRules:
             )
         if lanes is not None:
             lanes = Lanes(lanes.points[places], lanes.directions[places], lanes.radii[places])
-        return RoadRules(drivable, lanes)
+        return RoadRules(drivable, lanes, self.world)
 
 
 NO_ROAD_RULES = RoadRules()
 
 
-def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> RoadRules:
-    """Make road rules of an HD map's lanes, and of a drivable area; None: the HD map's area.
+def make_road_rules(
+    hdmap: HDMap | None, area: MultiPolygon | None = None, *, world: World | None = None
+) -> RoadRules:
+    """Make road rules of an HD map's lanes, and of a drivable area.
+
+    Args:
+        hdmap: the lanes; None: there are none.
+        area: the drivable area, in the HD map's world if there is one; None: the HD map's own area.
+        world: the plane of an area without an HD map.
+
+    Returns:
+        The rules.
 
     Raises:
         MapError: the map or the area lies too far from the world's origin, or the map has no lane
@@ -52,7 +72,43 @@ def make_road_rules(hdmap: HDMap | None, area: MultiPolygon | None = None) -> Ro
     if area is None and hdmap is not None:
         area = find_drivable_area(hdmap)
     drivable = None if area is None else make_drivable(area)
-    return RoadRules(drivable, None if hdmap is None else make_lanes(hdmap))
+    if hdmap is None:
+        return RoadRules(drivable, None, world)
+    return RoadRules(drivable, make_lanes(hdmap), hdmap.world)
+
+
+def move_rules(rules: RoadRules, world: World | None) -> RoadRules:
+    """Move rules to a world of the same CRS; those whose world is not known stay where they are.
+
+    Raises:
+        MapError: the move would not be exact.
+    """
+    offset = find_offset(rules.world, world, "road rules")
+    if offset == (0.0, 0.0):
+        return rules
+    drivable, lanes = rules.drivable, rules.lanes
+    if drivable is not None:
+        matrix = move_transform(drivable.grid_from_world, offset)
+        drivable = replace(drivable, grid_from_world=matrix)
+    if lanes is not None:
+        lanes = replace(lanes, points=lanes.points + lanes.points.new_tensor(offset))
+    return RoadRules(drivable, lanes, world)
+
+
+def move_rules_to_any(rules: RoadRules, worlds: Sequence[World]) -> RoadRules:
+    """Move rules to the only world of some data.
+
+    Raises:
+        MapError: the move would not be exact, or the data lie in several worlds.
+    """
+    if rules.world is None or not worlds:
+        return rules
+    if len(worlds) > 1:
+        raise MapError(
+            f"the segments lie in {len(worlds)} worlds and the road rules in "
+            f"{describe_world(rules.world)}; evaluate the segments of one place at a time"
+        )
+    return move_rules(rules, worlds[0])
 
 
 def stack_rules(rules: Sequence[RoadRules]) -> RoadRules:
@@ -71,7 +127,9 @@ def stack_rules(rules: Sequence[RoadRules]) -> RoadRules:
             "give each of them for all places or for none"
         )
     return RoadRules(
-        _stack_drivables(drivables) if drivables else None, _stack_lanes(lanes) if lanes else None
+        _stack_drivables(drivables) if drivables else None,
+        _stack_lanes(lanes) if lanes else None,
+        rules[0].world if all(rule.world == rules[0].world for rule in rules) else None,
     )
 
 
@@ -127,12 +185,17 @@ def make_lanes(hdmap: HDMap) -> Lanes:
     return Lanes(*(torch.tensor(array, dtype=torch.float32) for array in arrays))
 
 
-def check_rules(scene: Scene, rules: RoadRules) -> None:
+def check_rules(scene: Scene, rules: RoadRules) -> RoadRules:
     """Check that road rules are for the place of the scene's map.
+
+    Returns:
+        The rules in the scene's world.
 
     Raises:
         TracksError: no lane, or no part of the drivable area, lies on the map.
+        MapError: the rules are of a world from which moving is not exact.
     """
+    rules = move_rules(rules, scene.world)
     bounds = scene.ground.bounds[0].cpu().numpy()
     if rules.lanes is not None and len(rules.lanes.points):
         check_touches_map("lane", rules.lanes.points.double().cpu().numpy(), bounds)
@@ -140,3 +203,4 @@ def check_rules(scene: Scene, rules: RoadRules) -> None:
         pixels = (rules.drivable.distance < 0).nonzero().flip(1) + 0.5
         points = world_from_pixels(rules.drivable.grid_from_world, pixels).cpu().numpy()
         check_touches_map("drivable area", points, bounds)
+    return rules

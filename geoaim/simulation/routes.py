@@ -29,8 +29,8 @@ class Routes:
 
 def extract_routes(scenario: Scenario) -> Routes:
     """Extract the recorded routes of all agents of a scenario."""
-    states = scenario.states.transpose(1, 2)  # (B, A, T, 4)
-    keep = _select_spaced(states[..., :2], scenario.present.transpose(1, 2))
+    states = scenario.states  # (B, A, T, 4)
+    keep = _select_spaced(states[..., :2], scenario.present)
     order = keep.int().argsort(dim=2, descending=True, stable=True)
     count = keep.sum(dim=2, keepdim=True)  # (B, A, 1)
     slot = torch.arange(int(count.max()) + 1, device=keep.device)
@@ -44,7 +44,7 @@ def extract_routes(scenario: Scenario) -> Routes:
     extension = forward * ROUTE_SPACING_M * (slot - count + 1).clamp_min(0)[..., None]
     lengths = route[..., :2].diff(dim=2).norm(dim=-1).sum(dim=-1)
     steps = torch.arange(states.shape[2], device=keep.device)
-    last = torch.where(scenario.present.transpose(1, 2), steps, 0).amax(dim=2)[..., None]
+    last = torch.where(scenario.present, steps, 0).amax(dim=2)[..., None]
     stops = states[..., 3].gather(2, last)[..., 0].abs() < MIN_LEAVING_SPEED_MPS
     return Routes(resample_points(route[..., :2] + extension), lengths, stops)
 

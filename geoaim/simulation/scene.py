@@ -50,6 +50,7 @@ class Scene(Display):
         observed: (N, T, 4) x, y, heading, speed as they are known at each time, from the rows of
             the tracks until then; NaN while absent or not yet seen for long enough. Predictions
             start from these.
+        world: the plane of the metres; None: not known.
     """
 
     ground: Ground
@@ -63,6 +64,7 @@ class Scene(Display):
     stop_lines: Float[Tensor, "L 2 2"]
     light_states: Int[Tensor, "T L"]
     observed: Float[Tensor, "N T 4"]
+    world: World | None = None
 
     @property
     def states(self) -> Float[Tensor, "N T 4"]:
@@ -102,24 +104,27 @@ class Scene(Display):
         }
 
     def _draw(self, axes: "Axes") -> None:
-        from geoaim.base.map_axes import draw_lines
+        from geoaim.base.map_axes import draw_lines, move_to_axes
 
         self.draw_ground(axes)
         points = self.poses[..., :2].cpu().numpy()
         for kind, count in Counter(self.types).most_common():
             rows = [row for row, other in enumerate(self.types) if other == kind]
-            draw_lines(axes, points[rows], get_colour(kind), label=f"{count} {kind}")
+            lines = [move_to_axes(axes, line, self.world) for line in points[rows]]
+            draw_lines(axes, lines, get_colour(kind), label=f"{count} {kind}")
         if len(self.stop_lines):
-            lines = self.stop_lines.cpu().numpy()
+            lines = move_to_axes(axes, self.stop_lines.cpu().numpy(), self.world)
             draw_lines(axes, lines, STOP_LINE_COLOUR, width=2.5, label="stop lines of lights")
 
     def draw_ground(self, axes: "Axes", bounds: Float[Array, "2 2"] | None = None) -> None:
-        """Draw the map alone, or its part in bounds, in axes in metres of the map's world."""
-        from geoaim.base.map_axes import draw_image
+        """Draw the map alone, or its part in bounds (metres in the scene's world)."""
+        from geoaim.base.map_axes import draw_image, move_to_axes
 
+        if bounds is not None:
+            bounds = move_to_axes(axes, bounds, self.world)
         image = (self.ground.image[:3] * 255).round().byte().permute(1, 2, 0).cpu().numpy()
         image_from_world = np.vstack([self.ground.image_from_world[0].double().cpu(), [0, 0, 1.0]])
-        grid = Grid(image.shape[:2], np.linalg.inv(image_from_world))
+        grid = Grid(image.shape[:2], np.linalg.inv(image_from_world), self.world)
         draw_image(axes, image, grid, self.ground.coverage[0].cpu().numpy() > 0, bounds)
 
 
@@ -186,6 +191,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
         stop_lines=torch.tensor(lines, dtype=torch.float32),
         light_states=torch.tensor(states),
         observed=torch.tensor(tracks.get_observed(), dtype=torch.float32),
+        world=aim.world,
     )
 
 
@@ -197,14 +203,28 @@ def make_ground_from_aim(aim: AIM) -> Ground:
         aim = rectify(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
     image_from_world = torch.tensor(np.linalg.inv(aim.world_from_image)[:2], dtype=torch.float32)
-    return make_ground(image, image_from_world, coverage=torch.tensor(aim.coverage > 0))
+    ground = make_ground(image, image_from_world, coverage=torch.tensor(aim.coverage > 0))
+    return replace(ground, world=aim.world)
 
 
-def make_tracks(scene: Scene, world: World) -> Tracks:
-    """Make tracks of a scene's agents that are ever present; `world` is the world of its map.
+def make_tracks(scene: Scene, world: World | None = None) -> Tracks:
+    """Make tracks of a scene's agents that are ever present.
 
     Times are rounded to the microsecond.
+
+    Args:
+        scene: the scene.
+        world: the world of its map; None: the scene's own, and a local plane if that is not known.
+
+    Returns:
+        The tracks.
+
+    Raises:
+        ValueError: the scene lies in another world.
     """
+    if world is not None and scene.world not in (None, world):
+        raise ValueError(f"the scene lies in {scene.world}, and was said to lie in {world}")
+    world = world or scene.world or World(None)
     agents = scene.present.any(dim=1).nonzero()[:, 0]
     states = scene.states[agents].double()
     present = scene.present[agents]

@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from geoaim.simulation.input_checks import check_shape, check_traffic
 from geoaim.simulation.kinematics import bicycle, unicycle
 from geoaim.simulation.scene import Scene, slice_scene
 from geoaim.tracks.agent_types import select_group
@@ -18,13 +19,25 @@ from geoaim.tracks.agent_types import select_group
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """Recorded states and sizes of agents in B segments of a scene, T steps each."""
+    """Recorded states and sizes of agents in B segments of a scene, T steps each.
 
-    states: Float[Tensor, "B T A 4"]  # x, y, heading, speed; 0 while absent
-    present: Bool[Tensor, "B T A"]
+    Raises:
+        ValueError: a tensor has another shape than the states require.
+    """
+
+    states: Float[Tensor, "B A T 4"]  # x, y, heading, speed; 0 while absent
+    present: Bool[Tensor, "B A T"]
     sizes: Float[Tensor, "B A 2"]  # length and width, metres
     pedestrian: Bool[Tensor, "B A"]  # agents that move by the unicycle instead of the bicycle model
     dt: float  # time between two steps, seconds
+
+    def __post_init__(self) -> None:
+        check_traffic(
+            self.states,
+            present=(self.present, "BNT"),
+            sizes=(self.sizes, ("B", "N", 2)),
+            pedestrian=(self.pedestrian, "BN"),
+        )
 
     def to(
         self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
@@ -40,7 +53,7 @@ class Scenario:
 
 
 # maps a scenario and the states so far, up to step t, to the actions of all agents
-Policy = Callable[[Scenario, Float[Tensor, "B t A 4"]], Float[Tensor, "B A 2"]]
+Policy = Callable[[Scenario, Float[Tensor, "B A t 4"]], Float[Tensor, "B A 2"]]
 
 
 def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenario:
@@ -64,8 +77,8 @@ def make_scenario(scene: Scene, starts: Int[Tensor, "B"], steps: int) -> Scenari
         )
     check_even_steps(scene, steps)
     index = starts[:, None] + torch.arange(steps, device=starts.device)  # (B, T)
-    present = scene.present[:, index].permute(1, 2, 0)  # (B, T, A)
-    states = scene.states[:, index].permute(1, 2, 0, 3)  # (B, T, A, 4)
+    present = scene.present[:, index].transpose(0, 1)  # (B, A, T)
+    states = scene.states[:, index].transpose(0, 1)  # (B, A, T, 4)
     states = torch.where(present[..., None], states, 0.0)
     pedestrian = torch.from_numpy(select_group(scene.types, "pedestrian")).to(starts.device)
     count = len(starts)
@@ -81,26 +94,25 @@ def check_even_steps(scene: Scene, steps: int) -> None:
 
 def apply_rollout(
     scene: Scene,
-    states: Float[Tensor, "T A 4"],
+    states: Float[Tensor, "A T 4"],
     start: int,
-    present: Bool[Tensor, "T A"] | None = None,
+    present: Bool[Tensor, "A T"] | None = None,
 ) -> Scene:
     """Make a scene of a simulation, to render it or to write its tracks.
 
     Args:
         scene: the scene in which it was simulated.
-        states: (T, A, 4) x, y, heading, speed of all agents, from `rollout`.
+        states: (A, T, 4) x, y, heading, speed of all agents, from `rollout`.
         start: step of the scene at which the simulation begins.
-        present: (T, A) whether the agents are present; None: as in the recording.
+        present: (A, T) whether the agents are present; None: as in the recording.
 
     Returns:
         The scene of the T simulated steps.
     """
-    part = slice_scene(scene, slice(start, start + len(states)))
+    part = slice_scene(scene, slice(start, start + states.shape[1]))
     if present is not None:
-        part = replace(part, present=present.t())
-    states = states.detach().transpose(0, 1)
-    states = torch.where(part.present[..., None], states, torch.nan)
+        part = replace(part, present=present)
+    states = torch.where(part.present[..., None], states.detach(), torch.nan)
     return replace(part, poses=states[..., :3], speeds=states[..., 3], observed=states)
 
 
@@ -124,7 +136,7 @@ def step(
     Returns:
         (B, A, 4) states at the next step.
     """
-    moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
+    moved = controlled & scenario.present[:, :, index] & scenario.present[:, :, index + 1]
     drives = moved & ~scenario.pedestrian
     # padded agents may have length 0
     safe_lengths = torch.where(drives, scenario.sizes[..., 0], 1.0)
@@ -133,7 +145,7 @@ def step(
     safe_actions = torch.where(moved[..., None], actions, 0.0)
     walked = unicycle.step(states, safe_actions, safe_lengths, scenario.dt)
     acted = torch.where(drives[..., None], driven, walked)
-    return torch.where(moved[..., None], acted, scenario.states[:, index + 1])
+    return torch.where(moved[..., None], acted, scenario.states[:, :, index + 1])
 
 
 def invert_step(
@@ -156,7 +168,7 @@ def invert_step(
 
 def rollout(
     scenario: Scenario, policy: Policy, controlled: Bool[Tensor, "B A"], *, history: int = 1
-) -> Float[Tensor, "B T A 4"]:
+) -> Float[Tensor, "B A T 4"]:
     """Simulate a scenario to its end; differentiable back to its first state.
 
     Args:
@@ -166,22 +178,24 @@ def rollout(
         history: number of first steps, 1 or more, in which all agents replay.
 
     Returns:
-        (B, T, A, 4) x, y, heading, speed of all agents at all steps.
+        (B, A, T, 4) x, y, heading, speed of all agents at all steps.
 
     Raises:
-        ValueError: no step is left to simulate, or an action is not finite.
+        ValueError: no step is left to simulate, or an action is not finite or of another shape.
     """
-    total = scenario.states.shape[1]
+    total = scenario.states.shape[2]
     if not 1 <= history < total:
         raise ValueError(
             f"history is {history}, but the scenario has {total} steps; give 1 to {total - 1}, so "
             "that a step remains to simulate"
         )
-    path = list(scenario.states[:, :history].unbind(1))
+    check_shape("controlled", controlled, scenario.sizes.shape[:2])
+    path = list(scenario.states[:, :, :history].unbind(2))
     for index in range(history - 1, total - 1):
-        actions = policy(scenario, torch.stack(path, dim=1))
-        moved = controlled & scenario.present[:, index] & scenario.present[:, index + 1]
+        actions = policy(scenario, torch.stack(path, dim=2))
+        check_shape("actions of the policy", actions, (*controlled.shape, 2))
+        moved = controlled & scenario.present[:, :, index] & scenario.present[:, :, index + 1]
         if not torch.isfinite(actions[moved]).all():
             raise ValueError(f"at step {index} the policy gives an action that is not finite")
         path.append(step(scenario, index, path[-1], actions, controlled))
-    return torch.stack(path, dim=1)
+    return torch.stack(path, dim=2)

@@ -29,7 +29,7 @@ def rollout_routes(
     routes: Routes,
     *,
     history: int = 1,
-) -> tuple[Float[Tensor, "B T A 4"], Bool[Tensor, "B T A"]]:
+) -> tuple[Float[Tensor, "B A T 4"], Bool[Tensor, "B A T"]]:
     """Simulate a scenario in which controlled agents enter and leave by themselves.
 
     A controlled agent enters at its first recorded step, or later, when no other agent is in its
@@ -44,34 +44,35 @@ def rollout_routes(
         history: number of first steps, 1 or more, in which all agents replay.
 
     Returns:
-        (B, T, A, 4) x, y, heading, speed of all agents, 0 while absent; (B, T, A) their presence.
+        (B, A, T, 4) x, y, heading, speed of all agents, 0 while absent; (B, A, T) their presence.
     """
     entries = _find_entries(scenario)
     present = scenario.present.clone()
-    path = list(scenario.states[:, :history].unbind(1))
-    entered = present[:, :history].any(dim=1)
-    for index in range(history - 1, present.shape[1] - 1):
-        actions = policy(replace(scenario, present=present), torch.stack(path, dim=1))
-        everywhere = torch.stack([present[:, index]] * 2, dim=1)
-        moving = replace(scenario, states=torch.stack([path[-1]] * 2, dim=1), present=everywhere)
+    path = list(scenario.states[:, :, :history].unbind(2))
+    entered = present[:, :, :history].any(dim=2)
+    for index in range(history - 1, present.shape[2] - 1):
+        actions = policy(replace(scenario, present=present), torch.stack(path, dim=2))
+        everywhere = torch.stack([present[:, :, index]] * 2, dim=2)
+        moving = replace(scenario, states=torch.stack([path[-1]] * 2, dim=2), present=everywhere)
         states = step(moving, 0, path[-1], actions, controlled)
         ends = (locate(routes.points, states[..., :2]) >= routes.lengths) & ~routes.stops
-        stays = torch.where(controlled, present[:, index] & ~ends, scenario.present[:, index + 1])
-        states = torch.where(controlled[..., None], states, scenario.states[:, index + 1])
+        recorded = scenario.present[:, :, index + 1]
+        stays = torch.where(controlled, present[:, :, index] & ~ends, recorded)
+        states = torch.where(controlled[..., None], states, scenario.states[:, :, index + 1])
         enters = controlled & ~entered & (entries.step <= index + 1)
         if enters.any():
             enters = _find_room(entries, enters, states, stays, scenario.sizes)
             states = torch.where(enters[..., None], entries.states, states)
         entered |= enters
-        present[:, index + 1] = stays | enters
-        path.append(torch.where(present[:, index + 1, :, None], states, 0.0))
-    return torch.stack(path, dim=1), present
+        present[:, :, index + 1] = stays | enters
+        path.append(torch.where(present[:, :, index + 1, None], states, 0.0))
+    return torch.stack(path, dim=2), present
 
 
 def _find_entries(scenario: Scenario) -> _Entries:
     """Find when, where and how fast agents enter in the recording."""
-    first = scenario.present.int().argmax(dim=1)
-    states = scenario.states.gather(1, first[:, None, :, None].expand(-1, 1, -1, 4))[:, 0]
+    first = scenario.present.int().argmax(dim=2)
+    states = scenario.states.gather(2, first[..., None, None].expand(-1, -1, 1, 4))[:, :, 0]
     return _Entries(first, states)
 
 

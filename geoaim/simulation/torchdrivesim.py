@@ -4,9 +4,11 @@
     renderer = ImageMapRenderer(scene.ground, batch_size=1)
     simulator = torchdrivesim.simulator.Simulator(..., renderer=renderer)
 
-Tested with torchdrivesim 0.2.3, which has to be installed beside geoaim.
+Tested with torchdrivesim 0.2.3, which has to be installed beside geoaim, and with a double of the
+interface of its next release, whose renderers are given a mesh (`torchdrivesim_meshes`).
 """
 
+import inspect
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -21,11 +23,12 @@ from geoaim.simulation.birdview import render
 from geoaim.simulation.boxes import OrientedBoxes
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.prefiltering import prefilter_ground
+from geoaim.simulation.torchdrivesim_meshes import MeshRenderer
 
 WAYPOINT_SIDE_M = 2.0 * math.sqrt(math.pi)  # side of a square as large as torchdrivesim's disc
 
 
-class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
+class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
     """A torchdrivesim renderer of an image map, differentiable with respect to poses and cameras.
 
     Args:
@@ -106,22 +109,22 @@ class ImageMapRenderer(BirdviewRenderer):  # type: ignore[misc]
         """Raise ValueError: the map is an image and has no meshes."""
         raise ValueError("an image map draws no meshes; paint them into its image")
 
-    def to(self, device: torch.device) -> "ImageMapRenderer":
+    def to(self, device: torch.device) -> "FrameRenderer":
         """Move the renderer to another device in place."""
         super().to(device)
         self.ground, self.prefiltered = self.ground.to(device), {}
         return self
 
-    def expand(self, n: int) -> "ImageMapRenderer":
+    def expand(self, n: int) -> "FrameRenderer":
         """Make a renderer that repeats each batch element `n` times."""
         return self._copy(self.world_center.repeat_interleave(n, dim=0))
 
-    def select_batch_elements(self, idx: Tensor) -> "ImageMapRenderer":
+    def select_batch_elements(self, idx: Tensor) -> "FrameRenderer":
         """Make a renderer of some elements of the batch."""
         return self._copy(self.world_center[idx])
 
-    def _copy(self, centres: Tensor) -> "ImageMapRenderer":
-        return ImageMapRenderer(
+    def _copy(self, centres: Tensor) -> "FrameRenderer":
+        return FrameRenderer(
             self.ground,
             self.cfg,
             batch_size=len(centres),
@@ -205,3 +208,12 @@ def _make_cameras(xy: Tensor | None, sine_cosine: Tensor | None) -> Float[Tensor
         raise ValueError("camera_xy and camera_sc go together; one of them is None")
     heading = torch.atan2(sine_cosine[..., 0], sine_cosine[..., 1])
     return torch.cat([xy, heading[..., None]], dim=-1)
+
+
+def _takes_meshes() -> bool:
+    """Whether the installed torchdrivesim gives its renderers a mesh of everything."""
+    return "rgb_mesh" in inspect.signature(BirdviewRenderer.render_frame).parameters
+
+
+# the renderer of an image map for the installed version
+ImageMapRenderer = MeshRenderer if _takes_meshes() else FrameRenderer

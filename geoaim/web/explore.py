@@ -171,7 +171,7 @@ def _add_moving(view: MapView, aim: MapSource, contents: Contents, world: World)
         whole = aim if isinstance(aim, AIM) else read_map(aim)
         return make_scene(whole, tracks, contents.lights)
 
-    rules = make_road_rules(contents.hdmap, contents.drivable)
+    rules = make_road_rules(contents.hdmap, contents.drivable, world=world)
     description |= {"marks": "marks.json", "agent_views": True}
     return replace(
         view,

@@ -125,7 +125,7 @@ def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
     """List when the infractions in a scene begin: time (s), agent and kind."""
     everyone = torch.ones(len(scene.ids), dtype=torch.bool)
     marks = []
-    last = {kind: torch.zeros_like(everyone)[None] for kind in SHOWN_INFRACTIONS}
+    last = {kind: torch.zeros_like(everyone)[:, None] for kind in SHOWN_INFRACTIONS}
     for start in range(0, len(scene.times) - 1, STEPS_AT_ONCE):
         part = slice_scene(scene, slice(start, start + STEPS_AT_ONCE + 1))
         if len(part.times) < 2:
@@ -135,9 +135,9 @@ def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
             if kind not in found:
                 continue
             now = found[kind][0]
-            begins = now & ~torch.cat([last[kind], now[:-1]])
-            last[kind] = now[-1:]
-            for step, agent in begins.nonzero().tolist():
+            begins = now & ~torch.cat([last[kind], now[:, :-1]], dim=1)
+            last[kind] = now[:, -1:]
+            for agent, step in begins.nonzero().tolist():
                 time = round(float(part.times[step + 1]), 3)
                 marks.append({"time": time, "agent": scene.ids[agent], "kind": kind})
     return sorted(marks, key=lambda mark: float(mark["time"]))

@@ -123,7 +123,7 @@ def test_trainings_observe_the_same_states_whatever_follows(form, scenes):
         process = Process(0, 1, torch.device("cpu"))
         batch, *_ = draw_batch(config, segments, scene.ground, 0, process)
         index = index_controlled(batch)
-        observed.append(batch.states[index.segment, :HISTORY, index.agent])
+        observed.append(batch.states[index.segment, index.agent, :HISTORY])
     assert len(observed[0])
     assert torch.equal(*observed)
 
@@ -167,5 +167,5 @@ def test_predictions_of_windows_ignore_the_future(tmp_path):
         options = {"history": HISTORY_STEPS, "samples": 3}
         predicted.append([one(*given, **options, generator=noise()) for one in predictors])
         pixels[:, HISTORY_STEPS:] += generator.normal(0, 100, (5, horizon, 2))
-    assert (predicted[0][0][:, 0, -1] - windows.segments.states[:, -1]).abs().max() > 1
+    assert (predicted[0][0][:, 0, :, -1] - windows.segments.states[:, :, -1]).abs().max() > 1
     assert all(map(torch.equal, *predicted))

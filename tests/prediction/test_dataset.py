@@ -19,8 +19,8 @@ def short(monkeypatch):
 def test_training_and_validation_do_not_overlap():
     data = make_dataset([scene()], TINY, val_fraction=0.3)
     x = scene().poses[0, :, 0]
-    train = data.train.states[..., 0, 0].flatten()
-    val = data.val.states[..., 0, 0].flatten()
+    train = data.train.states[:, 0, :, 0].flatten()
+    val = data.val.states[:, 0, :, 0].flatten()
     assert train.max() < x[14]
     assert val.min() >= x[14]
 
@@ -35,7 +35,7 @@ def test_scenes_of_one_place_share_its_ground():
     assert apart.train.places.tolist() == [0] * 5 + [1] * 5
     for data in (shared, apart):
         low, high = data.ground.bounds[data.train.places].unbind(1)
-        positions = data.train.states[:, :, 0, :2].double()
+        positions = data.train.states[:, 0, :, :2].double()
         assert ((low[:, None] < positions) & (positions < high[:, None])).all()
 
 

@@ -79,16 +79,16 @@ def test_samples_keep_observed_steps_and_ignore_later_ones(kind):
     config = replace(config, history=5) if config.num_anchors else config
     itra, segments = model(config).eval(), drive(10)
     sampled = itra.sample(segments, hill(), history=5, samples=5, generator=noise())
-    assert sampled.shape == (3, 5, 10, 2, 4)
+    assert sampled.shape == (3, 5, 2, 10, 4)
     truth = segments.states[:, None].expand_as(sampled)
-    assert torch.equal(sampled[:, :, :5], truth[:, :, :5])
-    assert torch.equal(sampled[:, :, :, 1], truth[:, :, :, 1])  # others replay
+    assert torch.equal(sampled[..., :5, :], truth[..., :5, :])
+    assert torch.equal(sampled[:, :, 1], truth[:, :, 1])  # others replay
     later = segments.states.clone()
-    later[:, 5:, 0] += 7
+    later[:, 0, 5:] += 7
     other = itra.sample(
         replace(segments, states=later), hill(), history=5, samples=5, generator=noise()
     )
-    assert torch.equal(sampled[:, :, :, 0], other[:, :, :, 0])
+    assert torch.equal(sampled[:, :, 0], other[:, :, 0])
 
 
 def test_samples_differ_and_equal_seeds_give_equal_samples():
@@ -98,7 +98,7 @@ def test_samples_differ_and_equal_seeds_give_equal_samples():
     )
     assert torch.equal(one, two)
     assert not torch.equal(one, three)
-    ends = one[0, :, -1, 0, :2]
+    ends = one[0, :, 0, -1, :2]
     assert (ends[0] - ends[1]).norm() > 1e-4
 
 
@@ -107,7 +107,7 @@ def test_each_sample_follows_another_proposal():
     states = itra.sample(
         segments, hill(), history=2, samples=4, latent_scale=0.0, generator=noise()
     )
-    ends = states[0, :, -1, 0, :2]
+    ends = states[0, :, 0, -1, :2]
     assert torch.equal(ends[0], ends[3])  # three proposals, and the likeliest again
     assert min((ends[0] - ends[1]).norm(), (ends[1] - ends[2]).norm()) > 1e-5
 
@@ -115,19 +115,19 @@ def test_each_sample_follows_another_proposal():
 def test_hidden_state_starts_when_an_agent_enters():
     itra, segments = model().eval(), drive(10, 1)
     present = segments.present.clone()
-    present[:, :3, 0] = False
+    present[:, 0, :3] = False
     states = segments.states.clone()
-    states[:, :3, 0] = 0
+    states[:, 0, :3] = 0
     late = replace(segments, present=present, states=states)
     cut = replace(
         pick(segments, slice(None)),
-        states=segments.states[:, 3:],
-        present=segments.present[:, 3:],
+        states=segments.states[:, :, 3:],
+        present=segments.present[:, :, 3:],
         light_states=segments.light_states[:, 3:],
     )
     config = {"samples": 1, "latent_scale": 0.0, "generator": noise()}
-    sampled = itra.sample(late, hill(), history=6, **config)[..., 0, :]
-    same = itra.sample(cut, hill(), history=3, **config)[..., 0, :]
+    sampled = itra.sample(late, hill(), history=6, **config)[:, :, 0]
+    same = itra.sample(cut, hill(), history=3, **config)[:, :, 0]
     assert torch.allclose(sampled[:, :, 3:], same, atol=1e-5)
 
 
@@ -138,7 +138,7 @@ def test_segments_that_do_not_fit_the_model_are_rejected():
     with pytest.raises(ValueError, match=r"history is 2 .* 6 steps; .* 2 and 7 steps"):
         model(KINDS["slide with proposals"])(segments, hill(), 2, noise())
     absent = segments.present.clone()
-    absent[:, 0] = False
+    absent[..., 0] = False
     with pytest.raises(ValueError, match="present in all 2 observed steps"):
         model(replace(KINDS["slide with proposals"], horizon=4))(
             replace(segments, present=absent), hill(), 2, noise()

@@ -30,7 +30,7 @@ NOISY = "constant velocity with noise"
 def futures(segments, shifts):
     """The ground truth, shifted to the left in each sample."""
     states = segments.states[:, None].repeat(1, len(shifts), 1, 1, 1)
-    move = torch.tensor(shifts)[None, :, None, None] * segments.controlled[:, None, None]
+    move = torch.tensor(shifts)[None, :, None, None] * segments.controlled[:, None, :, None]
     return torch.cat([states[..., :1], states[..., 1:2] + move[..., None], states[..., 2:]], dim=-1)
 
 
@@ -47,7 +47,7 @@ def test_joint_metrics_choose_one_sample_for_all_agents():
     both = replace(segments, controlled=torch.ones(1, 2, dtype=torch.bool))
     states = futures(both, [0.0, 0.0])
     move = torch.zeros_like(states)
-    move[0, 0, :, 0, 1], move[0, 1, :, 1, 1] = 2.0, 2.0
+    move[0, 0, 0, :, 1], move[0, 1, 1, :, 1] = 2.0, 2.0
     metrics = compute_metrics(states + move, both, 4)
     assert metrics["minADE"].mean == pytest.approx(0, abs=1e-6)
     assert metrics["joint minADE"].mean == pytest.approx(1.0, abs=1e-5)
@@ -65,11 +65,11 @@ def test_rates_count_agents_samples_and_steps():
     assert metrics["red-light rate"].mean == 0
     red = replace(segments, light_states=torch.full_like(segments.light_states, RED))
     ran = compute_metrics(futures(red, [0.0]), red, 4)["red-light rate"]
-    front = segments.states[0, :, 0, 0] + 4.5 / 2
+    front = segments.states[0, 0, :, 0] + 4.5 / 2
     crossings = ((front[3:-1] - 9) * (front[4:] - 9) <= 0).sum()
     assert ran.sums.sum() == crossings
     hit = replace(segments, states=segments.states.clone())
-    hit.states[:, :, 1, :2] = hit.states[:, :, 0, :2]
+    hit.states[:, 1, :, :2] = hit.states[:, 0, :, :2]
     assert compute_metrics(futures(hit, [0.0]), hit, 4)["collision rate"].mean == 1
 
 
@@ -105,12 +105,12 @@ def test_concatenated_metrics_average_over_all_segments():
 def test_baselines_predict_straight_motion(name):
     segments = drive(12, 3, curve=0.0)
     even = segments.states.clone()
-    even[:, :, 0, 3] = 5.0
-    even[:, :, 0, 0] = 0.5 * torch.arange(12)
+    even[:, 0, :, 3] = 5.0
+    even[:, 0, :, 0] = 0.5 * torch.arange(12)
     given = {"history": 3, "samples": 4, "generator": torch.Generator().manual_seed(0)}
     states = BASELINES[name](replace(segments, states=even), hill(), **given)
-    assert states.shape == (3, 4, 12, 2, 4)
-    off = (states[..., 0, :2] - even[:, None, :, 0, :2]).norm(dim=-1)
+    assert states.shape == (3, 4, 2, 12, 4)
+    off = (states[:, :, 0, :, :2] - even[:, None, 0, :, :2]).norm(dim=-1)
     assert off[:, :, :3].max() == 0 or name == NOISY
     if name == NOISY:
         assert off[:, :, -1].std() > 0.1
@@ -126,7 +126,7 @@ def test_constant_turn_rate_continues_a_curve():
         for name in ("constant velocity", "constant turn rate")
     )
     truth = segments.states[:, None]
-    last = (slice(None), slice(None), -1, 0, slice(2))
+    last = (slice(None), slice(None), 0, -1, slice(2))
     assert (bent - truth)[last].norm() < (straight - truth)[last].norm() / 2
 
 
@@ -165,7 +165,7 @@ def test_red_lights_are_those_of_each_segment():
     red[1] = GREEN
     segments = replace(segments, light_states=red)
     lines = segments.stop_lines.clone()
-    lines[..., 0] = (segments.states[:, 6, 0, 0] + 4.5 / 2)[:, None, None]  # each one's own
+    lines[..., 0] = (segments.states[:, 0, 6, 0] + 4.5 / 2)[:, None, None]  # each one's own
     lines[2] += 1000.0  # except this one
     segments = replace(segments, stop_lines=lines)
     together = compute_metrics(futures(segments, [0.0, 0.0]), segments, 4)["red-light rate"]

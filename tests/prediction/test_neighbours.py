@@ -14,11 +14,12 @@ from tests.prediction.tiny import TINY, hill
 def stand(count, *, spacing=8.0, steps=6):
     """Cars in rows, all controlled, of which one is absent."""
     numbers = torch.arange(count)
-    states = torch.zeros(1, steps, count, 4)
-    states[..., 0], states[..., 1] = spacing * (numbers % 20), spacing * (numbers // 20)
-    states[..., 2:] = torch.rand(1, 1, count, 2, generator=noise()) * 5
-    present = torch.ones(1, steps, count, dtype=torch.bool)
-    present[:, :, 3] = False
+    states = torch.zeros(1, count, steps, 4)
+    row, column = numbers[:, None] // 20, numbers[:, None] % 20
+    states[..., 0], states[..., 1] = spacing * column, spacing * row
+    states[..., 2:] = torch.rand(1, count, 1, 2, generator=noise()) * 5
+    present = torch.ones(1, count, steps, dtype=torch.bool)
+    present[:, 3] = False
     return Segments(
         states=states,
         present=present,
@@ -34,7 +35,7 @@ def stand(count, *, spacing=8.0, steps=6):
 
 def list_parts(segments, step=0):
     controlled = index_controlled(segments)
-    return list(split_views(TINY.view, segments, controlled, segments.states[:, step], step))
+    return list(split_views(TINY.view, segments, controlled, segments.states[:, :, step], step))
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def test_few_agents_are_drawn_in_each_others_views():
 
 def test_views_of_many_agents_show_the_same(many):
     segments = repeat(stand(60), 2)
-    states = segments.states[:, 0] + 3 * torch.rand(2, 60, 4, generator=noise())
+    states = segments.states[:, :, 0] + 3 * torch.rand(2, 60, 4, generator=noise())
 
     def render(part):
         return render_observation(TINY.view, hill(), segments, part, states, 0)

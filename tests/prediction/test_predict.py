@@ -212,7 +212,7 @@ def test_baselines_replay_agents_that_are_not_controlled(scene):
     futures = BASELINES["constant velocity"](
         segments, scene.ground, history=5, samples=1, generator=noise()
     )
-    others = ~segments.controlled[:, None].expand(-1, 20, -1)
+    others = ~segments.controlled[..., None].expand(-1, -1, 20)
     truth = segments.states
     assert torch.equal(futures[:, 0][others], truth[others])
 

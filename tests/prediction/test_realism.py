@@ -65,11 +65,11 @@ def make_rollout(sample: int) -> np.ndarray:
 
 
 def make_segment(poses: np.ndarray, controlled, sizes) -> Segments:
-    states = torch.tensor(np.pad(poses, ((0, 0), (0, 0), (0, 1)))).transpose(0, 1)[None]
+    states = torch.tensor(np.pad(poses, ((0, 0), (0, 0), (0, 1))))[None]
     count, steps = poses.shape[:2]
     return Segments(
         states=states.float(),
-        present=torch.ones(1, steps, count, dtype=torch.bool),
+        present=torch.ones(1, count, steps, dtype=torch.bool),
         sizes=torch.tensor(np.array(sizes), dtype=torch.float32)[None],
         layers=torch.zeros(1, count, dtype=torch.long),
         controlled=torch.tensor(controlled)[None],
@@ -138,8 +138,8 @@ def test_collision_and_offroad_have_the_shares_of_samples():
     poses[1, :, 0] = 12.0
     segment = make_segment(poses, [True, False], [[4.0, 2.0], [4.0, 2.0]])
     futures = segment.states[:, None].repeat(1, 4, 1, 1, 1)
-    futures[0, 1, 30:, 0, 0] = 9.0
-    futures[0, 2, 60, 0, 1] = 30.0
+    futures[0, 1, 0, 30:, 0] = 9.0
+    futures[0, 2, 0, 60, 1] = 30.0
     found = score(futures, segment, ROAD)
     for name in ("collision", "off-road"):
         assert found[name] == pytest.approx(3.001 / 4.002, rel=1e-5)
@@ -212,7 +212,7 @@ def test_box_distances_are_those_of_shapely():
 def test_absent_states_are_not_judged():
     futures, segment = make_case()
     present = segment.present.clone()
-    present[0, 60:, 0] = False
+    present[0, 0, 60:] = False
     gone = replace(segment, present=present, states=segment.states * present[..., None])
     found, whole = score(futures, gone, ROAD), score(futures, segment, ROAD)
     assert all(np.isfinite(list(found.values())))
@@ -249,7 +249,7 @@ def test_short_histories_and_infinite_states_are_refused():
     futures, segment = make_case()
     with pytest.raises(ValueError, match="history=1; 2 or more"):
         compute_realism(futures, segment, 1)
-    futures[0, 0, 30, 0, 0] = torch.nan
+    futures[0, 0, 0, 30, 0] = torch.nan
     with pytest.raises(ValueError, match="a state that is not finite"):
         compute_realism(futures, segment, HISTORY)
 

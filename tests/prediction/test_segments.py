@@ -51,9 +51,9 @@ def scene(steps=20):
 def test_each_moving_agent_gets_a_segment():
     segments = cut_segments(scene(), "vehicle", steps=10, stride=5)
     assert len(segments) == 2 * 3  # two cars at three starts; not the others
-    assert segments.states.shape == (6, 10, 5, 4)
+    assert segments.states.shape == (6, 5, 10, 4)
     assert (segments.controlled.sum(dim=1) == 1).all()
-    assert segments.present[:, :, 0].all()
+    assert segments.present[:, 0].all()
     assert torch.isfinite(segments.states).all()
 
 
@@ -75,9 +75,9 @@ def test_scenes_that_cannot_be_cut_are_rejected():
 def test_segments_of_other_sizes_are_padded():
     one, two = drive(10, 2), cut_segments(scene(), "vehicle", steps=10, stride=10)
     both = concat([one, two])
-    assert both.states.shape == (6, 10, 5, 4)
+    assert both.states.shape == (6, 5, 10, 4)
     assert both.light_states.shape == (6, 10, 1)
-    assert not both.present[:2, :, 2:].any()
+    assert not both.present[:2, 2:].any()
     with pytest.raises(ValueError, match="of one dt are needed"):
         concat([one, replace(two, dt=0.4)])
     assert len(repeat(one, 3)) == 6
@@ -87,12 +87,12 @@ def test_segments_of_other_sizes_are_padded():
 def test_views_scale_and_mirror_with_the_plane(sides):
     segments, controlled = drive(4, 3), index_controlled(drive(4, 3))
     sides = torch.tensor(sides)
-    before = render_observation(VIEW, hill(), segments, controlled, segments.states[:, 0], 0)
+    before = render_observation(VIEW, hill(), segments, controlled, segments.states[:, :, 0], 0)
     other = scale(segments, sides)
     other = replace(other, sizes=segments.sizes * sides[0])
     larger = ObservationView(24, 24, float(sides[0]))
     after = render_observation(
-        larger, scale_ground(hill(), sides), other, controlled, other.states[:, 0], 0
+        larger, scale_ground(hill(), sides), other, controlled, other.states[:, :, 0], 0
     )
     after = after.flip(3) if sides[1] < 0 else after
     assert torch.allclose(before[:, :5], after[:, :5], atol=1e-4)  # bars of lights keep their width
@@ -120,15 +120,15 @@ def test_a_view_of_stacked_maps_is_that_of_the_place():
         there = replace(here, places=torch.full_like(here.places, number))
         controlled = index_controlled(here)
         fitted = prefilter_ground(place, VIEW.resolution)
-        one = render_observation(VIEW, fitted, here, controlled, here.states[:, 0], 0)
-        two = render_observation(VIEW, stacked, there, controlled, there.states[:, 0], 0)
+        one = render_observation(VIEW, fitted, here, controlled, here.states[:, :, 0], 0)
+        two = render_observation(VIEW, stacked, there, controlled, there.states[:, :, 0], 0)
         torch.testing.assert_close(one, two, atol=1e-5, rtol=0)
 
 
 def test_observations_show_other_agents_and_not_the_agent_itself():
     segments = drive(4, 2)
     controlled = index_controlled(segments)
-    views = render_observation(VIEW, hill(), segments, controlled, segments.states[:, 0], 0)
+    views = render_observation(VIEW, hill(), segments, controlled, segments.states[:, :, 0], 0)
     assert views.shape == (2, 7, 24, 24)
     assert views[:, 3].sum() == 0  # its own box
     assert (views[:, 4].sum(dim=(1, 2)) > 0).all()  # the pedestrian
@@ -140,7 +140,7 @@ def test_lights_have_the_width_of_the_view():
     segments = drive(4, 2)
     thin, wide = (
         render_observation(
-            view, hill(), segments, index_controlled(segments), segments.states[:, 0], 0
+            view, hill(), segments, index_controlled(segments), segments.states[:, :, 0], 0
         )
         for view in (VIEW, replace(VIEW, light_width=3.0))
     )
@@ -153,7 +153,7 @@ def test_surface_contrast_is_invariant_to_brightness():
     bright = replace(dim, image=dim.image + 0.1)
     controlled = index_controlled(segments)
     one, two = (
-        render_observation(VIEW, ground, segments, controlled, segments.states[:, 0], 0)
+        render_observation(VIEW, ground, segments, controlled, segments.states[:, :, 0], 0)
         for ground in (dim, bright)
     )
     assert (one[:, :3] - two[:, :3]).abs().mean() > 0.09

@@ -69,7 +69,7 @@ def read(folder, images="i", **options):
 def test_windows_are_in_metres(folder):
     windows = read(folder)
     assert len(windows.segments) == 10
-    speed = windows.segments.states[:, :, 0, 3]
+    speed = windows.segments.states[:, 0, :, 3]
     assert torch.allclose(speed, torch.ones_like(speed), atol=1e-3)  # 20 x 0.05 and 40 x 0.025
     assert windows.scenes[0] == "park_0"
     assert windows.resolutions[[0, -1]].tolist() == pytest.approx([0.05, 0.025])
@@ -82,10 +82,10 @@ def test_heading_comes_from_observed_steps_only():
     )
     other = torch.cat([paths[:, :8], paths[:, 8:] + 5], dim=1)
     one, two = make_path_segments(paths).states, make_path_segments(other).states
-    assert torch.equal(one[:, :8], two[:, :8])
+    assert torch.equal(one[:, :, :8], two[:, :, :8])
     assert torch.equal(one[..., 2], two[..., 2])
     back = reverse_paths(make_path_segments(paths)).states
-    assert torch.equal(back[:, :, 0, :2], paths.flip(1))
+    assert torch.equal(back[:, 0, :, :2], paths.flip(1))
 
 
 def test_straight_paths_are_predicted_and_measured_in_pixels(folder):

@@ -34,8 +34,8 @@ def drive(steps=12, count=3, curve=0.05, dtype=torch.float32):
     pedestrians[..., 0] = 6.0
     pedestrians[..., 1] = 4.0 - 0.1 * torch.arange(steps, dtype=dtype)
     return Segments(
-        states=torch.stack([cars, pedestrians], dim=2),
-        present=torch.ones(count, steps, 2, dtype=torch.bool),
+        states=torch.stack([cars, pedestrians], dim=1),
+        present=torch.ones(count, 2, steps, dtype=torch.bool),
         sizes=torch.tensor([[4.5, 1.8], [0.5, 0.5]], dtype=dtype).expand(count, 2, 2),
         layers=torch.tensor([VEHICLE, PEDESTRIAN]).expand(count, 2),
         controlled=torch.tensor([True, False]).expand(count, 2),

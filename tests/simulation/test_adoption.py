@@ -10,7 +10,8 @@ from torch import nn
 
 from geoaim.simulation import make_ground
 
-PAGE = (Path(__file__).parents[2] / "docs/tutorials/rendering.md").read_text("utf-8")
+TUTORIALS = Path(__file__).parents[2] / "docs/tutorials"
+PAGE = (TUTORIALS / "rendering.md").read_text("utf-8")
 SECTIONS = {
     part.split("\n", 1)[0]: re.findall(r"```python\n(.*?)```", part, re.DOTALL)
     for part in PAGE.split("\n## ")
@@ -19,8 +20,13 @@ NORTH_UP = torch.tensor([[2.0, 0.0, 40.0], [0.0, -2.0, 40.0], [0.0, 0.0, 1.0]])
 
 
 def run(section, **given):
-    """Run a section's script, of at most ten lines beside imports, and return its names."""
+    """Run a section's script, and return its names."""
     (script,) = SECTIONS[section]
+    return run_script(script, **given)
+
+
+def run_script(script, **given):
+    """Run a script of at most ten lines beside imports, and return its names."""
     lines = [line for line in script.splitlines() if line and not line.startswith("from ")]
     assert len(lines) <= 10
     names = {"torch": torch, **given}
@@ -58,6 +64,22 @@ def test_trajdata_batch():
     views = run("Maps as trajdata has them", batch=batch)["views"]
     assert views.shape == (5, 3, 100, 100)
     assert views[:, :, 49:51, 49:51].min() > 0.7
+
+
+def test_batches_of_scenes_on_several_maps():
+    page = (TUTORIALS / "batches.md").read_text("utf-8")
+    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    poses = [(torch.rand(count, 3) * 9).requires_grad_() for count in (2, 4, 1)]
+    names = run_script(
+        script,
+        grounds=[make_ground(torch.rand(3, n, n), NORTH_UP) for n in (80, 60)],
+        agents=[(pose, torch.full((len(pose), 2), 2.0)) for pose in poses],
+        white=torch.ones(3),
+        maps=torch.tensor([1, 0, 1]),
+    )
+    assert names["views"].shape == (3, 4, 3, 128, 128)
+    assert names["views"][0, 2:].abs().max() == 0  # this scene has two agents
+    assert all(pose.grad.abs().sum() > 0 for pose in poses)
 
 
 def test_training_loop():

@@ -402,22 +402,55 @@ def test_a_numba_that_cannot_be_imported_is_named(monkeypatch):
 def test_collated_scenarios_move_as_each_of_them():
     generator, scenarios = noise(2), []
     for count, agents in ((1, 2), (2, 4)):
-        states = torch.rand(count, 6, agents, 4, generator=generator) * 5
-        present = torch.rand(count, 6, agents, generator=generator) > 0.1
+        states = torch.rand(count, agents, 6, 4, generator=generator) * 5
+        present = torch.rand(count, agents, 6, generator=generator) > 0.1
         sizes, walks = torch.full((count, agents, 2), 2.0), torch.zeros(count, agents).bool()
         scenarios.append(Scenario(states, present, sizes, walks, 0.1))
 
     def policy(scenario, path):
-        return torch.full_like(path[:, -1, :, :2], 0.3)
+        return torch.full_like(path[:, :, -1, :2], 0.3)
 
     both = collate_scenarios(scenarios)
     paths = [
-        rollout(one, policy, torch.ones_like(one.present[:, 0]), history=2)
+        rollout(one, policy, torch.ones_like(one.present[..., 0]), history=2)
         for one in (both, *scenarios)
     ]
-    torch.testing.assert_close(paths[0][:1, :, :2], paths[1])
+    torch.testing.assert_close(paths[0][:1, :2], paths[1])
     torch.testing.assert_close(paths[0][1:], paths[2])
-    assert not both.present[0, :, 2:].any()
+    assert not both.present[0, 2:].any()
     assert both.to(dtype=torch.float64).states.dtype == torch.float64
     with pytest.raises(ValueError, match="with the same steps are needed"):
         collate_scenarios([both, replace(both, dt=0.2)])
+
+
+def test_any_leading_axes_are_flattened():
+    torch.manual_seed(3)
+    ground = make_ground(torch.rand(3, 40, 40), torch.tensor([[2.0, 0, 20], [0, -2.0, 20]]))
+    view, white = View(16, 16, 1.0), torch.ones(3)
+    cameras, poses = torch.randn(2, 3, 4, 3), torch.randn(2, 3, 5, 3) * 4
+    present = torch.rand(2, 3, 5) > 0.3
+    sizes = torch.rand(2, 3, 5, 2) + 1
+    pictures = render(view, cameras, ground, [OrientedBoxes(poses, sizes, white, present)])
+    assert pictures.shape == (2, 3, 4, 3, 16, 16)
+    for i, k in ((0, 2), (1, 0)):
+        boxes = OrientedBoxes(poses[i, k][None], sizes[i, k], white, present[i, k])
+        one = render(view, cameras[i, k][None], ground, [boxes])[0]
+        torch.testing.assert_close(pictures[i, k], one)
+    single = OrientedBoxes(poses[0, 0], sizes[0, 0], white, present[0, 0])
+    torch.testing.assert_close(render(view, cameras[0, 0, 1], ground, [single]), pictures[0, 0, 1])
+    some = torch.rand(2, 3, 4) > 0.5
+    masked = render(view, cameras, ground, present=some)
+    assert masked[~some].abs().max() == 0
+
+
+def test_colours_from_0_to_255_are_refused():
+    with pytest.raises(ValueError, match="values up to 200; colours are from 0 to 1"):
+        make_ground(torch.full((3, 4, 4), 200.0), torch.eye(3))
+
+
+def test_a_view_that_aliases_is_named():
+    fine = make_ground(torch.rand(3, 64, 64), torch.tensor([[8.0, 0, 32], [0, -8.0, 32]]))
+    with pytest.warns(GeoaimWarning, match=r"pixels of 0.125 m and the view of 1 m.*prefilter_g"):
+        render(View(8, 8, 1.0), torch.zeros(1, 3), fine)
+    render(View(8, 8, 1.0), torch.zeros(1, 3), prefilter_ground(fine, 1.0))
+    render(View(8, 8, 0.2), torch.zeros(1, 3), fine)

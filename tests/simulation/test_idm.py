@@ -34,9 +34,11 @@ def _drive(states, steps=200, sizes=None):
     position = [x + seconds * speed * heading.cos(), y + seconds * speed * heading.sin()]
     rest = [heading.expand(steps, -1), speed.expand(steps, -1)]
     boxes = torch.tensor(sizes or [CAR] * len(start)).double()[None]
-    there = torch.ones(1, steps, len(start), dtype=torch.bool)
+    there = torch.ones(1, len(start), steps, dtype=torch.bool)
     walks = boxes[..., 0] < 1
-    return Scenario(torch.stack([*position, *rest], -1)[None], there, boxes, walks, DT)
+    return Scenario(
+        torch.stack([*position, *rest], -1).transpose(0, 1)[None], there, boxes, walks, DT
+    )
 
 
 def _simulate(scenario, routes, controlled=None, speed=8.0):
@@ -45,10 +47,11 @@ def _simulate(scenario, routes, controlled=None, speed=8.0):
     controlled = everyone if controlled is None else torch.tensor([controlled])
     desired = torch.full_like(scenario.sizes[..., 0], speed)
     policy = make_idm_policy(routes, desired, scenario.sizes, controlled)
-    states, present = rollout_routes(scenario, policy, controlled, routes)
-    sizes = scenario.sizes.expand(states.shape[1], -1, -1)
-    overlaps = box_iou(states[0, ..., :3], sizes, present[0]) > 0
-    return states[0], present[0], overlaps
+    driven, there = rollout_routes(scenario, policy, controlled, routes)
+    states, present = driven[0].transpose(0, 1), there[0].t()
+    sizes = scenario.sizes.expand(len(states), -1, -1)
+    overlaps = box_iou(states[..., :3], sizes, present) > 0
+    return states, present, overlaps
 
 
 def test_driver_follows_its_route_and_stops_behind_others():
@@ -74,7 +77,7 @@ def test_driver_waits_for_green():
     light[:, 120:] = GREEN
     both = torch.ones(1, 2).bool()
     given = routes, torch.full((1, 2), 8.0).double(), scenario.sizes, both, line, light
-    result = rollout(scenario, make_idm_policy(*given), both)[0]
+    result = rollout(scenario, make_idm_policy(*given), both)[0].transpose(0, 1)
     front = result[:, 0, 0] + 4.5 / 2
     assert front[:120].max() < 40
     assert front[119] > 37
@@ -162,14 +165,14 @@ def test_queue_keeps_the_crossing_clear():
 def _waiting(far):
     """A car that drives 30 m east, then waits with 1 mm of jitter; another parked on its route."""
     steps, time = 200, torch.arange(200, dtype=torch.float64) * DT
-    states = torch.zeros(1, steps, 2, 4, dtype=torch.float64)
+    states = torch.zeros(1, 2, steps, 4, dtype=torch.float64)
     shaking = torch.randn(steps, generator=torch.Generator().manual_seed(0)).double() * 1e-3
-    states[0, :, 0, 0] = (8 * time).clamp_max(30.0)
-    states[0, :, 0, 1] = torch.where(8 * time > 30, shaking, 0.0)
-    states[0, :, 0, 3] = torch.where(8 * time > 30, 0.0, 8.0)
-    states[0, :, 1, 0] = 30 + far
+    states[0, 0, :, 0] = (8 * time).clamp_max(30.0)
+    states[0, 0, :, 1] = torch.where(8 * time > 30, shaking, 0.0)
+    states[0, 0, :, 3] = torch.where(8 * time > 30, 0.0, 8.0)
+    states[0, 1, :, 0] = 30 + far
     sizes = torch.tensor(CAR).double().expand(1, 2, 2)
-    there = torch.ones(1, steps, 2, dtype=torch.bool)
+    there = torch.ones(1, 2, steps, dtype=torch.bool)
     return Scenario(states, there, sizes, torch.zeros(1, 2).bool(), DT)
 
 
@@ -191,7 +194,7 @@ def _at_a_light(x, line, speed=8.0):
     lights = torch.tensor(line)[None].double(), torch.full((1, 2, 1), RED)
     given = torch.full((1, 1), 8.0).double(), scenario.sizes, torch.ones(1, 1).bool()
     policy = make_idm_policy(_follow([[0, 0], [99, 0]]), *given, *lights)
-    return float(policy(scenario, scenario.states[:, :1])[0, 0, 0])
+    return float(policy(scenario, scenario.states[:, :, :1])[0, 0, 0])
 
 
 def test_vehicles_stop_only_at_lines_ahead_that_cross_their_route():
@@ -213,7 +216,7 @@ def test_lines_without_states_are_refused():
 def test_drivers_enter_when_there_is_room():
     steps = 200
     scenario = _drive([[10.0, 0, 0, 0], [0.0, 0, 0, 8]], steps=steps)
-    scenario.present[:, :20, 1] = False
+    scenario.present[:, 1, :20] = False
     routes = _follow([[10, 0], [80, 0]], [[0, 0], [80, 0]])
     _, present, overlaps = _simulate(scenario, routes)
     assert not present[20, 1]  # the other one still stands in its way

@@ -20,9 +20,9 @@ def _recording(steps=21, dtype=torch.float64):
         turn = torch.tensor([0.0, 0.3], dtype=dtype)
         circle.append(bicycle.step(circle[-1], turn, torch.tensor(4.5, dtype=dtype), DT))
     pedestrian = torch.stack([zero + 5, time - 6, zero + np.pi / 2, zero + 1], -1)
-    states = torch.stack([straight, torch.stack(circle), pedestrian], 1)[None]
-    present = torch.ones(1, steps, 3, dtype=torch.bool)
-    present[0, :5, 2] = present[0, 15:, 2] = False
+    states = torch.stack([straight, torch.stack(circle), pedestrian])[None]
+    present = torch.ones(1, 3, steps, dtype=torch.bool)
+    present[0, 2, :5] = present[0, 2, 15:] = False
     sizes = torch.tensor([[[4.5, 1.9], [4.5, 1.9], [0.5, 0.5]]], dtype=dtype)
     states = torch.where(present[..., None], states, 0.0)
     return Scenario(states, present, sizes, torch.tensor([[False, False, True]]), DT)
@@ -35,7 +35,7 @@ def test_inverted_steps_reproduce_a_recording_by_the_motion_models():
     scenario = _recording()
 
     def follow(scenario, path):
-        return invert_step(scenario, path[:, -1], scenario.states[:, path.shape[1]])
+        return invert_step(scenario, path[:, :, -1], scenario.states[:, :, path.shape[2]])
 
     result = rollout(scenario, follow, ALL_AGENTS)
     apart = (result - scenario.states)[..., :2].norm(dim=-1)
@@ -48,9 +48,9 @@ def test_pedestrians_move_by_the_unicycle_and_all_others_by_the_bicycle():
     sizes = torch.tensor([[4.5, 1.9], [0.0, 0.0]]).double()  # a padded pedestrian has no length
     both = torch.ones(1, 2, 2, dtype=torch.bool)
     pedestrian = torch.tensor([[False, True]])
-    scenario = Scenario(states.expand(1, 2, 2, 4), both, sizes[None], pedestrian, DT)
+    scenario = Scenario(states[:, None].expand(1, 2, 2, 4), both, sizes[None], pedestrian, DT)
     start = states[None].requires_grad_()
-    after = step(scenario, 0, start, actions[None], both[:, 0])
+    after = step(scenario, 0, start, actions[None], both[..., 0])
     length = sizes[0, 0]
     torch.testing.assert_close(after[0, 0], bicycle.step(states[0], actions[0], length, DT))
     torch.testing.assert_close(after[0, 1], unicycle.step(states[1], actions[1], length, DT))
@@ -63,29 +63,29 @@ def test_agents_that_are_not_controlled_replay_the_recording():
     scenario = _recording()
 
     def wild(scenario, path):
-        return torch.full_like(path[:, -1, :, :2], 0.5)
+        return torch.full_like(path[:, :, -1, :2], 0.5)
 
     controlled = torch.tensor([[True, False, False]])
     result = rollout(scenario, wild, controlled)
-    torch.testing.assert_close(result[:, :, 1:], scenario.states[:, :, 1:])
-    assert (result[0, -1, 0] - scenario.states[0, -1, 0]).norm() > 1
+    torch.testing.assert_close(result[:, 1:], scenario.states[:, 1:])
+    assert (result[0, 0, -1] - scenario.states[0, 0, -1]).norm() > 1
 
 
 def test_agents_enter_in_the_recorded_state():
     scenario = _recording()
     result = rollout(scenario, constant_velocity, ALL_AGENTS)
-    torch.testing.assert_close(result[0, 5, 2], scenario.states[0, 5, 2])
-    torch.testing.assert_close(result[0, 14, 2], scenario.states[0, 14, 2])
-    assert not result[0, 15:, 2].any()
+    torch.testing.assert_close(result[0, 2, 5], scenario.states[0, 2, 5])
+    torch.testing.assert_close(result[0, 2, 14], scenario.states[0, 2, 14])
+    assert not result[0, 2, 15:].any()
 
 
 def test_simple_policies_keep_velocity_or_turn_rate():
     scenario = _recording()
     straight = rollout(scenario, constant_velocity, ALL_AGENTS, history=5)
     round_on = rollout(scenario, constant_turn_rate, ALL_AGENTS, history=5)
-    torch.testing.assert_close(straight[:, :, 0], scenario.states[:, :, 0])
-    assert (straight - scenario.states)[0, -1, 1, :2].norm() > 0.5
-    assert (round_on - scenario.states)[0, -1, 1, :2].norm() < 1e-6
+    torch.testing.assert_close(straight[:, 0], scenario.states[:, 0])
+    assert (straight - scenario.states)[0, 1, -1, :2].norm() > 0.5
+    assert (round_on - scenario.states)[0, 1, -1, :2].norm() < 1e-6
 
 
 def test_gradients_through_ten_steps_of_rendering_and_driving():
@@ -99,13 +99,13 @@ def test_gradients_through_ten_steps_of_rendering_and_driving():
 
     def last(weights):
         def policy(scenario, path):
-            now = path[:, -1]
-            here = scenario.present[:, path.shape[1] - 1]
+            now = path[:, :, -1]
+            here = scenario.present[:, :, path.shape[2] - 1]
             everyone = OrientedBoxes(now[..., :3], scenario.sizes[0], colours, here)
             pictures = [render(view, now[:, a, :3], ground, [everyone]) for a in range(3)]
             return torch.stack([picture.flatten(1) @ weights for picture in pictures], 1)
 
-        return rollout(scenario, policy, ALL_AGENTS)[:, -1, :2]
+        return rollout(scenario, policy, ALL_AGENTS)[:, :2, -1]
 
     given = weights.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(last(given).sum(), given)
@@ -122,7 +122,7 @@ def test_what_cannot_be_simulated_is_refused():
         rollout(scenario, constant_velocity, ALL_AGENTS, history=21)
 
     def lost(scenario, path):
-        return torch.full_like(path[:, -1, :, :2], torch.nan)
+        return torch.full_like(path[:, :, -1, :2], torch.nan)
 
     with pytest.raises(ValueError, match="at step 0 the policy gives an action"):
         rollout(scenario, lost, ALL_AGENTS)
@@ -131,7 +131,7 @@ def test_what_cannot_be_simulated_is_refused():
 def test_padded_agents_without_sizes_have_gradients():
     scenario = _recording()
     present = scenario.present.clone()
-    present[..., 2] = False
+    present[:, 2] = False
     sizes = scenario.sizes * torch.tensor([1.0, 1.0, 0.0])[:, None]
     states = scenario.states.clone().requires_grad_()
     padded = Scenario(states, present, sizes, torch.zeros_like(scenario.pedestrian), DT)
@@ -149,7 +149,7 @@ def test_absent_agents_of_a_simulated_scene_are_nan():
         torch.arange(21).double() * DT,
         empty[..., None].expand(3, 21, 3),
         empty,
-        scenario.present[0].t(),
+        scenario.present[0],
         scenario.sizes[0].float(),
         ("car", "car", "pedestrian"),
         ("1", "2", "3"),

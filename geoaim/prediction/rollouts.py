@@ -1,0 +1,152 @@
+"""Rollouts: what a model carries from one predicted step to the next."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from geoaim.prediction.anchors import ANCHOR_SCALE_M
+from geoaim.prediction.config import Config
+from geoaim.prediction.observation import Controlled, index_controlled
+from geoaim.prediction.segments import Segments, repeat
+from geoaim.simulation.ground import Ground
+from geoaim.simulation.input_checks import check_shape
+from geoaim.simulation.kinematics import agent_from_world
+
+DT_TOLERANCE_S = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Segments with the index of their E controlled agents.
+
+    Attributes:
+        segments: states of all agents.
+        ground: the map.
+        controlled: index of the controlled agents.
+        history: observed steps.
+    """
+
+    segments: Segments
+    ground: Ground
+    controlled: Controlled
+    history: int
+
+    @property
+    def truth(self) -> Float[Tensor, "E T 4"]:
+        """Recorded states of the controlled agents."""
+        return self.segments.states[self.controlled.segment, self.controlled.agent]
+
+    @property
+    def sizes(self) -> Float[Tensor, "E 2"]:
+        """Lengths and widths of the controlled agents."""
+        return self.segments.sizes[self.controlled.segment, self.controlled.agent]
+
+    @property
+    def present(self) -> Bool[Tensor, "E T"]:
+        """Presence of the controlled agents."""
+        return self.segments.present[self.controlled.segment, self.controlled.agent]
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A simulation at one step: `ITRA.start` makes one, and `ITRA.step` the next one.
+
+    Attributes:
+        batch: the segments, each repeated for every sample, and the map.
+        index: the step, an index of the segments' steps.
+        states: (B, N, 4) x, y (m), heading (rad), speed (m/s) of all agents at that step.
+        features: (E, F) views as they were last encoded.
+        hidden: (E, H) hidden states of the GRU.
+        anchor: (E, P, 2) the proposal that each agent follows, metres; None: there is none, or not
+            yet.
+        samples: rows of each segment, next to each other.
+    """
+
+    batch: Batch
+    index: int
+    states: Float[Tensor, "B N 4"]
+    features: Float[Tensor, "E F"]
+    hidden: Float[Tensor, "E H"]
+    anchor: Float[Tensor, "E P 2"] | None = None
+    samples: int = 1
+
+    @property
+    def pose(self) -> Float[Tensor, "E 4"]:
+        """States of the controlled agents."""
+        return self.states[self.batch.controlled.segment, self.batch.controlled.agent]
+
+    def place(self, agent: int, states: Float[Tensor, "B 4"]) -> "Rollout":
+        """Put an agent elsewhere in all rows, as its own planner wants.
+
+        Args:
+            agent: column of the agent.
+            states: (B, 4) x, y, heading, speed in each row.
+
+        Raises:
+            ValueError: the states have another shape.
+        """
+        check_shape("states", states, (len(self.states), 4))
+        placed = self.states.clone()
+        placed[:, agent] = states
+        return replace(self, states=placed)
+
+
+def repeat_rollout(rollout: Rollout, samples: int) -> Rollout:
+    """Repeat a rollout for each of `samples` futures; the rows of a segment are neighbours."""
+    one = rollout.batch
+    number = one.segments.controlled.long()  # (B, N) row of each controlled agent
+    number[one.controlled.segment, one.controlled.agent] = torch.arange(
+        len(rollout.hidden), device=number.device
+    )
+    segments = repeat(one.segments, samples)
+    batch = Batch(segments, one.ground, index_controlled(segments), one.history)
+    row = number[batch.controlled.segment // samples, batch.controlled.agent]  # (E K,)
+    return Rollout(
+        batch=batch,
+        index=rollout.index,
+        states=rollout.states.repeat_interleave(samples, dim=0),
+        features=rollout.features[row],
+        hidden=rollout.hidden[row],
+        samples=samples,
+    )
+
+
+def normalise_attributes(
+    pose: Float[Tensor, "E 4"], sizes: Float[Tensor, "E 2"]
+) -> Float[Tensor, "E 3"]:
+    """Speed, length and width of agents, normalised."""
+    return torch.cat([pose[:, 3:] / 10, sizes / 5], dim=1)
+
+
+def encode_anchor(
+    pose: Float[Tensor, "E 4"], anchor: Float[Tensor, "E P 2"], remaining: float
+) -> Float[Tensor, "E _"]:
+    """A proposal in the agent's frame, normalised, and the share of steps that remain."""
+    local = agent_from_world(pose[:, None], anchor) / ANCHOR_SCALE_M
+    return torch.cat([local.flatten(1), torch.full_like(pose[:, :1], remaining)], dim=1)
+
+
+def check_fits(config: Config, batch: Batch) -> None:
+    """Raise ValueError where segments do not fit a model."""
+    segments, history, total = batch.segments, batch.history, batch.segments.steps
+    if abs(segments.dt - config.dt) > DT_TOLERANCE_S:
+        raise ValueError(f"segments have a dt of {segments.dt:g} s, the model {config.dt:g} s")
+    if not 1 <= history < total:
+        raise ValueError(
+            f"history is {history}, but the segments have {total} steps; give 1 to "
+            f"{total - 1}, so that a step remains to predict"
+        )
+    if not segments.controlled.any():
+        raise ValueError("no agent in these segments is controlled")
+    if not config.num_anchors:
+        return
+    if (history, total - history) != (config.history, config.horizon):
+        raise ValueError(
+            f"history is {history} and the segments have {total} steps; the model's "
+            f"proposals need a history of {config.history} and "
+            f"{config.history + config.horizon} steps"
+        )
+    if not batch.present[:, :history].all():
+        raise ValueError(f"proposals need agents that are present in all {history} observed steps")
