@@ -2,9 +2,10 @@
 
     python -m benchmarks.rendering.render_batches --json docs/bench/render_batches.json
 
-Each side and direction is measured in a process of its own, the smallest batch first. The map is one texture of 1024 x 1024 px over 200 m,
-views show 100 m, and each has 20 cars with triangles. Memory is the peak of the process beyond
-that before the first picture; with backward, gradients go to all poses, sizes and colours.
+Each side and direction is measured in a process of its own, the smallest batch first. The map is a
+texture of 1024 x 1024 px over 200 m, views show 100 m, and each has 20 cars with triangles. Memory
+is the peak of the process beyond that before the first picture; with backward, gradients go to all
+poses, sizes and colours.
 """
 
 import time

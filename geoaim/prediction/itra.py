@@ -18,7 +18,8 @@ Shapes: B segments, K samples, N agents, T steps, E controlled agents of all seg
 H hidden state, Z latent, A proposals, P points of a proposal.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -30,6 +31,7 @@ from geoaim.prediction.anchors import (
     compute_anchor_loss,
     select_anchor,
 )
+from geoaim.prediction.bound import Losses, compute_nll
 from geoaim.prediction.config import Config
 from geoaim.prediction.neighbours import split_views
 from geoaim.prediction.networks import build_cnn, build_mlp
@@ -51,22 +53,11 @@ from geoaim.prediction.rollouts import (
 from geoaim.prediction.segments import Segments
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.input_checks import check_shape
-from geoaim.simulation.kinematics import MOTION_MODELS, wrap_angle
+from geoaim.simulation.kinematics import MOTION_MODELS
 from geoaim.simulation.prefiltering import prefilter_ground
 
 MAX_ACTION = 4.0  # normalised; larger ground-truth actions are noise of headings at standstill
-SPEED_SCALE_S = 0.5  # an error of 1 m/s counts as this many metres in the likelihood
 ATTRIBUTES = 3  # speed, length and width
-
-
-@dataclass(frozen=True, eq=False)
-class Losses:
-    """Means over controlled agents and predicted steps."""
-
-    # negative log-likelihood of the ground-truth states, without its constant
-    nll: Float[Tensor, ""]
-    kl: Float[Tensor, ""]  # Kullback-Leibler divergence of the posterior from the prior, nats
-    anchor: Float[Tensor, ""]  # `compute_anchor_loss` of the proposals, metres; 0 without proposals
 
 
 class ITRA(nn.Module):
@@ -129,11 +120,10 @@ class ITRA(nn.Module):
             rollout = self._move(rollout, action)
             predicted.append(rollout.pose)
             kl.append(divergence)
-        scales = truth.new_tensor([1.0, 1.0, self.config.heading_scale, SPEED_SCALE_S])
-        error = _subtract(torch.stack(predicted, dim=1), truth[:, history:])
-        nll = 0.5 * (error * (scales / self.config.sigma)).square().sum(dim=2).mean()
+        nll = compute_nll(self.config, torch.stack(predicted, dim=1), truth[:, history:])
         return Losses(nll, torch.stack(kl, dim=1).mean(), anchor_loss)
 
+    @torch.no_grad()
     def sample(
         self,
         segments: Segments,
@@ -141,10 +131,8 @@ class ITRA(nn.Module):
         *,
         history: int,
         samples: int,
-        generator: torch.Generator | None = None,
+        generator: torch.Generator,
         latent_scale: float = 1.0,
-        latents: Float[Tensor, "B K N t Z"] | None = None,
-        gradients: bool = False,
     ) -> Float[Tensor, "B K N T 4"]:
         """Sample joint futures of all controlled agents; all others replay.
 
@@ -157,37 +145,55 @@ class ITRA(nn.Module):
                 before (`prefilter_ground`), which saves time over many calls.
             history: observed steps.
             samples: K futures to draw.
-            generator: source of the noise, on the segments' device; None: `latents` are given.
+            generator: source of the noise, on the segments' device.
             latent_scale: factor on the prior's standard deviation.
-            latents: (B, K, N, t, Z) latents of the t predicted steps; those of agents that are not
-                controlled are not used. None: drawn from the prior.
-            gradients: whether gradients pass, to latents, states, the ground and the weights.
 
         Returns:
             States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
             ones included.
 
         Raises:
+            ValueError: the segments do not fit the model.
+        """
+        rollout = self.start(segments, ground, history=history, samples=samples)
+        steps = range(segments.steps - history)
+        noise = (latent_scale * self.draw_latent(rollout, generator) for _ in steps)
+        return self._roll_out(rollout, noise)
+
+    def decode_latents(
+        self,
+        segments: Segments,
+        ground: Ground,
+        latents: Float[Tensor, "B K N t Z"],
+        *,
+        history: int,
+        gradients: bool = False,
+    ) -> Float[Tensor, "B K N T 4"]:
+        """Compute the futures of given latents, such as those by which an agent reaches a goal.
+
+        Args:
+            segments: as in `sample`.
+            ground: as in `sample`.
+            latents: (B, K, N, t, Z) latents of K futures at the t predicted steps; those of agents
+                that are not controlled are not used.
+            history: observed steps.
+            gradients: whether gradients pass, to latents, states, the texture and the weights.
+
+        Returns:
+            States as in `sample`.
+
+        Raises:
             ValueError: the segments do not fit the model, or latents have another shape.
         """
+        samples = latents.shape[1] if latents.ndim > 1 else 1
         horizon = segments.steps - history
-        if latents is not None:
-            shape = len(segments), samples, segments.agents, horizon, self.config.latent_size
-            check_shape("latents", latents, shape)
+        shape = len(segments), samples, segments.agents, horizon, self.config.latent_size
+        check_shape("latents", latents, shape)
         with torch.set_grad_enabled(gradients):
             rollout = self.start(segments, ground, history=history, samples=samples)
-            path = list(rollout.batch.segments.states[:, :, :history].unbind(2))
-            for number in range(horizon):
-                latent = None
-                if latents is not None:
-                    row, agent = rollout.batch.controlled.segment, rollout.batch.controlled.agent
-                    latent = latents.flatten(0, 1)[row, agent, number]
-                elif generator is not None:
-                    latent = latent_scale * self.draw_latent(rollout, generator)
-                rollout = self.step(rollout, latent)
-                path.append(rollout.states)
-            states = torch.stack(path, dim=2)
-        return states.view(len(segments), samples, *states.shape[1:])
+            index = rollout.batch.controlled.segment, rollout.batch.controlled.agent
+            chosen = latents.flatten(0, 1)[index]  # (E, t, Z)
+            return self._roll_out(rollout, chosen.unbind(1))
 
     def start(
         self, segments: Segments, ground: Ground, *, history: int, samples: int = 1
@@ -284,6 +290,17 @@ class ITRA(nn.Module):
         last = batch.history - 1
         return Rollout(batch, last, batch.segments.states[:, :, last], features, hidden)
 
+    def _roll_out(
+        self, rollout: Rollout, latents: Iterable[Float[Tensor, "E Z"]]
+    ) -> Float[Tensor, "B K N T 4"]:
+        """Take a step for each of the latents; the observed steps come first."""
+        path = list(rollout.batch.segments.states[:, :, : rollout.batch.history].unbind(2))
+        for latent in latents:
+            rollout = self.step(rollout, latent)
+            path.append(rollout.states)
+        states = torch.stack(path, dim=2)
+        return states.view(-1, rollout.samples, *states.shape[1:])
+
     def _look(self, rollout: Rollout) -> tuple[Rollout, Float[Tensor, "E C"]]:
         """Encode the views; also gives the context of all decisions."""
         index, before = rollout.index, rollout.features
@@ -309,10 +326,8 @@ class ITRA(nn.Module):
     def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
         """Move the controlled agents by their actions."""
         batch, controlled = rollout.batch, rollout.batch.controlled
-        lengths = batch.sizes[:, 0]
-        after = self.motion.step(
-            rollout.pose, self.scale_action(action), lengths, batch.segments.dt
-        )  # (E, 4)
+        given = rollout.pose, self.scale_action(action), batch.sizes[:, 0], batch.segments.dt
+        after = self.motion.step(*given)  # (E, 4)
         states = batch.segments.states[:, :, rollout.index + 1].index_put(
             (controlled.segment, controlled.agent), after
         )
@@ -383,9 +398,3 @@ class ITRA(nn.Module):
         batch = Batch(segments, ground, index_controlled(segments), history)
         check_fits(self.config, batch)
         return batch
-
-
-def _subtract(states: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> Tensor:
-    """Difference of states, headings wrapped to [-pi, pi)."""
-    x, y, heading, speed = (states - truth).unbind(-1)
-    return torch.stack([x, y, wrap_angle(heading), speed], dim=-1)

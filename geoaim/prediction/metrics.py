@@ -15,7 +15,7 @@ from torch import Tensor
 from geoaim.prediction.segments import VEHICLE, Segments, repeat
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules_to_any
-from geoaim.simulation.scene_infractions import Motion, find_infractions
+from geoaim.simulation.scene_infractions import AgentMotion, find_infractions
 
 BOOTSTRAP_DRAWS = 1000
 CONFIDENCE = 0.95
@@ -222,7 +222,7 @@ def _compute_infraction_rates(
     """Shares of agents, samples and steps that collide, are off the road or run a red light."""
     count, samples = futures.shape[:2]
     many = repeat(segments, samples)  # (B K, ...)
-    motion = Motion(
+    motion = AgentMotion(
         poses=futures[..., history - 1 :, :3].flatten(0, 1),
         present=many.present[..., history - 1 :],
         sizes=many.sizes,

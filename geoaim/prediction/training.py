@@ -21,10 +21,11 @@ from geoaim.base.files import atomic_files, lock_folder
 from geoaim.base.limits import refuse_damaged
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes
+from geoaim.prediction.bound import Losses
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
-from geoaim.prediction.itra import ITRA, Losses
+from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.segments import Segments, move_to, pick
 from geoaim.simulation.ground import Ground

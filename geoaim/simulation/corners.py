@@ -1,6 +1,7 @@
 """The ground of an image whose four corners are known in the world, as in Liu et al. 2023."""
 
 import os
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -34,7 +35,8 @@ def read_ground(folder: str | os.PathLike[str]) -> Ground:
         return make_ground_from_aim(aim)
     image = torch.tensor(aim.image).permute(2, 0, 1) / 255
     coverage = torch.tensor(aim.coverage > 0)
-    return ground_from_corners(image, torch.tensor(aim.corners), coverage=coverage)
+    ground = ground_from_corners(image, torch.tensor(aim.corners), coverage=coverage)
+    return replace(ground, world=aim.world)
 
 
 def ground_from_corners(

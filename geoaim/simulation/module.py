@@ -1,7 +1,6 @@
 """The renderer as a module of torch, for models that keep their map among their buffers."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
@@ -37,15 +36,15 @@ class Renderer(nn.Module):
     def __init__(self, view: View, ground: Ground, *, planes: bool = False) -> None:
         super().__init__()
         ground = prefilter_ground(ground, view.resolution)
-        self.view, self.planes, self._given = view, planes, ground
+        self.view, self.planes = view, planes
+        self._rest = ground.averaged_over, ground.finest, ground.world
         for name in TENSORS:
             self.register_buffer(name, getattr(ground, name), persistent=False)
 
     @property
     def ground(self) -> Ground:
         """The maps, prefiltered for the view."""
-        tensors = {name: getattr(self, name) for name in TENSORS}
-        return replace(self._given, **tensors)
+        return Ground(*(getattr(self, name) for name in TENSORS), *self._rest)
 
     def forward(
         self,

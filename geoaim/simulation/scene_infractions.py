@@ -23,7 +23,7 @@ MIN_DISTANCE_BETWEEN_RED_LIGHTS_M = 2.0  # closer crossings of one agent are noi
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class AgentMotion:
     """How A agents move in S steps of M scenes, of which infractions are judged.
 
     Attributes:
@@ -70,7 +70,7 @@ def detect_infractions(
     """
     vehicles = torch.from_numpy(select_group(scene.types, "vehicle")).to(agents.device)
     poses, sizes = scene.poses[:, first - 1 :], scene.sizes
-    motion = Motion(
+    motion = AgentMotion(
         poses=poses[None],
         present=scene.present[None, :, first - 1 :],
         sizes=sizes[None],
@@ -87,7 +87,7 @@ def detect_infractions(
 
 
 def find_infractions(
-    motion: Motion, agents: Bool[Tensor, "M A"], rules: RoadRules
+    motion: AgentMotion, agents: Bool[Tensor, "M A"], rules: RoadRules
 ) -> dict[str, Found]:
     """Find infractions of agents: collisions and contacts of all, the others of vehicles alone.
 
@@ -132,7 +132,7 @@ def find_infractions(
 
 
 def _find_overlaps(
-    motion: Motion, agents: Bool[Tensor, "M A"], counted: Bool[Tensor, "M A S"]
+    motion: AgentMotion, agents: Bool[Tensor, "M A"], counted: Bool[Tensor, "M A S"]
 ) -> dict[str, Found]:
     """Find collisions and contacts, for all steps of all scenes at once."""
     shape, (steps, count) = counted.transpose(1, 2).shape, counted.shape[:0:-1]
@@ -153,7 +153,9 @@ def _find_overlaps(
     return {**found, "contact": (contact, counted & ~motion.vehicles[..., None])}
 
 
-def _find_red_light_running(motion: Motion, moved: Bool[Tensor, "M A S"]) -> Bool[Tensor, "M A S"]:
+def _find_red_light_running(
+    motion: AgentMotion, moved: Bool[Tensor, "M A S"]
+) -> Bool[Tensor, "M A S"]:
     """Find crossings of stop lines, for all steps of all scenes at once."""
     steps = moved.shape[2]
     poses = motion.poses.transpose(1, 2)  # (M, 1 + S, A, 3)

@@ -80,19 +80,18 @@ def test_traffic_reacts_to_a_planner_that_drives_one_car_of_the_sample(scene):  
 def test_latents_and_gradients_reach_a_goal():
     itra, segments = model().eval(), drive(10, 1)
     latents = torch.zeros(1, 1, 2, 6, itra.config.latent_size, requires_grad=True)
-    given = {"history": HISTORY, "samples": 1, "latents": latents}
-    first = itra.sample(segments, hill(), **given, gradients=True)
+    first = itra.decode_latents(segments, hill(), latents, history=HISTORY, gradients=True)
     goal = first[0, 0, 0, -1, :2].detach() + 0.1
     distance = (first[0, 0, 0, -1, :2] - goal).norm()
     distance.backward()
     assert latents.grad[:, :, 0].abs().sum() > 0
     assert latents.grad[:, :, 1].abs().sum() == 0  # it is not controlled
     moved = (latents - 0.5 * latents.grad / latents.grad.norm()).detach()
-    nearer = itra.sample(segments, hill(), **{**given, "latents": moved})
+    nearer = itra.decode_latents(segments, hill(), moved, history=HISTORY)
     assert (nearer[0, 0, 0, -1, :2] - goal).norm() < distance
-    assert not itra.sample(segments, hill(), **given).requires_grad
+    assert not itra.decode_latents(segments, hill(), latents, history=HISTORY).requires_grad
     with pytest.raises(ValueError, match=r"latents has the shape .* is needed"):
-        itra.sample(segments, hill(), **{**given, "latents": latents[..., :3]})
+        itra.decode_latents(segments, hill(), latents[..., :3], history=HISTORY)
 
 
 def test_models_that_move_otherwise_are_no_policies():

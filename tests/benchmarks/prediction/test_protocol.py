@@ -15,8 +15,8 @@ def test_models_are_trained_and_evaluated_on_places(place, monkeypatch):
     monkeypatch.setattr(protocol, "VAL_FRACTION", 0.2)
     dataset = make_places_dataset([place], SMALL, "aim")
     assert len(dataset.train) > 50
-    assert dataset.train.states.shape[1] == dataset.val.states.shape[1] == 40
-    positions = dataset.train.states[:, :, 0, :2]
+    assert dataset.train.steps == dataset.val.steps == 40
+    positions = dataset.train.states[:, 0, :, :2]
     low, high = dataset.ground.bounds[0].float()
     assert ((low < positions) & (positions < high)).all()
     predictor = BASELINES["constant velocity"]
