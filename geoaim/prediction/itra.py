@@ -238,8 +238,8 @@ class ITRA(nn.Module):
         Raises:
             ValueError: the segments end at this step, or latents have another shape.
         """
-        action, acted = self.act(rollout, latent)
-        return self._move(acted, action)
+        action, rollout = self.act(rollout, latent)
+        return self._move(rollout, action)
 
     def act(
         self, rollout: Rollout, latent: Float[Tensor, "E Z"] | None = None
@@ -264,9 +264,9 @@ class ITRA(nn.Module):
         rollout, context = self._look(rollout)
         if self.config.num_anchors and rollout.anchor is None:
             past = rollout.batch.truth[:, : rollout.batch.history, :2]
-            proposals = self.anchors(rollout.pose, past, rollout.features)
+            anchors, logits = self.anchors(rollout.pose, past, rollout.features)
             rank = rollout.batch.controlled.segment % rollout.samples
-            rollout = replace(rollout, anchor=select_anchor(*proposals, rank))
+            rollout = replace(rollout, anchor=select_anchor(anchors, logits, rank))
         return self._act(rollout, context, latent)
 
     def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
@@ -319,8 +319,7 @@ class ITRA(nn.Module):
             inputs.append(encode_anchor(rollout.pose, rollout.anchor, remaining))
         action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
         action = MAX_ACTION * torch.tanh(action / MAX_ACTION)
-        attributes = context[:, -ATTRIBUTES:]
-        seen = torch.cat([rollout.features, action, attributes], dim=1)  # (E, F + 2 + 3)
+        seen = torch.cat([rollout.features, action, context[:, -ATTRIBUTES:]], dim=1)
         return action, replace(rollout, hidden=self.update_hidden(seen, rollout.hidden))
 
     def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
@@ -354,9 +353,10 @@ class ITRA(nn.Module):
         truth, history = rollout.batch.truth, rollout.batch.history
         past = truth[:, :history, :2]
         noise = torch.randn(past.shape, generator=generator, device=past.device)
-        proposals = self.anchors(rollout.pose, past + HISTORY_NOISE_M * noise, rollout.features)
+        noisy = past + HISTORY_NOISE_M * noise
+        anchors, logits = self.anchors(rollout.pose, noisy, rollout.features)
         target = truth[:, [history - 1 + step for step in self.anchors.steps], :2]
-        return target, compute_anchor_loss(*proposals, target, top_k)
+        return target, compute_anchor_loss(anchors, logits, target, top_k)
 
     def _encode_view(
         self,

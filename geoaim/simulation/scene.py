@@ -113,8 +113,8 @@ class Scene(Display):
             lines = [move_to_axes(axes, line, self.world) for line in points[rows]]
             draw_lines(axes, lines, get_colour(kind), label=f"{count} {kind}")
         if len(self.stop_lines):
-            lines = move_to_axes(axes, self.stop_lines.cpu().numpy(), self.world)
-            draw_lines(axes, lines, STOP_LINE_COLOUR, width=2.5, label="stop lines of lights")
+            stops = move_to_axes(axes, self.stop_lines.cpu().numpy(), self.world)
+            draw_lines(axes, stops, STOP_LINE_COLOUR, width=2.5, label="stop lines of lights")
 
     def draw_ground(self, axes: "Axes", bounds: Float[Array, "2 2"] | None = None) -> None:
         """Draw the map alone, or its part in bounds (metres in the scene's world)."""

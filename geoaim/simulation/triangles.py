@@ -51,7 +51,7 @@ def paint_triangles(
     target = face // faces * (view.height * view.width) + row * view.width + column
     colour, level = colours.flatten(0, 1)[face], levels.flatten()[face]
     result = pictures.permute(0, 2, 3, 1).reshape(-1, pictures.shape[1])  # (V H W, C)
-    for height in levels.detach().unique().flip(0).tolist():
+    for height in sorted(set(levels.detach().flatten().tolist()), reverse=True):
         part = level == height
         some, share = target[part], alpha[part]
         covered = result.new_zeros(len(result)).index_add(0, some, share)

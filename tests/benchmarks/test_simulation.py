@@ -7,6 +7,7 @@ import torch
 
 from benchmarks.rendering import batches as birdview_batches
 from benchmarks.rendering import benchmark as birdview
+from benchmarks.rendering import render_batches
 from benchmarks.simulation import benchmark as simulator
 
 pytestmark = pytest.mark.slow
@@ -29,6 +30,14 @@ def test_renderers_are_timed_and_compared(ground, monkeypatch):
     figure = birdview._draw_chart(methods)
     titles = [axes.get_title() for axes in figure.axes]
     assert titles == ["mean error", "mean error at edges of boxes"]
+
+
+def test_time_and_memory_of_batches_are_measured(monkeypatch):
+    monkeypatch.setattr(render_batches, "BATCHES", (1, 2))
+    monkeypatch.setattr(render_batches, "MAP_PX", 64)
+    for backward in (False, True):
+        rows = render_batches.measure(8, backward, 1)
+        assert [row["ms"] > 0 and row["megabytes"] >= 0 for row in rows] == [True, True]
 
 
 def test_batches_are_timed(ground, monkeypatch):

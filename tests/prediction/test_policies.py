@@ -100,7 +100,7 @@ def test_models_that_move_otherwise_are_no_policies():
         ITRAPolicy(itra, drive(8), hill(), history=2)
 
 
-def test_an_agent_is_placed_by_somebody_else():
+def test_an_agent_is_placed_by_somebody_else(unchecked):
     itra, segments = model().eval(), drive(8)
     here = itra.start(segments, hill(), history=2)
     there = here.place(1, torch.full((3, 4), 5.0))
