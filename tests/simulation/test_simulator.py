@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, render
+from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, prefilter_ground, render
 from geoaim.simulation.kinematics import bicycle, unicycle
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.simulator import Scenario, apply_rollout, invert_step, rollout, step
@@ -94,6 +94,7 @@ def test_gradients_through_ten_steps_of_rendering_and_driving():
     v, u = torch.meshgrid(torch.arange(64.0), torch.arange(64.0), indexing="ij")
     image = (0.5 + 0.3 * torch.sin(u / 6) * torch.cos(v / 8)).double()[None]
     ground = make_ground(image, torch.tensor([[1.0, 0, 32], [0, -1.0, 32]]).double())
+    ground = prefilter_ground(ground, 3.0)
     view, colours = View(8, 8, 3.0), torch.ones(3, 1).double()
     weights = torch.randn(64, 2, generator=torch.Generator().manual_seed(0)).double() * 0.05
 
