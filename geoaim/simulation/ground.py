@@ -171,8 +171,8 @@ def _check_images(
         raise ValueError(f"a texture of {images.dtype}; float32 or float64 is needed")
     if not torch.isfinite(images).all():
         raise ValueError("the texture has pixels that are not finite")
-    brightest = float(images.detach().max()) if images.numel() else 0.0
-    if brightest > MAX_BRIGHTNESS:
+    darkest, brightest = (float(x) for x in images.detach().aminmax()) if images.numel() else (0, 0)
+    if darkest >= 0 and brightest > MAX_BRIGHTNESS:
         raise ValueError(
             f"the texture has values up to {brightest:g}; colours are from 0 to 1: divide those "
             "from 0 to 255 by 255"
