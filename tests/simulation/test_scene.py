@@ -101,7 +101,7 @@ def test_ego_is_in_the_centre_and_heads_up():
 def test_pixels_without_coverage_are_grey():
     scene = make_scene(_aim(), _tracks())
     camera = torch.tensor([[2.0, 20.0, 0.0]])
-    view = View(4, 4, 0.5)
+    view = View(4, 4, 0.4)
     assert (render(view, camera, scene.ground) == 0.5).all()
     assert (render_coverage(view, camera, scene.ground) == 0).all()
     assert (render_coverage(view, camera + torch.tensor([20.0, 0, 0]), scene.ground) == 1).all()
