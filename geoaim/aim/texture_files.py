@@ -29,7 +29,7 @@ FORMAT = FileFormat("corner frame", VERSION, VERSION, VERSION + 1, AimError, edi
 SIZES = ("height", "width", "pixel_height", "pixel_width")
 REQUIRED = frozenset({"version", "image", *SIZES, "corner_order", "corners", "world"})
 POSITION_KEYS = ("position", "place")  # of the report: how well it is known, and where that holds
-OPTIONAL = frozenset({"image_sha256", "checksum"})  # which geoaim writes
+OPTIONAL = frozenset({"image_sha256", "checksum", *POSITION_KEYS})  # which geoaim writes
 ORIENTATION_TAG, UPRIGHT = 0x0112, 1  # EXIF
 MAX_SKEW = 1e-12  # largest skew of a parallelogram as a share of its sides: rounding
 
