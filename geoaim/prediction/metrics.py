@@ -48,7 +48,7 @@ def compute_metrics(
     - `minADE`, `minFDE`: average and final displacement error of the best of K samples, chosen for
       each agent (Gupta et al. 2018).
     - `joint minADE`, `joint minFDE`: the same, one sample chosen for all agents of a segment (Liu
-      et al. 2023).
+      et al. 2023), and a mean over segments instead of agents. Each chooses its own sample.
     - `MFD`: maximum final distance between two samples (Ścibior et al. 2021).
     - `collision rate`, `off-road rate`: share of agents, samples and predicted steps (Lioutas et
       al. 2021), by `find_infractions`; contacts count as collisions here.
@@ -78,7 +78,7 @@ def compute_metrics(
         best = torch.where(controlled, errors.amin(dim=1), 0.0).sum(dim=1)
         metrics[f"min{name}"] = _make_metric(best, count)
         joint = torch.where(controlled[:, None], errors, 0.0).sum(dim=2).amin(dim=1)
-        metrics[f"joint min{name}"] = _make_metric(joint, count)
+        metrics[f"joint min{name}"] = _make_metric(joint / count.clamp_min(1), count.sign())
     ends = futures[..., -1, :2].transpose(1, 2)  # (B, N, K, 2)
     distances = (ends[:, :, :, None] - ends[:, :, None]).norm(dim=-1).amax(dim=(2, 3))
     mfd = torch.where(controlled, distances, 0.0).sum(dim=1)
@@ -157,6 +157,42 @@ def bootstrap_interval(
     means = _average_draws(metric, draws)
     if other is not None:
         means = means - _average_draws(other, draws)
+    low, high = np.nanquantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return float(low), float(high)
+
+
+def bootstrap_nested(
+    trainings: Sequence[Sequence[Metric]], others: Sequence[Sequence[Metric]] = (), *, seed: int = 0
+) -> tuple[float, float]:
+    """Estimate the interval of a mean over trainings and places, or of the difference of two.
+
+    Trainings and places are resampled, each as a whole (hierarchical bootstrap, Davison and Hinkley
+    1997), so that the interval tells what other trainings and other places would give.
+
+    Args:
+        trainings: the metric of each training of a model at each place.
+        others: of another model at the same places, subtracted; its trainings are resampled on
+            their own.
+        seed: seed of the resampling.
+
+    Returns:
+        Lower and upper bound of the 95 % interval.
+
+    Raises:
+        ValueError: there is one training or one place, over which there is no interval.
+
+    >>> low, high = bootstrap_nested([[Metric(np.array([x]), np.ones(1)) for x in (1.0, 3.0)]] * 2)
+    >>> low, high
+    (1.0, 3.0)
+    """
+    generator = np.random.default_rng(seed)
+    places = len(trainings[0]) if trainings else 0
+    if min(places, len(trainings), *([len(others)] if others else [])) < 2:
+        raise ValueError(f"{len(trainings)} trainings at {places} places; two of each are needed")
+    chosen = generator.integers(0, places, (BOOTSTRAP_DRAWS, places))
+    means = _draw_trainings(trainings, chosen, generator)
+    if others:
+        means = means - _draw_trainings(others, chosen, generator)
     low, high = np.nanquantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return float(low), float(high)
 
@@ -241,6 +277,20 @@ def _compute_infraction_rates(
         for marks, on in [found[name]]
         if name == "collision" or on.any()
     }
+
+
+def _draw_trainings(
+    trainings: Sequence[Sequence[Metric]], places: Int[Array, "D P"], generator: np.random.Generator
+) -> Float[Array, "D"]:
+    """Means of resampled trainings at resampled places."""
+    sums, counts = (
+        np.array([[getattr(one, part).sum() for one in row] for row in trainings])  # (R, P)
+        for part in ("sums", "counts")
+    )
+    rows = generator.integers(0, len(sums), (len(places), len(sums)))
+    index = rows[:, :, None], places[:, None, :]
+    total, number = sums[index].sum(axis=(1, 2)), counts[index].sum(axis=(1, 2))
+    return np.where(number > 0, total / np.maximum(number, 1e-9), np.nan)
 
 
 def _average_draws(metric: Metric, draws: Int[Array, "D B"]) -> Float[Array, "D"]:

@@ -11,6 +11,7 @@ from geoaim.prediction.metrics import (
     Metric,
     average_seeds,
     bootstrap_interval,
+    bootstrap_nested,
     compute_metrics,
     concat,
     keep_rates,
@@ -51,6 +52,19 @@ def test_joint_metrics_choose_one_sample_for_all_agents():
     metrics = compute_metrics(states + move, both, 4)
     assert metrics["minADE"].mean == pytest.approx(0, abs=1e-6)
     assert metrics["joint minADE"].mean == pytest.approx(1.0, abs=1e-5)
+
+
+def test_joint_metrics_are_means_over_segments():
+    segments = drive(10, 2)
+    controlled = torch.tensor([[True, True], [True, False]])
+    both = replace(segments, controlled=controlled)
+    states = futures(both, [0.0])
+    states[0, :, :, :, 1] += 4.0  # both agents of the first segment
+    states[1, :, :, :, 1] += 2.0  # the one agent of the second
+    metrics = compute_metrics(states, both, 4)
+    assert metrics["minADE"].mean == pytest.approx((4 + 4 + 2) / 3, abs=1e-5)
+    for name in ("joint minADE", "joint minFDE"):
+        assert metrics[name].mean == pytest.approx((4 + 2) / 2, abs=1e-5)
 
 
 def test_rates_count_agents_samples_and_steps():
@@ -185,3 +199,24 @@ def test_averaging_seeds_keeps_the_number_of_segments():
     assert bootstrap_interval(average_seeds([one, one])["minADE"]) == bootstrap_interval(
         one["minADE"]
     )
+
+
+def spread(trainings, places, *, seed=0):
+    """Metrics of trainings at places, each with its own error, of 50 agents."""
+    draws = np.random.default_rng(seed)
+    base = draws.normal(0, places, 12) + draws.normal(0, trainings, (5, 1))
+    return [[Metric(50 * np.array([value]), np.array([50.0])) for value in row] for row in base]
+
+
+def test_nested_intervals_are_as_wide_as_trainings_and_places_differ():
+    for trainings, places in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
+        low, high = bootstrap_nested(spread(trainings, places))
+        assert (high - low > 0.3) == (trainings + places > 0)
+
+
+def test_places_that_are_hard_for_both_do_not_widen_a_difference():
+    hard = spread(0.0, 1.0)
+    low, high = bootstrap_nested(hard, hard)
+    assert low == pytest.approx(high) == pytest.approx(0)
+    with pytest.raises(ValueError, match="1 trainings at 12 places"):
+        bootstrap_nested(hard[:1])
