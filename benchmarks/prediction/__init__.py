@@ -1,21 +1,27 @@
 """The paper's tables and public benchmarks, by their names in `python -m benchmarks.prediction`."""
 
 from benchmarks.prediction import (
+    aim_or_hdmap,
     observed_states,
     pedestrians,
     pretrained,
     sind,
     songdo,
+    standing,
     stanford,
+    stanford_baselines,
     vehicles,
     zero_shot,
 )
 
 EXPERIMENTS = {
     "pretrained": pretrained.run,
+    "aim_or_hdmap": aim_or_hdmap.run,
     "pedestrians": pedestrians.run,
     "vehicles": vehicles.run,
+    "standing": standing.run,
     "stanford": stanford.run,
+    "stanford_baselines": stanford_baselines.run,
     "songdo": songdo.run,
     "sind": sind.run,
     "zero_shot": zero_shot.run,

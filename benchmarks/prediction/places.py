@@ -119,17 +119,25 @@ def read_map(place: Path, name: str) -> AIM:
     return MAPS[name](place)
 
 
-def add_blur_and_noise(image: Float32[Array, "H W 3"], size: float) -> Float32[Array, "H W 3"]:
+def add_blur_and_noise(
+    image: Float32[Array, "H W 3"], size: float, *, noise: float = NOISE
+) -> Float32[Array, "H W 3"]:
     """Degrade an image (0 to 1) by blur and noise, as the paper does.
 
-    `size`, which the paper does not state, is the standard deviation of the Gaussian blur, and the
-    side of the squares that share one draw of Gaussian noise, in pixels.
+    Args:
+        image: RGB.
+        size: standard deviation of the Gaussian blur, and side of the squares that share one draw
+            of Gaussian noise, pixels; the paper does not state it.
+        noise: standard deviation of the noise, of full brightness.
+
+    Returns:
+        The degraded image.
     """
     blurred = cv2.GaussianBlur(image, (0, 0), size)
     height, width = image.shape[:2]
     squares = round(height / size), round(width / size)
-    noise = np.random.default_rng(0).normal(0, NOISE, (*squares, 3))
-    resized = cv2.resize(noise, (width, height), interpolation=cv2.INTER_NEAREST)
+    drawn = np.random.default_rng(0).normal(0, noise, (*squares, 3))
+    resized = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_NEAREST)
     return np.clip(blurred + resized, 0, 1).astype(np.float32)
 
 

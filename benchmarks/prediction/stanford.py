@@ -15,55 +15,28 @@ from benchmarks.prediction.places import add_blur_and_noise
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
 from geoaim.base.progress import Progress
 from geoaim.prediction.baselines import BASELINES, Predictor
-from geoaim.prediction.config import Config, TrainConfig
+from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import Metric, average_seeds
-from geoaim.prediction.segments import concat
 from geoaim.prediction.training import init_model
-from geoaim.prediction.windows import (
-    DT_S,
-    HISTORY_STEPS,
-    WINDOW_STEPS,
-    ImageTransform,
-    WindowFiles,
-    Windows,
-    read_windows,
-    reverse_paths,
+from geoaim.prediction.window_training import (
+    WINDOW_TRAINING,
+    WITH_MAP,
+    WITHOUT_MAP,
+    make_windows_dataset,
 )
+from geoaim.prediction.windows import ImageTransform, WindowFiles, Windows, read_windows
 
 DATA = "tracks/sdd_trajnet"
 VAL_SCENES = ("bookstore_3", "coupa_3", "deathCircle_3", "gates_1", "hyang_6", "nexus_8")
 STANFORD_SAMPLES = 20
-WITH_MAP = Config(
-    kind="pedestrian",
-    motion="slide",
-    dt=DT_S,
-    view_size=32,
-    resolution=1.5,
-    surface_contrast=True,
-    view_stride=WINDOW_STEPS - HISTORY_STEPS,
-    num_anchors=20,
-    history=HISTORY_STEPS,
-    horizon=WINDOW_STEPS - HISTORY_STEPS,
-)
-WITHOUT_MAP = replace(WITH_MAP, surface_contrast=False, use_observations=False)
 MODELS = {
     "map": WITH_MAP,
     "no map": WITHOUT_MAP,
     "no map, no proposals": replace(WITHOUT_MAP, num_anchors=0, history=0, horizon=0),
 }
-TRAINING = TrainConfig(
-    steps=4000,
-    batch_size=128,
-    kl_weight=1.2,
-    kl_warmup=0.0,
-    history=(HISTORY_STEPS, HISTORY_STEPS),
-    mirror=True,
-    scale_jitter=0.2,
-    colour_jitter=0.2,
-)
 SEEDS = {"map": 3, "no map": 3}  # seeds differ as much as maps help; other models have one
 PAIRS = (("map", "no map"), ("map, blurred and noisy", "map"), ("no map", "no map, no proposals"))
 
@@ -126,13 +99,10 @@ def _train(
     config = MODELS[name]
 
     def load_dataset() -> Dataset:
-        """Training windows, also reversed in time; the log evaluates the unreversed ones."""
-        windows = _read_windows(config, scenes)
-        both = concat([windows.segments, reverse_paths(windows.segments)])
-        return Dataset(both, windows.segments, windows.ground)
+        return make_windows_dataset(_list_files(config), config, scenes=scenes)
 
     words = (label or name).replace(",", "").split()
-    model, training = init_model(config, seed=seed), replace(TRAINING, seed=seed)
+    model, training = init_model(config, seed=seed), replace(WINDOW_TRAINING, seed=seed)
     return train_once(model, training, load_dataset, "_".join(["stanford", *words]), workspace)
 
 
@@ -144,10 +114,13 @@ def _average_scene(scene: str, metrics: Metrics, windows: Windows) -> dict[str, 
 def _read_windows(
     config: Config, scenes: Sequence[str], transform: ImageTransform | None = None
 ) -> Windows:
+    return read_windows(_list_files(config), config.view, scenes=scenes, transform=transform)
+
+
+def _list_files(config: Config) -> WindowFiles:
     folder = require_data(DATA)
     images = folder / "images" if config.use_observations else None
-    files = WindowFiles(folder / "windows", images, folder / "scenes.csv")
-    return read_windows(files, config.view, scenes=scenes, transform=transform)
+    return WindowFiles(folder / "windows", images, folder / "scenes.csv")
 
 
 def _degrade(image: Float32[Array, "H W 3"], resolution: float) -> Float32[Array, "H W 3"]:

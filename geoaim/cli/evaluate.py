@@ -27,16 +27,9 @@ def evaluate(
         Path | None, typer.Argument(help="AIM, with --tracks; or give --windows instead")
     ] = None,
     tracks: options.OptionalTracks = None,
-    windows: Annotated[
-        Path | None,
-        typer.Option(help="folder of TrajNet windows: <scene>.csv with frame, track, u_px, v_px"),
-    ] = None,
-    images: Annotated[
-        Path | None, typer.Option(help="folder of the windows' maps: <scene>.jpg")
-    ] = None,
-    scenes: Annotated[
-        Path | None, typer.Option(help="table of the windows' scenes: scene, metres_per_pixel")
-    ] = None,
+    windows: options.WindowsFolder = None,
+    images: options.WindowImages = None,
+    scenes: options.WindowScenes = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
     samples: options.Samples = SAMPLES,

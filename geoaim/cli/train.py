@@ -8,27 +8,35 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, load_model
 from geoaim.cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from geoaim.prediction.config import TrainConfig
+    from geoaim.prediction.dataset import Dataset
     from geoaim.prediction.itra import ITRA
 
+STEPS, BATCH_SIZE = 200, 32  # defaults
 CHECKPOINT_STEPS = 50  # steps from one checkpoint to the next
 
 
 def train(
     aim: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             help="AIM, with --tracks; or a table of recordings, .csv, with the columns aim, "
-            "tracks and, where needed, tracks_world, lights, hdmap, ..."
+            "tracks and, where needed, tracks_world, lights, hdmap, ...; or give --windows instead"
         ),
-    ],
+    ] = None,
+    *,
     output: Annotated[Path, options.output("folder for model.pt, log.csv and curves.png")],
     tracks: options.OptionalTracks = None,
+    windows: options.WindowsFolder = None,
+    images: options.WindowImages = None,
+    scenes: options.WindowScenes = None,
     kind: options.Kind = "vehicles",
     weights: options.WeightsFile = None,
     scratch: Annotated[
@@ -38,11 +46,17 @@ def train(
             help="start from random weights, with the configuration of --weights or the default",
         ),
     ] = False,
-    steps: Annotated[int, typer.Option(help="optimiser steps", min=1)] = 200,
-    batch_size: Annotated[int, typer.Option(help="segments in a batch", min=1)] = 32,
+    steps: Annotated[
+        int | None, typer.Option(help="optimiser steps; 200, of windows 4000", min=1)
+    ] = None,
+    batch_size: Annotated[
+        int | None, typer.Option(help="segments in a batch; 32, of windows 128", min=1)
+    ] = None,
     learning_rate: Annotated[
         float | None,
-        typer.Option(help="highest learning rate; 0.0005, or 0.002 from scratch", min=1e-8),
+        typer.Option(
+            help="highest learning rate; 0.0005, from scratch or of windows 0.002", min=1e-8
+        ),
     ] = None,
     segment_duration: Annotated[
         float | None,
@@ -68,54 +82,102 @@ def train(
 ) -> None:
     """Train a prediction model on your map: fine-tune a trained model, or start from scratch.
 
-    An interrupted training resumes when the same command is called again. Use the model with
+    The step with the lowest minADE in validation is kept; a training that makes nothing better says
+    so. An interrupted training resumes when the same command is called again. Use the model with
     --weights FOLDER/model.pt in predict and evaluate; give evaluate the same --val-fraction.
+
+    On TrajNet windows (--windows, --scenes, and --images for their maps), a new model with
+    trajectory proposals is trained, as for the Stanford benchmark; evaluate takes the same options.
 
     Example: geoaim train map.tif --tracks samples/tracks.csv --val-fraction 0.4 -o model
     """
-    from geoaim.cli.scene_tables import read_scene_sources, read_scenes
     from geoaim.prediction.config import configure_fine_tuning, configure_training
-    from geoaim.prediction.dataset import make_dataset
     from geoaim.prediction.report import plot_training
     from geoaim.prediction.training import train as train_model
 
     with show_progress() as progress, report_errors():
         check_output(output / "model.pt", inputs=[weights])
+        given = tracks, tracks_world, tracks_resolution, tracks_frame_rate
         view = {"view_size": view_size, "resolution": view_resolution}
         view = {name: value for name, value in view.items() if value is not None}
         if view and not scratch:
             raise ValueError("a trained model keeps its view; give --scratch with a view's options")
-        model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
-        given = tracks, tracks_world, tracks_resolution, tracks_frame_rate
-        sources = [SceneSource(aim, *given, lights, hdmap, stop_lines)]
-        if aim.suffix.lower() == ".csv":
-            if any((*given, lights, hdmap, stop_lines)):
-                raise ValueError(
-                    f"{aim} names the files of each recording; leave their options out"
-                )
-            sources = read_scene_sources(aim)
-        dt = model.config.dt
-        dataset = make_dataset(
-            read_scenes(sources, 1 / dt, progress),
-            model.config,
-            val_fraction=val_fraction,
-            segment_steps=None if segment_duration is None else round(segment_duration / dt),
-            progress=progress,
-        )
-        configure = configure_training if scratch else configure_fine_tuning
-        config = configure(model.config.kind, steps=steps, batch_size=batch_size, seed=seed)
-        rate = learning_rate or config.learning_rate
-        config = replace(config, checkpoint_interval=CHECKPOINT_STEPS, learning_rate=rate)
+        if windows is not None:
+            if aim is not None or weights is not None or scratch or any(given):
+                raise ValueError("--windows starts a new model; give no AIM, --tracks or --weights")
+            model, dataset, config = _prepare_windows(windows, images, scenes, seed)
+        elif aim is None:
+            raise ValueError("give an AIM with --tracks, a table of recordings, or --windows")
+        else:
+            source = SceneSource(aim, *given, lights, hdmap, stop_lines)
+            model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
+            dataset = _make_dataset(source, model, val_fraction, segment_duration, progress)
+            configure = configure_training if scratch else configure_fine_tuning
+            config = configure(model.config.kind, steps=STEPS, batch_size=BATCH_SIZE, seed=seed)
+            config = replace(config, checkpoint_interval=CHECKPOINT_STEPS)
+        chosen: dict[str, Any] = {
+            "steps": steps,
+            "batch_size": batch_size,
+            "learning_rate": learning_rate,
+        }
+        config = replace(config, **{k: v for k, v in chosen.items() if v is not None})
         try:
             train_model(model, config, dataset, output, progress=progress)
         except (KeyboardInterrupt, SystemExit):
             console.print(_describe_checkpoint(output))
             raise
         plot_training(output / "log.csv", output / "curves.png")
+    held_out = "of them" if windows is not None else f"of the last {100 * val_fraction:g} %"
     console.print(
         f"{output / 'model.pt'}: trained on {len(dataset.train)} segments, validated on "
-        f"{len(dataset.val)} of the last {100 * val_fraction:g} %: "
+        f"{len(dataset.val)} {held_out}: "
         f"{_summarize_log(output / 'log.csv')}; see {output / 'curves.png'}"
+    )
+
+
+def _make_dataset(
+    source: SceneSource,
+    model: "ITRA",
+    val_fraction: float,
+    segment_duration: float | None,
+    progress: Progress,
+) -> "Dataset":
+    """Read recordings, one or a table of them, and cut them into segments."""
+    from geoaim.cli.scene_tables import read_scene_sources, read_scenes
+    from geoaim.prediction.dataset import make_dataset
+
+    sources, dt = [source], model.config.dt
+    if source.aim.suffix.lower() == ".csv":
+        if any(value for name, value in vars(source).items() if name != "aim"):
+            raise ValueError(
+                f"{source.aim} names the files of each recording; leave their options out"
+            )
+        sources = read_scene_sources(source.aim)
+    return make_dataset(
+        read_scenes(sources, 1 / dt, progress),
+        model.config,
+        val_fraction=val_fraction,
+        segment_steps=None if segment_duration is None else round(segment_duration / dt),
+        progress=progress,
+    )
+
+
+def _prepare_windows(
+    windows: Path, images: Path | None, scenes: Path | None, seed: int
+) -> "tuple[ITRA, Dataset, TrainConfig]":
+    """Make a new model of TrajNet windows, with their maps if there are images."""
+    from geoaim.prediction import window_training
+    from geoaim.prediction.training import init_model
+    from geoaim.prediction.windows import WindowFiles
+
+    if scenes is None:
+        raise ValueError("--windows needs --scenes, for the metres per pixel of each scene")
+    config = window_training.WITHOUT_MAP if images is None else window_training.WITH_MAP
+    dataset = window_training.make_windows_dataset(WindowFiles(windows, images, scenes), config)
+    return (
+        init_model(config, seed=seed),
+        dataset,
+        replace(window_training.WINDOW_TRAINING, seed=seed),
     )
 
 
@@ -139,9 +201,19 @@ def _describe_checkpoint(folder: Path) -> str:
 
 
 def _summarize_log(log: Path) -> str:
-    """Compare minADE in the first and the last row of a training log."""
-    rows = list(csv.DictReader(log.read_text(encoding="utf-8").splitlines()))
-    return ", ".join(
-        f"minADE {float(row['minADE']):.2f} m after step {row['step']}"
-        for row in (rows[0], rows[-1])
-    )
+    """Compare the best validated step of a training log with the start, or with the first one."""
+    from geoaim.prediction.training import find_best_step
+
+    table = csv.DictReader(log.read_text(encoding="utf-8").splitlines())
+    rows = [{name: float(value) for name, value in row.items()} for row in table]
+    best = find_best_step(rows)
+    first, last = rows[0], rows[-1]
+    if best == 0:
+        return (
+            f"no better than before: minADE {first['minADE']:.2f} m before, {last['minADE']:.2f} m "
+            f"after step {last['step']:.0f}; model.pt is the model that training began with"
+        )
+    chosen = next(row for row in rows if row["step"] == best)
+    before = "before" if first["step"] == 0 else f"after step {first['step']:.0f}"
+    text = f"minADE {first['minADE']:.2f} m {before}, {chosen['minADE']:.2f} m after step {best}"
+    return text if best == last["step"] else f"{text}, which is kept as the best"

@@ -1,4 +1,4 @@
-"""Augmentation of a batch: the plane scaled and mirrored, the colours of the maps changed."""
+"""Augmentation of a batch: the plane scaled and mirrored; maps recoloured, misplaced, resized."""
 
 from dataclasses import replace
 
@@ -34,7 +34,34 @@ def augment(
         offset = config.colour_jitter * (torch.rand(3, 1, 1, generator=draws) - 0.5)
         image = ground.image * gain.to(ground.image) + offset.to(ground.image)
         ground = replace(ground, image=image)
+    if config.map_shift or config.map_scale:
+        ground = misplace_ground(ground, config.map_shift, config.map_scale, draws)
     return scale(segments, factors), scale_ground(ground, factors)
+
+
+def misplace_ground(ground: Ground, shift: float, scale: float, draws: torch.Generator) -> Ground:
+    """Shift each map by up to `shift` metres, and scale it about its middle by up to 1 + `scale`.
+
+    Args:
+        ground: M maps.
+        shift: most metres.
+        scale: largest share.
+        draws: source of randomness.
+
+    Returns:
+        The maps as an erroneous georeference would place them.
+    """
+    matrix = ground.image_from_world.cpu()  # (M, 2, 3)
+    size, length, angle = torch.rand(3, len(matrix), 1, 1, generator=draws).to(matrix)
+    factor = 1 + scale * (2 * size - 1)  # (M, 1, 1)
+    angle = 2 * torch.pi * angle
+    offset = shift * length * torch.cat([angle.cos(), angle.sin()], dim=1)  # (M, 2, 1)
+    middle = ground.bounds.cpu().mean(dim=1)[..., None].to(matrix)  # (M, 2, 1)
+    linear = matrix[..., :2] / factor
+    # the ground of a world point x is taken from middle + (x - offset - middle) / factor
+    moved = matrix[..., :2] @ middle + matrix[..., 2:] - linear @ (middle + offset)
+    changed = torch.cat([linear, moved], dim=2).to(ground.image_from_world)
+    return replace(ground, image_from_world=changed)
 
 
 def scale_ground(ground: Ground, factors: Float[Tensor, "2"]) -> Ground:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 import torch.distributed as dist
 from jaxtyping import Int
-from torch import Tensor
+from torch import Tensor, nn
 
 from geoaim.prediction.augmentation import augment
 from geoaim.prediction.config import TrainConfig
@@ -52,6 +52,13 @@ def join_processes(device: torch.device) -> Iterator[Process]:
         dist.barrier()  # gloo's threads abort a process that ends right after an all-reduce
     finally:
         dist.destroy_process_group()
+
+
+def share_weights(model: nn.Module, process: Process) -> None:
+    """Give all processes the weights of the first one."""
+    if process.world_size > 1:
+        for value in model.state_dict().values():
+            dist.broadcast(value, 0)
 
 
 def draw_batch(

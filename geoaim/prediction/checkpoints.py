@@ -18,6 +18,7 @@ from geoaim.base.errors import ModelError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import refuse_damaged
 from geoaim.prediction.config import Config
+from geoaim.prediction.familiarity import KnownViews
 from geoaim.prediction.itra import ITRA
 
 FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
@@ -25,9 +26,13 @@ PRETRAINED = Path(__file__).parent / "models"
 
 
 def write_model(model: ITRA, path: str | os.PathLike[str]) -> None:
-    """Write a model's config and weights, as 16-bit floats."""
+    """Write a model's config, weights (16-bit floats), and what views it knows."""
     weights = {name: value.detach().cpu().half() for name, value in model.state_dict().items()}
-    write_state({"config": asdict(model.config), "weights": weights}, path)
+    state: dict[str, Any] = {"config": asdict(model.config), "weights": weights}
+    if (known := model.known_views) is not None:
+        tensors = {name: getattr(known, name).cpu().float() for name in ("mean", "whitening")}
+        state["known_views"] = {**tensors, "limit": known.limit}
+    write_state(state, path)
 
 
 def read_model(path: str | os.PathLike[str]) -> ITRA:
@@ -45,6 +50,8 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
             model = ITRA(Config(**state["config"]))
         weights = {name: value.float() for name, value in state["weights"].items()}
         model.load_state_dict(weights, assign=True)
+        if "known_views" in state:
+            model.known_views = KnownViews(**state["known_views"])
     infinite = [name for name, value in weights.items() if not value.isfinite().all()]
     if infinite:
         raise ModelError(

@@ -117,6 +117,9 @@ class TrainConfig:
     scale_jitter: float = 0.0  # largest share by which a batch is scaled up or down
     # largest share by which a batch's map is made brighter or darker, by channel
     colour_jitter: float = 0.0
+    # most metres, and largest share, by which a batch's maps are misplaced and wrongly scaled
+    map_shift: float = 0.0
+    map_scale: float = 0.0
     seed: int = 0  # random seed
     checkpoint_interval: int = 250  # steps from one checkpoint to the next
     log_start: bool = False  # whether the log begins with minADE before the first step

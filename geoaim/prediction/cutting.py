@@ -17,7 +17,7 @@ MIN_TRAVEL_M = 1.0  # agents that move less in a whole recording are parked
 
 
 def cut_segments(
-    scene: Scene, group: str, *, steps: int, stride: int, joint: bool = False
+    scene: Scene, group: str, *, steps: int, stride: int, joint: bool = False, parked: bool = False
 ) -> Segments:
     """Cut a scene into segments whose controlled agents are of one group.
 
@@ -29,12 +29,14 @@ def cut_segments(
         joint: one segment for each start, in which all agents of the group that are present at all
             steps are controlled; otherwise one segment for each of these agents, which alone is
             controlled, with its nearest neighbours.
+        parked: whether to control the agents that move by less than `MIN_TRAVEL_M` in the whole
+            scene, instead of all others.
 
     Returns:
-        Segments of moving agents.
+        Segments of moving agents, or of parked ones.
 
     Raises:
-        TracksError: no moving agent of the group is present for long enough.
+        TracksError: no such agent of the group is present for long enough.
         ValueError: the scene's steps are not at even intervals.
     """
     if len(scene.times) < 2:
@@ -43,13 +45,13 @@ def cut_segments(
     if (scene.times.diff() - dt).abs().max() > 0.01 * dt:
         raise ValueError("the scene's steps are not at even intervals; resample the tracks")
     scene = _keep_observed(scene)
-    complete = _find_complete(scene, group, steps, stride)
+    agents = mask_agents(scene, group) & ((_compute_travel(scene) > MIN_TRAVEL_M) ^ parked)
+    complete = _find_complete(scene, agents, steps, stride)
     if not complete.any():
-        agents = _mask_group(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
         longest = int(scene.present[agents].sum(dim=1).max()) if agents.any() else 0
         raise TracksError(
-            f"no moving {group} is present for {steps} steps of {dt:g} s; the longest track has "
-            f"{longest}"
+            f"no {'parked' if parked else 'moving'} {group} is present for {steps} steps of "
+            f"{dt:g} s; the longest track has {longest}"
         )
     choose_agents = _choose_all if joint else _choose_neighbours
     parts = []
@@ -79,7 +81,7 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
         TracksError: no agent of the group is present at that step.
     """
     scene = _keep_observed(scene)
-    controlled = _mask_group(scene, group) & scene.present[:, start]
+    controlled = mask_agents(scene, group) & scene.present[:, start]
     if not controlled.any():
         raise TracksError(
             f"no {group} is present at {float(scene.times[start]):g} s, or none for long enough to "
@@ -93,7 +95,7 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
     return _extend(past, steps.stop - start - 1, lights[None])
 
 
-def _mask_group(scene: Scene, group: str) -> Bool[Tensor, "N"]:
+def mask_agents(scene: Scene, group: str) -> Bool[Tensor, "N"]:
     return torch.from_numpy(select_group(scene.types, group)).to(scene.present.device)
 
 
@@ -103,12 +105,13 @@ def _keep_observed(scene: Scene) -> Scene:
     return replace(scene, present=scene.present & known)
 
 
-def _find_complete(scene: Scene, group: str, steps: int, stride: int) -> Bool[Tensor, "N _"]:
-    """For each start, the moving agents of a group that are present at all steps of the segment."""
-    moving = _mask_group(scene, group) & (_compute_travel(scene) > MIN_TRAVEL_M)
+def _find_complete(
+    scene: Scene, agents: Bool[Tensor, "N"], steps: int, stride: int
+) -> Bool[Tensor, "N _"]:
+    """For each start, those of some agents that are present at all steps of the segment."""
     long_enough = steps <= len(scene.times)
-    present = scene.present if long_enough else scene.present.new_zeros(len(moving), steps)
-    return present.unfold(1, steps, stride).all(dim=2) & moving[:, None]
+    present = scene.present if long_enough else scene.present.new_zeros(len(agents), steps)
+    return present.unfold(1, steps, stride).all(dim=2) & agents[:, None]
 
 
 def _choose_all(
@@ -145,7 +148,7 @@ def _cut(
         states=states[agents],
         present=piece.present[agents],
         sizes=piece.sizes[agents],
-        layers=torch.where(_mask_group(piece, "vehicle"), VEHICLE, PEDESTRIAN)[agents],
+        layers=torch.where(mask_agents(piece, "vehicle"), VEHICLE, PEDESTRIAN)[agents],
         controlled=controlled,
         places=torch.zeros(count, dtype=torch.long, device=states.device),
         stop_lines=piece.stop_lines.expand(count, -1, -1, -1),

@@ -1,5 +1,6 @@
 """Datasets: training and validation segments of recordings, and the maps of their places."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -7,13 +8,15 @@ from geoaim.base.errors import TracksError, warn
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
-from geoaim.prediction.segments import Segments, concat
+from geoaim.prediction.segments import Segments, concat, pick
 from geoaim.simulation.atlas import stack_grounds
 from geoaim.simulation.ground import Ground, View
 from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.scene import Scene, slice_scene
 
+PARTS = ("training", "validation")
 MAP_DENSITY = 2  # map pixels per side of a view pixel: fewer than by default, to save memory
+PARKED_SHARE = 0.3  # most segments of parked agents for each one of a moving agent
 VAL_FRACTION = 0.05  # share of each recording, at its end, as in the paper
 
 
@@ -31,6 +34,7 @@ def make_dataset(
     config: Config,
     *,
     val_fraction: float = VAL_FRACTION,
+    val_scenes: Sequence[Scene] = (),
     segment_steps: int | None = None,
     progress: Progress = notebook_progress,
 ) -> Dataset:
@@ -40,6 +44,8 @@ def make_dataset(
         scenes: scenes with the config's dt; scenes of one place hold the same `Ground` object.
         config: the model's configuration: its agent kind ("vehicle" or "pedestrian") and its view.
         val_fraction: share of each scene's steps, at its end, for validation.
+        val_scenes: scenes to validate with, whole; if there are any, the others are for training
+            alone.
         segment_steps: length of a segment; None: 40 for vehicles and 30 for pedestrians.
         progress: takes stage, done and total.
 
@@ -49,29 +55,21 @@ def make_dataset(
     Raises:
         TracksError: no agent of the kind is present for long enough, in either part.
     """
-    grounds = {id(scene.ground): scene.ground for scene in scenes}
+    grounds = {id(scene.ground): scene.ground for scene in (*scenes, *val_scenes)}
     place_of = {key: place for place, key in enumerate(grounds)}
-    parts: dict[str, list[Segments]] = {"training": [], "validation": []}
+    parts: dict[str, list[Segments]] = {name: [] for name in PARTS}
     problems: dict[str, list[str]] = {name: [] for name in parts}
-    for number, scene in enumerate(scenes):
-        progress("segments", number, len(scenes))
-        for name, part in zip(parts, split_scene(scene, val_fraction), strict=True):
-            try:
-                segments = cut_segments(
-                    part,
-                    config.kind,
-                    steps=segment_steps or SEGMENT_STEPS[config.kind],
-                    stride=SEGMENT_STRIDES[config.kind],
-                )
-            except TracksError as error:
-                problems[name].append(
-                    f"no {name} segments in recording {number + 1} of {len(scenes)}, whose last "
-                    f"{100 * val_fraction:g} % are for validation: {error}"
-                )
-            else:
-                places = segments.places + place_of[id(scene.ground)]
-                parts[name].append(replace(segments, places=places))
-    progress("segments", len(scenes), len(scenes))
+    pieces = _list_pieces(scenes, val_scenes, val_fraction)
+    for number, (name, source, piece) in enumerate(pieces):
+        progress("segments", number, len(pieces))
+        try:
+            segments = _cut_with_parked(piece, config, segment_steps)
+        except TracksError as error:
+            problems[name].append(f"no {name} segments in {source}: {error}")
+        else:
+            places = segments.places + place_of[id(piece.ground)]
+            parts[name].append(replace(segments, places=places))
+    progress("segments", len(pieces), len(pieces))
     _report_problems(parts, problems)
     ground = stack_maps(list(grounds.values()), config.view)
     return Dataset(concat(parts["training"]), concat(parts["validation"]), ground)
@@ -92,6 +90,37 @@ def split_scene(scene: Scene, val_fraction: float) -> tuple[Scene, Scene]:
     """Split a scene into its beginning, and its end with `val_fraction` (0 to 1) of the steps."""
     first = round(len(scene.times) * (1 - val_fraction))
     return slice_scene(scene, slice(0, first)), slice_scene(scene, slice(first, None))
+
+
+def _list_pieces(
+    scenes: Sequence[Scene], val_scenes: Sequence[Scene], val_fraction: float
+) -> list[tuple[str, str, Scene]]:
+    """List the pieces of scenes: the part of the dataset, what it is cut from, and the piece."""
+    pieces: list[tuple[str, str, Scene]] = []
+    for number, scene in enumerate(scenes):
+        source = f"recording {number + 1} of {len(scenes)}"
+        if val_scenes:
+            pieces.append(("training", source, scene))
+            continue
+        source += f", whose last {100 * val_fraction:g} % are for validation"
+        for name, part in zip(PARTS, split_scene(scene, val_fraction), strict=True):
+            pieces.append((name, source, part))
+    for number, scene in enumerate(val_scenes):
+        source = f"recording {number + 1} of {len(val_scenes)} to validate with"
+        pieces.append(("validation", source, scene))
+    return pieces
+
+
+def _cut_with_parked(scene: Scene, config: Config, steps: int | None) -> Segments:
+    """Cut segments of moving agents, and some of parked ones, which then are known to stay."""
+    steps, stride = steps or SEGMENT_STEPS[config.kind], SEGMENT_STRIDES[config.kind]
+    moving = cut_segments(scene, config.kind, steps=steps, stride=stride)
+    try:
+        parked = cut_segments(scene, config.kind, steps=steps, stride=2 * steps, parked=True)
+    except TracksError:  # there are none
+        return moving
+    thinning = math.ceil(len(parked) / (PARKED_SHARE * len(moving)))
+    return concat([moving, pick(parked, slice(None, None, thinning))])
 
 
 def _report_problems(parts: dict[str, list[Segments]], problems: dict[str, list[str]]) -> None:

@@ -7,6 +7,8 @@ its kinematic model f_kin, and the hidden state h_t of a GRU is updated:
     z_t ~ N(0, I)        a_t = f_theta(b_t, z_t, h_{t-1})        s_{t+1} ~ N(f_kin(s_t, a_t), sigma)
     h_t = f_psi(h_{t-1}, b_t, a_t)
 
+where samples take the mean of s_{t+1}: noise at each step would move a standing car by a metre.
+
 In training z_t comes from the posterior q_phi(z_t | b_t, a_t, h_{t-1}), where a_t is the
 ground-truth action, and the evidence lower bound is maximized through kinematics and renderer.
 All agents that are not controlled replay their ground truth.
@@ -20,6 +22,7 @@ H hidden state, Z latent, A proposals, P points of a proposal.
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float
@@ -56,6 +59,9 @@ from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.kinematics import MOTION_MODELS
 from geoaim.simulation.prefiltering import prefilter_ground
 
+if TYPE_CHECKING:
+    from geoaim.prediction.familiarity import KnownViews
+
 MAX_ACTION = 4.0  # normalised; larger ground-truth actions are noise of headings at standstill
 ATTRIBUTES = 3  # speed, length and width
 
@@ -70,6 +76,7 @@ class ITRA(nn.Module):
     def __init__(self, config: Config) -> None:
         super().__init__()
         self.config = config
+        self.known_views: KnownViews | None = None  # of a trained model with observations
         self.motion = MOTION_MODELS[config.motion]
         context = config.feature_size + config.hidden_size + ATTRIBUTES
         anchor = 2 * config.anchor_points + 1 if config.num_anchors else 0
@@ -272,6 +279,21 @@ class ITRA(nn.Module):
     def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
         """Convert normalised actions to those of the motion model, such as m/s² and radians."""
         return action * action.new_tensor(self.motion.scale)
+
+    def encode(self, segments: Segments, ground: Ground, step: int) -> Float[Tensor, "E F"]:
+        """Encode the views of all controlled agents at a step.
+
+        Args:
+            segments: segments whose controlled agents are present at the step.
+            ground: the map, prefiltered.
+            step: index of the step.
+
+        Returns:
+            The features of each view.
+        """
+        batch = Batch(segments, ground, index_controlled(segments), step + 1)
+        none = segments.sizes.new_zeros(len(batch.controlled.agent), self.config.feature_size)
+        return self._encode_view(batch, segments.states[:, :, step], step, none)
 
     def _start(self, batch: Batch, actions: Float[Tensor, "E t 2"]) -> Rollout:
         """Replay all observed steps but the last one, and update hidden states on the way."""

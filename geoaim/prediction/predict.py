@@ -1,15 +1,22 @@
 """Predict the future of a scene."""
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from geoaim.base.defaults import SAMPLES
+from geoaim.base.errors import warn
 from geoaim.base.limits import MAX_GB_VARIABLE, read_memory_limit
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_future
+from geoaim.prediction.familiarity import measure_strangeness
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.rollouts import DT_TOLERANCE_S
+from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.scene import Scene
+
+MAX_STRANGE_SHARE = 0.5  # of the agents whose views are strange; with more, `predict` warns
 
 
 def predict(
@@ -56,12 +63,27 @@ def predict(
     steps = slice(first, start + 1 + horizon)
     _check_size(samples, len(scene.ids), history + horizon)
     segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
+    ground = prefilter_ground(scene.ground, config.resolution)
+    _warn_of_strange_views(measure_strangeness(model, segment, ground, step=history - 1))
     futures = model.sample(
-        segment, scene.ground, history=history, samples=samples, generator=generator
+        segment, ground, history=history, samples=samples, generator=generator
     )[0, :, :, history:]  # (K, N, T, 4)
     present = segment.present[0, :, history:, None]
     states = torch.where(present, futures, torch.nan)
     return Futures(states, scene, start, config.dt)
+
+
+def _warn_of_strange_views(distances: Float[Tensor, "E"] | None) -> None:
+    """Warn if most views are unlike those that the model was trained on."""
+    if distances is None:
+        return
+    share = float((distances > 1).float().mean())
+    if share > MAX_STRANGE_SHARE:
+        warn(
+            f"the views of {share:.0%} of the agents are unlike those that the model was trained "
+            f"on, where it is 5 % (median distance {float(distances.median()):.1f} times the "
+            "limit). Check map, scale and place, evaluate the model here, or train it on this map"
+        )
 
 
 def _check_size(samples: int, agents: int, steps: int) -> None:

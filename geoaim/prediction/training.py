@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,11 +21,12 @@ from geoaim.base.errors import ModelError
 from geoaim.base.files import atomic_files, lock_folder
 from geoaim.base.limits import refuse_damaged
 from geoaim.base.progress import Progress, notebook_progress
-from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes
+from geoaim.prediction.batches import compute_top_k, draw_batch, join_processes, share_weights
 from geoaim.prediction.bound import Losses
 from geoaim.prediction.checkpoints import read_state, write_model, write_state
 from geoaim.prediction.config import Config, TrainConfig
 from geoaim.prediction.dataset import Dataset
+from geoaim.prediction.familiarity import learn_known_views
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.segments import Segments, move_to, pick
@@ -33,6 +35,7 @@ from geoaim.simulation.ground import Ground
 MAX_VAL_SEGMENTS = 256  # segments that are predicted for the log
 ANCHOR_WEIGHT = 12.0  # weight of an error in metres beside a negative log-likelihood
 MAX_GRADIENT_NORM = 1.0
+Weights = dict[str, torch.Tensor]
 LOG_COLUMNS = ("step", "nll", "kl", "anchor", "val_loss", "minADE", "segments_per_s")
 
 
@@ -61,6 +64,9 @@ def train(
     progress: Progress = notebook_progress,
 ) -> ITRA:
     """Train a model on the device of the dataset's ground, or resume the folder's training.
+
+    The model that is kept is that of the validated step with the lowest minADE, as `find_best_step`
+    tells from the log; with `config.log_start`, that may be the model to start from.
 
     Writes `checkpoint.pt`, `log.csv` and, at the end, `model.pt`. On a CPU, with the same number of
     threads, the same seed gives the same weights, interrupted or not. Processes of `torchrun` share
@@ -93,13 +99,14 @@ def train(
         nullcontext() if process.rank else lock_folder(folder),
     ):
         parts = _make_parts(copy.deepcopy(model).to(process.device).train(), config)
-        log = _resume(path, parts, identity)
+        log, best = _resume(path, parts, identity)
         ground = dataset.ground.to(process.device)
         alone = process.world_size == 1
         network: nn.Module = parts.model if alone else DistributedDataParallel(parts.model)
         if config.log_start and not log:
             validated = _validate(parts.model, dataset.val, ground, config)
             log.append((0.0, math.nan, math.nan, math.nan, *validated, math.nan))
+            best = _copy_weights(parts.model)
         began, losses = time.perf_counter(), []
         for step in range(int(log[-1][0]) if log else 0, config.steps):
             batch = draw_batch(config, dataset.train, ground, step, process)
@@ -115,13 +122,30 @@ def train(
                 means = torch.tensor(losses).mean(dim=0).tolist()
                 validated = _validate(parts.model, dataset.val, ground, config)
                 log.append((float(done), *means, *validated, speed))
-                _write_checkpoint(path, parts, identity, log)
+                best = _copy_weights(parts.model) if _is_best(log) else best
+                _write_checkpoint(path, parts, {**identity, "best": best}, log)
                 began, losses = time.perf_counter(), []
         if process.rank == 0:
+            parts.model.load_state_dict(best)
+        share_weights(parts.model, process)
+        if process.rank == 0:
+            if parts.model.config.use_observations:
+                parts.model.known_views = learn_known_views(
+                    parts.model, dataset.train, dataset.val, ground, step=config.history[1] - 1
+                )
             with atomic_files(path.with_name("model.pt"), path.with_name("log.csv")) as written:
                 write_model(parts.model, written[0])
                 _write_log(log, written[1])  # again: it is missing after an unlucky interruption
     return parts.model.eval()
+
+
+def find_best_step(log: Sequence[Mapping[str, float]]) -> int:
+    """Find the step, among the rows of a log, that has the lowest minADE; the first of equal ones.
+
+    >>> find_best_step([{"step": 0, "minADE": 0.5}, {"step": 50, "minADE": 0.6}])
+    0
+    """
+    return int(min(log, key=lambda row: row["minADE"])["step"])
 
 
 def hash_weights(model: ITRA) -> str:
@@ -177,10 +201,22 @@ def _validate(
     return float(loss), float(errors[segments.controlled].mean())
 
 
-def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[float, ...]]:
-    """Load a checkpoint, if there is one; the log until then."""
+def _copy_weights(model: ITRA) -> Weights:
+    return copy.deepcopy(model.state_dict())
+
+
+def _is_best(log: list[tuple[float, ...]]) -> bool:
+    """Whether the last row of a log has the lowest minADE."""
+    rows = [dict(zip(LOG_COLUMNS, row, strict=True)) for row in log]
+    return find_best_step(rows) == log[-1][0]
+
+
+def _resume(
+    path: Path, parts: _Parts, identity: dict[str, Any]
+) -> tuple[list[tuple[float, ...]], Weights]:
+    """Load a checkpoint, if there is one; the log until then, and the best weights."""
     if not path.exists():
-        return []
+        return [], {}
     state = read_state(path)
     with refuse_damaged(path, ModelError, "a checkpoint of a training"):
         differences = [
@@ -197,13 +233,13 @@ def _resume(path: Path, parts: _Parts, identity: dict[str, Any]) -> list[tuple[f
         for name, part in vars(parts).items():
             part.load_state_dict(state[name])
         log = [tuple(map(float, row)) for row in state["log"]]
-        if any(len(row) != len(LOG_COLUMNS) for row in log):
+        if "best" not in state or any(len(row) != len(LOG_COLUMNS) for row in log):
             raise ModelError(f"{path} is of another version of geoaim; name another folder")
         if not 0 <= log[-1][0] <= identity["training"]["steps"]:
             raise ModelError(f"{path} is damaged: its last step is {log[-1][0]}; delete it")
     if not all(value.isfinite().all() for value in parts.model.state_dict().values()):
         raise ModelError(f"{path} is damaged: a weight is not a finite number; delete it")
-    return log
+    return log, state["best"]
 
 
 def _write_checkpoint(

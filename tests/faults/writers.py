@@ -147,7 +147,7 @@ def train(inputs: Path, target: Path) -> None:
             owner = sys.modules[owner] if isinstance(owner, str) else owner
             stack.enter_context(patch.object(owner, name, value))
         files = {"tracks": inputs / "tracks.csv", "weights": inputs / "model.pt"}
-        cli.train(inputs / "aim.tif", target.parent, **files)
+        cli.train(inputs / "aim.tif", output=target.parent, **files)
 
 
 def repeat_experiment(inputs: Path, target: Path) -> None:

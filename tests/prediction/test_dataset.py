@@ -9,6 +9,8 @@ from geoaim.simulation.scene import slice_scene
 from tests.prediction.test_segments import scene
 from tests.prediction.tiny import TINY, hill
 
+PARKED_Y = -5.0  # of the parked car of `scene`
+
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
@@ -19,10 +21,28 @@ def short(monkeypatch):
 def test_training_and_validation_do_not_overlap():
     data = make_dataset([scene()], TINY, val_fraction=0.3)
     x = scene().poses[0, :, 0]
-    train = data.train.states[:, 0, :, 0].flatten()
-    val = data.val.states[:, 0, :, 0].flatten()
+    train, val = (part.states[:, 0] for part in (data.train, data.val))
+    train, val = (states[states[..., 1] != PARKED_Y][..., 0] for states in (train, val))
     assert train.max() < x[14]
     assert val.min() >= x[14]
+
+
+def test_some_segments_are_of_parked_agents(monkeypatch):
+    train = make_dataset([scene()], TINY, val_fraction=0.3).train
+    parked = train.states[:, 0, 0, 1] == PARKED_Y  # the controlled agent comes first
+    assert parked.tolist() == [False] * 5 + [True]
+    monkeypatch.setattr(dataset, "PARKED_SHARE", 0.1)
+    long = make_dataset([scene(200)], TINY, val_fraction=0.3).train
+    share = float((long.states[:, 0, 0, 1] == PARKED_Y).float().mean())
+    assert 0.03 < share < 0.1
+
+
+def test_whole_scenes_can_be_kept_for_validation():
+    one, other = scene(), replace(scene(), ground=hill())
+    data = make_dataset([one], TINY, val_scenes=[other])
+    assert data.train.places.unique().tolist() == [0]
+    assert data.val.places.unique().tolist() == [1]
+    assert len(data.train) == len(data.val)
 
 
 def test_scenes_of_one_place_share_its_ground():
@@ -30,9 +50,9 @@ def test_scenes_of_one_place_share_its_ground():
     shared = make_dataset([one, replace(one)], TINY, val_fraction=0.3)
     apart = make_dataset([one, replace(one, ground=hill())], TINY, val_fraction=0.3)
     assert (len(shared.ground.regions), len(apart.ground.regions)) == (1, 2)
-    assert len(apart.train) == len(shared.train) == 10
-    assert shared.train.places.tolist() == [0] * 10
-    assert apart.train.places.tolist() == [0] * 5 + [1] * 5
+    assert len(apart.train) == len(shared.train) == 12
+    assert shared.train.places.tolist() == [0] * 12
+    assert apart.train.places.tolist() == [0] * 6 + [1] * 6
     for data in (shared, apart):
         low, high = data.ground.bounds[data.train.places].unbind(1)
         positions = data.train.states[:, 0, :, :2].double()

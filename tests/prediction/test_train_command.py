@@ -1,6 +1,8 @@
+import sys
 from pathlib import Path
 
 import pytest
+import torch
 from typer.testing import CliRunner
 
 import geoaim
@@ -11,6 +13,8 @@ from geoaim.cli.scene_tables import read_scene_sources, read_scenes
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained
+from geoaim.prediction.window_training import WITHOUT_MAP
+from geoaim.prediction.windows import WINDOW_STEPS
 from geoaim.tracks.changes import cut_tracks
 from geoaim.tracks.files import write_tracks
 
@@ -26,13 +30,19 @@ def aim(tmp_path_factory):
     return path
 
 
+def set_min_ade(monkeypatch, *values):
+    """Let validations of a training find given values of minADE, one after the other."""
+    found = iter(values)
+    monkeypatch.setattr("geoaim.prediction.training._validate", lambda *given: (1.0, next(found)))
+
+
 def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(aim, tmp_path, monkeypatch):
-    monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 8)
+    set_min_ade(monkeypatch, 0.5, 0.4)
     given = ["train", str(aim), "--tracks", "samples/tracks.csv", "-o", str(tmp_path / "mine")]
     few = ["--steps", "2", "--batch-size", "4", "--val-fraction", "0.4"]
     done = run(app, [*given, *few])
     assert done.exit_code == 0, done.output
-    assert "trained on" in done.output
+    assert "minADE 0.50 m before, 0.40 m after step 2" in " ".join(done.output.split())
     mine, before = read_model(tmp_path / "mine/model.pt"), read_pretrained("vehicle")
     assert mine.config == before.config
     change = (mine.decode_action[0].weight - before.decode_action[0].weight).abs().max()
@@ -45,6 +55,65 @@ def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(aim, tmp
     assert late.exit_code == 1
     assert "no validation segments" in late.output
     assert not (tmp_path / "none").exists()
+
+
+def test_a_training_that_makes_nothing_better_says_so_and_keeps_the_start(
+    aim, tmp_path, monkeypatch
+):
+    set_min_ade(monkeypatch, 0.5, 0.63)
+    given = ["train", str(aim), "--tracks", "samples/tracks.csv", "-o", str(tmp_path / "mine")]
+    done = run(app, [*given, "--steps", "1", "--batch-size", "4", "--val-fraction", "0.4"])
+    assert done.exit_code == 0, done.output
+    said = " ".join(done.output.split())
+    assert "no better than before: minADE 0.50 m before, 0.63 m after step 1" in said
+    mine, before = read_model(tmp_path / "mine/model.pt"), read_pretrained("vehicle")
+    for name, weights in before.state_dict().items():
+        assert torch.equal(mine.state_dict()[name], weights)
+
+
+def test_the_best_step_of_a_longer_training_is_kept(aim, tmp_path, monkeypatch):
+    set_min_ade(monkeypatch, 0.5, 0.3, 0.4)
+    monkeypatch.setattr(sys.modules["geoaim.cli.train"], "CHECKPOINT_STEPS", 1)
+    given = ["train", str(aim), "--tracks", "samples/tracks.csv", "-o", str(tmp_path / "mine")]
+    done = run(app, [*given, "--steps", "2", "--batch-size", "4", "--val-fraction", "0.4"])
+    assert done.exit_code == 0, done.output
+    assert "0.30 m after step 1, which is kept as the best" in " ".join(done.output.split())
+
+
+def write_windows(folder):
+    """Two scenes of three windows each: pedestrians who walk to the right."""
+    (folder / "windows").mkdir(parents=True)
+    lines = ["scene,metres_per_pixel"]
+    for scene in ("one", "two"):
+        rows = [
+            f"{12 * step},{track},{50 + 10 * step},{60 + 10 * track}"
+            for track in range(3)
+            for step in range(WINDOW_STEPS)
+        ]
+        text = "\n".join(["frame,track,u_px,v_px", *rows]) + "\n"
+        (folder / "windows" / f"{scene}.csv").write_text(text)
+        lines.append(f"{scene},0.05")
+    (folder / "scenes.csv").write_text("\n".join(lines) + "\n")
+    return ["--windows", str(folder / "windows"), "--scenes", str(folder / "scenes.csv")]
+
+
+def test_command_trains_on_windows_what_evaluate_takes(tmp_path):
+    files = write_windows(tmp_path / "data")
+    done = run(app, ["train", *files, "--steps", "1", "-o", str(tmp_path / "mine")])
+    assert done.exit_code == 0, done.output
+    weights = str(tmp_path / "mine/model.pt")
+    assert read_model(tmp_path / "mine/model.pt").config == WITHOUT_MAP
+    judged = run(app, ["evaluate", *files, "--weights", weights, "--samples", "20"])
+    assert judged.exit_code == 0, judged.output
+    assert "minADE_px" in judged.output
+    for change, message in (
+        (["train", *files, "--scratch"], "--windows starts a new model"),
+        (["train", *files[:2]], "--windows needs --scenes"),
+        (["train"], "give an AIM with --tracks, a table of recordings, or --windows"),
+    ):
+        refused = run(app, [*change, "-o", str(tmp_path / "none")])
+        assert refused.exit_code == 1
+        assert message in " ".join(refused.output.split())
 
 
 def test_command_trains_on_a_table_of_recordings(aim, tmp_path, monkeypatch):

@@ -10,21 +10,26 @@ import torch
 from PIL import Image
 
 from benchmarks.prediction import (
+    aim_or_hdmap,
     models,
     pedestrians,
     pretrained,
     protocol,
+    realistic,
     sind,
     songdo,
     stanford,
+    stanford_baselines,
     vehicles,
 )
 from benchmarks.prediction.places import TEST, TRAIN, make_place_scene, read_map, read_recordings
 from benchmarks.prediction.results import Workspace
+from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
 from geoaim.prediction.dataset import split_scene
-from geoaim.prediction.windows import WINDOW_STEPS
+from geoaim.prediction.windows import WINDOW_STEPS, make_path_segments
 from geoaim.simulation.scene import slice_scene
+from tests.prediction.tiny import hill
 
 SMALL = {"view_size": 16, "view_stride": 50, "hidden_size": 16, "feature_size": 12}
 
@@ -73,10 +78,36 @@ def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
 
 
 @pytest.mark.slow
-def test_pretrained_models_are_written_to_the_workspace(workspace):
+def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch):
+    for name in ("REALISTIC_TRAIN", "REALISTIC_VAL"):
+        monkeypatch.setattr(pretrained, name, dict.fromkeys(("vehicle", "pedestrian"), ((5, "t"),)))
+    monkeypatch.setattr(pretrained, "REALISTIC_STEPS", 1)
+    monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
+    monkeypatch.setattr(realistic, "PIECE_S", 25.0)
+    monkeypatch.setattr(realistic, "STANDING_S", 10.0)
+    monkeypatch.setattr(realistic, "NOISY_MAPS", ("bad later",))
+    # noisy agents are not yet observed at the first step
+    monkeypatch.setitem(SEGMENT_STRIDES, "pedestrian", 5)
     paths = pretrained.run(workspace)
     assert [path.parent for path in paths[:2]] == [workspace.folder / "pretrained"] * 2
     assert "pedestrians, ITRA" in read_methods(paths)
+
+
+@pytest.mark.slow
+def test_aim_and_hd_map_are_compared_over_places_and_trainings(workspace, monkeypatch):
+    monkeypatch.setattr(aim_or_hdmap, "TRAIN", ((5, "t"),))
+    monkeypatch.setattr(aim_or_hdmap, "TEST", ((5, "t"), (5, "t")))
+    monkeypatch.setattr(aim_or_hdmap, "STEPS", 1)
+    monkeypatch.setattr(aim_or_hdmap, "BATCH_SIZE", 2)
+    monkeypatch.setattr(aim_or_hdmap, "SEEDS", 2)
+    small = replace(aim_or_hdmap.VEHICLES_ON_AIM, **SMALL)
+    monkeypatch.setattr(aim_or_hdmap, "VEHICLES_ON_AIM", small)
+    paths = aim_or_hdmap.run(workspace)
+    rows = json.loads(paths[0].read_text())["results"]
+    first = next(row for row in rows if row["metric"] == "minADE")
+    assert first["places"] == 2
+    assert first["low"] <= first["difference"] <= first["high"]
+    assert "AIM minus HD map" in paths[1].read_text()
 
 
 @pytest.mark.slow
@@ -103,8 +134,9 @@ def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
     assert {"aim, fine-tuned", "hdm, zero-shot"} < set(read_methods(sind.run(workspace)))
 
 
-@pytest.mark.slow
-def test_stanford_trains_on_other_scenes_than_it_evaluates_on(workspace, monkeypatch, tmp_path):
+@pytest.fixture
+def stanford_data(tmp_path):
+    """A folder of windows and images of two scenes."""
     generator = np.random.default_rng(0)
     for folder in ("windows", "images"):
         (tmp_path / "data" / folder).mkdir(parents=True)
@@ -122,11 +154,49 @@ def test_stanford_trains_on_other_scenes_than_it_evaluates_on(workspace, monkeyp
         Image.fromarray(pixels).save(tmp_path / "data" / "images" / f"{scene}.jpg")
     lines = "scene,metres_per_pixel\npark_0,0.05\nsquare_1,0.05\n"
     (tmp_path / "data" / "scenes.csv").write_text(lines)
+    return tmp_path / "data"
+
+
+def test_a_plain_network_is_compared_on_scenes_and_on_places(workspace, monkeypatch, stanford_data):
     for name, value in {
-        "require_data": lambda name: tmp_path / "data",
+        "require_data": lambda name: stanford_data,
+        "VAL_SCENES": ("park_0",),
+        "VAL_PLACES": ("square",),
+        "SEEDS": 1,
+        "TRAINING": replace(stanford_baselines.TRAINING, steps=2, batch_size=2),
+    }.items():
+        monkeypatch.setattr(stanford_baselines, name, value)
+    methods = read_methods(stanford_baselines.run(workspace))
+    assert {"six scenes, MLP without map", "three places, constant velocity"} < set(methods)
+
+
+def test_the_plain_network_learns_to_turn():
+    angle = 0.1 * torch.arange(WINDOW_STEPS)
+    arc = 3 * torch.stack([angle.sin(), 1 - angle.cos()], dim=1)
+    segments = make_path_segments(arc.repeat(64, 1, 1))
+    training = replace(stanford_baselines.TRAINING, steps=200, batch_size=16)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stanford_baselines, "TRAINING", training)
+        network = stanford_baselines.train_modes(segments, seed=0)
+    given = {"history": 8, "samples": 20, "generator": torch.Generator()}
+    futures = network.sample(segments, hill(), **given)
+    straight = BASELINES["constant velocity"](segments, hill(), **given)
+    truth = segments.states[:, None, 8:, :, :2]
+    errors = [
+        (one[:, :, 8:, :, :2] - truth).norm(dim=-1).mean(dim=2).amin(dim=1).mean()
+        for one in (futures, straight)
+    ]
+    assert errors[0] < errors[1] / 2
+
+
+def test_stanford_trains_on_other_scenes_than_it_evaluates_on(
+    workspace, monkeypatch, stanford_data
+):
+    for name, value in {
+        "require_data": lambda name: stanford_data,
         "VAL_SCENES": ("park_0",),
         "SEEDS": {"map": 2, "no map": 1},
-        "TRAINING": replace(stanford.TRAINING, steps=1, batch_size=2),
+        "WINDOW_TRAINING": replace(stanford.WINDOW_TRAINING, steps=1, batch_size=2),
         "MODELS": {name: replace(config, **SMALL) for name, config in stanford.MODELS.items()},
     }.items():
         monkeypatch.setattr(stanford, name, value)

@@ -1,0 +1,238 @@
+"""Recordings and maps of synthetic places as detectors, drones and other sources give them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from benchmarks.prediction.places import (
+    PlaceRecording,
+    add_blur_and_noise,
+    make_place_scene,
+    read_map,
+    read_recordings,
+)
+from geoaim.aim.aim import AIM
+from geoaim.aim.files import read_aim, write_aim
+from geoaim.base.progress import Progress, no_progress, notebook_progress
+from geoaim.mapping.pipeline import build_aim
+from geoaim.prediction.config import Config
+from geoaim.prediction.dataset import Dataset, make_dataset
+from geoaim.simulation.scene import Scene
+from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image
+from geoaim.synthetic.imagery import make_other_day
+from geoaim.synthetic.sample import HOVER, VIDEOS
+from geoaim.synthetic.video_files import write_video_files
+from geoaim.tracks.changes import cut_tracks
+from geoaim.tracks.formats.motion import derive_motion
+from geoaim.tracks.tracks import Tracks
+
+RATE = 10.0  # Hz, of the tracks of synthetic places
+PIECE_S = 100.0  # of a recording, as one scene
+# agents who stand all the time, added to a recording, by their type; none within CLEARANCE_M of
+# where others ever are
+STANDING: Mapping[str, int] = {"car": 24, "van": 4, "pedestrian": 12}
+STANDING_SIZES: Mapping[str, tuple[float, float]] = {
+    "car": (4.5, 1.8),
+    "van": (5.5, 2.0),
+    "pedestrian": (0.5, 0.5),
+}
+CLEARANCE_M = 1.8
+STANDING_S = 30.0  # for which each of them is seen
+# standard deviations of detections, drawn for each recording: of each position alone, and of an
+# error that changes over DRIFT_S, as by a box that takes the shadow in; and of lengths and widths
+WHITE_M, DRIFT_M, DRIFT_S = (0.01, 0.06), (0.03, 0.15), 1.0
+SIZE_NOISE = 0.08  # as a share
+HALF_WINDOW_S = 0.25  # over which headings and speeds are differenced, as of geo-trax
+# metres of blur, and standard deviation of noise, of full brightness, of a bad map
+BLUR_M, MAP_NOISE = (0.2, 1.2), (0.02, 0.2)
+LATER_RESOLUTION = 0.2  # metres per pixel at which places are drawn on another day
+VIDEO_FRAMES, VIDEO_RATE = 30, 3.0  # of the videos that maps are built from: ten seconds
+# maps of the recordings with exact states, and of those with noisy ones
+EXACT_MAPS = ("drawn", "later")
+NOISY_MAPS = ("video", "bad", "bad later", "lanes", "later", "bad", "bad later", "lanes")
+
+
+def make_realistic_dataset(
+    train: Sequence[Path],
+    val: Sequence[Path],
+    config: Config,
+    *,
+    progress: Progress = notebook_progress,
+) -> Dataset:
+    """Make a dataset of synthetic places with standing agents, noise and maps of all sorts.
+
+    Each recording is there twice: with exact states, and as a detector finds it.
+
+    Args:
+        train: folders of places to train on.
+        val: folders of other places, to validate with.
+        config: configuration of the model.
+        progress: takes stage, done and total.
+
+    Returns:
+        Segments of all places, and their maps.
+    """
+    parts = [make_scenes(places, config.dt, progress=progress) for places in (train, val)]
+    return make_dataset(parts[0], config, val_scenes=parts[1], progress=progress)
+
+
+def make_scenes(
+    places: Sequence[Path], dt: float, *, progress: Progress = notebook_progress
+) -> list[Scene]:
+    """Make four scenes of each place: two recordings, exact and noisy, each on another map.
+
+    Args:
+        places: folders of synthetic places.
+        dt: time between steps, s.
+        progress: takes stage, done and total.
+
+    Returns:
+        The scenes, place by place.
+    """
+    scenes = []
+    for number, place in enumerate(places):
+        progress("places", number, len(places))
+        generator = np.random.default_rng([int(place.name.rsplit("_", 1)[1]), 50])
+        for index, recording in enumerate(read_recordings(place)[:2]):
+            exact, noisy = (
+                add_standing(cut_tracks(recording.tracks, start, PIECE_S), generator)
+                for start in (0.0, PIECE_S)
+            )
+            noisy = add_detection_noise(noisy, generator)
+            noisy_map = NOISY_MAPS[(2 * number + index) % len(NOISY_MAPS)]
+            for tracks, name in ((exact, EXACT_MAPS[index]), (noisy, noisy_map)):
+                one = PlaceRecording(tracks, recording.lights, recording.hdmap)
+                scenes.append(make_place_scene(one, read_realistic_map(place, name), dt=dt))
+    return scenes
+
+
+def add_standing(tracks: Tracks, generator: np.random.Generator) -> Tracks:
+    """Add agents who stand where no other agent ever is; each is seen for `STANDING_S`.
+
+    Half of the vehicles are turned as the nearest path, as beside a road, the others anyhow.
+
+    Args:
+        tracks: a recording.
+        generator: source of places and directions.
+
+    Returns:
+        The recording with `STANDING` more agents, or fewer where there is no room.
+    """
+    paths = tracks.states[tracks.present][::2]
+    low, high = paths[:, :2].min(axis=0), paths[:, :2].max(axis=0)
+    poses, kinds = np.empty((0, 3)), list[str]()
+    for kind, count in STANDING.items():
+        reach = CLEARANCE_M + max(STANDING_SIZES[kind]) / 4
+        for _ in range(count):
+            for place in generator.uniform(low, high, (20, 2)):
+                distances = np.hypot(*(paths[:, :2] - place).T)
+                others = np.hypot(*(poses[:, :2] - place).T)
+                if distances.min() > reach and (others > reach).all():
+                    along = paths[distances.argmin(), 2]
+                    turn = generator.choice([along, generator.uniform(-np.pi, np.pi)])
+                    poses = np.vstack([poses, [*place, turn]])
+                    kinds.append(kind)
+                    break
+    states = np.concatenate([poses, np.zeros((len(poses), 1))], axis=1)[:, None]
+    start = generator.uniform(tracks.times[0], tracks.times[-1] - STANDING_S, (len(poses), 1))
+    present = (tracks.times >= start) & (tracks.times <= start + STANDING_S)
+    states = np.where(present[..., None], states, np.nan)
+    sizes = np.array([STANDING_SIZES[kind] for kind in kinds]).reshape(-1, 2)
+    return replace(
+        tracks,
+        states=np.concatenate([tracks.states, states]),
+        present=np.concatenate([tracks.present, present]),
+        sizes=np.concatenate([tracks.sizes, sizes]),
+        types=(*tracks.types, *kinds),
+        ids=(*tracks.ids, *(f"standing {number}" for number in range(len(kinds)))),
+    )
+
+
+def add_detection_noise(tracks: Tracks, generator: np.random.Generator) -> Tracks:
+    """Replace states by what a detector gives: noisy positions, and what follows from them.
+
+    Args:
+        tracks: a recording at `RATE`.
+        generator: source of the noise.
+
+    Returns:
+        Tracks whose headings and speeds come from their noisy positions; sizes are noisy too.
+    """
+    white, drift = generator.uniform(*WHITE_M), generator.uniform(*DRIFT_M)
+    shape = *tracks.present.shape, 2
+    noise = white * generator.standard_normal(shape)
+    noise += drift * _draw_drift(shape, generator)
+    states = tracks.states.copy()
+    states[..., :2] += noise
+    sizes = tracks.sizes * (1 + SIZE_NOISE * generator.standard_normal(tracks.sizes.shape))
+    noisy = replace(tracks, states=states, sizes=np.maximum(sizes, 0.5 * tracks.sizes))
+    return derive_motion(noisy, half_window=HALF_WINDOW_S)
+
+
+def read_realistic_map(place: Path, name: str) -> AIM:
+    """Read or make a map of a place.
+
+    `name` is "drawn", "later" (drawn on another day), "video" (built from a video), "bad" and "bad
+    later" (blurred and noisy, of either day), or "lanes" (the HD map).
+    """
+    if name == "lanes":
+        return read_map(place, "hdm")
+    if name.startswith("bad"):
+        return _spoil(place, _read_later(place) if name == "bad later" else read_map(place, "aim"))
+    readers = {"drawn": lambda place: read_map(place, "aim"), "later": _read_later}
+    return (readers | {"video": _read_video})[name](place)
+
+
+def _draw_drift(shape: tuple[int, ...], generator: np.random.Generator) -> Float[Array, "N T 2"]:
+    """Draw errors of unit variance that change over `DRIFT_S` (Ornstein and Uhlenbeck 1930)."""
+    keep = np.exp(-1 / (RATE * DRIFT_S))
+    drift = generator.standard_normal(shape)
+    for step in range(1, shape[1]):
+        drift[:, step] = keep * drift[:, step - 1] + np.sqrt(1 - keep**2) * drift[:, step]
+    return drift
+
+
+def _spoil(place: Path, aim: AIM) -> AIM:
+    """Blur a map and add noise, by an amount that each place draws."""
+    generator = np.random.default_rng([int(place.name.rsplit("_", 1)[1]), 51])
+    size, noise = generator.uniform(*BLUR_M) / aim.resolution, generator.uniform(*MAP_NOISE)
+    image = add_blur_and_noise(aim.image.astype(np.float32) / 255, size, noise=noise)
+    return replace(aim, image=np.rint(image * 255).astype(np.uint8))
+
+
+def _read_later(place: Path) -> AIM:
+    path = place / "later.tif"
+    if not path.exists():
+        kind, seed = place.name.rsplit("_", 1)
+        made = make_place(int(seed), kind=kind)  # type: ignore[arg-type]
+        image = draw_place(made, make_other_day(made), resolution=LATER_RESOLUTION)
+        matrix = world_from_image(made, LATER_RESOLUTION)
+        write_aim(AIM.from_image(image, matrix, made.world, "drawn on another day"), path)
+    return read_aim(path)
+
+
+def _read_video(place: Path) -> AIM:
+    """The map that `build_aim` makes of a video of the place, and of its control points."""
+    path = place / "video.tif"
+    if not path.exists():
+        kind, seed = place.name.rsplit("_", 1)
+        sample = make_sample(
+            int(seed),
+            kind=kind,  # type: ignore[arg-type]
+            minutes=VIDEO_FRAMES / VIDEO_RATE / 60,
+            hover=replace(HOVER, count=VIDEO_FRAMES, frame_rate=VIDEO_RATE),
+            video=VIDEOS["720p"],
+            resolution=LATER_RESOLUTION,
+        )
+        assert sample.clip is not None
+        with TemporaryDirectory() as folder:
+            files = Path(folder)
+            write_video_files(sample, sample.clip, files, no_progress)
+            aim = build_aim(files / "hover.mp4", files / "gcps.csv", progress=no_progress)
+        write_aim(aim, path)
+    return read_aim(path)

@@ -1,0 +1,49 @@
+import numpy as np
+import pytest
+
+from benchmarks.prediction import realistic
+from benchmarks.prediction.places import read_recordings
+from benchmarks.prediction.realistic import add_detection_noise, add_standing, read_realistic_map
+
+
+@pytest.fixture(scope="module")
+def tracks(place):
+    return read_recordings(place)[0].tracks
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(realistic, "STANDING_S", 10.0)
+
+
+def test_added_agents_stand_where_no_other_agent_is(tracks):
+    more = add_standing(tracks, np.random.default_rng(0))
+    count = len(tracks.ids)
+    assert 20 < len(more.ids) - count <= sum(realistic.STANDING.values())
+    for agent in range(count, len(more.ids)):
+        here = more.states[agent, more.present[agent]]
+        assert 9.5 < more.present[agent].sum() / realistic.RATE < 10.5
+        assert np.ptp(here, axis=0).max() == 0
+        others = tracks.states[tracks.present][::5]
+        distances = np.hypot(*(others[:, :2] - here[0, :2]).T)
+        assert distances.min() > realistic.CLEARANCE_M
+
+
+def test_detection_noise_moves_all_states_and_knows_no_later_row(tracks):
+    noisy = add_detection_noise(tracks, np.random.default_rng(0))
+    errors = (noisy.states - tracks.states)[tracks.present][:, :2]
+    assert 0.03 < errors.std() < 0.2
+    assert abs(errors.mean()) < 0.02
+    assert noisy.observed is not None
+    assert (noisy.present == tracks.present).all()
+
+
+@pytest.mark.parametrize("name", ["drawn", "later", "bad", "bad later", "lanes"])
+def test_maps_of_all_sorts_show_the_same_ground(place, name):
+    aim, drawn = read_realistic_map(place, name), read_realistic_map(place, "drawn")
+    assert aim.world == drawn.world
+    middle = drawn.corners.mean(axis=0)
+    assert (aim.corners.min(axis=0) < middle).all()
+    assert (middle < aim.corners.max(axis=0)).all()
+    if name == "bad":
+        assert np.abs(aim.image.astype(float) - drawn.image).mean() > 2
