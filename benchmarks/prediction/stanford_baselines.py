@@ -72,7 +72,7 @@ class ModesMLP(nn.Module):
         history: int,
         samples: int,
         generator: torch.Generator,
-    ) -> Float[Tensor, "B K T N 4"]:
+    ) -> Float[Tensor, "B K N T 4"]:
         """Predict the modes of each window's pedestrian: a `Predictor` without noise.
 
         Args:
@@ -86,10 +86,10 @@ class ModesMLP(nn.Module):
             States of which x and y (m) are predicted; the others are those of the windows.
         """
         with torch.no_grad():
-            modes = self(segments.states[:, history - 1, 0], segments.states[:, :history, 0, :2])
-        states = repeat(segments, samples).states.view(len(segments), samples, WINDOW_STEPS, 1, 4)
+            modes = self(segments.states[:, 0, history - 1], segments.states[:, 0, :history, :2])
+        states = repeat(segments, samples).states.view(len(segments), samples, 1, WINDOW_STEPS, 4)
         states = states.clone()
-        states[:, :, history:, 0, :2] = modes[:, :samples]
+        states[:, :, 0, history:, :2] = modes[:, :samples]
         return states
 
 
@@ -153,7 +153,7 @@ def train_modes(segments: Segments, *, seed: int) -> ModesMLP:
     )
     for step in range(TRAINING.steps):
         rows = torch.randint(len(both), (TRAINING.batch_size,), generator=generator)
-        loss = _compute_loss(network, both.states[rows, :, 0], step, generator)
+        loss = _compute_loss(network, both.states[rows, 0], step, generator)
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()

@@ -90,7 +90,10 @@ def _draw_uncertainty(axes: Axes, georeference: Mapping[str, Any]) -> None:
         "uncertainty of the place (95 %)\nover the frame of the video", fontsize=9, loc="left"
     )
     axes.set(xticks=[], yticks=[])
-    if uncertainty := georeference.get("uncertainty"):
+    if georeference.get("given_scale"):
+        axes.set_title("the scale is as given", fontsize=9, loc="left")
+        axes.axis("off")
+    elif uncertainty := georeference.get("uncertainty"):
         drawn = axes.imshow(uncertainty["map_m"], vmin=0, cmap="viridis", interpolation="bilinear")
         _add_scale(axes, drawn, "m")
 

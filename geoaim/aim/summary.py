@@ -58,20 +58,33 @@ def _summarize_contested(background: Mapping[str, Any]) -> str:
     return f"{share:.2%} of the pixels"
 
 
+def format_metres(length: float) -> str:
+    """Format a length to the centimetre, and nothing finer.
+
+    >>> format_metres(0.004), format_metres(0.31)
+    ('under 1 cm', '0.31 m')
+    """
+    return "under 1 cm" if length < 0.01 else f"{length:.2f} m"
+
+
 def _summarize_georeference(georeference: Mapping[str, Any]) -> Lines:
     approximate = "approximate, " if georeference["approximate"] else ""
     lines = {"georeference": approximate + georeference["model"]}
-    if uncertainty := georeference.get("uncertainty"):
+    if georeference.get("given_scale"):
+        lines["scale"] = "as given; nothing in the frames checks it"
+    elif uncertainty := georeference.get("uncertainty"):
         lines["uncertainty (95 %)"] = (
-            f"{uncertainty['middle_m']:.2f} m in the middle, median {uncertainty['median_m']:.2f} m"
+            f"{format_metres(uncertainty['middle_m'])} in the middle, "
+            f"median {format_metres(uncertainty['median_m'])}"
         )
         lines["worst corner"] = (
-            f"{uncertainty['worst_corner']} of the frame, {uncertainty['worst_corner_m']:.2f} m; "
-            f"with a point there {uncertainty['worst_corner_with_point_there_m']:.2f} m"
+            f"{uncertainty['worst_corner']} of the frame, "
+            f"{format_metres(uncertainty['worst_corner_m'])}; with a point there "
+            f"{format_metres(uncertainty['worst_corner_with_point_there_m'])}"
         )
     else:  # a report of version 0.1
         bound = max(georeference["corner_uncertainty_m"])
-        lines["corner uncertainty"] = f"{bound:.2f} m (95 %)"
+        lines["corner uncertainty"] = f"{format_metres(bound)} (95 %)"
     if georeference["points"]:
         errors = [point["leave_one_out_m"] for point in georeference["points"] if point["used"]]
         rms = np.sqrt(np.mean(np.square(errors)))

@@ -1,6 +1,7 @@
 """Names beside points of a picture, placed so that they cover neither points nor each other."""
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy import ndarray as Array
 
 DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
 LABEL_PX = (7.0, 14.0, 28.0)  # tried between a mark and its label
+ROUNDS = 3  # times that each name is placed
 
 
 def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) -> list[Annotation]:
@@ -27,22 +29,40 @@ def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) 
     """
     shown, frame = np.isfinite(points).all(1), axes.bbox.frozen()
     places = axes.transData.transform(points[shown])
-    texts, taken = [], [Bbox.from_extents(*(place - 4), *(place + 4)) for place in places]
-    for place, point, name in zip(places, points[shown], np.array(names)[shown], strict=True):
-        text = axes.annotate(str(name), point, xytext=(0, 0), textcoords="offset points")
-        text.set(fontsize=8)
-        text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})
-        size = np.array(text.get_window_extent().size)
-        boxes = [
-            Bbox.from_bounds(*(place + gap * np.array(way) + (np.array(way) - 1) / 2 * size), *size)
-            for gap, way in product(LABEL_PX, DIRECTIONS)
-        ]
-        others = places[(places != place).any(1)]
-        best = min(boxes, key=lambda box: _count_conflicts(box, taken, frame, (place, others)))
-        text.xyann = tuple((best.min - place) * 72 / text.figure.dpi)
-        taken.append(best)
-        texts.append(text)
+    marks = [Bbox.from_extents(*(place - 4), *(place + 4)) for place in places]
+    texts = [
+        _write_name(axes, str(name), point)
+        for point, name in zip(points[shown], np.array(names)[shown], strict=True)
+    ]
+    chosen: list[Bbox] = []
+    for turn in range(ROUNDS):  # each name again, when the others have their places
+        for index, (place, text) in enumerate(zip(places, texts, strict=True)):
+            size = np.array(text.get_window_extent().size)
+            boxes = [
+                _place_box(place, gap, way, size) for gap, way in product(LABEL_PX, DIRECTIONS)
+            ]
+            others = places[(places != place).any(1)]
+            taken = marks + (chosen if turn == 0 else chosen[:index] + chosen[index + 1 :])
+            count = partial(_count_conflicts, taken=taken, frame=frame, places=(place, others))
+            best = min(boxes, key=count)
+            chosen[index : index + 1] = [best]
+            text.xyann = tuple((best.min - place) * 72 / text.figure.dpi)
     return texts
+
+
+def _write_name(axes: Axes, name: str, point: Float[Array, "2"]) -> Annotation:
+    text = axes.annotate(name, point, xytext=(0, 0), textcoords="offset points")
+    text.set(fontsize=8)
+    text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})
+    return text
+
+
+def _place_box(
+    place: Float[Array, "2"], gap: float, way: tuple[int, int], size: Float[Array, "2"]
+) -> Bbox:
+    """The box of a name at a distance from its mark, in a direction."""
+    direction = np.array(way)
+    return Bbox.from_bounds(*(place + gap * direction + (direction - 1) / 2 * size), *size)
 
 
 def _count_conflicts(

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, UInt8
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from numpy import ndarray as Array
 
@@ -17,6 +18,8 @@ from geoaim.base.world import World, change_world
 LONGER_SIDE_PX = 1200  # longer side of an image as it is drawn
 USED_COLOUR, UNUSED_COLOUR = "#ff6a00", "#c1121f"  # colours of control points
 SCALE_BAR_SHARE = 0.3  # largest share of the axes' width
+SCALE_BAR_SEP = 6  # points between the bar and its text, whose letters reach above their box
+OUTLINE_POINTS = 1.0  # width of a dark outline
 _worlds: WeakKeyDictionary[Axes, World] = WeakKeyDictionary()
 
 
@@ -83,6 +86,7 @@ def draw_lines(
     *,
     width: float = 0.8,
     label: str = "",
+    outlined: bool = False,
 ) -> None:
     """Draw lines in metres of the axes' world, with one entry in the legend.
 
@@ -92,8 +96,12 @@ def draw_lines(
         colour: colour of all lines.
         width: line width, points.
         label: name in the legend; empty: none.
+        outlined: whether a dark outline makes pale lines visible on pale ground.
     """
     drawn = LineCollection(list(lines), colors=[colour], linewidths=width, label=label or None)
+    if outlined:
+        outline = withStroke(linewidth=width + 2 * OUTLINE_POINTS, foreground="black")
+        drawn.set_path_effects([outline])
     axes.add_collection(drawn)
     axes.autoscale_view()
 
@@ -116,7 +124,7 @@ def add_legend(axes: Axes) -> None:
     handles, labels = axes.get_legend_handles_labels()
     entries = dict(zip(labels, handles, strict=True))
     if entries:
-        axes.legend(
+        legend = axes.legend(
             list(entries.values()),
             list(entries),
             loc="upper left",
@@ -125,6 +133,9 @@ def add_legend(axes: Axes) -> None:
             fontsize=8,
             frameon=False,
         )
+        for shown, drawn in zip(legend.legend_handles, entries.values(), strict=True):
+            if shown is not None:
+                shown.set_path_effects(drawn.get_path_effects())
 
 
 def add_scale_bar(axes: Axes) -> None:
@@ -137,4 +148,5 @@ def add_scale_bar(axes: Axes) -> None:
     power = 10.0 ** np.floor(np.log10(longest))
     length = power * max(n for n in (1, 2, 5) if n * power <= longest)
     text = f"{length:g} m, north up"
-    axes.add_artist(AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.3))
+    bar = AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.4, sep=SCALE_BAR_SEP)
+    axes.add_artist(bar)

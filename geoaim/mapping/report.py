@@ -45,7 +45,11 @@ def report_registration(registration: Registration) -> dict[str, Any]:
 
 
 def report_georeference(georeference: Georeference, points: ControlPoints | None) -> dict[str, Any]:
-    """Report the transform model, each control point's residuals, and the uncertainty, by name."""
+    """Report the transform model, each control point's residuals, and the uncertainty, by name.
+
+    A local map by a given scale has no uncertainty: nothing says how far off that scale is.
+    """
+    given_scale = georeference.world.crs is None and not len(georeference.pixels)
     corners = image_corners(georeference.height, georeference.width)
     sigma, bound = predict_uncertainty(georeference, corners)
     rows = []
@@ -75,7 +79,8 @@ def report_georeference(georeference: Georeference, points: ControlPoints | None
         "probability_by_model": dict(georeference.probabilities),
         "corner_sigma_m": sigma,
         "corner_uncertainty_m": bound,
-        "uncertainty": map_uncertainty(georeference),
+        "given_scale": given_scale,
+        "uncertainty": None if given_scale else map_uncertainty(georeference),
         "points": rows,
     }
 

@@ -96,6 +96,7 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
 
 
 def mask_agents(scene: Scene, group: str) -> Bool[Tensor, "N"]:
+    """Make a mask of the agents of a group ("vehicle", "pedestrian" or "cyclist")."""
     return torch.from_numpy(select_group(scene.types, group)).to(scene.present.device)
 
 

@@ -110,7 +110,7 @@ class Futures(Display):
         if step is None:
             recorded = self.scene.poses[:, self.start : self.start + 1 + end].cpu()
             lines = move_to_axes(axes, recorded[rows][..., :2].numpy(), self.world)
-            draw_lines(axes, lines, TRUTH_COLOUR, width=3.0, label="recorded")
+            draw_lines(axes, lines, TRUTH_COLOUR, width=3.0, label="recorded", outlined=True)
         first = now[None, rows, None, :2].expand(len(states), -1, -1, -1)
         paths = torch.cat([first, states[:, rows, :end, :2]], dim=2).flatten(0, 1)
         lines = move_to_axes(axes, paths.numpy(), self.world)

@@ -5,6 +5,8 @@ from geoaim.aim.summary import summarize_report
 from geoaim.base.files import write_figure
 from geoaim.base.geometry import translation
 from geoaim.imagery.alignment.before_after import draw_alignment
+from geoaim.mapping.georeference.from_telemetry import make_local_georeference
+from geoaim.mapping.report import report_georeference
 from tests.aim.test_aim import make_aim
 
 POINT = {"name": "p", "x": 4.0, "y": 20.0, "residual_x": 0.1, "residual_y": 0.0, "used": True}
@@ -52,6 +54,24 @@ def test_summary_of_a_map_of_version_0_1_has_its_corner_uncertainty():
     bounds = {"corner_uncertainty_m": [0.1, 0.4]}
     lines = summarize_report({"georeference": report | bounds})
     assert lines["corner uncertainty"] == "0.40 m (95 %)"
+
+
+def test_no_uncertainty_is_stated_finer_than_a_centimetre():
+    uncertainty = REPORT["georeference"]["uncertainty"] | {"middle_m": 0.004}
+    report = {"georeference": REPORT["georeference"] | {"uncertainty": uncertainty}}
+    lines = make_aim(report=report).summarize()
+    assert lines["uncertainty (95 %)"] == "under 1 cm in the middle, median 0.20 m"
+
+
+def test_a_scale_that_was_given_has_no_uncertainty(tmp_path):
+    local = make_local_georeference(resolution=0.1, size=(40, 60))
+    georeference = report_georeference(local, None)
+    assert (georeference["given_scale"], georeference["uncertainty"]) == (True, None)
+    aim = make_aim(report={"georeference": georeference})
+    lines = aim.summarize()
+    assert lines["scale"] == "as given; nothing in the frames checks it"
+    assert not any("uncertainty" in name or "corner" in name for name in lines)
+    write_figure(draw_quicklook(aim), tmp_path / "look.png")
 
 
 def test_quicklook_is_written_with_and_without_a_report(tmp_path):

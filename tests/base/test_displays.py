@@ -3,11 +3,13 @@
 import base64
 import re
 from dataclasses import replace
+from itertools import combinations
 
 import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
 import geoaim
 from geoaim.base.displays import Display
@@ -15,7 +17,7 @@ from geoaim.base.drift_plot import draw_drift
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import translation
 from geoaim.base.labels import label_points
-from geoaim.base.map_axes import draw_lines, move_to_axes
+from geoaim.base.map_axes import add_legend, add_scale_bar, draw_lines, move_to_axes
 from geoaim.base.world import World, change_world, world_from_lonlat
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.mapping.georeference.estimate import estimate_georeference
@@ -139,6 +141,49 @@ def test_lines_have_one_entry_in_the_legend_and_names_do_not_cover_each_other():
     first, second = label_points(axes, np.array([[0.5, 0.5], [0.5, 0.51]]), ["one", "two"])
     boxes = [text.get_window_extent() for text in (first, second)]
     assert not boxes[0].overlaps(boxes[1])
+
+
+def test_the_scale_bar_does_not_cross_its_text():
+    for size, dpi in (((9, 6), 100), ((5.6, 3.6), 80), ((8, 8), 200)):
+        figure = Figure(figsize=size, dpi=dpi)
+        axes = figure.add_subplot(xlim=(0, 165), ylim=(0, 194))
+        add_scale_bar(axes)
+        figure.draw_without_rendering()
+        [bar] = [artist for artist in axes.artists if isinstance(artist, AnchoredSizeBar)]
+        bottom = min(child.get_window_extent().y0 for child in bar.size_bar.get_children())
+        text = bar.txt_label.get_children()[0]
+        top = text.get_window_extent().y1
+        assert bottom > top
+
+
+def test_pale_lines_are_outlined_on_the_map_and_in_the_legend():
+    axes = Figure().add_subplot()
+    draw_lines(axes, [np.zeros((2, 2))], "white", label="recorded", outlined=True)
+    draw_lines(axes, [np.ones((2, 2))], "red", label="futures")
+    add_legend(axes)
+    outlined, plain = axes.get_legend().legend_handles
+    assert len(outlined.get_path_effects()) == 1
+    assert not plain.get_path_effects()
+
+
+def test_names_of_many_near_points_cover_neither_each_other_nor_marks():
+    figure = Figure(figsize=(4.6, 3.8), layout="constrained")
+    axes = figure.add_subplot(xlim=(2, 400), ylim=(0.003, 12), xscale="log", yscale="log")
+    points = np.array([[22, 4.1], [10.2, 0.33], [43, 0.46], [45.5, 0.285], [55, 0.28], [160, 0.17]])
+    names = [
+        "phase correlation",
+        "ECC quarter",
+        "stabilo",
+        "stabilo with boxes",
+        "ORB",
+        "SIFT half",
+    ]
+    figure.draw_without_rendering()
+    boxes = [text.get_window_extent() for text in label_points(axes, points, names)]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    assert not any(
+        box.contains(*mark) for box in boxes for mark in axes.transData.transform(points)
+    )
 
 
 def test_drift_is_drawn_from_its_origin():

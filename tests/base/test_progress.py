@@ -31,6 +31,13 @@ def test_bars_of_a_cell_are_one_display_and_a_finished_stage_is_full(shown):
     assert len(shown) < 6
 
 
+def test_a_stage_that_ended_before_its_total_does_not_seem_to_have_stopped(shown):
+    for count in range(1, 33):
+        notebook_progress("register", count, 64)
+    notebook_progress("average", 1, 64)
+    assert 'value="64" max="64"></progress> register: 32<br>' in shown[-1]
+
+
 def test_nothing_is_shown_outside_notebooks(monkeypatch, capsys):
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
     notebook_progress("register", 1, 2)
