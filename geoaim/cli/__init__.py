@@ -15,6 +15,7 @@ from geoaim.cli.convert import convert
 from geoaim.cli.doctor import doctor
 from geoaim.cli.evaluate import evaluate
 from geoaim.cli.frame import frame
+from geoaim.cli.help import Command, CommandGroup
 from geoaim.cli.info import info
 from geoaim.cli.maps import draw, texture
 from geoaim.cli.pick import pick
@@ -26,13 +27,19 @@ from geoaim.cli.track import track
 from geoaim.cli.train import train
 from geoaim.cli.view import view
 
-COMMANDS = (
-    *(frame, pick, build, align, draw, register, track, info, convert, view, texture, render),
-    *(simulate, predict, evaluate, train, sample, bench, doctor),
-)
+CATALOG_GROUP = "Make a map"
+GROUPS = {
+    CATALOG_GROUP: (pick, build, align, draw, frame, register),
+    "Tracks": (track, convert),
+    "Look at maps and files": (info, view, render, texture),
+    "Simulate and predict": (simulate, predict, evaluate, train),
+    "Test and measure": (sample, bench, doctor),
+}
+COMMANDS = tuple(command for commands in GROUPS.values() for command in commands)
 
 app = typer.Typer(
     name="geoaim",
+    cls=CommandGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # without a terminal, wrong usage is one plain line instead of a box of 80 columns
@@ -59,6 +66,7 @@ def prepare(
     stop_when_terminated()
 
 
-for command in COMMANDS:
-    app.command()(command)
-app.add_typer(catalog)
+for group, commands in GROUPS.items():
+    for command in commands:
+        app.command(cls=Command, rich_help_panel=group)(command)
+app.add_typer(catalog, rich_help_panel=CATALOG_GROUP)

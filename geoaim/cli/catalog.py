@@ -9,6 +9,7 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import console, print_table, report_errors
+from geoaim.cli.help import Command, CommandGroup
 
 if TYPE_CHECKING:
     from geoaim.catalog import Record
@@ -16,13 +17,14 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="catalog",
+    cls=CommandGroup,
     help="Build the maps of many recordings, on one machine or many, and inspect them.",
     no_args_is_help=True,
 )
 CatalogFolder = Annotated[str, typer.Argument(help="path or address of the catalogue's folder")]
 
 
-@app.command()
+@app.command(cls=Command)
 def build(
     recordings: Annotated[
         str, typer.Argument(help="CSV with a row for each recording: video, gcps, ...")
@@ -75,7 +77,7 @@ def build(
         raise typer.Exit(1)
 
 
-@app.command(name="list")
+@app.command(name="list", cls=Command)
 def list_maps(catalog: CatalogFolder) -> None:
     """List the recordings of a catalogue: built, refused or failed, and how good.
 
@@ -92,7 +94,7 @@ def list_maps(catalog: CatalogFolder) -> None:
         console.print(table)
 
 
-@app.command()
+@app.command(cls=Command)
 def show(
     catalog: CatalogFolder, name: Annotated[str, typer.Argument(help="of the recording")]
 ) -> None:
@@ -116,7 +118,7 @@ def show(
         print_table(name, lines)
 
 
-@app.command()
+@app.command(cls=Command)
 def verify(
     catalog: CatalogFolder,
     repair: Annotated[

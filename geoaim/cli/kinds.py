@@ -21,6 +21,7 @@ MAX_LISTED = 5  # scenarios of a file
 IMAGES = {".png", ".jpg", ".jpeg"}
 ON_A_MAP = "render map.tif --tracks tracks.csv --ego ID"
 MAP_COMMANDS = (
+    "view FILE",
     "view FILE --tracks tracks.csv",
     "texture FILE texture",
     "render FILE --tracks tracks.csv --ego ID -o view.mp4",
@@ -39,16 +40,25 @@ IMAGERY_COMMANDS = (
     "pick video.mp4 --imagery FILE -o points.csv",
     "align FILE --aim map.tif -o aligned.tif",
     "align FILE --tracks tracks.csv -o aligned.tif",
+    "view map.tif --imagery FILE",
 )
 TRACK_COMMANDS = (
+    "view map.tif --tracks FILE",
     "render map.tif --tracks FILE --ego ID -o view.mp4",
     "simulate map.tif --tracks FILE -o simulated.csv",
     "predict map.tif --tracks FILE -o futures.png",
     "align ortho.tif --tracks FILE -o map.tif",
 )
-LIGHT_COMMANDS = (f"{ON_A_MAP} --lights FILE --hdmap map.osm -o view.mp4",)
+LIGHT_COMMANDS = (
+    "view map.tif --tracks tracks.csv --lights FILE --hdmap map.osm",
+    f"{ON_A_MAP} --lights FILE --hdmap map.osm -o view.mp4",
+)
 LINE_COMMANDS = (f"{ON_A_MAP} --lights lights.csv --stop-lines FILE -o view.mp4",)
-AREA_COMMANDS = ("simulate map.tif --tracks tracks.csv --drivable FILE -o simulated.csv",)
+AREA_COMMANDS = (
+    "view map.tif --drivable FILE",
+    "simulate map.tif --tracks tracks.csv --drivable FILE -o simulated.csv",
+)
+FUTURE_COMMANDS = ("view map.tif --tracks tracks.csv --futures FILE",)
 
 
 def describe_file(source: str) -> Description:
@@ -172,7 +182,7 @@ def _describe_table(source: str) -> Description:
     if {"m00", "m22"} <= columns:
         return "registration of the frames of a video", {}, ()
     if {"sample", "id", "time"} <= columns:
-        return "futures that predict wrote", {}, ()
+        return "futures that predict wrote", {}, FUTURE_COMMANDS
     has_lights = any("traffic light" in name or name == "movement_state" for name in columns)
     if has_lights or {"signal", "state"} <= columns:
         return _describe_lights(source)

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from geoaim.cli import COMMANDS, app
+from geoaim.cli import COMMANDS, GROUPS, app
 
 NAMES = [command.__name__ for command in COMMANDS]
 
@@ -38,3 +38,29 @@ def test_the_examples_in_the_help_run(tmp_path, monkeypatch):
         example = shlex.split(commands[name].help.split("Example: ")[1])
         result = CliRunner().invoke(app, example[1:])
         assert result.exit_code == 0, f"{' '.join(example)}: {result.output}"
+
+
+@pytest.mark.parametrize(
+    ("words", "usage"),
+    [
+        ("predict", "predict AIM --tracks TRACKS -o OUTPUT [OPTIONS]"),
+        ("align", "align IMAGERY... -o OUTPUT [OPTIONS]"),
+        ("bench", "bench STAGE [VIDEO] [OPTIONS]"),
+        ("catalog build", "catalog build RECORDINGS -o OUTPUT [OPTIONS]"),
+    ],
+)
+def test_the_usage_line_names_all_that_must_be_given(words, usage):
+    result = CliRunner().invoke(app, [*words.split(), "--help"], prog_name="geoaim")
+    assert f"Usage: geoaim {usage}" in result.output
+
+
+def test_the_commands_are_listed_in_groups_with_whole_sentences():
+    output = CliRunner().invoke(app, ["--help"], prog_name="geoaim").output
+    listed = " ".join(output.split())
+    positions = [listed.index(f"{title}:") for title in GROUPS]
+    assert positions == sorted(positions)
+    assert "..." not in listed.split("Make a map:")[1]
+    commands = typer.main.get_command(app).commands
+    for name, command in commands.items():
+        sentence = " ".join(command.help.split("\n\n")[0].split())
+        assert f" {name} {sentence}" in listed
