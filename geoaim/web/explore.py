@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from shapely import MultiPolygon
 
@@ -16,22 +16,28 @@ from geoaim.aim.texture_files import is_texture, read_map, read_texture
 from geoaim.base.errors import AimError
 from geoaim.base.grid import Grid
 from geoaim.base.world import World
-from geoaim.hdmap.drivable import find_drivable_area
-from geoaim.hdmap.lanelet2 import HDMap
+from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area
+from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.prediction.futures import Futures
 from geoaim.simulation.road_rules import make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.tracks.changes import to_world
-from geoaim.tracks.lights import Lights
+from geoaim.tracks.formats.formats import read_tracks
+from geoaim.tracks.lights import Lights, read_lights
 from geoaim.tracks.tracks import Tracks
 from geoaim.web import map_layers, moving_layers
 from geoaim.web.map_view import MapView
 from geoaim.web.tiles import TiledRaster
 
-MapSource = AIM | str | os.PathLike[str]
-ImagerySource = AIM | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
-FuturesSource = Futures | str | os.PathLike[str]
+FilePath = str | os.PathLike[str]
+MapSource = AIM | FilePath
+TracksSource = Tracks | FilePath
+LightsSource = Lights | FilePath
+HDMapSource = HDMap | FilePath
+AreaSource = MultiPolygon | FilePath
+ImagerySource = AIM | FilePath | Sequence[FilePath]
+FuturesSource = Futures | FilePath
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +63,41 @@ class Contents:
     futures: FuturesSource | None = None
 
 
+def read_contents(
+    aim: MapSource,
+    *,
+    tracks: TracksSource | None = None,
+    lights: LightsSource | None = None,
+    hdmap: HDMapSource | None = None,
+    drivable: AreaSource | None = None,
+    imagery: ImagerySource | None = None,
+    futures: FuturesSource | None = None,
+) -> Contents:
+    """Read what is shown on a map; each part may be given as an object or as the path of its file.
+
+    Raises:
+        ValueError: lights are a file, and no HD map says where their stop lines are.
+        GeoaimError: something cannot be read.
+    """
+    world = aim.world if isinstance(aim, AIM) else read_map_world(aim)
+    if isinstance(hdmap, str | os.PathLike):
+        hdmap = read_hdmap(hdmap, world)
+    if isinstance(lights, str | os.PathLike):
+        if hdmap is None:
+            raise ValueError(f"{lights} has no places of its lights: give hdmap= as well")
+        lights = read_lights(lights, hdmap.stop_lines, world)
+    if isinstance(drivable, str | os.PathLike):
+        drivable = read_drivable_area(drivable, world)
+    return Contents(
+        tracks=read_tracks(tracks) if isinstance(tracks, str | os.PathLike) else tracks,
+        lights=lights,
+        hdmap=hdmap,
+        drivable=drivable,
+        imagery=imagery,
+        futures=futures,
+    )
+
+
 def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapView:
     """Make the view of a map.
 
@@ -71,10 +112,10 @@ def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapVi
     Raises:
         GeoaimError: something cannot be read, or lies at another place than the map.
     """
-    grid, rasters, title = _open_map(aim, stack)
+    grid, rasters, title, most = _open_map(aim, stack)
     world = grid.world
     assert world is not None
-    items = _describe_aim(rasters)
+    items = _describe_aim(rasters, most)
     if contents.imagery is not None:
         beneath = _read_beneath(contents.imagery, grid)
         rasters["imagery"] = map_layers.tile_aim(beneath)["aim_image"]
@@ -105,10 +146,18 @@ def read_map_world(path: str | os.PathLike[str]) -> World:
         return grid.world
 
 
-def _open_map(aim: MapSource, stack: ExitStack) -> tuple[Grid, dict[str, TiledRaster], str]:
-    """Open a map: its grid, its tiles by path, and a title."""
+class _OpenMap(NamedTuple):
+    """An open map: its grid, its tiles by path, a title, and the most frames of a pixel."""
+
+    grid: Grid
+    rasters: dict[str, TiledRaster]
+    title: str
+    most: float
+
+
+def _open_map(aim: MapSource, stack: ExitStack) -> _OpenMap:
     if isinstance(aim, AIM):
-        return aim.grid, map_layers.tile_aim(aim), "AIM"
+        return _OpenMap(aim.grid, map_layers.tile_aim(aim), "AIM", float(aim.coverage.max()))
     if is_texture(aim):
         return _open_map(read_texture(aim), stack)
     dataset, grid, report = stack.enter_context(open_aim(aim))
@@ -116,16 +165,20 @@ def _open_map(aim: MapSource, stack: ExitStack) -> tuple[Grid, dict[str, TiledRa
         stack.close()
         return _open_map(read_aim(aim), stack)
     most = report.get("background", {}).get("frames_used", 1)
-    return grid, map_layers.tile_aim_file(dataset, grid, most), Path(aim).name
+    rasters = map_layers.tile_aim_file(dataset, grid, most)
+    return _OpenMap(grid, rasters, Path(aim).name, most)
 
 
-def _describe_aim(rasters: dict[str, TiledRaster]) -> list[dict[str, Any]]:
-    shown = map_layers.describe_raster("AIM", "aim_image", rasters["aim_image"])
-    others = [
-        map_layers.describe_raster(name, path, rasters[path], visible=False)
-        for name, path in (("frames per pixel", "aim_coverage"), ("contested", "aim_contested"))
+def _describe_aim(rasters: dict[str, TiledRaster], most: float) -> list[dict[str, Any]]:
+    layers: tuple[tuple[str, str, dict[str, Any]], ...] = (
+        ("AIM", "aim_image", {}),
+        ("frames per pixel", "aim_coverage", {"legend": map_layers.describe_legend(most)}),
+        ("contested", "aim_contested", {"colour": map_layers.get_contested_colour()}),
+    )
+    return [
+        map_layers.describe_raster(name, path, rasters[path], visible=not options, **options)
+        for name, path, options in layers
     ]
-    return [shown, *others]
 
 
 def _describe_shapes(contents: Contents) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from jaxtyping import Float
+from matplotlib.colors import to_hex
 from numpy import ndarray as Array
 from shapely import MultiPolygon
 
@@ -20,6 +21,7 @@ from geoaim.web.tiles import Colours, TiledRaster, tile_array, tile_dataset
 CONTESTED_COLOUR = (255, 0, 200, 170)
 COVERAGE_ALPHA = 200
 COVERAGE_COLOURS = (matplotlib.colormaps["magma"](np.arange(256))[:, :3] * 255).astype(np.uint8)
+LEGEND_STEPS = 9  # colours of a legend; between them it is linear
 LINE_COLOURS = {  # keys: lanelet2's kinds of line
     "curbstone": "#7c4a03",
     "stop_line": "#c1121f",
@@ -97,13 +99,25 @@ def describe_raster(name: str, path: str, raster: TiledRaster, **options: object
         name: what the panel of layers calls it.
         path: path of its tiles.
         raster: the tiles.
-        **options: `visible`, `opacity` and `swipe`.
+        **options: `visible`, `opacity`, `swipe`, and for the panel `colour` or `legend`.
 
     Returns:
         The description.
     """
     shown: Description = {"name": name, "path": path, "visible": True, "opacity": 1.0}
     return shown | raster.describe() | options
+
+
+def describe_legend(most: float) -> Description:
+    """Describe the colours of `colour_coverage`, from 0 to `most` frames."""
+    chosen = COVERAGE_COLOURS[np.linspace(0, 255, LEGEND_STEPS).astype(int)]
+    colours = [to_hex(colour) for colour in chosen / 255]
+    return {"from": 0, "to": round(most), "unit": "frames", "colours": colours}
+
+
+def get_contested_colour() -> str:
+    """Get the colour of `colour_contested`, for a legend."""
+    return to_hex(np.array(CONTESTED_COLOUR[:3]) / 255)
 
 
 def describe_lines(hdmap: HDMap) -> list[Description]:

@@ -86,7 +86,10 @@ def describe_lights(lights: Lights, world: World) -> Description:
 
 
 def describe_futures(futures: Futures) -> Description:
-    """Describe futures: the points of each sample of each predicted agent."""
+    """Describe futures: the points of each sample of each predicted agent.
+
+    They say something of the times from "start", the last observed one, to "end".
+    """
     positions = futures.states[..., :2].double().cpu().numpy().round(2)
     predicted = futures.mark_predicted()
     agents = [
@@ -97,11 +100,14 @@ def describe_futures(futures: Futures) -> Description:
         for agent, paths in enumerate(positions.swapaxes(0, 1))
         if predicted[agent]
     ]
-    return {"start": futures.time, "agents": agents}
+    end = futures.time + futures.states.shape[2] * futures.dt
+    return {"start": round(futures.time, 3), "end": round(end, 3), "agents": agents}
 
 
 def describe_futures_file(path: str | os.PathLike[str]) -> Description:
-    """Describe the futures of all agents in a file that `geoaim predict -o futures.csv` wrote.
+    """Describe the predicted agents in a file that `geoaim predict -o futures.csv` wrote.
+
+    These are the agents whose samples differ, as `Futures.mark_predicted` says.
 
     Raises:
         TracksError: it is not such a file.
@@ -117,8 +123,20 @@ def describe_futures_file(path: str | os.PathLike[str]) -> Description:
                 ],
             }
             for name, rows in table.groupby("id", sort=False)
+            if _is_predicted(rows)
         ]
-        return {"start": float(table["time"].min()), "agents": agents}
+        times = np.unique(table["time"].to_numpy(float))
+        dt = float(np.diff(times).min()) if len(times) > 1 else 0.0
+        start, end = round(float(times[0]) - dt, 3), float(times[-1])
+        return {"start": start, "end": end, "agents": agents}
+
+
+def _is_predicted(rows: pd.DataFrame) -> bool:
+    """Whether the samples of an agent differ; of one sample nothing can be said."""
+    if rows["sample"].nunique() == 1:
+        return True
+    places = rows.groupby("time")[["x", "y"]]
+    return bool((places.max() > places.min()).to_numpy().any())
 
 
 def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
@@ -138,7 +156,7 @@ def list_infractions(scene: Scene, rules: RoadRules) -> list[dict[str, Any]]:
             begins = now & ~torch.cat([last[kind], now[:, :-1]], dim=1)
             last[kind] = now[:, -1:]
             for agent, step in begins.nonzero().tolist():
-                time = round(float(part.times[step + 1]), 3)
+                time = round(float(part.times[step + 1]), 6)
                 marks.append({"time": time, "agent": scene.ids[agent], "kind": kind})
     return sorted(marks, key=lambda mark: float(mark["time"]))
 

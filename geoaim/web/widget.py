@@ -7,10 +7,17 @@ from typing import Any
 
 from geoaim.base.errors import GeoaimError
 from geoaim.base.world import LONLAT
-from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.tracks.lights import Lights
-from geoaim.tracks.tracks import Tracks
-from geoaim.web.explore import Contents, FuturesSource, ImagerySource, MapSource, make_map_view
+from geoaim.web.explore import (
+    AreaSource,
+    FuturesSource,
+    HDMapSource,
+    ImagerySource,
+    LightsSource,
+    MapSource,
+    TracksSource,
+    make_map_view,
+    read_contents,
+)
 from geoaim.web.html_file import read_module
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.page import make_picking_view
@@ -20,19 +27,23 @@ from geoaim.web.picking.task import read_task
 def explore(
     aim: MapSource,
     *,
-    tracks: Tracks | None = None,
-    lights: Lights | None = None,
-    hdmap: HDMap | None = None,
+    tracks: TracksSource | None = None,
+    lights: LightsSource | None = None,
+    hdmap: HDMapSource | None = None,
+    drivable: AreaSource | None = None,
     imagery: ImagerySource | None = None,
     futures: FuturesSource | None = None,
 ) -> Any:
     """Show a map and its traffic in a notebook, as an interactive widget.
 
+    Everything may be given as an object or as the path of its file.
+
     Args:
-        aim: the map, or its file, of which only the parts that are shown are read.
+        aim: the map; of a file only the parts that are shown are read.
         tracks: agents, in any world that can be brought into the map's.
-        lights: traffic lights.
+        lights: traffic lights; a file needs `hdmap` for the places of their stop lines.
         hdmap: lanes, borders and markings, in the map's world.
+        drivable: area that counts as road; None: the HD map's drivable area.
         imagery: shown beneath the map, with a swipe between the two: an AIM in its world, or what
             `read_imagery` reads.
         futures: the result of `predict`, or a file that `geoaim predict -o futures.csv` wrote.
@@ -41,13 +52,22 @@ def explore(
         The widget (anywidget), which JupyterLab, VS Code, Colab and marimo show.
 
     Raises:
-        ImportError: anywidget is not installed (`pip install 'geoaim[jupyter]'`).
+        ImportError: anywidget is not installed (`pip install anywidget`).
+        ValueError: lights are a file, and there is no HD map.
         GeoaimError: something cannot be read, or lies at another place than the map.
 
     Example:
-        geoaim.explore(aim, tracks=geoaim.read_tracks("tracks.csv"))
+        geoaim.explore("aim.tif", tracks="tracks.csv")
     """
-    contents = Contents(tracks, lights, hdmap, None, imagery, futures)
+    contents = read_contents(
+        aim,
+        tracks=tracks,
+        lights=lights,
+        hdmap=hdmap,
+        drivable=drivable,
+        imagery=imagery,
+        futures=futures,
+    )
     stack = ExitStack()  # the file of the map is open as long as the widget lives
     return make_widget(make_map_view(aim, contents, stack), stack)
 
@@ -74,7 +94,7 @@ def pick(
         The widget (anywidget).
 
     Raises:
-        ImportError: anywidget is not installed (`pip install 'geoaim[jupyter]'`).
+        ImportError: anywidget is not installed (`pip install anywidget`).
         GeoaimError: something cannot be read.
 
     Example:
@@ -91,8 +111,8 @@ def make_widget(view: MapView, resources: object) -> Any:
         import anywidget
     except ImportError as error:
         raise ImportError(
-            "the widget needs anywidget: pip install 'geoaim[jupyter]'; `geoaim view` shows the "
-            "same in a browser without it"
+            "the widget needs anywidget: pip install anywidget; `geoaim view` and `geoaim pick` "
+            "show the same in a browser without it"
         ) from error
 
     class ViewWidget(anywidget.AnyWidget):

@@ -2,6 +2,9 @@ from pathlib import Path
 
 import pytest
 
+import geoaim
+from geoaim.aim.files import write_aim
+from geoaim.web.explore import read_contents
 from geoaim.web.map_view import MapView
 from geoaim.web.widget import answer_message, explore, pick
 
@@ -43,3 +46,22 @@ def test_points_are_picked_in_a_notebook(tmp_path, monkeypatch, sent):
     answer_message(views[0], lambda *message: sent.append(message), {"id": 1, "action": action})
     assert sent[0][0]["reply"]["points"][0]["u"] == 100.0
     assert "100" in path.read_text()
+
+
+def test_everything_is_explored_by_the_paths_of_its_files(aim, contents, tmp_path):
+    pytest.importorskip("anywidget")
+    write_aim(aim, tmp_path / "aim.tif")
+    paths = {
+        "tracks": str(SAMPLES / "tracks.csv"),
+        "lights": SAMPLES / "lights.csv",
+        "hdmap": str(SAMPLES / "map.osm"),
+    }
+    read = read_contents(tmp_path / "aim.tif", **paths)
+    assert read.tracks.ids == contents.tracks.ids
+    assert len(read.lights.names) == len(contents.lights.names) > 0
+    assert len(read.hdmap.lines) == len(contents.hdmap.lines)
+    assert "geoaim-painted" in explore(str(tmp_path / "aim.tif"), **paths)._esm
+    with pytest.raises(ValueError, match=r"lights\.csv has no places of its lights: give hdmap="):
+        geoaim.explore(aim, lights=SAMPLES / "lights.csv")
+    with pytest.raises(FileNotFoundError, match=r"none\.csv"):
+        aim.explore(tracks="none.csv")

@@ -20,6 +20,7 @@ from geoaim.aim.aim import AIM
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.grid import Grid, pad_grid
+from geoaim.base.progress import Progress, no_progress, report_each
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
 from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import ImageryAlignment
@@ -119,13 +120,16 @@ class MatchedWindows(NamedTuple):
     residuals: Float[Array, "M 2"]  # distances from the fitted alignment, metres; y down
 
 
-def match_image(image: AIM, reference: AIM, *, prior: Prior = DEFAULT_PRIOR) -> MatchedWindows:
+def match_image(
+    image: AIM, reference: AIM, *, prior: Prior = DEFAULT_PRIOR, progress: Progress = no_progress
+) -> MatchedWindows:
     """Find windows of a reference in an image of the same place, as `align_image` does.
 
     Args:
         image: a roughly georeferenced image.
         reference: an AIM in the same world, which the image is matched to.
         prior: how far off the image may be.
+        progress: takes stage, done and total.
 
     Returns:
         The windows that agree with the best alignment.
@@ -134,7 +138,7 @@ def match_image(image: AIM, reference: AIM, *, prior: Prior = DEFAULT_PRIOR) -> 
         AlignmentError: see `align_image`.
         ValueError: they lie in different worlds.
     """
-    best, finest, _ = _find_place(image, reference, prior)
+    best, finest, _ = _find_place(image, reference, prior, progress)
     grid, (source, target, _) = finest.grid, best.matches
     motion = _fit_motion(best, finest)
     near = np.linalg.norm(motion.residuals, axis=1) < AGREEMENT_PX
@@ -143,15 +147,22 @@ def match_image(image: AIM, reference: AIM, *, prior: Prior = DEFAULT_PRIOR) -> 
 
 
 def _find_place(
-    imagery: AIM, aim: AIM, prior: Prior, *, in_parts: bool = False
+    imagery: AIM,
+    aim: AIM,
+    prior: Prior,
+    progress: Progress = no_progress,
+    *,
+    in_parts: bool = False,
 ) -> tuple[_Candidate, Level, float]:
     """The best candidate, the level of its windows, and log10 of its false alarms."""
     if imagery.world != aim.world:
         raise ValueError(f"the imagery lies in {imagery.world}, the AIM in {aim.world}")
     coarsest, *between, finest = build_pyramid(imagery, aim, prior)
-    places = _search_grid(coarsest, prior)
-    for level in (*between, *[finest] * REFINEMENTS):
+    places = _search_grid(coarsest, prior, progress)
+    levels = (*between, *[finest] * REFINEMENTS)
+    for level in report_each(levels, progress, "refine", len(levels)):
         places = _refine_candidates(level, places)
+    progress("verify", 0, 1)
     candidates = [_count_agreements(finest, place) for place in places]
     if candidates:
         best = max(candidates, key=lambda candidate: candidate.agreeing)
@@ -161,10 +172,11 @@ def _find_place(
     if in_parts:
         candidates = [x for x in candidates if x.shares_windows(candidates[0])]
     false_alarms = _verify_candidates(candidates, finest, prior)
+    progress("verify", 1, 1)
     return candidates[0], finest, false_alarms
 
 
-def _search_grid(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
+def _search_grid(level: Level, prior: Prior, progress: Progress) -> list[Float[Array, "3 3"]]:
     """The best places among all rotations, scales and shifts of the prior, on a coarse grid."""
     grid = level.grid
     reach = int(np.ceil(prior.max_shift / grid.resolution))
@@ -172,7 +184,8 @@ def _search_grid(level: Level, prior: Prior) -> list[Float[Array, "3 3"]]:
     center = transform_points(grid.world_from_grid, np.array([[grid.width, grid.height]]) / 2)[0]
     step = 2 * SEARCH_STEP_PX / max(grid.height, grid.width)
     scored = []
-    for rotation in _list_steps(prior.max_rotation, step):
+    rotations = _list_steps(prior.max_rotation, step)
+    for rotation in report_each(rotations, progress, "search", len(rotations)):
         for log_scale in _list_steps(float(np.log1p(prior.max_scaling)), step):
             similarity = make_similarity(center, rotation, float(np.exp(log_scale)))
             channels = _orient_image(level.image, similarity, padded)

@@ -7,7 +7,7 @@ An action is {"action": NAME, ...}:
   and v are a pixel of the imagery), and a name; "move" is the same with the id of a point;
 - "rename" (id, name), "delete" (id), "undo", "redo";
 - "snap" (u, v, side "frame" or "imagery") tells the corner beside a click in "snapped";
-- "candidates" proposes pairs; "accept" (candidate: its index) makes one of them a point;
+- "accept" (candidate: its index) makes a proposed pair a point; `search` proposes them;
 - "export" (format "csv", "txt" or "points") gives the "text" of a file to save.
 
 Every reply has the whole state (`describe_session`) and "notes", warnings of the action; one to a
@@ -21,10 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from geoaim.base.errors import AlignmentError, GeoaimError, GeoaimWarning
+from geoaim.base.errors import GeoaimError, GeoaimWarning
 from geoaim.base.world import crs_from_world
 from geoaim.mapping.georeference.point_export import format_points
-from geoaim.web.picking.candidates import propose_pairs
 from geoaim.web.picking.positions import read_pair, read_position, require_imagery
 from geoaim.web.picking.session import (
     PickedPoint,
@@ -36,7 +35,7 @@ from geoaim.web.picking.session import (
     undo,
 )
 from geoaim.web.picking.snap import snap_to_corner
-from geoaim.web.picking.state import assess_session, describe_session
+from geoaim.web.picking.state import describe_session
 
 Action = Mapping[str, Any]
 Outcome = tuple[PickingSession, dict[str, Any]]
@@ -102,20 +101,6 @@ def _snap(session: PickingSession, action: Action) -> Outcome:
     return session, {"snapped": None if corner is None else dict(zip("uv", corner, strict=True))}
 
 
-def _propose(session: PickingSession, action: Action) -> Outcome:
-    georeference = assess_session(session).georeference or session.task.rough
-    if georeference is None:
-        raise ValueError("pairs are proposed from the second point on; pick two first")
-    imagery = require_imagery(session.task)
-    try:
-        pairs = propose_pairs(session.task.frame, imagery, georeference)
-    except AlignmentError as error:
-        raise AlignmentError(
-            f"no pairs: the imagery does not show the frame where the points place it ({error})"
-        ) from error
-    return replace(session, candidates=pairs), {}
-
-
 def _accept(session: PickingSession, action: Action) -> Outcome:
     index, candidates = action.get("candidate"), session.candidates
     if type(index) is not int or not 0 <= index < len(candidates):
@@ -155,7 +140,6 @@ ACTIONS: Mapping[str, Callable[[PickingSession, Action], Outcome]] = {
     "undo": lambda session, action: (undo(session), {}),
     "redo": lambda session, action: (redo(session), {}),
     "snap": _snap,
-    "candidates": _propose,
     "accept": _accept,
     "export": _export,
 }

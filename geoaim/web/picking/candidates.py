@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.base.geometry import image_corners, transform_points
+from geoaim.base.progress import Progress, no_progress
 from geoaim.imagery.alignment.by_image import match_image
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.mapping.georeference.georeference import Georeference
@@ -30,7 +31,11 @@ class PairCandidate:
 
 
 def propose_pairs(
-    frame: UInt8[Array, "H W 3"], imagery: AIM, georeference: Georeference
+    frame: UInt8[Array, "H W 3"],
+    imagery: AIM,
+    georeference: Georeference,
+    *,
+    progress: Progress = no_progress,
 ) -> tuple[PairCandidate, ...]:
     """Propose pairs that agree with each other and are spread over the frame.
 
@@ -39,6 +44,7 @@ def propose_pairs(
         imagery: imagery of the same ground, from any day.
         georeference: rough georeference of the frame in the imagery's world; the imagery is
             searched within its uncertainty at the frame's corners.
+        progress: takes stage, done and total.
 
     Returns:
         At most 12 pairs.
@@ -49,7 +55,7 @@ def propose_pairs(
     """
     rough = AIM.from_image(frame, georeference.world_from_image, georeference.world, "frame")
     prior = _choose_prior(georeference, max(rough.resolution, imagery.resolution))
-    matched = match_image(rough, imagery, prior=prior)
+    matched = match_image(rough, imagery, prior=prior, progress=progress)
     frame_from_world = np.linalg.inv(georeference.world_from_image)
     pixels = transform_points(frame_from_world, matched.in_image)
     height, width = frame.shape[:2]

@@ -1,7 +1,12 @@
-"""The page on which control points are picked: its pictures as tiles, its actions, the overlay."""
+"""The page on which control points are picked: its pictures as tiles, its actions, the overlay.
+
+Beside the actions of `handle` it knows "overlay"; "propose", which starts a search for pairs; and
+"proposed". The last two reply with "search", how far it is, or with the state when it has ended.
+"""
 
 from base64 import b64encode
 from collections.abc import Mapping
+from dataclasses import replace
 from threading import Lock
 from typing import Any
 
@@ -14,6 +19,7 @@ from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.grid import Grid
 from geoaim.web.map_view import MapView
 from geoaim.web.picking.actions import handle
+from geoaim.web.picking.search import PairSearch
 from geoaim.web.picking.session import PickingSession, open_session
 from geoaim.web.picking.state import describe_session
 from geoaim.web.picking.task import PickingTask
@@ -30,15 +36,21 @@ def make_picking_view(task: PickingTask, title: str) -> MapView:
         ValueError: its name does not end in .csv.
     """
     session, lock = open_session(task), Lock()
+    search: PairSearch | None = None
     rasters = {"frame": _tile_pixels(task.frame, None)}
     if task.imagery is not None:
         rasters["imagery"] = _tile_pixels(task.imagery.image, task.imagery.coverage > 0)
 
     def call(action: Mapping[str, Any]) -> dict[str, Any]:
-        nonlocal session
+        nonlocal session, search
         with lock:
             if action.get("action") == "overlay":
                 return draw_overlay(session)
+            if action.get("action") in ("propose", "proposed"):
+                if action["action"] == "propose" and search is None:
+                    search = PairSearch(session)
+                session, search, reply = _follow_search(session, search)
+                return reply
             session, reply = handle(session, action)
             return reply
 
@@ -48,6 +60,20 @@ def make_picking_view(task: PickingTask, title: str) -> MapView:
     }
     description = {"kind": "pick", "title": title, "imagery": None, **shown}
     return MapView(description, rasters, call=call)
+
+
+def _follow_search(
+    session: PickingSession, search: PairSearch | None
+) -> tuple[PickingSession, PairSearch | None, dict[str, Any]]:
+    """Take over the pairs of a search that has ended; the reply tells about one that has not."""
+    result = None if search is None else search.get_result()
+    if search is not None and result is None:
+        return session, search, {"search": search.describe()}
+    if result is not None and result.error:
+        return session, None, {"error": result.error}
+    if result is not None:
+        session = replace(session, candidates=result.pairs)
+    return session, None, {**describe_session(session), "notes": []}
 
 
 def draw_overlay(session: PickingSession) -> dict[str, Any]:

@@ -4,9 +4,10 @@ import { findStep, getBox, getPose } from "./tracks.js";
 
 export const SELECTED_COLOUR = "#ff6a00";
 const UNKNOWN_COLOUR = "#9a9a9a";
-const FUTURE_COLOUR = "rgba(255, 106, 0, 0.55)";
+export const FUTURE_COLOUR = "rgba(255, 106, 0, 0.55)";
 const LIGHT_WIDTH_M = 0.8;
 const TRAIL_S = 2;
+const SAME_TIME_S = 1e-3; // times of files are rounded to milliseconds
 
 /** Draws a state: {tracks, lights, futures, time, selected, shown}; call `changed()` after a change. */
 export class AgentsLayer extends Layer {
@@ -30,8 +31,9 @@ export class AgentsLayer extends Layer {
     const pixel = frame.viewState.resolution;
     const { lights, tracks, futures, shown } = this.state;
     if (lights && shown("lights")) this.drawLights(context, lights);
-    if (futures && shown("futures")) this.drawFutures(context, futures, pixel);
+    if (futures && shown("futures") && this.isPredicted(futures)) this.drawFutures(context, futures, pixel);
     if (tracks && shown("tracks")) this.drawAgents(context, tracks, pixel);
+    context.setTransform(1, 0, 0, 1, 0, 0); // OpenLayers draws the next layer into the same canvas
     this.framesDrawn++;
     return canvas;
   }
@@ -48,6 +50,11 @@ export class AgentsLayer extends Layer {
       context.lineTo(...end);
       context.stroke();
     });
+  }
+
+  /** Whether futures say anything of the time shown: from their last observed step to their end. */
+  isPredicted({ start, end }) {
+    return this.state.time >= start - SAME_TIME_S && this.state.time <= end + SAME_TIME_S;
   }
 
   drawFutures(context, futures, pixel) {

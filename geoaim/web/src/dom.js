@@ -10,6 +10,17 @@ export function make(tag, properties = {}, ...children) {
   return element;
 }
 
+/** Make the legend of a range of colours: {from, to, unit, colours}. */
+export function makeLegend({ from, to, unit, colours }) {
+  const style = `background:linear-gradient(to right, ${colours.join(", ")})`;
+  return make("small", { className: "legend" }, String(from), make("i", { style }), `${to} ${unit}`);
+}
+
+/** Write a length in metres: to the centimetre, and nothing finer. */
+export function formatMetres(value) {
+  return value < 0.01 ? "under 1 cm" : `${value.toFixed(2)} m`;
+}
+
 /** Make a labelled checkbox that calls `change` with its state. */
 export function makeCheckbox(label, checked, change, swatch = null) {
   const input = make("input", { type: "checkbox", checked });

@@ -28,7 +28,7 @@ function startPage(element) {
   const base = new URL("./", location.href).href.split("#")[0];
   const transport = embedded ? embeddedTransport(JSON.parse(embedded.textContent)) : serverTransport(base);
   if (!embedded) new EventSource(`${base}alive`); // the server stops when its last page is closed
-  mount(element, transport, { link: true }).then((app) => (window.geoaim = app));
+  mount(element, transport, { link: true, keys: document }).then((app) => (window.geoaim = app));
 }
 
 const page = document.getElementById("geoaim-page");

@@ -1,9 +1,11 @@
 /** Picking of control points: pixels of a frame, and their places on imagery or typed. */
-import { make, makeCheckbox } from "./dom.js";
+import { formatMetres, make, makeCheckbox } from "./dom.js";
+import { addShortcuts } from "./keys.js";
 import { invert, linearize, project } from "./homography.js";
 import { PixelMap } from "./pixel_map.js";
 
 const EXPORTS = { csv: "points.csv", txt: "gcp_list.txt", points: "frame.points" };
+const SEARCH_PERIOD_MS = 300; // between two questions how far a search for pairs is
 const ELLIPSE_STEPS = 40;
 // two numbers, as map services copy a place; both with a point, since a comma may be a decimal sign
 const PASTED = /^\s*(-?\d+\.\d+)[\s,;]+(-?\d+\.\d+)\s*$/;
@@ -19,7 +21,7 @@ function makeRing({ u, v, axes_px: axes }) {
 }
 
 /** Show a description (of `kind` "pick") in an element; returns what tests drive. */
-export async function showPicking(element, description, transport) {
+export async function showPicking(element, description, transport, { keys = element } = {}) {
   const frameElement = make("div", { className: "map", title: "frame" });
   const imageryElement = make("div", { className: "map", title: "imagery" });
   const table = make("table", { className: "points" });
@@ -92,9 +94,27 @@ export async function showPicking(element, description, transport) {
   if (app.imagery) {
     const propose = button("Propose pairs", "from the second point on; a click on a green one accepts it", async () => {
       propose.disabled = true;
-      message.textContent = "Searching for pairs …";
-      await ask({ action: "candidates" }).finally(() => (propose.disabled = false));
+      try {
+        await searchPairs();
+      } finally {
+        propose.disabled = false;
+        searching.hidden = true;
+      }
     });
+    const searching = make("label", { className: "searching", hidden: true }, make("progress"), make("span"));
+    bar.append(searching);
+    // the search goes on while points are picked
+    const searchPairs = async () => {
+      let { search } = await ask({ action: "propose" });
+      while (search) {
+        const [progress, text] = searching.children;
+        Object.assign(progress, { max: search.total, value: search.done });
+        text.textContent = `searching, ${Math.round(search.seconds)} s`;
+        searching.hidden = false;
+        await new Promise((resolve) => setTimeout(resolve, SEARCH_PERIOD_MS));
+        ({ search } = await ask({ action: "proposed" }));
+      }
+    };
     const slider = make("input", { type: "range", min: 0, max: 1, step: 0.05, value: 0 });
     slider.addEventListener("input", () => setOpacity(Number(slider.value)));
     const turn = make("input", { type: "range", min: -180, max: 180, step: 5, value: 0 });
@@ -138,9 +158,9 @@ export async function showPicking(element, description, transport) {
     if (georeference) {
       const kind = georeference.preliminary ? "Preliminary" : "Fitted";
       const { middle_m: middle, worst_corner: corner, worst_corner_m: worst } = georeference.uncertainty;
-      parts.push(`${kind} ${georeference.model}: 95 % within ${format(middle, 2)} m in the middle, ${format(worst, 2)} m at the ${corner}.`);
+      parts.push(`${kind} ${georeference.model}; uncertainty (95 %): ${formatMetres(middle)} in the middle, ${formatMetres(worst)} at the ${corner}.`);
     }
-    if (next) parts.push(`A point at the dashed circle lowers the largest uncertainty from ${format(next.largest_m, 2)} to ${format(next.largest_with_point_m, 2)} m.`);
+    if (next) parts.push(`A point at the dashed circle lowers the largest uncertainty from ${formatMetres(next.largest_m)} to ${formatMetres(next.largest_with_point_m)}.`);
     parts.push(...feedback.warnings.map((warning) => warning.text), ...(notes ?? []));
     if (saved) parts.push(`Saved in ${saved}.`);
     return parts.join(" ");
@@ -231,15 +251,13 @@ export async function showPicking(element, description, transport) {
     showOverlay();
   }
 
-  element.tabIndex = 0;
-  element.addEventListener("keydown", (event) => {
-    if (event.target.matches("input")) return;
+  addShortcuts(keys, element, (event) => {
     const control = event.ctrlKey || event.metaKey;
     if (control && event.key.toLowerCase() === "z") ask({ action: event.shiftKey ? "redo" : "undo" });
     else if (event.key === "Delete" && app.selected) ask({ action: "delete", id: app.selected });
     else if (event.key === "Escape") select(null);
-    else return;
-    event.preventDefault();
+    else return false;
+    return true;
   });
   app.ask = ask;
   await ask({ action: "state" });

@@ -11,13 +11,11 @@ import Static from "ol/source/ImageStatic.js";
 import VectorSource from "ol/source/Vector.js";
 import { Fill, Stroke, Style, Text } from "ol/style.js";
 import CircleStyle from "ol/style/Circle.js";
-import { make } from "./dom.js";
+import { addLens } from "./lens.js";
 import { makeMapView } from "./map_view.js";
 import { makeRasterLayer } from "./rasters.js";
 
 const MARGIN_PX = 20;
-const MAGNIFICATION = 4;
-const MAGNIFIER_PX = 150;
 const COLOURS = { used: "#ff6a00", wrong: "#c1121f", incomplete: "#ffd400", candidate: "#39ff14", next: "#00c2ff" };
 
 // pixels have v down, maps have y up
@@ -81,7 +79,7 @@ export class PixelMap {
     });
     this.extent = raster.extent;
     this.fit();
-    this.addMagnifier(target);
+    addLens(this.map);
   }
 
   /** Show the whole picture, upright. */
@@ -89,28 +87,6 @@ export class PixelMap {
     this.map.updateSize();
     this.map.getView().setRotation(0);
     this.map.getView().fit(this.extent, { padding: Array(4).fill(MARGIN_PX) });
-  }
-
-  /** A lens that follows the pointer. */
-  addMagnifier(target) {
-    const lens = make("canvas", { className: "lens", width: MAGNIFIER_PX, height: MAGNIFIER_PX, hidden: true });
-    target.append(lens);
-    target.addEventListener("pointerleave", () => (lens.hidden = true));
-    this.map.on("pointermove", ({ pixel, dragging }) => {
-      const canvas = target.querySelector(".ol-layer canvas");
-      lens.hidden = dragging || !canvas;
-      if (lens.hidden) return;
-      const ratio = canvas.width / target.clientWidth;
-      const side = (MAGNIFIER_PX / MAGNIFICATION) * ratio;
-      const context = lens.getContext("2d");
-      context.imageSmoothingEnabled = false;
-      context.clearRect(0, 0, MAGNIFIER_PX, MAGNIFIER_PX);
-      const [x, y] = pixel.map((value) => value * ratio - side / 2);
-      context.drawImage(canvas, x, y, side, side, 0, 0, MAGNIFIER_PX, MAGNIFIER_PX);
-      context.strokeStyle = COLOURS.next;
-      context.strokeRect(MAGNIFIER_PX / 2 - 0.5, 0, 0, MAGNIFIER_PX);
-      context.strokeRect(0, MAGNIFIER_PX / 2 - 0.5, MAGNIFIER_PX, 0);
-    });
   }
 
   /** Show markers: {pixel, kind, name, id, candidate, selected}, and rings of pixels. */

@@ -2,7 +2,6 @@
 import TileLayer from "ol/layer/Tile.js";
 import TileImage from "ol/source/TileImage.js";
 import TileGrid from "ol/tilegrid/TileGrid.js";
-import { getRenderPixel } from "ol/render.js";
 
 const TILE_ERROR = 3; // ol/TileState.ERROR
 
@@ -27,22 +26,4 @@ export function makeRasterLayer(raster, transport, projection) {
     },
   });
   return new TileLayer({ source, visible: raster.visible, opacity: raster.opacity, extent });
-}
-
-/** Show a layer only right of a place (0 left, 1 right) of the map; `get` returns it or null. */
-export function addSwipe(layer, map, get) {
-  layer.on("prerender", ({ context, ...event }) => {
-    const share = get();
-    if (share === null) return;
-    const [width, height] = map.getSize();
-    const corners = [[width * share, 0], [width, 0], [width, height], [width * share, height]];
-    context.save();
-    context.beginPath();
-    for (const corner of corners) context.lineTo(...getRenderPixel({ context, ...event }, corner));
-    context.closePath();
-    context.clip();
-  });
-  layer.on("postrender", ({ context }) => {
-    if (get() !== null) context.restore();
-  });
 }

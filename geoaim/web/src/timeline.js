@@ -63,7 +63,8 @@ export class Timeline {
       const others = group.length > 1 ? ` and ${group.length - 1} more` : "";
       const title = `${kind}: agent ${agent} at ${time.toFixed(1)} s${others}`;
       const tick = make("button", { className: "mark", style, title });
-      tick.addEventListener("click", () => select(group[0]));
+      let next = 0; // each click shows the next one of the group
+      tick.addEventListener("click", () => select(group[next++ % group.length]));
       this.marks.append(tick);
     }
   }

@@ -2,13 +2,15 @@
 import ScaleLine from "ol/control/ScaleLine.js";
 import { defaults as defaultInteractions } from "ol/interaction/defaults.js";
 import Map from "ol/Map.js";
-import { AgentsLayer } from "./agents_layer.js";
+import { AgentsLayer, FUTURE_COLOUR } from "./agents_layer.js";
 import { describePoint } from "./coordinates.js";
-import { make, makeCheckbox } from "./dom.js";
+import { make, makeCheckbox, makeLegend } from "./dom.js";
+import { addShortcuts } from "./keys.js";
 import { readLink, writeLink } from "./link.js";
 import { addMeasure } from "./measure.js";
 import { makeMapView } from "./map_view.js";
-import { addSwipe, makeRasterLayer } from "./rasters.js";
+import { makeRasterLayer } from "./rasters.js";
+import { addSwipe } from "./swipe.js";
 import { listMarkKinds, Timeline } from "./timeline.js";
 import { readJson } from "./transport.js";
 import { findAgent, findStep, getPose, readTracks } from "./tracks.js";
@@ -16,10 +18,11 @@ import { makeShapesLayer } from "./vectors.js";
 
 const PICK_MARGIN_PX = 8;
 const FIT_PADDING_PX = 30;
+const MARK_EXTENT_M = 60; // what is shown around the agent of a mark
 const AGENT_VIEW_PERIOD_MS = 200; // so that drawing them leaves the page smooth
 
 /** Show a description (of `kind` "view") in an element; returns what tests and pages drive. */
-export async function showView(element, description, transport, { link = false } = {}) {
+export async function showView(element, description, transport, { link = false, keys = element } = {}) {
   const view = makeMapView(description.extent);
   const mapElement = make("div", { className: "map" });
   const status = make("div", { className: "status" });
@@ -36,48 +39,48 @@ export async function showView(element, description, transport, { link = false }
     interactions: defaultInteractions({ altShiftDragRotate: true, pinchRotate: true }),
   });
   const hidden = new Set();
-  const state = { time: 0, selected: null, follow: false, shown: (name) => !hidden.has(name), ...description.moving };
+  const { futures } = description.moving;
+  const state = { time: futures?.start ?? 0, selected: null, follow: false, shown: (name) => !hidden.has(name), ...description.moving };
   const agentsLayer = new AgentsLayer(state);
   const app = { map, view, state, agentsLayer, timeline: null, layers: {} };
 
   const toggles = {};
-  const addToggle = (name, layer, visible, swatch = null) => {
+  const addToggle = (name, layer, visible, { label = name, swatch = null, legend = null } = {}) => {
     const change = (on) => {
       toggles[name].firstChild.checked = on;
       if (on) hidden.delete(name);
       else hidden.add(name);
       layer?.setVisible(on);
+      if (legend) legend.hidden = !on;
       agentsLayer.changed();
       save();
     };
-    toggles[name] = makeCheckbox(name, visible, change, swatch);
+    toggles[name] = makeCheckbox(label, visible, change, swatch);
     app.layers[name] = change;
     if (!visible) hidden.add(name);
-    panel.append(toggles[name]);
+    panel.append(toggles[name], ...(legend ? [legend] : []));
   };
-  let swipe = null;
   for (const raster of description.rasters) {
     const layer = makeRasterLayer(raster, transport, view.getProjection());
     map.addLayer(layer);
-    addToggle(raster.name, layer, raster.visible);
+    const legend = raster.legend ? makeLegend(raster.legend) : null;
+    if (legend) legend.hidden = !raster.visible;
+    addToggle(raster.name, layer, raster.visible, { swatch: raster.colour, legend });
     if (raster.swipe) {
-      const slider = make("input", { type: "range", min: 0, max: 1, step: 0.005, value: 0.5, className: "swipe" });
-      slider.setAttribute("aria-label", "swipe");
-      slider.hidden = true;
-      slider.addEventListener("input", () => ((swipe = Number(slider.value)), map.render()));
-      mapElement.append(slider);
-      addSwipe(layer, map, () => swipe);
-      const change = (on) => ((slider.hidden = !on), (swipe = on ? Number(slider.value) : null), map.render());
-      panel.append(makeCheckbox("swipe between the two", false, change));
+      panel.append(makeCheckbox("swipe between the two", false, addSwipe(layer, map)));
     }
   }
   for (const shapes of description.shapes) {
     const layer = makeShapesLayer(shapes);
     map.addLayer(layer);
-    addToggle(shapes.name, layer, shapes.visible, shapes.colour);
+    addToggle(shapes.name, layer, shapes.visible, { swatch: shapes.colour });
   }
   map.addLayer(agentsLayer);
-  for (const name of ["lights", "futures"]) if (state[name]) addToggle(name, null, true);
+  if (state.lights) addToggle("lights", null, true);
+  if (futures) {
+    const label = `futures, ${futures.start} to ${futures.end} s`;
+    addToggle("futures", null, true, { label, swatch: FUTURE_COLOUR });
+  }
   const setMeasure = addMeasure(map, (length) => (status.textContent = `${length.toFixed(2)} m`));
   let measuring = false;
   panel.append(makeCheckbox("measure", false, (on) => setMeasure((measuring = on))));
@@ -127,13 +130,22 @@ export async function showView(element, description, transport, { link = false }
     app.follow(Boolean(agent) && state.follow);
   };
   app.follow = (on) => {
+    if (state.follow && !on) view.setRotation(0); // a map that was turned by hand stays as it is
     state.follow = on;
     const box = selection.querySelector("input");
     if (box) box.checked = on;
-    if (!on) view.setRotation(0);
     seek(state.time);
   };
   app.select = (id) => select(state.tracks?.agents.find((agent) => agent.id === id) ?? null);
+
+  const showMark = ({ time, agent }) => {
+    app.timeline.set(time);
+    app.select(agent);
+    const pose = getPose(state.tracks, state.selected, time);
+    if (!pose) return;
+    view.setCenter(pose.slice(0, 2));
+    view.setResolution(Math.min(view.getResolution(), MARK_EXTENT_M / Math.min(...map.getSize())));
+  };
 
   let pending = null;
   const save = () => {
@@ -148,14 +160,11 @@ export async function showView(element, description, transport, { link = false }
     if (measuring || !state.tracks) return;
     select(findAgent(state.tracks, state.time, coordinate, PICK_MARGIN_PX * view.getResolution()));
   });
-  element.tabIndex = 0;
-  element.addEventListener("keydown", (event) => {
-    if (event.target.matches("input, select, button")) return;
-    if (event.key === " ") app.timeline?.toggle();
-    else if (event.key === "f") app.follow(!state.follow);
-    else if (event.key === "Escape") select(null);
-    else return;
-    event.preventDefault();
+  const actions = { " ": () => app.timeline?.toggle(), f: () => app.follow(!state.follow), Escape: () => select(null) };
+  addShortcuts(keys, element, ({ key, ctrlKey, metaKey, altKey }) => {
+    const act = ctrlKey || metaKey || altKey ? null : actions[key];
+    act?.();
+    return Boolean(act);
   });
 
   const padding = Array(4).fill(FIT_PADDING_PX);
@@ -167,6 +176,7 @@ export async function showView(element, description, transport, { link = false }
     state.tracks = await readTracks(description.moving.tracks, transport);
     const { times, colours } = state.tracks;
     app.timeline = new Timeline(times[0], times[times.length - 1], seek);
+    if (futures) app.timeline.set(futures.start);
     element.append(app.timeline.element);
     map.updateSize();
     addToggle("tracks", null, true);
@@ -179,7 +189,7 @@ export async function showView(element, description, transport, { link = false }
   if (description.marks && app.timeline) {
     readJson(transport, description.marks).then((marks) => {
       app.marks = marks;
-      app.timeline.showMarks(marks, (mark) => (app.timeline.set(mark.time), app.select(mark.agent)));
+      app.timeline.showMarks(marks, showMark);
       for (const [kind, colour] of listMarkKinds(marks)) {
         const count = marks.filter((mark) => mark.kind === kind).length;
         panel.append(make("small", {}, make("i", { className: "swatch", style: `background:${colour}` }), `${kind} (${count})`));

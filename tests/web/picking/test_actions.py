@@ -11,6 +11,7 @@ from geoaim.base.geometry import transform_points
 from geoaim.base.world import World
 from geoaim.mapping.georeference.control_points import read_control_points
 from geoaim.web.picking.actions import handle
+from geoaim.web.picking.search import find_pairs
 from geoaim.web.picking.session import open_session
 from geoaim.web.picking.task import PickingTask
 from tests.web.picking.test_candidates import PIXELS
@@ -185,7 +186,8 @@ def test_candidates_are_accepted_one_by_one(place, tmp_path):
                 "v": y / w,
             }
         )
-    session, reply = run(open_session(task), *clicks, {"action": "candidates"})
+    session, _ = run(open_session(task), *clicks)
+    session, reply = run(replace(session, candidates=find_pairs(session)), {"action": "state"})
     count = len(reply["candidates"])
     assert count >= 8
     assert len(reply["points"]) == 3
@@ -232,7 +234,6 @@ def test_export_gives_the_text_of_a_file(task, tmp_path, format):
         {"action": "rename", "id": 2, "name": "taken"},
         {"action": "delete"},
         {"action": "snap", "u": -5, "v": 6},
-        {"action": "candidates"},
         {"action": "accept", "candidate": 0},
         {"action": "accept", "candidate": "0"},
         {"action": "export", "format": "../points.csv"},
@@ -269,7 +270,7 @@ def test_a_point_that_the_proposed_pairs_disagree_with_is_named(place):
         session, reply = run(session, on_imagery)
         number, (u, v) = reply["added"], pixel.tolist()
         session, _ = run(session, {"action": "move", "id": number, "u": u, "v": v})
-    session, reply = run(session, {"action": "candidates"})
+    session, reply = run(replace(session, candidates=find_pairs(session)), {"action": "state"})
     (doubted,) = reply["disagreeing"]
     assert doubted["name"] == session.points[2].name
     assert doubted["distance_m"] == pytest.approx(30.0 * imagery.resolution, rel=0.2)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import geoaim
+from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import world_from_lonlat
 from geoaim.imagery.mosaic import read_imagery
@@ -16,6 +17,7 @@ from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.actions import handle
 from geoaim.web.picking.page import draw_overlay, make_picking_view
+from geoaim.web.picking.search import find_pairs
 from geoaim.web.picking.session import open_session
 from geoaim.web.picking.task import PickingTask
 from tests.web.browser import open_view, serve, wait_for
@@ -138,9 +140,8 @@ def test_pairs_are_not_proposed_where_imagery_and_points_disagree(task, truth):
     session, moved = open_session(task), truth[0].coordinates + np.array([2e-4, 0.0])  # 13 m
     for (u, v), (lon, lat) in zip(truth[0].pixels.tolist(), moved.tolist(), strict=True):
         session, _ = handle(session, {"action": "add", "u": u, "v": v, "lon": lon, "lat": lat})
-    session, reply = handle(session, {"action": "candidates"})
-    assert reply["error"].startswith("no pairs: the imagery does not show the frame where")
-    assert not session.candidates
+    with pytest.raises(AlignmentError, match=r"^no pairs: the imagery does not show the frame"):
+        find_pairs(session)
 
 
 def test_the_pictures_stay_in_place_while_points_are_added(page, task, truth):
