@@ -1,4 +1,5 @@
 # make demo       an AIM from the bundled sample video, and what may happen on it
+# make notebook   the notebooks, in JupyterLab
 # make test       lint, format, types, layers, and the tests, in a few minutes
 # make test-slow  what takes longer: kills, mutations, documentation, notebooks, many examples
 # make check      lint, types and the tests of changed files, before a commit
@@ -27,9 +28,9 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 export NO_MKDOCS_2_WARNING = 1
 unexport PYTHONDONTWRITEBYTECODE  # processes of tests would compile all again
 
-.PHONY: demo test test-slow test-lowest check tests changed lint ruff mypy layers docs coverage install clean
+.PHONY: bench demo notebook test test-slow test-lowest check tests changed lint ruff mypy layers docs coverage install clean
 
-demo: install
+demo: .venv/usable
 	$(BIN)/geoaim build $(SAMPLE) --gcps $(POINTS) -o demo/aim.tif
 	$(BIN)/geoaim render demo/aim.tif --tracks samples/tracks.csv --ego 9 --size 384 --trail 2 \
 		--lights samples/lights.csv --hdmap samples/map.osm -o demo/view.gif
@@ -40,6 +41,14 @@ demo: install
 	@echo "     demo/aim.png      a quick look: background, control points, drift, coverage"
 	@echo "     demo/view.gif     the view of one car of the sample, on the map"
 	@echo "     demo/futures.png  what the vehicles may do in the next four seconds"
+	@echo
+	@echo "Go on with:"
+	@echo "     source $(BIN)/activate"
+	@echo "     geoaim view demo/aim.tif --tracks samples/tracks.csv --hdmap samples/map.osm --lights samples/lights.csv"
+	@echo "     make notebook"
+
+notebook: .venv/jupyterlab
+	$(BIN)/python -m jupyterlab notebooks
 
 # there is a worker for each core already
 tests changed test-slow test-lowest coverage: export OMP_NUM_THREADS = 1
@@ -93,11 +102,23 @@ docs: install
 
 install: .venv/installed
 
-# made again when the dependencies change; modules are compiled when they are first imported
-.venv/installed: pyproject.toml constraints.txt
-	$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'geoaim needs Python 3.11 or newer, found ' + sys.version.split()[0] + '; name another one: make PYTHON=python3.12')"
+# what users need, made again when the dependencies change; tests and notebooks add to it;
+# modules are compiled when they are first imported
+.venv/usable: pyproject.toml constraints.txt
+	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'geoaim needs Python 3.11 or newer, found ' + sys.version.split()[0] + '; name another one: make PYTHON=python3.12')"
+	@echo "Installing geoaim and the packages that it needs into .venv: about 2 GB, most of it torch"
 	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --no-compile --constraint constraints.txt --editable '.[jupyter]'
+	touch $@
+
+.venv/installed: .venv/usable
+	@echo "Adding the tools of tests and documentation to .venv"
 	$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[test]'
+	touch $@
+
+.venv/jupyterlab: .venv/usable
+	@echo "Adding JupyterLab to .venv"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt jupyterlab
 	touch $@
 
 .venv-lowest/installed: pyproject.toml constraints-lowest.txt

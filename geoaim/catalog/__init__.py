@@ -5,7 +5,7 @@ from importlib.util import find_spec
 if missing := [
     name for name in ("distributed", "fsspec", "pystac", "stac_geoparquet") if not find_spec(name)
 ]:
-    raise ImportError(f"catalogues need {', '.join(missing)}: pip install 'geoaim[catalog]'")
+    raise ImportError(f"catalogues need packages: pip install {' '.join(missing)}")
 
 from geoaim.catalog.engine import Cluster
 from geoaim.catalog.pipeline import Catalog, build_catalog, read_catalog
