@@ -18,6 +18,7 @@ def shown(monkeypatch) -> list[str]:
 
     shell = SimpleNamespace(kernel=object(), execution_count=len(pictures) + 7)
     monkeypatch.setattr(IPython, "get_ipython", lambda: shell)
+    monkeypatch.setattr("geoaim.base.progress._cells", {})  # no cell of another test
     monkeypatch.setattr("IPython.display.display", record)
     return pictures
 
