@@ -10,7 +10,7 @@ another picture to the first.
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from geoaim.imagery.alignment.parts import Part
 from geoaim.imagery.alignment.placement import align_mosaic, place_mosaic, weigh_part
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.mosaic import Mosaic, read_imagery
-from geoaim.mapping.bench.report import JsonFile, format_table, print_rows, write_rows
+from geoaim.mapping.bench.report import JsonFile, Row, format_table, print_rows, write_rows
 from geoaim.tracks.formats import read_geotrax
 from geoaim.tracks.tracks import Tracks
 
@@ -203,11 +203,11 @@ def measure_chains(chains: int, seed: int) -> Iterator[dict[str, Any]]:
             except AlignmentError as error:
                 yield row | {"refused": str(error)[:60]}
                 break
-            error = placed.corners.mean(axis=0) - ground.picture.corners.mean(axis=0)
+            offset = placed.corners.mean(axis=0) - ground.picture.corners.mean(axis=0)
             stated = read_position_covariance(placed.report)
             assert stated is not None
-            square = float(error @ np.linalg.inv(stated) @ error)
-            distance = float(np.linalg.norm(error))
+            square = float(offset @ np.linalg.inv(stated) @ offset)
+            distance = float(np.linalg.norm(offset))
             yield row | {"refused": "", "error_m": distance, "inside": square < CHI2_2D}
             reference = placed
 
@@ -217,9 +217,9 @@ def _misplace(aim: AIM, shift: Float[Array, "2"]) -> AIM:
     return replace(aim, world_from_image=matrix, report={"source": aim.report.get("source")})
 
 
-def summarize_mosaics(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def summarize_mosaics(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Summarize mosaics by evidence and by whether their files are known."""
-    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         key = row["by"], "one file" if row["one file"] else "a file for each part"
         groups.setdefault(key, []).append(row)
@@ -243,7 +243,7 @@ def _summarize_parts(group: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def summarize_chains(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def summarize_chains(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Summarize chains by the number of alignments."""
     return [
         {

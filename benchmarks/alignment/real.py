@@ -14,12 +14,12 @@ from numpy import ndarray as Array
 
 from benchmarks.alignment.pairs import Pair, measure_error, misplace_picture
 from geoaim.aim.aim import AIM
+from geoaim.aim.position import CHI2_2D
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, transform_points
 from geoaim.base.grid import Grid
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
-from geoaim.imagery.alignment.result import CHI2_2D
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.synthetic.roads.layouts import STANDARD_KINDS

@@ -81,8 +81,9 @@ class AIM(Display):
         matrix = self.world_from_image
         aim = self
         if not self.is_affine or matrix[0, 1] or matrix[1, 0]:
-            # imported by name, since it stands above maps
-            aim = import_module("geoaim.aim.rectification").rectify(self)
+            from geoaim.aim.rectification import rectify  # which imports this module
+
+            aim = rectify(self)
         crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
         height, width = aim.coverage.shape
         x = crs_from_image[0, 0] * (np.arange(width) + 0.5) + crs_from_image[0, 2]

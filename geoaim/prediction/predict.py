@@ -65,9 +65,9 @@ def predict(
     segment = cut_future(scene, config.kind, config.dt, steps=steps, start=start)
     ground = prefilter_ground(scene.ground, config.resolution)
     _warn_of_strange_views(measure_strangeness(model, segment, ground, step=history - 1))
-    futures = model.sample(
-        segment, ground, history=history, samples=samples, generator=generator
-    )[0, :, :, history:]  # (K, N, T, 4)
+    futures = model.sample(segment, ground, history=history, samples=samples, generator=generator)[
+        0, :, :, history:
+    ]  # (K, N, T, 4)
     present = segment.present[0, :, history:, None]
     states = torch.where(present, futures, torch.nan)
     return Futures(states, scene, start, config.dt)

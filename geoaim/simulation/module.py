@@ -44,7 +44,9 @@ class Renderer(nn.Module):
     @property
     def ground(self) -> Ground:
         """The maps, prefiltered for the view."""
-        return Ground(*(getattr(self, name) for name in TENSORS), *self._rest)
+        averaged_over, finest, world = self._rest
+        tensors = (getattr(self, name) for name in TENSORS)
+        return Ground(*tensors, averaged_over=averaged_over, finest=finest, world=world)
 
     def forward(
         self,

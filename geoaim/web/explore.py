@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from shapely import MultiPolygon
 
@@ -35,7 +35,7 @@ MapSource = AIM | FilePath
 TracksSource = Tracks | FilePath
 LightsSource = Lights | FilePath
 HDMapSource = HDMap | FilePath
-AreaSource = MultiPolygon | FilePath
+AreaSource: TypeAlias = MultiPolygon | FilePath
 ImagerySource = AIM | FilePath | Sequence[FilePath]
 FuturesSource = Futures | FilePath
 

@@ -111,13 +111,13 @@ def describe_raster(name: str, path: str, raster: TiledRaster, **options: object
 def describe_legend(most: float) -> Description:
     """Describe the colours of `colour_coverage`, from 0 to `most` frames."""
     chosen = COVERAGE_COLOURS[np.linspace(0, 255, LEGEND_STEPS).astype(int)]
-    colours = [to_hex(colour) for colour in chosen / 255]
+    colours = [to_hex(tuple(colour)) for colour in chosen / 255]
     return {"from": 0, "to": round(most), "unit": "frames", "colours": colours}
 
 
 def get_contested_colour() -> str:
     """Get the colour of `colour_contested`, for a legend."""
-    return to_hex(np.array(CONTESTED_COLOUR[:3]) / 255)
+    return to_hex(tuple(np.array(CONTESTED_COLOUR[:3]) / 255))
 
 
 def describe_lines(hdmap: HDMap) -> list[Description]:
