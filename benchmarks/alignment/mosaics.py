@@ -229,7 +229,7 @@ def summarize_mosaics(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ]
 
 
-def _summarize_parts(group: list[dict[str, Any]]) -> dict[str, Any]:
+def _summarize_parts(group: Sequence[Row]) -> dict[str, Any]:
     errors = np.array([error for row in group for error in row["errors_m"]])
     inside = np.array([share for row in group for share in row["inside"]])
     wrong = (errors > GOOD_M) & (inside < 0.5)

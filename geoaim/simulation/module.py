@@ -45,8 +45,8 @@ class Renderer(nn.Module):
     def ground(self) -> Ground:
         """The maps, prefiltered for the view."""
         averaged_over, finest, world = self._rest
-        tensors = (getattr(self, name) for name in TENSORS)
-        return Ground(*tensors, averaged_over=averaged_over, finest=finest, world=world)
+        image, coverage, image_from_world, regions = (getattr(self, name) for name in TENSORS)
+        return Ground(image, coverage, image_from_world, regions, averaged_over, finest, world)
 
     def forward(
         self,

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from geoaim.aim.position import CHI2_2D, read_position_covariance, state_position
-from geoaim.aim.quicklook import draw_alignment
 from geoaim.base.errors import AlignmentError, GeoaimWarning
 from geoaim.base.geometry import translation
+from geoaim.imagery.alignment.before_after import draw_alignment
 from geoaim.imagery.alignment.evidence import AimEvidence, TracksEvidence
 from geoaim.imagery.alignment.parts import Labels, align_parts, mask_imagery
 from geoaim.imagery.alignment.placement import align_mosaic, place_mosaic
