@@ -44,3 +44,19 @@ def _subtract(states: Float[Tensor, "E t 4"], truth: Float[Tensor, "E t 4"]) -> 
     """Difference of states, headings wrapped to [-pi, pi)."""
     x, y, heading, speed = (states - truth).unbind(-1)
     return torch.stack([x, y, wrap_angle(heading), speed], dim=-1)
+
+
+def draw_posterior(
+    parameters: Float[Tensor, "E _"], generator: torch.Generator
+) -> tuple[Float[Tensor, "E Z"], Float[Tensor, "E"]]:
+    """Draw latents of a posterior from its means and log scales, which are clamped.
+
+    Returns:
+        The latents, and the divergence of the posterior from the prior, nats.
+    """
+    mean, log_scale = parameters.chunk(2, 1)
+    log_scale = log_scale.clamp(-5, 3)
+    scale = log_scale.exp()
+    divergence = (0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1)
+    noise = torch.randn(mean.shape, generator=generator, device=mean.device)
+    return mean + scale * noise, divergence

@@ -7,11 +7,10 @@ its kinematic model f_kin, and the hidden state h_t of a GRU is updated:
     z_t ~ N(0, I)        a_t = f_theta(b_t, z_t, h_{t-1})        s_{t+1} ~ N(f_kin(s_t, a_t), sigma)
     h_t = f_psi(h_{t-1}, b_t, a_t)
 
-where samples take the mean of s_{t+1}: noise at each step would move a standing car by a metre.
-
+Samples take the mean of s_{t+1}: noise at each step would move a standing car by a metre.
 In training z_t comes from the posterior q_phi(z_t | b_t, a_t, h_{t-1}), where a_t is the
 ground-truth action, and the evidence lower bound is maximized through kinematics and renderer.
-All agents that are not controlled replay their ground truth.
+All other agents replay their ground truth.
 
 Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
 proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
@@ -34,7 +33,7 @@ from geoaim.prediction.anchors import (
     compute_anchor_loss,
     select_anchor,
 )
-from geoaim.prediction.bound import Losses, compute_nll
+from geoaim.prediction.bound import Losses, compute_nll, draw_posterior
 from geoaim.prediction.config import Config
 from geoaim.prediction.neighbours import split_views
 from geoaim.prediction.networks import build_cnn, build_mlp
@@ -46,10 +45,12 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.rollouts import (
+    MAX_ACTION,
     Batch,
     Rollout,
-    check_fits,
     encode_anchor,
+    index_batch,
+    normalise_actions,
     normalise_attributes,
     repeat_rollout,
 )
@@ -62,7 +63,6 @@ from geoaim.simulation.prefiltering import prefilter_ground
 if TYPE_CHECKING:
     from geoaim.prediction.familiarity import KnownViews
 
-MAX_ACTION = 4.0  # normalised; larger ground-truth actions are noise of headings at standstill
 ATTRIBUTES = 3  # speed, length and width
 
 
@@ -113,8 +113,11 @@ class ITRA(nn.Module):
         Raises:
             ValueError: the segments do not fit the model.
         """
-        batch = self._index(segments, ground, history)
-        truth, actions = batch.truth, self._normalise_actions(batch)  # (E, T, 4), (E, T - 1, 2)
+        batch = index_batch(self.config, segments, ground, history)
+        truth, actions = (
+            batch.truth,
+            normalise_actions(self.motion, batch),
+        )  # (E, T, 4), (E, T - 1, 2)
         rollout, anchor_loss = self._start(batch, actions), truth.new_zeros(())
         predicted, kl = [], []
         for step in range(history - 1, segments.steps - 1):
@@ -122,7 +125,8 @@ class ITRA(nn.Module):
             if self.config.num_anchors and step == history - 1:
                 anchor, anchor_loss = self._train_anchors(rollout, generator, top_k)
                 rollout = replace(rollout, anchor=anchor)
-            latent, divergence = self._draw_posterior(context, actions[:, step], generator)
+            posterior = self.posterior(torch.cat([context, actions[:, step]], dim=1))
+            latent, divergence = draw_posterior(posterior, generator)
             action, rollout = self._act(rollout, context, latent)
             rollout = self._move(rollout, action)
             predicted.append(rollout.pose)
@@ -220,8 +224,8 @@ class ITRA(nn.Module):
             ValueError: the segments do not fit the model.
         """
         ground = prefilter_ground(ground, self.config.resolution)
-        one = self._index(segments, ground, history)
-        rollout = self._start(one, self._normalise_actions(one))
+        one = index_batch(self.config, segments, ground, history)
+        rollout = self._start(one, normalise_actions(self.motion, one))
         return repeat_rollout(rollout, samples)
 
     def draw_latent(self, rollout: Rollout, generator: torch.Generator) -> Float[Tensor, "E Z"]:
@@ -354,20 +358,6 @@ class ITRA(nn.Module):
         )
         return replace(rollout, index=rollout.index + 1, states=states)
 
-    def _draw_posterior(
-        self,
-        context: Float[Tensor, "E C"],
-        action: Float[Tensor, "E 2"],
-        generator: torch.Generator,
-    ) -> tuple[Float[Tensor, "E Z"], Float[Tensor, "E"]]:
-        """Draw latents given the true actions; also gives the divergence from the prior, nats."""
-        mean, log_scale = self.posterior(torch.cat([context, action], dim=1)).chunk(2, 1)
-        log_scale = log_scale.clamp(-5, 3)
-        scale = log_scale.exp()
-        divergence = (0.5 * (mean**2 + scale**2 - 1) - log_scale).sum(dim=1)
-        noise = torch.randn(mean.shape, generator=generator, device=mean.device)
-        return mean + scale * noise, divergence
-
     def _train_anchors(
         self, rollout: Rollout, generator: torch.Generator, top_k: int
     ) -> tuple[Float[Tensor, "E P 2"], Float[Tensor, ""]]:
@@ -408,15 +398,3 @@ class ITRA(nn.Module):
         device = views.device.type
         with torch.autocast(device, dtype=torch.bfloat16, enabled=device == "cuda"):
             return self.encoder((views - 0.5).to(memory_format=torch.channels_last))
-
-    def _normalise_actions(self, batch: Batch) -> Float[Tensor, "E t 2"]:
-        """Compute the ground-truth actions of all steps, normalised."""
-        before, after = batch.truth[:, :-1], batch.truth[:, 1:]
-        actions = self.motion.inverse(before, after, batch.sizes[:, :1], batch.segments.dt)
-        return (actions / actions.new_tensor(self.motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
-
-    def _index(self, segments: Segments, ground: Ground, history: int) -> Batch:
-        """Index the controlled agents of segments, and check that they fit the model."""
-        batch = Batch(segments, ground, index_controlled(segments), history)
-        check_fits(self.config, batch)
-        return batch

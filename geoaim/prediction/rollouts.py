@@ -12,9 +12,10 @@ from geoaim.prediction.observation import Controlled, index_controlled
 from geoaim.prediction.segments import Segments, repeat
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.input_checks import check_shape
-from geoaim.simulation.kinematics import agent_from_world
+from geoaim.simulation.kinematics import MotionModel, agent_from_world
 
 DT_TOLERANCE_S = 1e-3
+MAX_ACTION = 4.0  # normalised; larger ground-truth actions are noise of headings at standstill
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +124,45 @@ def normalise_attributes(
 def encode_anchor(
     pose: Float[Tensor, "E 4"], anchor: Float[Tensor, "E P 2"], remaining: float
 ) -> Float[Tensor, "E _"]:
-    """A proposal in the agent's frame, normalised, and the share of steps that remain."""
+    """Encode a proposal in the agent's frame, and the share of steps that remain.
+
+    Args:
+        pose: (E, 4) states of the agents.
+        anchor: (E, P, 2) the proposals, metres.
+        remaining: the share.
+
+    Returns:
+        (E, 2 P + 1) normalised.
+    """
     local = agent_from_world(pose[:, None], anchor) / ANCHOR_SCALE_M
     return torch.cat([local.flatten(1), torch.full_like(pose[:, :1], remaining)], dim=1)
+
+
+def index_batch(config: Config, segments: Segments, ground: Ground, history: int) -> Batch:
+    """Index the controlled agents of segments, and check that they fit a model.
+
+    Args:
+        config: of the model.
+        segments: the segments.
+        ground: the map.
+        history: observed steps.
+
+    Returns:
+        The batch.
+
+    Raises:
+        ValueError: the segments do not fit.
+    """
+    batch = Batch(segments, ground, index_controlled(segments), history)
+    check_fits(config, batch)
+    return batch
+
+
+def normalise_actions(motion: MotionModel, batch: Batch) -> Float[Tensor, "E t 2"]:
+    """Compute the ground-truth actions of all steps, normalised."""
+    before, after = batch.truth[:, :-1], batch.truth[:, 1:]
+    actions = motion.inverse(before, after, batch.sizes[:, :1], batch.segments.dt)
+    return (actions / actions.new_tensor(motion.scale)).clamp(-MAX_ACTION, MAX_ACTION)
 
 
 def check_fits(config: Config, batch: Batch) -> None:

@@ -126,6 +126,15 @@ def check_traffic(
 
 
 def check_shape(name: str, tensor: Tensor, shape: Sequence[int]) -> None:
-    """Raise ValueError, naming the argument, for a tensor of another shape than `shape`."""
+    """Check the shape of an argument.
+
+    Args:
+        name: the argument's name.
+        tensor: the argument.
+        shape: what is needed.
+
+    Raises:
+        ValueError: the tensor has another shape.
+    """
     if tuple(tensor.shape) != tuple(shape):
         raise ValueError(f"{name} has the shape {tuple(tensor.shape)}; {tuple(shape)} is needed")

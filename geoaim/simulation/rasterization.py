@@ -133,7 +133,16 @@ def find_pixels(
 def span_pixels(
     low: Float[Tensor, "n"], high: Float[Tensor, "n"], count: int
 ) -> tuple[Int[Tensor, "n"], Int[Tensor, "n"]]:
-    """Find the first pixel whose centre lies in an interval, and the one after the last."""
+    """Find the pixels whose centres lie in intervals.
+
+    Args:
+        low: (n,) begin of each interval, pixels.
+        high: (n,) end of each interval, pixels.
+        count: pixels that there are.
+
+    Returns:
+        The first pixel, and the one after the last.
+    """
     first, end = (low - 0.5).ceil().clamp(0, count), (high + 0.5).floor().clamp(0, count)
     return first.long(), end.long()
 

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 from shapely import MultiPolygon
 
@@ -16,7 +16,7 @@ from geoaim.aim.texture_files import is_texture, read_map, read_texture
 from geoaim.base.errors import AimError
 from geoaim.base.grid import Grid
 from geoaim.base.world import World
-from geoaim.hdmap.drivable import find_drivable_area, read_drivable_area
+from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.prediction.futures import Futures
@@ -35,7 +35,6 @@ MapSource = AIM | FilePath
 TracksSource = Tracks | FilePath
 LightsSource = Lights | FilePath
 HDMapSource = HDMap | FilePath
-AreaSource: TypeAlias = MultiPolygon | FilePath
 ImagerySource = AIM | FilePath | Sequence[FilePath]
 FuturesSource = Futures | FilePath
 
@@ -69,11 +68,21 @@ def read_contents(
     tracks: TracksSource | None = None,
     lights: LightsSource | None = None,
     hdmap: HDMapSource | None = None,
-    drivable: AreaSource | None = None,
     imagery: ImagerySource | None = None,
     futures: FuturesSource | None = None,
 ) -> Contents:
     """Read what is shown on a map; each part may be given as an object or as the path of its file.
+
+    Args:
+        aim: the map.
+        tracks: agents.
+        lights: traffic lights.
+        hdmap: lanes, borders and markings.
+        imagery: shown beneath the map.
+        futures: sampled futures.
+
+    Returns:
+        What is shown.
 
     Raises:
         ValueError: lights are a file, and no HD map says where their stop lines are.
@@ -86,13 +95,10 @@ def read_contents(
         if hdmap is None:
             raise ValueError(f"{lights} has no places of its lights: give hdmap= as well")
         lights = read_lights(lights, hdmap.stop_lines, world)
-    if isinstance(drivable, str | os.PathLike):
-        drivable = read_drivable_area(drivable, world)
     return Contents(
         tracks=read_tracks(tracks) if isinstance(tracks, str | os.PathLike) else tracks,
         lights=lights,
         hdmap=hdmap,
-        drivable=drivable,
         imagery=imagery,
         futures=futures,
     )

@@ -8,7 +8,6 @@ from typing import Any
 from geoaim.base.errors import GeoaimError
 from geoaim.base.world import LONLAT
 from geoaim.web.explore import (
-    AreaSource,
     FuturesSource,
     HDMapSource,
     ImagerySource,
@@ -30,7 +29,6 @@ def explore(
     tracks: TracksSource | None = None,
     lights: LightsSource | None = None,
     hdmap: HDMapSource | None = None,
-    drivable: AreaSource | None = None,
     imagery: ImagerySource | None = None,
     futures: FuturesSource | None = None,
 ) -> Any:
@@ -43,7 +41,6 @@ def explore(
         tracks: agents, in any world that can be brought into the map's.
         lights: traffic lights; a file needs `hdmap` for the places of their stop lines.
         hdmap: lanes, borders and markings, in the map's world.
-        drivable: area that counts as road; None: the HD map's drivable area.
         imagery: shown beneath the map, with a swipe between the two: an AIM in its world, or what
             `read_imagery` reads.
         futures: the result of `predict`, or a file that `geoaim predict -o futures.csv` wrote.
@@ -60,13 +57,7 @@ def explore(
         geoaim.explore("aim.tif", tracks="tracks.csv")
     """
     contents = read_contents(
-        aim,
-        tracks=tracks,
-        lights=lights,
-        hdmap=hdmap,
-        drivable=drivable,
-        imagery=imagery,
-        futures=futures,
+        aim, tracks=tracks, lights=lights, hdmap=hdmap, imagery=imagery, futures=futures
     )
     stack = ExitStack()  # the file of the map is open as long as the widget lives
     return make_widget(make_map_view(aim, contents, stack), stack)

@@ -21,7 +21,7 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.grid import Grid, pad_grid
 from geoaim.base.progress import Progress, no_progress, report_each
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, refuse_beyond_prior
 from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.alignment.template_matching import (
@@ -57,7 +57,6 @@ VERIFY_SEARCH_PX = 10  # search radius for windows when agreements are counted
 LOG10_TESTS = 2.0  # log10 of the number of places that are refined and tested
 MAX_LOG10_FALSE_ALARMS = -2.0  # log10 of the expected number of agreements by chance
 MIN_SHARED = 0.3  # share of windows that two candidates for one part have in common
-PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refused
 
 
 class _Candidate(NamedTuple):
@@ -298,7 +297,7 @@ def _verify_candidates(candidates: list[_Candidate], level: Level, prior: Prior)
     best, corners = candidates[0], level.grid.corners
     false_alarms = _refuse_chance(best, level, prior)
     _refuse_ambiguity(candidates, level)
-    _refuse_beyond_prior(best.stated_from_true, corners.mean(axis=0), prior)
+    refuse_beyond_prior(best.stated_from_true, corners.mean(axis=0), prior)
     return false_alarms
 
 
@@ -353,23 +352,6 @@ def _refuse_ambiguity(candidates: list[_Candidate], level: Level) -> None:
                 f"{other.agreeing} of {best.windows} windows agree. Pass a smaller prior, or give "
                 "control points"
             )
-
-
-def _refuse_beyond_prior(
-    matrix: Float[Array, "3 3"], center: Float[Array, "2"], prior: Prior
-) -> None:
-    origin, east = transform_points(matrix, center + np.array([[0.0, 0.0], [1.0, 0.0]]))
-    shift = float(np.linalg.norm(origin - center))
-    rotation, scale = np.arctan2(*(east - origin)[::-1]), np.linalg.norm(east - origin)
-    if (
-        shift > PRIOR_MARGIN * np.sqrt(2) * prior.max_shift
-        or abs(rotation) > PRIOR_MARGIN * prior.max_rotation + 0.01
-        or abs(np.log(scale)) > PRIOR_MARGIN * prior.max_scaling + 0.01
-    ):
-        raise AlignmentError(
-            f"the best fit is {shift:.1f} m, {np.degrees(rotation):.1f} degrees and "
-            f"{100 * (scale - 1):.1f} % away, beyond the searched range. Pass a larger prior"
-        )
 
 
 def _fit_motion(best: _Candidate, level: Level) -> Motion:

@@ -3,6 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
+from geoaim.base.errors import AlignmentError
+from geoaim.base.geometry import transform_points
+
+PRIOR_MARGIN = 1.15  # times the prior's range, beyond which an answer is refused
 
 
 @dataclass(frozen=True)
@@ -30,3 +37,30 @@ class Prior:
 
 
 DEFAULT_PRIOR = Prior()
+
+
+def refuse_beyond_prior(
+    matrix: Float[Array, "3 3"], center: Float[Array, "2"], prior: Prior
+) -> None:
+    """Refuse an answer that lies beyond the searched range.
+
+    Args:
+        matrix: (3, 3) stated_from_true, metres.
+        center: (2,) the point at which the shift counts, metres.
+        prior: the range.
+
+    Raises:
+        AlignmentError: the shift, rotation or scaling is larger.
+    """
+    origin, east = transform_points(matrix, center + np.array([[0.0, 0.0], [1.0, 0.0]]))
+    shift = float(np.linalg.norm(origin - center))
+    rotation, scale = np.arctan2(*(east - origin)[::-1]), np.linalg.norm(east - origin)
+    if (
+        shift > PRIOR_MARGIN * np.sqrt(2) * prior.max_shift
+        or abs(rotation) > PRIOR_MARGIN * prior.max_rotation + 0.01
+        or abs(np.log(scale)) > PRIOR_MARGIN * prior.max_scaling + 0.01
+    ):
+        raise AlignmentError(
+            f"the best fit is {shift:.1f} m, {np.degrees(rotation):.1f} degrees and "
+            f"{100 * (scale - 1):.1f} % away, beyond the searched range. Pass a larger prior"
+        )
