@@ -144,7 +144,9 @@ def make_ground(
         coverage=F.pad(coverage.to(images), (1, 1, 1, 1)).view(1, count * rows, columns),
         image_from_world=matrices,
         regions=torch.stack([tops * 0, tops, torch.full_like(tops, columns), tops + rows], dim=1),
-        finest=math.inf if is_plain or not count else float(compute_resolutions(matrices).min()),
+        finest=math.inf
+        if is_plain or not count
+        else float(compute_resolutions(matrices.detach()).min()),
     )
 
 
@@ -221,3 +223,8 @@ def apply_matrix(
 ) -> Float[Tensor, "... 2"]:
     """Multiply vectors by matrices, by sums: autocast and TF32 round matrix products."""
     return (matrix * vectors[..., None, :]).sum(-1)
+
+
+def _find_finest(matrices: Float[Tensor, "M 2 3"]) -> float:
+    """Find the finest resolution of maps, metres per pixel."""
+    return float(compute_resolutions(matrices.detach()).min())

@@ -76,11 +76,11 @@ def train_model(folder: Path, count: int, sample: Sample) -> None:
 def simulate(folder: Path, count: int, sample: Sample) -> None:
     """Roll a scenario of three cars and three pedestrians out, over and over."""
     segments = drive(12, 1)
-    states = segments.states.repeat(1, 1, 3, 1) + torch.arange(6)[:, None] * torch.ones(4) * 3
-    sizes, present = segments.sizes.repeat(1, 3, 1), segments.present.repeat(1, 1, 3)
+    states = segments.states.repeat(1, 3, 1, 1) + torch.arange(6)[:, None, None] * torch.ones(4) * 3
+    sizes, present = segments.sizes.repeat(1, 3, 1), segments.present.repeat(1, 3, 1)
     scenario = Scenario(states, present, sizes, sizes[..., 0] < 1, segments.dt)
     everyone = ~scenario.pedestrian
-    given = extract_routes(scenario), scenario.states[:, 0, :, 3], sizes, everyone
+    given = extract_routes(scenario), scenario.states[:, :, 0, 3], sizes, everyone
     policy = make_idm_policy(*given)
     for index in range(count):
         rollout(scenario, policy, everyone)

@@ -230,7 +230,7 @@ NOT_AVAILABLE = tile_png(18, 0, 0)  # one picture for every tile
 
 def test_without_a_resolution_the_finest_zoom_with_imagery_is_read(tmp_path, service):
     def answer(path, n):
-        return good(path, n) if numbers(path)[0] <= 18 else (200, NOT_AVAILABLE, 0.0)
+        return good(path, n) if numbers(path)[0] <= 18 else (200, NOT_AVAILABLE)
 
     _, address = service(answer)
     aim = read_imagery(Tiles(address, cache=tmp_path), world=WORLD, corners=BOX)
@@ -242,7 +242,7 @@ def test_tiles_that_are_one_picture_are_holes_with_a_warning(tmp_path, service):
     gone = tiles_here(18)[:2]
 
     def answer(path, n):
-        return (200, NOT_AVAILABLE, 0.0) if numbers(path) in gone else good(path, n)
+        return (200, NOT_AVAILABLE) if numbers(path) in gone else good(path, n)
 
     _, address = service(answer)
     with pytest.warns(GeoaimWarning, match=r"2 of \d+ tiles are the same picture"):
@@ -252,7 +252,7 @@ def test_tiles_that_are_one_picture_are_holes_with_a_warning(tmp_path, service):
 
 
 def test_a_zoom_of_which_all_tiles_are_one_picture_is_refused(tmp_path, service):
-    _, address = service(lambda *_: (200, NOT_AVAILABLE, 0.0))
+    _, address = service(lambda *_: (200, NOT_AVAILABLE))
     with (
         pytest.warns(GeoaimWarning, match="the same picture"),
         pytest.raises(ImageryError, match="all the same picture there at zoom 18"),

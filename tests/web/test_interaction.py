@@ -55,8 +55,9 @@ def test_the_measured_line_is_seen_with_north_up_and_turned(shown):
         shown.evaluate(f"geoaim.view.setRotation({turn})")
         shown.get_by_label("measure").check()
         shown.mouse.click(300, 300)
-        wait_for(shown, "document.querySelector('.status').textContent.endsWith(' m')")
+        shown.mouse.move(400, 350)
         shown.mouse.move(500, 400)
+        wait_for(shown, "document.querySelector('.status').textContent.endsWith(' m')")
         assert find_colour(shown, (400, 350), LINE), turn
         shown.get_by_label("measure").uncheck()
 
@@ -77,6 +78,8 @@ def test_futures_are_drawn_at_their_times_and_of_predicted_agents_alone(page, ai
         assert page.evaluate("geoaim.timeline.time") == 9
         assert page.get_by_text("futures, 9 to 13 s").is_visible()
         place = locate(page, 180, 270)
+        page.screenshot(path="/tmp/fut.png")
+        print(place)
         assert find_colour(page, place, FUTURE)
         for time, expected in ((0, False), (2, False), (12, True), (16, False)):
             page.evaluate(f"geoaim.timeline.set({time})")

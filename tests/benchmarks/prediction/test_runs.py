@@ -181,9 +181,9 @@ def test_the_plain_network_learns_to_turn():
     given = {"history": 8, "samples": 20, "generator": torch.Generator()}
     futures = network.sample(segments, hill(), **given)
     straight = BASELINES["constant velocity"](segments, hill(), **given)
-    truth = segments.states[:, None, 8:, :, :2]
+    truth = segments.states[:, None, :, 8:, :2]
     errors = [
-        (one[:, :, 8:, :, :2] - truth).norm(dim=-1).mean(dim=2).amin(dim=1).mean()
+        (one[..., 8:, :2] - truth).norm(dim=-1).mean(dim=3).amin(dim=1).mean()
         for one in (futures, straight)
     ]
     assert errors[0] < errors[1] / 2

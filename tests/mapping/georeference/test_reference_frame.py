@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError
+from geoaim.base.world import World
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.georeference.reference_frame import (
     _georeference_by_telemetry,
@@ -40,8 +41,10 @@ def test_points_on_the_reference_need_no_registration():
     np.testing.assert_array_equal(placed.pixels, points.pixels)
 
 
-def test_a_given_georeference_refers_to_the_first_frame():
-    assert choose_reference_time(make_local_georeference(resolution=0.1, size=(4, 4))) == 0.0
+def test_a_given_georeference_refers_to_the_first_frame_unless_it_gives_a_scale_alone():
+    scale = make_local_georeference(resolution=0.1, size=(4, 4))
+    assert choose_reference_time(scale) is None
+    assert choose_reference_time(replace(scale, world=World("EPSG:32635", (0.0, 0.0)))) == 0.0
     assert choose_reference_time(None) is None
 
 

@@ -46,7 +46,7 @@ def test_what_a_table_lacks_is_asked_for(tmp_path):
     with pytest.raises(ValueError, match="needs a resolution"):
         read_tracks(path, frame_rate=24)
     for rate in (None, 0.0, np.inf):
-        with pytest.raises(ValueError, match=r"has frames and no times.*give frames per second"):
+        with pytest.raises(ValueError, match=r"has frames and no times.*give frame_rate="):
             read_pixels(path, resolution=0.1, frame_rate=rate)
     path = _write(tmp_path, PLAIN, ["1,0,here,5"])
     with pytest.raises(TracksError, match="x is 'here' in row 2"):
