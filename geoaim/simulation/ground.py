@@ -223,8 +223,3 @@ def apply_matrix(
 ) -> Float[Tensor, "... 2"]:
     """Multiply vectors by matrices, by sums: autocast and TF32 round matrix products."""
     return (matrix * vectors[..., None, :]).sum(-1)
-
-
-def _find_finest(matrices: Float[Tensor, "M 2 3"]) -> float:
-    """Find the finest resolution of maps, metres per pixel."""
-    return float(compute_resolutions(matrices.detach()).min())
