@@ -64,4 +64,4 @@ def test_everything_is_explored_by_the_paths_of_its_files(aim, contents, tmp_pat
     with pytest.raises(ValueError, match=r"lights\.csv has no places of its lights: give hdmap="):
         geoaim.explore(aim, lights=SAMPLES / "lights.csv")
     with pytest.raises(FileNotFoundError, match=r"none\.csv"):
-        aim.explore(tracks="none.csv")
+        explore(aim, tracks="none.csv")
