@@ -81,7 +81,8 @@ def build_map(
         yaw=settings.yaw,
         focal_length=settings.focal_length,
     )
-    opened = replace(opened, is_fixed=settings.fixed_camera or opened.is_fixed)
+    if settings.fixed_camera:
+        opened = replace(opened, is_fixed=True)
     local, resolution = _make_local_georeference(opened, gcps, settings)
     aim = build_aim(
         opened,

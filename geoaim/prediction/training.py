@@ -230,6 +230,9 @@ def _resume(
             f"{path} is of another training ({', '.join(differences)}); name another folder"
         )
     with refuse_damaged(path, ModelError, "a checkpoint of a training"):
+        best = state.get("best", state["model"])
+        parts.model.load_state_dict(best)  # refuses weights that do not fit
+        weights = [*best.values(), *state["model"].values()]
         for name, part in vars(parts).items():
             part.load_state_dict(state[name])
         log = [tuple(map(float, row)) for row in state["log"]]
@@ -237,9 +240,9 @@ def _resume(
             raise ModelError(f"{path} is of another version of geoaim; name another folder")
         if not 0 <= log[-1][0] <= identity["training"]["steps"]:
             raise ModelError(f"{path} is damaged: its last step is {log[-1][0]}; delete it")
-    if not all(value.isfinite().all() for value in parts.model.state_dict().values()):
+    if not all(value.isfinite().all() for value in weights):
         raise ModelError(f"{path} is damaged: a weight is not a finite number; delete it")
-    return log, state["best"]
+    return log, best
 
 
 def _write_checkpoint(
