@@ -6,7 +6,7 @@ Two orthophotos: a made place on another day by another sensor, and the orthopho
 (`GEOAIM_DATA`), darkened, blurred and with noise, at 0.4 m a pixel. Their halves, quarters or
 stripes are displaced by 0.5 to 6 m each in any direction, as several files or as one, and aligned
 by an AIM or by tracks. A chain aligns a picture to an AIM that is off within what it states, and
-another picture to the first.
+another picture to the first. Choices were made on the seeds 1, 5 and 11; the seed 12 was judged once.
 """
 
 import warnings
@@ -118,7 +118,7 @@ def measure_mosaics(cases: int, seed: int) -> Iterator[dict[str, Any]]:
     for case in range(cases):
         ground = grounds[case % len(grounds)]
         name = list(LAYOUTS)[case // 2 % 3]
-        by_tracks, one_file = case % 10 >= 8 and ground.tracks is not None, case // 6 % 2 == 1
+        by_tracks, one_file = case // 12 % 4 == 3 and ground.tracks is not None, case // 6 % 2 == 1
         count = int(np.prod(LAYOUTS[name]))
         angles = generator.uniform(0, 2 * np.pi, count)
         lengths = generator.uniform(MIN_SHIFT_M, MAX_SHIFT_M, count)
@@ -143,9 +143,11 @@ def _judge_mosaic(
     except AlignmentError as error:
         return {"refused": str(error)[:60], "errors_m": [], "inside": []}
     placed = [weigh_part(part, evidence, mosaic.aim) for part in parts]
-    errors, inside = [], []
+    errors, inside, shown = [], [], mosaic.aim.coverage > 0
     for number, shift in enumerate(shifts, 1):
-        pixels = _sample_part(labels == number, mosaic.aim.resolution)
+        pixels = _sample_part((labels == number) & shown, mosaic.aim.resolution)
+        if not len(pixels):
+            continue
         points = transform_points(mosaic.aim.world_from_image, pixels)
         which = _find_parts(parts, pixels)
         moved = np.array(
@@ -167,7 +169,7 @@ def _sample_part(mask: Array, resolution: float) -> Float[Array, "m 2"]:
     padded = np.pad(mask.astype(np.uint8), 1)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1]
     v, u = np.nonzero(distance > SEAM_M / resolution)
-    chosen = np.linspace(0, len(u) - 1, SAMPLES**2).astype(int)
+    chosen = np.linspace(0, len(u) - 1, min(len(u), SAMPLES**2)).astype(int)
     return np.column_stack([u[chosen], v[chosen]]) + 0.5
 
 
@@ -260,7 +262,7 @@ def summarize_chains(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ]
 
 
-def main(cases: int = 60, chains: int = 30, seed: int = 1, json: JsonFile = None) -> None:
+def main(cases: int = 60, chains: int = 30, seed: int = 12, json: JsonFile = None) -> None:
     """Measure mosaics and chains."""
     mosaics = print_rows(measure_mosaics(cases, seed))
     chained = print_rows(measure_chains(chains, seed))

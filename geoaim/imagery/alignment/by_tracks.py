@@ -10,6 +10,7 @@ tracks, at all shifts at once, for each rotation. The score over a temperature i
 the likelihood. Along a straight road it hardly changes, and the covariance shows this.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -87,13 +88,41 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
             f"tracks of moving vehicles cover {len(poses)} cells of 1 m; {MIN_POSES} are needed to "
             "align imagery to them. Give more tracks, control points, or an AIM"
         )
-    center = (poses[:, :2].min(axis=0) + poses[:, :2].max(axis=0)) / 2
-    half = float(np.abs(poses[:, :2] - center).max())
+    search = _make_search(imagery, poses, prior)
+    half = float(np.abs(poses[:, :2] - search.center).max())
     count = int(np.ceil(prior.max_rotation * half / ROTATION_STEP_M))
     rotations = np.arange(-count, count + 1) * ROTATION_STEP_M / half
-    posterior = _estimate_posterior(imagery, poses, center, rotations, prior)
+    posterior = _estimate_posterior(search, rotations)
     _refuse_weak(posterior.sum(axis=0), len(poses), prior.max_shift)
-    return _average_posterior(posterior, rotations, center, len(poses))
+    return _average_posterior(posterior, rotations, search.center, len(poses))
+
+
+def score_parts(
+    imagery: AIM, masks: Sequence[Bool[Array, "H W"]], tracks: Tracks, rotation: float, prior: Prior
+) -> Float[Array, "K n n"]:
+    """Compute log-likelihoods of the shifts of parts of imagery, each by what it alone shows.
+
+    Args:
+        imagery: roughly georeferenced imagery, which `align_tracks` aligned.
+        masks: (H, W) pixels of each part.
+        tracks: the tracks.
+        rotation: radians by which the imagery is turned against the tracks.
+        prior: how far off the imagery may be.
+
+    Returns:
+        (K, n, n) log-likelihoods up to a constant for each part; `list_shifts` has their shifts.
+    """
+    search = _make_search(imagery, sample_poses(tracks), prior)
+    rotations = np.array([rotation])
+    channels = _draw_channels(search, _estimate_posterior(search, rotations).sum(axis=0))
+    matrix = to_opencv(imagery.grid.grid_from_world @ search.grid.world_from_grid)
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    size = search.grid.shape[::-1]
+    shown = [
+        cv2.warpPerspective(mask.astype(np.uint8), matrix, size, flags=flags) for mask in masks
+    ]
+    scores = [_score_rotation(search, channels * one[..., None], rotation) for one in shown]
+    return np.stack(scores).astype(float) / TEMPERATURE
 
 
 def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:
@@ -106,31 +135,61 @@ def sample_poses(tracks: Tracks) -> Float[Array, "M 3"]:
     return poses[np.unique(cells, axis=0, return_index=True)[1]]
 
 
-def _estimate_posterior(
-    imagery: AIM,
-    poses: Float[Array, "M 3"],
-    center: Float[Array, "2"],
-    rotations: Float[Array, "t"],
-    prior: Prior,
-) -> Float[Array, "t n n"]:
-    """Probabilities of rotations and shifts, learning surfaces and places in turn."""
+class _Search(NamedTuple):
+    """Imagery around the tracks on a grid, and the poses that are moved over it."""
+
+    grid: Grid
+    edges: Float32[Array, "H W 3"]
+    classes: Int[Array, "H W"]
+    poses: Float[Array, "M 3"]
+    center: Float[Array, "2"]
+    max_shift: float  # metres
+
+    @property
+    def steps(self) -> int:
+        """Pixels of the grid that poses are moved by at most."""
+        return round(self.max_shift / RESOLUTION)
+
+
+def _make_search(imagery: AIM, poses: Float[Array, "M 3"], prior: Prior) -> _Search:
+    center = (poses[:, :2].min(axis=0) + poses[:, :2].max(axis=0)) / 2
     half = float(np.abs(poses[:, :2] - center).max())
     reach = half * np.sqrt(2) + 2 * TEMPLATE_REACH_M + prior.max_shift
     left, top = center[0] - reach, center[1] + reach
     matrix = np.array([[RESOLUTION, 0, left], [0, -RESOLUTION, top], [0, 0, 1.0]])
     grid = Grid((int(np.ceil(2 * reach / RESOLUTION)),) * 2, matrix)
-    edges, classes = _classify_ground(imagery, grid)
-    steps = round(prior.max_shift / RESOLUTION)
-    shifts = np.full((2 * steps + 1,) * 2, (2 * steps + 1.0) ** -2)
-    unrotated = _draw_template(poses, grid)
+    return _Search(grid, *_classify_ground(imagery, grid), poses, center, prior.max_shift)
+
+
+def _estimate_posterior(search: _Search, rotations: Float[Array, "t"]) -> Float[Array, "t n n"]:
+    """Probabilities of rotations and shifts, learning surfaces and places in turn."""
+    shifts = _assume_any_shift(search)
     third = rotations[len(rotations) // 2 % 3 :: 3]  # enough to learn the surfaces
     for angles in (third, rotations):
-        channels = np.dstack([edges, _score_classes(classes, shifts, unrotated)])
-        templates = (_draw_template(_rotate_poses(poses, center, angle), grid) for angle in angles)
-        scores = np.stack([_correlate(channels, template, steps) for template in templates])
-        posterior = _normalise(scores, prior.max_shift)
+        channels = _draw_channels(search, shifts)
+        scores = np.stack([_score_rotation(search, channels, angle) for angle in angles])
+        posterior = _normalise(scores, search.max_shift)
         shifts = posterior.sum(axis=0)
     return posterior
+
+
+def _assume_any_shift(search: _Search) -> Float[Array, "n n"]:
+    side = 2 * search.steps + 1
+    return np.full((side, side), 1 / side**2)
+
+
+def _draw_channels(search: _Search, shifts: Float[Array, "n n"]) -> Float32[Array, "H W 4"]:
+    """Edges, and the scores of surfaces, learned over places of known probabilities."""
+    unrotated = _draw_template(search.poses, search.grid)
+    return np.dstack([search.edges, _score_classes(search.classes, shifts, unrotated)])
+
+
+def _score_rotation(
+    search: _Search, channels: Float32[Array, "H W 4"], angle: float
+) -> Float32[Array, "n n"]:
+    """Scores of all shifts of the poses, rotated by an angle."""
+    poses = _rotate_poses(search.poses, search.center, angle)
+    return _correlate(channels, _draw_template(poses, search.grid), search.steps)
 
 
 def _rotate_poses(
@@ -261,9 +320,7 @@ def _correlate(
 
 def _normalise(scores: Float32[Array, "t n n"], max_shift: float) -> Float[Array, "t n n"]:
     """Probabilities from scores and a normal prior of the shift, whose 2 sigma are `max_shift`."""
-    steps = scores.shape[1] // 2
-    shift = np.arange(-steps, steps + 1) * RESOLUTION
-    log_prior = -((shift**2)[:, None] + shift**2) / 2 / (max_shift / 2) ** 2
+    log_prior = -(list_shifts(scores.shape[1]) ** 2).sum(axis=-1) / 2 / (max_shift / 2) ** 2
     log_posterior = (scores - scores.max()) / TEMPERATURE + log_prior
     posterior = np.exp(log_posterior - log_posterior.max())
     return posterior / posterior.sum()
@@ -271,7 +328,7 @@ def _normalise(scores: Float32[Array, "t n n"], max_shift: float) -> Float[Array
 
 def _refuse_weak(weight: Float[Array, "n n"], poses: int, max_shift: float) -> None:
     """Refuse a posterior that is too wide, or that touches the end of the search."""
-    shift, covariance = _compute_moments(weight)
+    shift, covariance = compute_moments(weight)
     variances, axes = np.linalg.eigh(covariance)
     best, worst = np.sqrt(variances)
     if best > min(MAX_SIGMA_M, MAX_SIGMA_SHARE * max_shift / 2):
@@ -299,9 +356,9 @@ def _average_posterior(
     rotation = float((share * rotations).sum())
     sigma = float(np.sqrt((share * (rotations - rotation) ** 2).sum()))
     straight = abs(rotation) <= 2 * sigma
-    mean, covariance = _compute_moments(posterior.sum(axis=0))
-    shift = _compute_moments(posterior[len(rotations) // 2])[0] if straight else mean
-    shift, covariance = _remove_undetermined_shift(shift, covariance)
+    mean, covariance = compute_moments(posterior.sum(axis=0))
+    shift = compute_moments(posterior[len(rotations) // 2])[0] if straight else mean
+    shift, covariance = remove_undetermined_shift(shift, covariance)
     stated_from_true = make_similarity(center, 0.0 if straight else rotation, 1.0)
     stated_from_true[:2, 2] += shift
     return ImageryAlignment(
@@ -313,7 +370,7 @@ def _average_posterior(
     )
 
 
-def _remove_undetermined_shift(
+def remove_undetermined_shift(
     shift: Float[Array, "2"], covariance: Float[Array, "2 2"]
 ) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
     """Remove the shift along undetermined directions; the covariance is about what is left."""
@@ -324,12 +381,16 @@ def _remove_undetermined_shift(
     return shift, covariance
 
 
-def _compute_moments(weight: Float[Array, "n n"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
+def list_shifts(side: int) -> Float[Array, "n n 2"]:
+    """Shifts of tracks against imagery, metres east and north, of a search with so many a side."""
+    along = (np.arange(side) - side // 2) * RESOLUTION
+    return np.stack(np.meshgrid(along, -along), axis=-1)
+
+
+def compute_moments(weight: Float[Array, "n n"]) -> tuple[Float[Array, "2"], Float[Array, "2 2"]]:
     """Mean and covariance of the shift, metres east and north."""
-    steps = len(weight) // 2
     weight = weight / weight.sum()
-    along = np.arange(-steps, steps + 1) * RESOLUTION
-    shifts = np.stack(np.meshgrid(along, -along), axis=-1)
+    shifts = list_shifts(len(weight))
     mean = np.einsum("ij,ijk->k", weight, shifts)
     apart = shifts - mean
     covariance = np.einsum("ij,ijk,ijl->kl", weight, apart, apart)

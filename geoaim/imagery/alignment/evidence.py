@@ -1,27 +1,26 @@
 """What tells where imagery lies: an AIM of the same place, or tracks of vehicles."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from numpy import ndarray as Array
-from scipy.special import chdtrc
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import read_position_covariance
 from geoaim.base.errors import TracksError, warn
 from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
-from geoaim.imagery.alignment.parts import MAX_CHANCE, Labels, try_alignment
+from geoaim.imagery.alignment.parts import Labels, Part, align_parts
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.alignment.segmentation import find_parts
-from geoaim.imagery.alignment.weighing import forget_undetermined
+from geoaim.imagery.alignment.tracks_parts import align_parts_to_tracks
 from geoaim.tracks.tracks import Tracks
 
 # more of the windows must agree with one place; else parts are looked for that have another one
 MAX_AGREEING_SHARE = 0.8
+WARN_DISPLACED = 0.5  # a warning says that parts are displaced, if they are so more probably
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +45,30 @@ class AimEvidence:
         """Align imagery by the AIM, as `align_image`."""
         return align_image(imagery, self.source, prior=self.prior)
 
-    def find_parts(self, imagery: AIM, whole: ImageryAlignment | None) -> Labels | None:
-        """Find parts that lie elsewhere than the imagery as a whole; None where it needs none."""
+    def align_parts(
+        self, imagery: AIM, labels: Labels | None, whole: ImageryAlignment | None
+    ) -> list[Part]:
+        """Align files, or else parts of one file, that lie elsewhere than the imagery as a whole.
+
+        Args:
+            imagery: roughly georeferenced imagery.
+            labels: its files; None for one file.
+            whole: the alignment of all of it; None where it cannot be aligned as a whole.
+
+        Returns:
+            Empty where one place suits all.
+        """
+        max_shift = self.prior.max_shift
+        if labels is not None:
+            parts = align_parts(imagery, labels, self.align, whole, max_shift)
+            if parts:
+                return parts
         if whole is not None:
             evidence = whole.evidence
             if evidence["windows_agreeing"] > MAX_AGREEING_SHARE * evidence["windows"]:
-                return None
-        return find_parts(imagery, self.source, self.prior)
+                return []
+        found = find_parts(imagery, self.source, self.prior)
+        return [] if found is None else align_parts(imagery, found, self.align, whole, max_shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,38 +96,29 @@ class TracksEvidence:
         """Align imagery by the tracks, as `align_tracks`."""
         return align_tracks(imagery, self.source, prior=self.prior)
 
-    def find_parts(self, imagery: AIM, whole: ImageryAlignment | None) -> Labels | None:
-        """Find no parts: tracks only tell where halves of the imagery disagree (`widen`)."""
-        return None
+    def align_parts(
+        self, imagery: AIM, labels: Labels | None, whole: ImageryAlignment | None
+    ) -> list[Part]:
+        """Align files each for itself, or widen what is stated, as the tracks support it.
 
-    def widen(self, imagery: AIM, whole: ImageryAlignment) -> ImageryAlignment:
-        """Add the difference of two halves to the covariance, where chance does not explain it."""
-        moved = replace(imagery, world_from_image=whole.true_from_stated @ imagery.world_from_image)
-        points = np.nan_to_num(self.source.states[..., :2])
-        middle = np.median(points[self.source.present], axis=0)
-        covariance = whole.covariance
-        for axis, names in ((0, "western and eastern"), (1, "southern and northern")):
-            low = points[..., axis] < middle[axis]
-            halves = [self._align_half(moved, half) for half in (low, ~low)]
-            apart = _compare_halves(halves, whole.evidence["rotation_sigma_degrees"])
-            if apart is not None:
-                east, north = np.abs(apart)
-                warn(
-                    f"the {names} half of the tracks place the imagery {east:.1f} m (east) and "
-                    f"{north:.1f} m (north) apart, more than chance explains: it may be a mosaic "
-                    "whose parts are displaced. Its uncertainty is widened by that; an AIM (--aim) "
-                    "would place the parts each for itself"
-                )
-                covariance = covariance + np.outer(apart, apart)
-        return replace(whole, covariance=covariance)
+        Args:
+            imagery: roughly georeferenced imagery.
+            labels: its files; None for one file.
+            whole: the alignment of all of it; None where it cannot be aligned as a whole.
 
-    def _align_half(self, imagery: AIM, half: Bool[Array, "N T"]) -> ImageryAlignment | None:
-        """Align imagery, but not turn it, by half of the tracks."""
-        present = self.source.present & half
-        states = np.where(present[..., None], self.source.states, np.nan)
-        tracks = replace(self.source, present=present, states=states, observed=None)
-        prior = replace(self.prior, max_rotation=0.0)
-        return try_alignment(lambda x: align_tracks(x, tracks, prior=prior), imagery)[0]
+        Returns:
+            See `align_parts_to_tracks`; empty where the imagery cannot be aligned as a whole.
+        """
+        if whole is None:
+            return []
+        places = align_parts_to_tracks(imagery, labels, self.source, whole, self.prior)
+        if len(places.parts) == 1 and places.displaced > WARN_DISPLACED:
+            warn(
+                f"with a probability of {places.displaced:.0%} parts of the imagery are displaced "
+                "against each other, as in a mosaic, and the tracks do not tell how far: the "
+                "stated uncertainty is that of such parts. An AIM (--aim) places each for itself"
+            )
+        return places.parts
 
 
 Evidence = AimEvidence | TracksEvidence
@@ -134,17 +141,3 @@ def list_evidence(aim: AIM | None, tracks: Tracks | None, prior: Prior) -> list[
     if tracks is not None:
         evidence.append(TracksEvidence(tracks, prior))
     return evidence
-
-
-def _compare_halves(
-    halves: Sequence[ImageryAlignment | None], rotation_sigma_degrees: float
-) -> Float[Array, "2"] | None:
-    """The difference of two shifts, where neither chance nor an unknown rotation explains it."""
-    one, other = halves
-    if one is None or other is None:
-        return None
-    apart = one.shift - other.shift
-    turned = np.radians(rotation_sigma_degrees) * np.linalg.norm(one.center - other.center)
-    covariance = sum(forget_undetermined(half).covariance for half in (one, other))
-    squares = float(apart @ np.linalg.inv(covariance + np.eye(2) * turned**2) @ apart)
-    return apart if chdtrc(2, squares) < MAX_CHANCE else None

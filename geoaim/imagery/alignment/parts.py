@@ -40,10 +40,12 @@ class Labels(NamedTuple):
 
     numbers: UInt16[Array, "H W"]
     names: Sequence[str]
+    # where the first parts belong by what they were found by, if that is known
+    found: Sequence[ImageryAlignment] = ()
 
 
 def align_parts(
-    imagery: AIM, labels: Labels, align: Align, whole: ImageryAlignment | None
+    imagery: AIM, labels: Labels, align: Align, whole: ImageryAlignment | None, max_shift: float
 ) -> list[Part]:
     """Align the parts of imagery each for itself, where they need it.
 
@@ -52,11 +54,12 @@ def align_parts(
         labels: its parts.
         align: aligns imagery, or raises AlignmentError.
         whole: the alignment of all the imagery; None where it cannot be aligned as a whole.
+        max_shift: how far off a part may be, metres.
 
     Returns:
-        Empty if one place suits all of them, or fewer than two can be aligned; else all parts, the
-        largest first. Parts that cannot be aligned are placed as the others are, with the
-        differences between these as uncertainty.
+        Empty if one place suits all of them, or fewer than two can be aligned and none was found;
+        else all parts, the largest first. Parts that cannot be aligned are placed as the others
+        are, with the differences between these and the prior as uncertainty.
     """
     everything = imagery.coverage > 0
     parts, others = [], []
@@ -65,20 +68,41 @@ def align_parts(
         if not mask.any():
             continue
         large = mask.sum() >= MIN_PART_SHARE * everything.sum()
-        found = try_alignment(align, mask_imagery(imagery, mask))[0] if large else None
+        found = try_alignment(align, crop_to_mask(imagery, mask))[0] if large else None
+        if found is None and number <= len(labels.found):
+            found = labels.found[number - 1]
         if found is None:
             others.append((name, mask))
         else:
             parts.append(Part(name, mask, found))
-    if len(parts) < 2 or (whole is not None and not _differ(parts, whole, imagery.resolution)):
+    unconfirmed = bool(parts and others and labels.found)
+    one_place = len(parts) < 2 or (
+        whole is not None and not _differ(parts, whole, imagery.resolution)
+    )
+    if one_place and not unconfirmed:
         return []
-    middle = [_place_by_others(name, mask, parts) for name, mask in others]
+    middle = [_place_by_others(name, mask, parts, max_shift) for name, mask in others]
     return sorted([*parts, *middle], key=lambda part: -int(part.mask.sum()))
 
 
 def mask_imagery(imagery: AIM, mask: Bool[Array, "H W"]) -> AIM:
     """Keep the pixels of imagery that a mask marks."""
     return replace(imagery, coverage=np.where(mask, imagery.coverage, np.uint16(0)))
+
+
+def crop_to_mask(imagery: AIM, mask: Bool[Array, "H W"]) -> AIM:
+    """Keep the pixels of imagery that a mask marks, and the rectangle around these alone."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    part = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    kept = mask_imagery(imagery, mask)
+    return replace(
+        kept,
+        image=kept.image[part],
+        coverage=kept.coverage[part],
+        contested=kept.contested[part],
+        world_from_image=kept.world_from_image @ translation(float(columns[0]), float(rows[0])),
+        report={},
+    )
 
 
 def compose_parts(imagery: AIM, parts: Sequence[Part]) -> AIM:
@@ -117,14 +141,17 @@ def _differ(parts: Sequence[Part], whole: ImageryAlignment, resolution: float) -
     return bool(chance < MAX_CHANCE and largest > MIN_DIFFERENCE_PX * resolution)
 
 
-def _place_by_others(name: str, mask: Bool[Array, "H W"], parts: Sequence[Part]) -> Part:
-    """Place a part as the mean of the others, which differ as much as it may differ from them."""
+def _place_by_others(
+    name: str, mask: Bool[Array, "H W"], parts: Sequence[Part], max_shift: float
+) -> Part:
+    """Place a part as the mean of the others, which differ as much as it may differ from them.
+
+    Two or three shifts tell little of a spread: the prior's counts as one more.
+    """
     shifts = np.array([part.alignment.shift for part in parts])
-    mean = shifts.mean(axis=0)
-    # at least the largest difference in any direction: two or three shifts tell little of a spread
-    largest = np.linalg.norm(shifts - mean, axis=1).max()
-    spread = np.cov(shifts.T) * (1 + 1 / len(parts)) + np.eye(2) * largest**2
-    covariance = spread + np.mean([part.alignment.covariance for part in parts], axis=0)
+    mean, count = shifts.mean(axis=0), len(parts)
+    squares = ((shifts - mean) ** 2).sum() / 2 + (max_shift / 2) ** 2
+    covariance = np.eye(2) * squares / count * (1 + 1 / count)
     center = np.mean([part.alignment.center for part in parts], axis=0)
     alignment = ImageryAlignment(translation(*mean), "translation", covariance, center)
     return Part(name, mask, alignment, placed=False)

@@ -8,7 +8,7 @@ from geoaim.aim.aim import AIM
 from geoaim.aim.position import describe_covariance, measure_azimuth, read_position_covariance
 from geoaim.base.errors import AlignmentError, warn
 from geoaim.imagery.alignment.evidence import Evidence, TracksEvidence
-from geoaim.imagery.alignment.parts import Labels, Part, align_parts, compose_parts, try_alignment
+from geoaim.imagery.alignment.parts import Labels, Part, compose_parts, try_alignment
 from geoaim.imagery.alignment.placement_report import PlacedPart, report_parts, report_position
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.alignment.weighing import forget_undetermined, weigh_alignment
@@ -58,17 +58,13 @@ def align_mosaic(mosaic: Mosaic, evidence: Evidence) -> list[Part]:
     """
     imagery = mosaic.aim
     whole, error = try_alignment(evidence.align, imagery)
+    labels = None
     if mosaic.labels is not None and len(np.unique(mosaic.labels)) <= MAX_PARTS:
         labels = Labels(mosaic.labels, mosaic.names)
-        if parts := align_parts(imagery, labels, evidence.align, whole):
-            return parts
-    found = evidence.find_parts(imagery, whole)
-    if found is not None and (parts := align_parts(imagery, found, evidence.align, whole)):
+    if parts := evidence.align_parts(imagery, labels, whole):
         return parts
     if whole is None:
         raise error or AlignmentError("the imagery cannot be aligned")
-    if isinstance(evidence, TracksEvidence):
-        whole = evidence.widen(imagery, whole)
     return [Part("all", imagery.coverage > 0, whole)]
 
 

@@ -4,18 +4,21 @@ What does not agree with the first place is aligned once more. Each pixel then b
 by which its edges are most similar to those of the AIM around it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, UInt16
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
+from geoaim.aim.rectification import sample_nearest
 from geoaim.base.geometry import transform_points
 from geoaim.base.grid import Grid
 from geoaim.imagery.alignment.by_image import align_largest_part
-from geoaim.imagery.alignment.parts import Labels, mask_imagery, try_alignment
+from geoaim.imagery.alignment.parts import MIN_PART_SHARE, Labels, crop_to_mask, try_alignment
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.alignment.template_matching import (
@@ -25,6 +28,10 @@ from geoaim.imagery.alignment.template_matching import (
 )
 
 MAX_SEGMENTS = 8  # parts that are looked for within one file
+SPLITS = 2  # times that the imagery is halved each way, for parts that are small within the whole
+# of the ground: a region of a larger share where nothing agrees with the only place is set apart
+MIN_UNCONFIRMED_SHARE = 0.15
+MAX_SAME_PX = 0.75  # places that differ by less, in pixels of the imagery, are one
 MAX_SEGMENT_PX = 2048  # longer side of the grid on which pixels are divided into parts
 # the windows of parts must lie together: this share of them within the part's own pixels
 MIN_TOGETHER = 0.85
@@ -39,17 +46,95 @@ def find_parts(imagery: AIM, aim: AIM, prior: Prior) -> Labels | None:
         prior: how far off each part may be.
 
     Returns:
-        The parts; None where there is one only, or where what differs does not lie together, as
-        roofs that lean.
+        The parts, first those that were found at a place; None where there is one only, or where
+        what differs does not lie together, as roofs that lean.
     """
-    rest, found = imagery, list[ImageryAlignment]()
-    while len(found) < MAX_SEGMENTS and rest.coverage.any():
-        alignment, _ = try_alignment(lambda x: align_largest_part(x, aim, prior), rest)
-        if alignment is None:
-            break
-        found.append(alignment)
-        rest = mask_imagery(rest, ~_mark_windows(imagery, alignment))
-    return _divide_pixels(imagery, aim, found) if len(found) > 1 else None
+    found = list[ImageryAlignment]()
+    for depth in range(SPLITS + 1):
+        for box in _split_evenly(imagery, 2**depth):
+            _add_places(found, imagery, aim, prior, box)
+    places = _merge_places(found, imagery.resolution)
+    labels = _divide_pixels(imagery, aim, places)
+    if labels is None:
+        return _set_unconfirmed_apart(imagery, aim, places[:1])
+    refined = _align_again(imagery, aim, prior, labels)
+    _add_places(refined, imagery, aim, prior, np.ones(imagery.coverage.shape, bool))
+    return _divide_pixels(imagery, aim, _merge_places(refined, imagery.resolution)) or labels
+
+
+def _set_unconfirmed_apart(
+    imagery: AIM, aim: AIM, places: Sequence[ImageryAlignment]
+) -> Labels | None:
+    """Make parts of large regions where nothing agrees with the only place that was found."""
+    if not places:
+        return None
+    matrix = aim.grid.grid_from_world @ imagery.world_from_image
+    ground = sample_nearest(aim.coverage, matrix, imagery.coverage.shape) > 0
+    ground &= imagery.coverage > 0
+    rest = _find_large(ground & ~_mark_windows(imagery, places[0]))
+    numbers = np.ones(ground.shape, np.uint16)
+    names = ["part 1"]
+    for number in range(1, int(rest.max()) + 1):
+        if (rest == number).sum() > MIN_UNCONFIRMED_SHARE * ground.sum():
+            names.append(f"part {len(names) + 1}")
+            numbers[rest == number] = len(names)
+    return Labels(numbers, names, places) if len(names) > 1 else None
+
+
+def _align_again(imagery: AIM, aim: AIM, prior: Prior, labels: Labels) -> list[ImageryAlignment]:
+    """Align each part by its own pixels: those of others may have bent its first place."""
+    refined = []
+    for number, alignment in enumerate(labels.found, 1):
+        part = crop_to_mask(imagery, (labels.numbers == number) & (imagery.coverage > 0))
+        again, _ = try_alignment(lambda x: align_largest_part(x, aim, prior), part)
+        refined.append(again or alignment)
+    return refined
+
+
+def _split_evenly(imagery: AIM, count: int) -> Iterator[Bool[Array, "H W"]]:
+    """Mark the pixels of each of `count` x `count` rectangles."""
+    height, width = imagery.coverage.shape
+    rows, columns = (np.linspace(0, size, count + 1).astype(int) for size in (height, width))
+    for top, bottom in pairwise(rows):
+        for left, right in pairwise(columns):
+            box = np.zeros((height, width), bool)
+            box[top:bottom, left:right] = True
+            yield box
+
+
+def _add_places(
+    found: list[ImageryAlignment], imagery: AIM, aim: AIM, prior: Prior, box: Bool[Array, "H W"]
+) -> None:
+    """Add the places of what a rectangle shows and no place found before explains."""
+    shown = imagery.coverage > 0
+    for alignment in found:
+        shown &= ~_mark_windows(imagery, alignment)
+    while (shown & box).sum() >= MIN_PART_SHARE * (imagery.coverage > 0).sum():
+        rest = crop_to_mask(imagery, shown & box)
+        place, _ = try_alignment(lambda x: align_largest_part(x, aim, prior), rest)
+        if place is None:
+            return
+        found.append(place)
+        shown &= ~_mark_windows(imagery, place)
+
+
+def _merge_places(found: Sequence[ImageryAlignment], resolution: float) -> list[ImageryAlignment]:
+    """Keep one of those that say the same, with the windows of all; the most windows first."""
+    kept = list[ImageryAlignment]()
+    for one in sorted(found, key=lambda one: -one.evidence["windows_agreeing"]):
+        same = [k for k, other in enumerate(kept) if _say_the_same(one, other, resolution)]
+        if same:
+            windows = np.concatenate([kept[same[0]].windows, one.windows])
+            kept[same[0]] = replace(kept[same[0]], windows=windows)
+        else:
+            kept.append(one)
+    return kept[:MAX_SEGMENTS]
+
+
+def _say_the_same(one: ImageryAlignment, other: ImageryAlignment, resolution: float) -> bool:
+    """Whether two alignments move the ground of the first equally far."""
+    moved = transform_points(other.true_from_stated, one.center[None])[0] - one.center
+    return bool(np.linalg.norm(moved - one.shift) < MAX_SAME_PX * resolution)
 
 
 def _list_windows(imagery: AIM, alignment: ImageryAlignment) -> Float[Array, "M 2"]:
@@ -73,6 +158,8 @@ def _mark_windows(imagery: AIM, alignment: ImageryAlignment) -> Bool[Array, "H W
 
 def _divide_pixels(imagery: AIM, aim: AIM, found: Sequence[ImageryAlignment]) -> Labels | None:
     """Give each pixel to the part by whose place it is most similar to the AIM around it."""
+    if len(found) < 2:
+        return None
     height, width = imagery.coverage.shape
     coarsest = max(height, width) / MAX_SEGMENT_PX
     step = max(aim.resolution / imagery.resolution, coarsest, 1.0)
@@ -90,7 +177,22 @@ def _divide_pixels(imagery: AIM, aim: AIM, found: Sequence[ImageryAlignment]) ->
         return None
     coarse = (similar[kept].argmax(axis=0) + 1).astype(np.uint16)
     numbers = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_NEAREST)
-    return Labels(numbers, [f"part {number}" for number in range(1, len(kept) + 1)])
+    agreeing = np.zeros((height, width), bool)
+    for number, index in enumerate(kept, 1):
+        agreeing |= _mark_windows(imagery, found[index]) & (numbers == number)
+    names = [f"part {number}" for number in range(1, len(kept) + 1)]
+    rest = _find_large((imagery.coverage > 0) & ~agreeing)
+    for number in range(1, int(rest.max()) + 1):
+        numbers[rest == number] = len(names) + 1
+        names.append(f"part {len(names) + 1}")
+    return Labels(numbers, names, [found[index] for index in kept])
+
+
+def _find_large(mask: Bool[Array, "H W"]) -> UInt16[Array, "H W"]:
+    """Number the connected regions of a mask that are large enough to be parts, from 1."""
+    side = int(np.sqrt(MIN_PART_SHARE * mask.size))
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side)))
+    return cv2.connectedComponents(opened, ltype=cv2.CV_16U)[1]
 
 
 def _measure_similarity(

@@ -11,8 +11,8 @@ from geoaim.aim.position import CHI2_2D, read_position_covariance, state_positio
 from geoaim.base.errors import AlignmentError, GeoaimWarning
 from geoaim.base.geometry import translation
 from geoaim.imagery.alignment.before_after import draw_alignment
-from geoaim.imagery.alignment.evidence import AimEvidence, TracksEvidence
-from geoaim.imagery.alignment.parts import Labels, align_parts, mask_imagery
+from geoaim.imagery.alignment.evidence import AimEvidence
+from geoaim.imagery.alignment.parts import Labels, align_parts, crop_to_mask, mask_imagery
 from geoaim.imagery.alignment.placement import align_mosaic, place_mosaic
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.alignment.result import ImageryAlignment
@@ -102,7 +102,8 @@ def _striped(count):
 def test_part_without_evidence_is_placed_as_the_others_and_as_unsure_as_they_differ():
     imagery, labels = _striped(3)
     shifts = np.array([[4.0, 0.0], [-2.0, 0.0], [np.nan, np.nan]])
-    parts = {part.name: part for part in align_parts(imagery, labels, _drawn(shifts), None)}
+    found = align_parts(imagery, labels, _drawn(shifts), None, PRIOR.max_shift)
+    parts = {part.name: part for part in found}
     rest = parts["2.tif"]
     assert not rest.placed
     np.testing.assert_allclose(rest.alignment.shift, [1.0, 0.0])
@@ -111,20 +112,50 @@ def test_part_without_evidence_is_placed_as_the_others_and_as_unsure_as_they_dif
         assert off @ np.linalg.inv(rest.alignment.covariance) @ off < CHI2_2D
 
 
+def test_parts_that_agree_leave_another_as_unsure_as_the_prior():
+    """Two parts a centimetre apart do not tell that a third one is as near."""
+    imagery, labels = _striped(3)
+    shifts = np.array([[4.0, 0.0], [4.01, 0.0], [np.nan, np.nan]])
+    found = align_parts(imagery, labels, _drawn(shifts), None, 8.0)
+    [rest] = [part for part in found if not part.placed]
+    np.testing.assert_allclose(rest.alignment.covariance, np.eye(2) * 12.0, rtol=0.01)
+
+
+def test_part_that_was_found_stays_where_it_was_found():
+    """Windows that found a part may be too few to find it again by its own pixels."""
+    imagery, labels = _striped(2)
+    shifts = np.array([[4.0, 0.0], [np.nan, np.nan]])
+    places = [
+        _drawn(np.array([[4.0, 0.0], [1.0, 2.0]]))(mask_imagery(imagery, labels.numbers == k))
+        for k in (1, 2)
+    ]
+    found = align_parts(imagery, labels._replace(found=places), _drawn(shifts), None, 8.0)
+    assert all(part.placed for part in found)
+    np.testing.assert_allclose(sorted(part.alignment.shift[0] for part in found), [1.0, 4.0])
+
+
 def test_parts_that_differ_by_chance_get_one_place():
     imagery, labels = _striped(3)
     shifts = np.array([[0.05, 0.0], [-0.04, 0.02], [0.0, 0.06]])
     whole = ImageryAlignment(np.eye(3), "translation", np.eye(2) * 0.001, np.zeros(2))
-    assert align_parts(imagery, labels, _drawn(shifts), whole) == []
-    assert align_parts(imagery, labels, _drawn(shifts * 100), whole)
+    assert align_parts(imagery, labels, _drawn(shifts), whole, 8.0) == []
+    assert align_parts(imagery, labels, _drawn(shifts * 100), whole, 8.0)
     alone = np.where(np.arange(3)[:, None] > 0, np.nan, shifts)
-    assert align_parts(imagery, labels, _drawn(alone), whole) == []
+    assert align_parts(imagery, labels, _drawn(alone), whole, 8.0) == []
 
 
 def test_mask_keeps_pixels():
     imagery, labels = _striped(2)
     masked = mask_imagery(imagery, labels.numbers == 2)
     np.testing.assert_array_equal(masked.coverage > 0, labels.numbers == 2)
+
+
+def test_crop_shows_the_same_ground():
+    imagery, labels = _striped(3)
+    cropped = crop_to_mask(imagery, labels.numbers == 2)
+    assert cropped.image.shape == (20, 10, 3)
+    assert (cropped.image == 1).all()
+    np.testing.assert_allclose(cropped.corners[:, 0], [10, 20, 20, 10])
 
 
 def _state(aim, covariance, off=(0.0, 0.0)):
@@ -168,20 +199,3 @@ def test_map_without_a_statement_is_taken_as_right_and_named():
     found = place_mosaic(Mosaic(photo, None, ("a",)), AimEvidence(aim, PRIOR))
     assert found.report["position"]["assumes"] == ["aim"]
     assert found.summarize()["in the world (95 %)"].endswith("taking the aim as right")
-
-
-def test_halves_that_tracks_place_apart_widen_the_uncertainty(monkeypatch):
-    _, photo, tracks = made()
-    evidence = TracksEvidence(tracks, PRIOR)
-    whole = ImageryAlignment(
-        np.eye(3), "translation", np.eye(2) * 0.09, np.zeros(2), {"rotation_sigma_degrees": 0.1}
-    )
-    places = iter([(3.0, 0.0), (-3.0, 0.0), (0.1, 0.0), (0.0, 0.1)])
-
-    def align(*_, **__):
-        return replace(whole, true_from_stated=translation(*next(places)))
-
-    monkeypatch.setattr("geoaim.imagery.alignment.evidence.align_tracks", align)
-    with pytest.warns(GeoaimWarning, match=r"western and eastern half .* 6\.0 m \(east\)"):
-        wide = evidence.widen(photo, whole)
-    np.testing.assert_allclose(wide.covariance, np.diag([36.09, 0.09]))

@@ -1,0 +1,138 @@
+"""Alignment to tracks of imagery whose parts may be displaced against each other.
+
+Two hypotheses are weighed by their evidence (Kass and Raftery 1995): one shift for all parts, or a
+shift of its own for each, as likely before as the prior of the shift says. Where neither is certain
+each part's place is the mixture of both.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from scipy.special import expit, logsumexp
+
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import translation
+from geoaim.imagery.alignment.by_tracks import (
+    compute_moments,
+    list_shifts,
+    remove_undetermined_shift,
+    score_parts,
+)
+from geoaim.imagery.alignment.parts import Labels, Part
+from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
+from geoaim.tracks.tracks import Tracks
+
+# how probable it is before that the parts are displaced: files of their own, and within one file
+FILES_DISPLACED, ONE_FILE_DISPLACED = 0.5, 0.1
+MIN_DISPLACED = 0.05  # displaced parts that are less probable are not considered
+
+
+class PartPlaces(NamedTuple):
+    """Where tracks place parts of imagery."""
+
+    displaced: float  # probability that the parts are displaced against each other
+    parts: list[Part]
+
+
+def align_parts_to_tracks(
+    imagery: AIM, labels: Labels | None, tracks: Tracks, whole: ImageryAlignment, prior: Prior
+) -> PartPlaces:
+    """Align parts of imagery to tracks: as one, or each for itself, by the evidence.
+
+    Args:
+        imagery: roughly georeferenced imagery.
+        labels: its files; None for one file, of which quarters are tried as parts.
+        tracks: tracks in the same world.
+        whole: the alignment of all the imagery to the tracks.
+        prior: how far off the imagery may be.
+
+    Returns:
+        One part, as wide as displaced parts would make it where these are possible; or files that
+        are more probably displaced than not, each at its own place.
+    """
+    masks = _list_masks(imagery, labels)
+    everything = imagery.coverage > 0
+    if len(masks) < 2:
+        return PartPlaces(0.0, [Part("all", everything, whole)])
+    rotation = -float(np.arctan2(whole.true_from_stated[1, 0], whole.true_from_stated[0, 0]))
+    scores = score_parts(imagery, [mask for _, mask in masks], tracks, rotation, prior)
+    displaced, weights = weigh_displacement(
+        scores, prior, ONE_FILE_DISPLACED if labels is None else FILES_DISPLACED
+    )
+    if displaced < MIN_DISPLACED:
+        return PartPlaces(displaced, [Part("all", everything, whole)])
+    moments = [remove_undetermined_shift(*compute_moments(weight)) for weight in weights]
+    if labels is None or displaced < 0.5:
+        return PartPlaces(displaced, [Part("all", everything, _widen(whole, moments))])
+    parts = [
+        _place_part(name, mask, whole, one)
+        for (name, mask), one in zip(masks, moments, strict=True)
+    ]
+    return PartPlaces(displaced, sorted(parts, key=lambda part: -int(part.mask.sum())))
+
+
+def weigh_displacement(
+    scores: Float[Array, "K n n"], prior: Prior, displaced: float
+) -> tuple[float, Float[Array, "K n n"]]:
+    """Weigh one shift for all parts against a shift of its own for each.
+
+    Args:
+        scores: (K, n, n) log-likelihoods of the parts' shifts.
+        prior: of each shift.
+        displaced: probability of parts that are displaced, before.
+
+    Returns:
+        The probability of displaced parts, and the (K, n, n) probabilities of each part's shifts.
+    """
+    log_prior = -(list_shifts(scores.shape[1]) ** 2).sum(axis=-1) / 2 / (prior.max_shift / 2) ** 2
+    log_prior -= logsumexp(log_prior)
+    together = scores.sum(axis=0) + log_prior
+    each = scores + log_prior
+    evidence = logsumexp(each, axis=(1, 2)).sum() - logsumexp(together)
+    after = float(expit(np.log(displaced / (1 - displaced)) + evidence))
+    own = np.exp(each - logsumexp(each, axis=(1, 2), keepdims=True))
+    return after, after * own + (1 - after) * np.exp(together - logsumexp(together))
+
+
+def _list_masks(imagery: AIM, labels: Labels | None) -> list[tuple[str, Bool[Array, "H W"]]]:
+    """Names and pixels of the files that show anything, or of quarters."""
+    shown = imagery.coverage > 0
+    if labels is None:
+        v, u = (np.arange(size) < size / 2 for size in shown.shape)
+        quarters = [rows[:, None] & columns for rows in (v, ~v) for columns in (u, ~u)]
+        return [("", quarter & shown) for quarter in quarters if (quarter & shown).any()]
+    masks = [(name, (labels.numbers == k) & shown) for k, name in enumerate(labels.names, 1)]
+    return [(name, mask) for name, mask in masks if mask.any()]
+
+
+Moments = tuple[Float[Array, "2"], Float[Array, "2 2"]]
+
+
+def _widen(whole: ImageryAlignment, moments: Sequence[Moments]) -> ImageryAlignment:
+    """State the place as widely as that of the part that may be the farthest off."""
+    shift = _get_shift(whole)
+    wide = [covariance + np.outer(mean - shift, mean - shift) for mean, covariance in moments]
+    covariance = max([whole.covariance, *wide], key=np.trace)
+    return replace(whole, covariance=covariance)
+
+
+def _place_part(
+    name: str, mask: Bool[Array, "H W"], whole: ImageryAlignment, moments: Moments
+) -> Part:
+    """Move a part by its own shift; it is not aligned where that is unknown in all directions."""
+    shift, covariance = moments
+    stated_from_true = np.linalg.inv(whole.true_from_stated)
+    own = translation(*(shift - _get_shift(whole))) @ stated_from_true
+    alignment = replace(whole, true_from_stated=np.linalg.inv(own), covariance=covariance)
+    return Part(name, mask, alignment, bool(np.linalg.eigvalsh(covariance)[0] < MAX_SIGMA_M**2))
+
+
+def _get_shift(alignment: ImageryAlignment) -> Float[Array, "2"]:
+    """How far tracks lie from where imagery states them, at the center."""
+    center = alignment.center
+    return (np.linalg.inv(alignment.true_from_stated) @ [*center, 1])[:2] - center
