@@ -1,6 +1,6 @@
 """What the documentation builds from the code and its results: mkdocs calls these functions.
 
-- A page of the API reference for each package, and a page in the menu for each decision.
+- A page of the API reference for each package, and a table of all decisions.
 - `<!-- options: build -->` becomes the table of that command's options.
 - `<!-- table: NAME -->` becomes a table made of the results in docs/bench (see tables.py).
 - What stands before such a comment on its line, for readers of the sources, is left out.
@@ -31,13 +31,20 @@ from geoaim.cli import app
 
 DOCS = Path(__file__).parent
 PACKAGE = DOCS.parent / "geoaim"
+# weight of a folder's pages in a search; a word in a title counts 1000 times as much as in a text,
+# so that titles of the API reference and of decisions count as texts
+SEARCH_BOOST = {
+    "formats": 1.5,
+    "methods": 0.5,
+    "benchmarks": 0.01,
+    "decisions": 0.001,
+    "reference": 0.001,
+}
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Add the decisions and the packages to the menu."""
+    """Add the packages to the menu."""
     for section in config.nav or []:
-        if "Decisions" in section:
-            section["Decisions"] += [f"decisions/{path.name}" for path in list_decisions()]
         if "API reference" in section:
             section["API reference"] += [
                 {package: f"reference/{package}.md"} for package in list_modules()
@@ -54,7 +61,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Fill in tables, lists and formulas."""
+    """Fill in tables, lists and formulas; in a search, guides come before records and figures."""
+    page.meta["search"] = {"boost": SEARCH_BOOST.get(page.file.src_uri.split("/")[0], 1.0)}
     # what stands before a comment on its line is for readers of the sources
     writers = {"options": write_options, "table": write_results}
     pattern = r"^.*<!-- (options|table): (\w+(?: \w+)?) -->$"
@@ -82,9 +90,14 @@ def list_decisions() -> list[Path]:
 
 
 def write_decisions() -> str:
-    """A list of all decisions."""
-    titles = [(path.name, path.read_text("utf-8").split("\n")[0][2:]) for path in list_decisions()]
-    return "\n".join(f"- [{title}]({name})" for name, title in titles)
+    """A table of all decisions: number, title with a link, and what was decided."""
+    rows = ["| | decision | what |", "|---|---|---|"]
+    for path in list_decisions():
+        text = path.read_text("utf-8")
+        [(number, title)] = re.findall(r"\A# (\d+) (.+)$", text, re.M)
+        [what] = re.findall(r"^- \*\*What:\*\* (.+)$", text, re.M)
+        rows.append(f"| {number} | [{title}]({path.name}) | {what.replace('|', chr(92) + '|')} |")
+    return "\n".join(rows)
 
 
 def write_packages() -> str:

@@ -10,6 +10,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 import jsonschema
 import numpy as np
@@ -19,6 +20,10 @@ import geoaim
 from benchmarks.prediction import EXPERIMENTS
 from geoaim.aim.aim import AIM
 from geoaim.base.world import World
+from tests.waiting import wait_until
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "samples" / "README.md"])
@@ -131,6 +136,58 @@ def test_identifiers_in_text_occur_in_the_package(page: Path, words_of_code: set
 def test_experiments_in_text_exist(page: Path) -> None:
     used = set(re.findall(r"python -m benchmarks.prediction ([a-z_]+)", page.read_text("utf-8")))
     assert used <= {*EXPERIMENTS, "list"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_no_page_installs_geoaim_from_an_index_that_lacks_it(page: Path) -> None:
+    assert not re.search(r"pip install [^`\n]*\bgeoaim\b", page.read_text("utf-8"))
+
+
+def test_no_message_installs_geoaim_from_an_index_that_lacks_it() -> None:
+    files = [ROOT / "Makefile", *ROOT.glob("geoaim/**/*.py")]
+    pattern = re.compile(r"pip install [^`\n]*\bgeoaim\b")
+    assert [file.name for file in files if pattern.search(file.read_text("utf-8"))] == []
+
+
+@pytest.mark.slow
+def test_decisions_are_one_page_whose_table_opens_each(site: Path, hooks: ModuleType) -> None:
+    page = (site / "decisions" / "index.html").read_text("utf-8")
+    names = [path.with_suffix(".html").name for path in hooks.list_decisions()]
+    assert [name for name in names if f'<a href="{name}">' not in page] == []
+    menu = (site / "index.html").read_text("utf-8")
+    assert not re.search(r"decisions/\d", menu)
+
+
+@pytest.mark.slow
+def test_the_search_of_pages_on_the_disk_finds_guides_first(site: Path, chromium: str) -> None:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_page()
+        asked: list[str] = []
+        page.on("request", lambda request: asked.append(request.url))
+        for words, first in (
+            ("tracks in pixels", "formats/tracks.html"),
+            ("how to predict", "guides/predict.html"),
+            ("control points", "formats/control_points.html"),
+        ):
+            page.goto((site / "index.html").as_uri())
+            page.locator("input[name=query]").click()
+            page.keyboard.type(words)
+            _wait_for_result(page, first)
+        browser.close()
+    assert all(url.startswith("file:") for url in asked), asked
+
+
+def _wait_for_result(page: "Page", address: str) -> None:
+    """Wait until a search shows a page as its first result."""
+    links = page.locator(".md-search-result__link")
+
+    def shows() -> bool:
+        return links.count() > 0 and address in str(links.first.get_attribute("href"))
+
+    wait_until(shows, f"{address} is the first result")
 
 
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

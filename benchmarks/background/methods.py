@@ -19,6 +19,7 @@ from scipy.stats import trim_mean
 
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.queue_clips import QueueClip, paste_queue
+from benchmarks.background.signal_queue import film_signal
 from benchmarks.hover_videos import make_hover_video
 from benchmarks.registration.benchmark import code_frames
 from benchmarks.stills import STILLS
@@ -79,6 +80,9 @@ def make_clips(quick: bool, *, real: bool) -> Iterator[tuple[str, int, QueueClip
         for place in ("minsk_junction", "munich_street02"):
             makers[f"pasted on {place}"] = partial(paste_queue, place, standing=STANDING)
     makers["drawn"] = partial(draw_queue, standing=STANDING)
+    if not quick:
+        makers["signal"] = partial(film_signal, standing=STANDING)
+        makers["signal, crawling"] = partial(film_signal, standing=STANDING, speed=9.0)
     for name, make in makers.items():
         for seed in SEEDS[:1] if quick or name.startswith("hover") else SEEDS:
             yield name, seed, make(seed=seed)

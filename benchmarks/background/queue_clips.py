@@ -68,7 +68,7 @@ def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> Q
         for sprite, places in cars:
             _paste(picture, shown, sprite, places[k])
         covered += shown > 0.3
-        frames.append(_record(picture, generator))
+        frames.append(record(picture, generator))
     return QueueClip(np.stack(frames), ground, covered / count)
 
 
@@ -96,7 +96,7 @@ def _paste(
     shown[part] = np.maximum(shown[part], alpha[..., 0])
 
 
-def _record(
+def record(
     picture: Float32[Array, "h w 3"], generator: np.random.Generator
 ) -> UInt8[Array, "h w 3"]:
     """What is left of a picture after jitter, noise and compression."""

@@ -72,7 +72,7 @@ class AIM(Display):
             north-up is rectified first.
 
         Raises:
-            ImportError: rioxarray is missing; `pip install 'geoaim[gis]'` installs it.
+            ImportError: rioxarray is missing; `pip install rioxarray` installs it.
         """
         import rioxarray  # noqa: F401, which adds .rio to arrays
         from rasterio import Affine

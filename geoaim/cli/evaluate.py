@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.table import Table
 
 from geoaim.base.defaults import SAMPLES
 from geoaim.base.errors import warn
@@ -154,9 +155,9 @@ def _evaluate_on_windows(
 
 
 def _print_result(result: Result, samples: int, as_json: bool) -> None:
-    """Print metrics as a Markdown table or as JSON."""
+    """Print metrics as a table, a column for each method, or as JSON."""
     from geoaim.prediction.metrics import summarise
-    from geoaim.prediction.report import format_markdown
+    from geoaim.prediction.report import format_cell
 
     metrics, unit, count, horizon = result
     summaries = {name: summarise(values) for name, values in metrics.items()}
@@ -165,7 +166,12 @@ def _print_result(result: Result, samples: int, as_json: bool) -> None:
         content = {**means, unit: count, "samples": samples}
         print(json.dumps({**content, "methods": summaries}, indent=1))
         return
-    print(format_markdown(summaries))
+    names = list(dict.fromkeys(name for summary in summaries.values() for name in summary))
+    table = Table("", *summaries)
+    for name in names:
+        cells = [format_cell(s[name]) if name in s else "" for s in summaries.values()]
+        table.add_row(name, *cells)
+    console.print(table)
     console.print(
         f"{count} {unit}, {samples} samples of {horizon}; metres, or pixels where a name says px; "
         "rates per agent, sample and step; 95 % intervals"

@@ -92,7 +92,12 @@ def simulate(
         float | None,
         typer.Option(help="time in the tracks at which to start, s; the first if omitted"),
     ] = None,
-    duration: Annotated[float, typer.Option(help="simulated time, s", min=0.1)] = 6.0,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            help="simulated time, s; 6 or up to the end of the tracks if omitted", min=0.1
+        ),
+    ] = None,
     video: Annotated[
         Path | None, typer.Option(help=".mp4 or .gif of the view around the ego to write")
     ] = None,

@@ -72,7 +72,7 @@ def _write_object(source: Any, path: Path) -> str:
     try:
         import rioxarray  # noqa: F401, which adds .rio to arrays
     except ImportError as error:
-        raise ImageryError("arrays of xarray need rioxarray: pip install 'geoaim[gis]'") from error
+        raise ImageryError("arrays of xarray need rioxarray: pip install rioxarray") from error
     if source.rio.crs is None:
         raise ImageryError("the array has no CRS: give it one with .rio.write_crs('EPSG:n')")
     source.rio.to_raster(path)

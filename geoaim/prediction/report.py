@@ -34,7 +34,7 @@ def format_markdown(summaries: Mapping[str, Summary]) -> str:
     columns = ["", "agents", "segments", *names]
     lines = [_format_row(columns), "|" + " --- |" * len(columns)]
     for method, summary in summaries.items():
-        cells = [_format_cell(summary[name]) if name in summary else "" for name in names]
+        cells = [format_cell(summary[name]) if name in summary else "" for name in names]
         first = summary.get(names[0])
         counts = [f"{first['count']:.0f}", f"{first['segments']:.0f}"] if first else ["", ""]
         lines.append(_format_row([method, *counts, *cells]))
@@ -59,8 +59,12 @@ def _format_row(cells: list[str]) -> str:
     return " ".join(f"| {cell}".rstrip() for cell in cells) + " |"
 
 
-def _format_cell(value: Mapping[str, float]) -> str:
-    """Format a mean with its interval, if it has one."""
+def format_cell(value: Mapping[str, float]) -> str:
+    """Format a metric's summary: its mean, with the interval if it has one.
+
+    >>> format_cell({"mean": 1.0, "low": 0.9, "high": 1.1})
+    '1 (0.9 to 1.1)'
+    """
     if "low" not in value:
         return f"{value['mean']:.3g}"
     return f"{value['mean']:.3g} ({value['low']:.3g} to {value['high']:.3g})"

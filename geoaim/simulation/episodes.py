@@ -23,6 +23,7 @@ SIMPLE_POLICIES: Mapping[str, simulator.Policy] = {
     "constant-turn-rate": constant_turn_rate,
 }
 POLICY_NAMES = ("idm", *SIMPLE_POLICIES, "replay")
+DEFAULT_DURATION_S = 6.0
 HISTORY_STEPS = 5  # all agents replay their recordings in the first steps
 # vehicles whose speed is ever below this replay the recording: no policy drives backwards
 REVERSING_SPEED_MPS = -0.1
@@ -46,7 +47,7 @@ def simulate_scene(
     *,
     ego: str | None = None,
     start: float | None = None,
-    duration: float = 6.0,
+    duration: float | None = None,
     rules: RoadRules = NO_ROAD_RULES,
 ) -> Episode:
     """Simulate a part of a scene, in which a policy controls one agent or all of them.
@@ -59,7 +60,8 @@ def simulate_scene(
         ego: name of the controlled agent; None: all agents that never reverse; of these, "idm"
             controls the vehicles only.
         start: time at which the simulation begins, seconds; None: the scene's first.
-        duration: duration of the simulation, seconds, including the first `HISTORY_STEPS` steps.
+        duration: duration of the simulation, seconds, including the first `HISTORY_STEPS` steps;
+            None: 6 seconds, or up to the end of the scene.
         rules: the road rules; infractions of missing rules are not counted.
 
     Returns:
@@ -82,21 +84,23 @@ def simulate_scene(
     return Episode(simulated, controlled, rates, recorded_rates)
 
 
-def _find_steps(scene: Scene, start: float | None, duration: float) -> tuple[int, int]:
+def _find_steps(scene: Scene, start: float | None, duration: float | None) -> tuple[int, int]:
     """Find the first step of a simulation, and its number of steps."""
     begin, end = float(scene.times[0]), float(scene.times[-1])
     start = begin if start is None else start
     first = find_step(scene, start)
+    if duration is None:
+        duration = min(DEFAULT_DURATION_S, end - float(scene.times[first]))
     if not start + duration < end + scene.dt:
         raise ValueError(
-            f"{duration:g} seconds from start {start:g} s on are not all in the scene, from "
-            f"{begin:g} to {end:g} s"
+            f"the tracks go from {begin:g} to {end:g} s, and {duration:g} seconds from {start:g} s "
+            f"on go beyond; simulate {end - start:.4g} seconds or fewer, or start earlier"
         )
     steps = round(duration / scene.dt) + 1
     if steps <= HISTORY_STEPS:
         raise ValueError(
-            f"{duration:g} seconds are {steps} steps, and agents replay the first "
-            f"{HISTORY_STEPS}; simulate {HISTORY_STEPS * scene.dt:g} seconds or more"
+            f"{duration:g} seconds are {steps} steps, and agents replay the first {HISTORY_STEPS}; "
+            f"simulate {HISTORY_STEPS * scene.dt:g} seconds or more, or start earlier"
         )
     return first, steps
 

@@ -134,7 +134,7 @@ class Tracks(Display):
             The table; x and y are absolute coordinates.
 
         Raises:
-            ImportError: geopandas is missing; `pip install 'geoaim[gis]'` installs it.
+            ImportError: geopandas is missing; `pip install geopandas` installs it.
         """
         from geopandas import GeoDataFrame, points_from_xy
 

@@ -12,6 +12,7 @@ from benchmarks.background.methods import (
     measure_methods,
 )
 from benchmarks.background.queue_clips import QueueClip, paste_queue
+from benchmarks.background.signal_queue import film_signal
 from geoaim.base.progress import no_progress
 from tests.mapping.background.clips import make_ground, queue
 
@@ -98,3 +99,12 @@ def test_the_benchmark_has_tables_and_charts(monkeypatch, small):
     [case] = results.tables["cases"]
     assert len(case["errors"]) == 2
     assert list(results.charts) == ["fronts", "sizes"]
+
+
+def test_a_signal_holds_a_queue_in_the_middle_of_the_clip_and_the_ground_is_seen_around():
+    clip = film_signal(standing=0.6, seed=0, count=20)
+    assert np.abs(clip.frames.astype(int) - clip.ground)[:, clip.share == 0].mean() < 3
+    same = np.abs(np.diff(clip.frames.astype(int), axis=0)).max(-1) < 25
+    stood = clip.share > 0.8  # before, while and after the signal is red
+    shares = [same[part][:, stood].mean() for part in (slice(0, 3), slice(8, 11), slice(16, 19))]
+    assert shares[1] > 0.9 > 0.7 > max(shares[0], shares[2])

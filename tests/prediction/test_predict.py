@@ -179,8 +179,9 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     assert "500 s is not in the scene" in " ".join(done.output.split())
     done = run(app, ["evaluate", *given, "--kind", "pedestrians", "--hdmap", "samples/map.osm"])
     assert done.exit_code == 0, done.output
-    assert "| joint minADE |" in done.stdout
-    assert "| constant turn rate |" in done.stdout
+    assert "│ joint minADE " in done.output
+    assert "┃ constant turn rate " in done.output
+    assert "| --- |" not in done.output
     done = run(app, ["evaluate", str(tmp_path / "m.tif")])
     assert done.exit_code == 1
 

@@ -125,12 +125,19 @@ def test_simulation_is_written_as_tracks(scene, hdmap, policy, tmp_path):
     assert again.times[0] == pytest.approx(2.0)
 
 
+def test_without_a_duration_six_seconds_are_simulated_or_all_that_are_left(scene):
+    whole, rest = (simulate_scene(scene, "replay", start=start) for start in (2.0, 54.5))
+    assert len(whole.scene.times) == 61
+    assert len(rest.scene.times) == 56
+    assert float(rest.scene.times[-1]) == pytest.approx(60.0)
+
+
 def test_what_cannot_be_simulated_is_refused(scene):
     with pytest.raises(ValueError, match="no policy 'best'"):
         simulate_scene(scene, "best")
     with pytest.raises(TracksError, match="agent 29 is not present at 2 s"):
         simulate_scene(scene, "replay", ego="29", start=2.0)
-    with pytest.raises(ValueError, match="9 seconds from start 58 s on are not all in the scene"):
+    with pytest.raises(ValueError, match=r"from 58 s on go beyond; simulate 2 seconds or fewer"):
         simulate_scene(scene, "replay", start=58.0, duration=9.0)
     for start in (-3.0, 61.0, torch.nan, torch.inf):
         with pytest.raises(ValueError, match="is not in the scene, from 0 to 60 s"):

@@ -30,7 +30,8 @@ LARGEST_DIFFERENCE = 2  # of a pixel, in thresholds: a mark on the ground or a v
 MIN_REPEATS = 2  # frames that must look alike: a single one may show a passing vehicle's roof
 MAX_COST = 0.5  # share of the largest difference up to which a single frame is taken
 INPAINTING_PX = 5  # radius of the fill
-NEIGHBOURHOOD = np.ones((9, 9), np.uint8)  # that some frame must show as the background does
+SEAM_WINDOW = np.ones((7, 7), np.uint8)  # that some frame must show as the background does
+OUTLINE_WINDOW = np.ones((9, 9), np.uint8)  # in which no traffic may be where an outline is judged
 SQUARE = np.ones((3, 3), np.uint8)
 
 
@@ -101,14 +102,14 @@ def find_seams(
         threshold: difference above which two pixels differ, grey levels.
 
     Returns:
-        (h, w) pixels about which no frame shows 9 x 9 pixels as the background does.
+        (h, w) pixels about which no frame shows 7 x 7 pixels as the background does.
     """
     shown = np.zeros(background.shape[:2], np.uint8)
     never_seen = ~seen.any(0)
     for frame, visible in zip(stack, seen, strict=True):
         alike = (measure_difference(frame, background) <= threshold) & visible | never_seen
         closed = cv2.morphologyEx(alike.view(np.uint8), cv2.MORPH_CLOSE, SQUARE)
-        cv2.max(shown, cv2.erode(closed, NEIGHBOURHOOD), shown)
+        cv2.max(shown, cv2.erode(closed, SEAM_WINDOW), shown)
     return shown == 0
 
 
@@ -131,7 +132,7 @@ def remove_outlines(
     """
     clear = np.empty_like(masks)
     for mask, visible, free in zip(masks, seen, clear, strict=True):
-        free[:] = visible & (cv2.dilate(mask.view(np.uint8), NEIGHBOURHOOD) == 0)
+        free[:] = visible & (cv2.dilate(mask.view(np.uint8), OUTLINE_WINDOW) == 0)
     mean = average_selected(stack, clear, background)
     differs = (measure_difference(mean, background) > threshold).view(np.uint8)
     thin = differs - cv2.morphologyEx(differs, cv2.MORPH_OPEN, SQUARE)

@@ -23,9 +23,12 @@ object. (Surveillance tells abandoned from removed objects in this way: SanMigue
 6. Where hardly any frame shows the ground, or a single frame still votes against it, the frame is
    taken that continues the ground around best (`contested_ground`). A last segmentation, dilated,
    is the traffic.
-7. The ground is contested where no frame continues the ground around, where no frame shows the
-   9 x 9 pixels around as the background does, and where the background is not seen before or
-   after some time, of which a frame does not clearly vote for it (-0.05).
+7. The ground is contested where no frame continues the ground around, and where no frame shows the
+   7 x 7 pixels around as the background does. What stands does not return, but the ground is seen
+   again and again. So it is contested as well where the background is not seen before or after
+   some time, of which a frame does not clearly vote for it (-0.05), unless it is seen at more than
+   four separate times; and where it is seen at a single one, of less than 80 % of the frames that
+   see it, and the mean vote of the others is not clear (-0.5).
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -33,7 +36,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Int, UInt8
+from jaxtyping import Bool, Float32, Int, UInt8, UInt16
 from numpy import ndarray as Array
 
 from geoaim.mapping.background.contested_ground import (
@@ -67,6 +70,9 @@ REGION_WEIGHT_PX = 48.0  # length of border that the mean over the whole region 
 MIN_SUPPORT = 0.06  # share of the frames, at least 2, that must show a state of the ground
 MAX_VOTE = 0.1  # of a frame against the background; above it the ground is chosen again
 MIN_CLEAR_VOTE = -0.05  # of a frame for the background, beyond those that show it
+MIN_CLEAR_MEAN = -0.5  # mean vote for a background that is seen at a single time
+MAX_SINGLE_SHARE = 0.8  # of the frames that see the pixel; more leave no doubt
+MAX_DOUBTFUL_TIMES = 4  # separate times at which a background is seen that changes leave in doubt
 # of intensities, for relative steps; the 32 keeps noise in dark parts small
 LOGARITHMS = np.log(np.arange(32, 288, dtype=np.float32))
 SQUARE = np.ones((3, 3), np.uint8)
@@ -106,17 +112,49 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
         )
     masks = _segment_frames(stack, seen, background, threshold)
     background = remove_outlines(stack, seen, masks, background, threshold)
-    doubtful = _vote_by_frames(stack, masks, background).max(0) > MAX_VOTE
+    highest, mean = _summarise_votes(_vote_by_frames(stack, masks, background))
+    doubtful = highest > MAX_VOTE
     doubtful |= _find_rarely_clear(_dilate(masks, seen), seen)
     background, contested = continue_ground(
         stack, seen, background, _dilate_square(doubtful), threshold
     )
     masks = _segment_frames(stack, seen, background, threshold)
-    contested |= _mark_doubtful_changes(stack, masks, background, find_beyond(masks, seen, order))
+    clear = seen & ~masks
+    times = _count_times(clear, order)
+    changes = _mark_doubtful_changes(stack, masks, background, find_beyond(masks, seen, order))
+    contested |= changes & (times <= MAX_DOUBTFUL_TIMES)
+    is_single = (times <= 1) & (clear.sum(0) < MAX_SINGLE_SHARE * seen.sum(0))
+    contested |= is_single & (mean > MIN_CLEAR_MEAN)
+    contested |= find_seams(stack, seen, background, threshold)
     masks = _dilate(masks, seen)
-    mask_outliers(stack, seen, masks, background, threshold)
-    ground = average_selected(stack, seen & ~masks, background)
-    return Traffic(masks, contested | find_seams(stack, seen, ground, threshold), ground)
+    mask_outliers(stack, seen & ~contested, masks, background, threshold)
+    return Traffic(masks, contested, average_selected(stack, seen & ~masks, background))
+
+
+def _summarise_votes(
+    votes: Float32[Array, "K h w"],
+) -> tuple[Float32[Array, "h w"], Float32[Array, "h w"]]:
+    """The highest vote at each pixel, and the mean of those cast: -1, a clear one, without any."""
+    number = np.count_nonzero(votes, axis=0)
+    mean = votes.sum(0) / np.maximum(number, 1).astype(np.float32)
+    return votes.max(0), np.where(number > 0, mean, np.float32(-1))
+
+
+def _count_times(clear: Masks, order: Int[Array, "K"]) -> UInt16[Array, "h w"]:
+    """Count at how many separate times the frames show the background.
+
+    Args:
+        clear: (K, h, w) whether a frame shows the background.
+        order: (K,) the indices of the frames in order of time.
+
+    Returns:
+        (h, w) the number of sequences of frames that show it without interruption.
+    """
+    times, before = np.zeros(clear.shape[1:], np.uint16), np.zeros(clear.shape[1:], bool)
+    for index in order:
+        times += clear[index] & ~before
+        before = clear[index]
+    return times
 
 
 def _mark_doubtful_changes(
