@@ -6,7 +6,8 @@ Two orthophotos: a made place on another day by another sensor, and the orthopho
 (`GEOAIM_DATA`), darkened, blurred and with noise, at 0.4 m a pixel. Their halves, quarters or
 stripes are displaced by 0.5 to 6 m each in any direction, as several files or as one, and aligned
 by an AIM or by tracks. A chain aligns a picture to an AIM that is off within what it states, and
-another picture to the first. Choices were made on the seeds 1, 5 and 11; the seed 12 was judged once.
+another picture to the first. Choices were made on the
+seeds 1, 5 and 11; the seed 12 was judged once.
 """
 
 import warnings

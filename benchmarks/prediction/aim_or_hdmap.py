@@ -19,7 +19,7 @@ from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.prediction.config import configure_training
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.itra import ITRA
-from geoaim.prediction.metrics import Metric, bootstrap_nested, concat
+from geoaim.prediction.metrics import Metric, bootstrap_trainings, concat
 from geoaim.prediction.training import init_model
 
 TRAIN: Places = (*ROADS, *CAMPUS)
@@ -124,7 +124,7 @@ def _compare(
     aim, hdm = by_name.values()
     row["difference"] = row["AIM"] - row["HD map"]
     if len(first) > 1:
-        row["low"], row["high"] = bootstrap_nested(aim, hdm)
+        row["low"], row["high"] = bootstrap_trainings(aim, hdm)
     return row
 
 

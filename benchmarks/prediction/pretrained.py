@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.prediction.models import train_model, train_once
-from benchmarks.prediction.places import CAMPUS, PARKS, ROADS, TEST, TRAIN, Places, make_places
+from benchmarks.prediction.places import TEST, TRAIN, Places, make_places
 from benchmarks.prediction.protocol import PEDESTRIANS, VEHICLES
 from benchmarks.prediction.realistic import make_realistic_dataset
 from benchmarks.prediction.results import Workspace, write_results
@@ -21,16 +21,14 @@ from geoaim.prediction.config import TrainConfig, configure_fine_tuning
 from geoaim.prediction.dataset import Dataset
 from geoaim.prediction.itra import ITRA
 
-# places of the second stage, and others whose minADE decides which of its steps is kept
-REALISTIC_TRAIN: dict[str, Places] = {
-    "vehicle": (*ROADS[:6], *CAMPUS[:2]),
-    "pedestrian": (*ROADS[:6], *PARKS[:2]),
+# places whose minADE decides which step of the second stage is kept; in neither `TRAIN` nor `TEST`
+_VAL_ROADS: Places = ((401, "junction"), (402, "t"), (405, "roundabout"), (406, "street"))
+VAL: dict[str, Places] = {
+    "vehicle": (*_VAL_ROADS, (403, "campus")),
+    "pedestrian": (*_VAL_ROADS, (404, "park")),
 }
-REALISTIC_VAL: dict[str, Places] = {
-    "vehicle": ((401, "junction"), (402, "t"), (403, "campus")),
-    "pedestrian": ((401, "junction"), (402, "t"), (404, "park")),
-}
-REALISTIC_STEPS, REALISTIC_BATCH = 300, 32
+REALISTIC_STEPS, REALISTIC_BATCH, REALISTIC_RATE = 2600, 48, 1e-3
+CHECKPOINT_INTERVAL = 150  # steps
 COLOUR_JITTER, MAP_SHIFT_M, MAP_SCALE = 0.15, 1.5, 0.04
 
 
@@ -51,8 +49,7 @@ def run(workspace: Workspace) -> list[Path]:
             metrics[f"{kind}s, {rule}"] = evaluate_case(predictor, case, config, places)
     settings = {
         "training places": TRAIN,
-        "training places of the second stage": REALISTIC_TRAIN,
-        "validation places": REALISTIC_VAL,
+        "validation places of the second stage": VAL,
         "test places": TEST,
     }
     return [*written, *write_results("pretrained", metrics, settings, workspace.results)]
@@ -70,14 +67,18 @@ def configure_realistic(kind: str) -> TrainConfig:
     """Configure the second stage of a kind of model."""
     training = configure_fine_tuning(kind, steps=REALISTIC_STEPS, batch_size=REALISTIC_BATCH)
     return replace(
-        training, colour_jitter=COLOUR_JITTER, map_shift=MAP_SHIFT_M, map_scale=MAP_SCALE
+        training,
+        learning_rate=REALISTIC_RATE,
+        checkpoint_interval=CHECKPOINT_INTERVAL,
+        colour_jitter=COLOUR_JITTER,
+        map_shift=MAP_SHIFT_M,
+        map_scale=MAP_SCALE,
     )
 
 
 def _load_dataset(model: ITRA, workspace: Workspace) -> Dataset:
     kind, progress = model.config.kind, workspace.progress
     train, val = (
-        make_places(workspace.places, places[kind], progress=progress)
-        for places in (REALISTIC_TRAIN, REALISTIC_VAL)
+        make_places(workspace.places, places[kind], progress=progress) for places in (TRAIN, VAL)
     )
     return make_realistic_dataset(train, val, model.config, progress=progress)

@@ -42,11 +42,13 @@ STANDING_SIZES: Mapping[str, tuple[float, float]] = {
     "pedestrian": (0.5, 0.5),
 }
 CLEARANCE_M = 1.8
+MAX_ROW, ROW_PITCH_M = 5, 2.7  # most vehicles side by side; from one to the next
 STANDING_S = 30.0  # for which each of them is seen
 # standard deviations of detections, drawn for each recording: of each position alone, and of an
 # error that changes over DRIFT_S, as by a box that takes the shadow in; and of lengths and widths
 WHITE_M, DRIFT_M, DRIFT_S = (0.01, 0.06), (0.03, 0.15), 1.0
 SIZE_NOISE = 0.08  # as a share
+STILL_SPEED = 0.3  # m/s; who is slower stands
 HALF_WINDOW_S = 0.25  # over which headings and speeds are differenced, as of geo-trax
 # metres of blur, and standard deviation of noise, of full brightness, of a bad map
 BLUR_M, MAP_NOISE = (0.2, 1.2), (0.02, 0.2)
@@ -114,7 +116,8 @@ def make_scenes(
 def add_standing(tracks: Tracks, generator: np.random.Generator) -> Tracks:
     """Add agents who stand where no other agent ever is; each is seen for `STANDING_S`.
 
-    Half of the vehicles are turned as the nearest path, as beside a road, the others anyhow.
+    Vehicles stand in rows of one or more, as in a car park. Half of the rows are turned as the
+    nearest path, as beside a road, the others anyhow.
 
     Args:
         tracks: a recording.
@@ -125,21 +128,27 @@ def add_standing(tracks: Tracks, generator: np.random.Generator) -> Tracks:
     """
     paths = tracks.states[tracks.present][::2]
     low, high = paths[:, :2].min(axis=0), paths[:, :2].max(axis=0)
-    poses, kinds = np.empty((0, 3)), list[str]()
+    poses, kinds, starts = np.empty((0, 3)), list[str](), list[float]()
     for kind, count in STANDING.items():
         reach = CLEARANCE_M + max(STANDING_SIZES[kind]) / 4
-        for _ in range(count):
-            for place in generator.uniform(low, high, (20, 2)):
-                distances = np.hypot(*(paths[:, :2] - place).T)
-                others = np.hypot(*(poses[:, :2] - place).T)
-                if distances.min() > reach and (others > reach).all():
-                    along = paths[distances.argmin(), 2]
-                    turn = generator.choice([along, generator.uniform(-np.pi, np.pi)])
-                    poses = np.vstack([poses, [*place, turn]])
-                    kinds.append(kind)
-                    break
+        wanted = len(kinds) + count
+        for place in generator.uniform(low, high, (20 * count, 2)):
+            along = paths[np.hypot(*(paths[:, :2] - place).T).argmin(), 2]
+            turn = generator.choice([along, generator.uniform(-np.pi, np.pi)])
+            length = 1 if kind == "pedestrian" else generator.integers(1, MAX_ROW + 1)
+            steps = ROW_PITCH_M * np.arange(min(length, wanted - len(kinds)))
+            row = place + steps[:, None] * [-np.sin(turn), np.cos(turn)]
+            near_paths = np.hypot(*(paths[:, None, :2] - row).T).min(axis=1) <= reach
+            near_others = (np.hypot(*(poses[:, None, :2] - row).T) <= reach).any(axis=1)
+            row = row[~near_paths & ~near_others]
+            poses = np.vstack([poses, np.column_stack([row, np.full(len(row), turn)])])
+            kinds += [kind] * len(row)
+            latest = tracks.times[-1] - STANDING_S
+            starts += [generator.uniform(tracks.times[0], latest)] * len(row)
+            if len(kinds) == wanted:
+                break
     states = np.concatenate([poses, np.zeros((len(poses), 1))], axis=1)[:, None]
-    start = generator.uniform(tracks.times[0], tracks.times[-1] - STANDING_S, (len(poses), 1))
+    start = np.array(starts)[:, None]
     present = (tracks.times >= start) & (tracks.times <= start + STANDING_S)
     states = np.where(present[..., None], states, np.nan)
     sizes = np.array([STANDING_SIZES[kind] for kind in kinds]).reshape(-1, 2)
@@ -161,7 +170,8 @@ def add_detection_noise(tracks: Tracks, generator: np.random.Generator) -> Track
         generator: source of the noise.
 
     Returns:
-        Tracks whose headings and speeds come from their noisy positions; sizes are noisy too.
+        Tracks whose headings and speeds come from their noisy positions; sizes are noisy too. Who
+        stands keeps the heading, as a tracker has it: by noise alone it would turn at random.
     """
     white, drift = generator.uniform(*WHITE_M), generator.uniform(*DRIFT_M)
     shape = *tracks.present.shape, 2
@@ -171,7 +181,13 @@ def add_detection_noise(tracks: Tracks, generator: np.random.Generator) -> Track
     states[..., :2] += noise
     sizes = tracks.sizes * (1 + SIZE_NOISE * generator.standard_normal(tracks.sizes.shape))
     noisy = replace(tracks, states=states, sizes=np.maximum(sizes, 0.5 * tracks.sizes))
-    return derive_motion(noisy, half_window=HALF_WINDOW_S)
+    noisy = derive_motion(noisy, half_window=HALF_WINDOW_S)
+    assert noisy.observed is not None
+    stands = np.nan_to_num(np.abs(tracks.states[..., 3])) < STILL_SPEED
+    for some in (noisy.states, noisy.observed):
+        held = stands & np.isfinite(some[..., 2])
+        some[held, 2] = tracks.states[held, 2]
+    return noisy
 
 
 def read_realistic_map(place: Path, name: str) -> AIM:

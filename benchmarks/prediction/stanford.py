@@ -49,18 +49,18 @@ def run(workspace: Workspace) -> list[Path]:
     for name, config in MODELS.items():
         predictors = [
             make_window_predictor(
-                _train(name, train_scenes, workspace, seed=seed), STANFORD_SAMPLES
+                train_on_scenes(name, train_scenes, workspace, seed=seed), STANFORD_SAMPLES
             )
             for seed in range(SEEDS.get(name, 1))
         ]
-        val = _read_windows(config, VAL_SCENES)
+        val = read_scenes(config, VAL_SCENES)
         metrics[name] = _evaluate(predictors, val, workspace.progress)
         if name == "map":
-            degraded = _read_windows(config, VAL_SCENES, transform=_degrade)
+            degraded = read_scenes(config, VAL_SCENES, transform=_degrade)
             metrics["map, blurred and noisy"] = _evaluate(predictors, degraded, workspace.progress)
     for name in ("constant velocity", "constant velocity with noise"):  # headings are not measured
         metrics[name] = _evaluate([BASELINES[name]], val, workspace.progress)
-    _train("map", names, workspace, label="all scenes")
+    train_on_scenes("map", names, workspace, label="all scenes")
     return write_results("stanford", metrics, _describe(metrics, val), workspace.results)
 
 
@@ -92,10 +92,26 @@ def _describe(metrics: Mapping[str, Metrics], windows: Windows) -> dict[str, Any
     }
 
 
-def _train(
-    name: str, scenes: list[str], workspace: Workspace, *, seed: int = 0, label: str | None = None
+def train_on_scenes(
+    name: str,
+    scenes: Sequence[str],
+    workspace: Workspace,
+    *,
+    seed: int = 0,
+    label: str | None = None,
 ) -> ITRA:
-    """Train one of `MODELS` on windows of some scenes, forwards and reversed."""
+    """Train one of `MODELS` on windows of some scenes, forwards and reversed.
+
+    Args:
+        name: name of the model.
+        scenes: names of the scenes.
+        workspace: keeps the folder.
+        seed: seed of the training.
+        label: name of the folder; None: that of the model.
+
+    Returns:
+        The model.
+    """
     config = MODELS[name]
 
     def load_dataset() -> Dataset:
@@ -111,9 +127,19 @@ def _average_scene(scene: str, metrics: Metrics, windows: Windows) -> dict[str, 
     return {name: Metric(m.sums[here], m.counts[here]).mean for name, m in metrics.items()}
 
 
-def _read_windows(
+def read_scenes(
     config: Config, scenes: Sequence[str], transform: ImageTransform | None = None
 ) -> Windows:
+    """Read the windows of some scenes.
+
+    Args:
+        config: configuration of the model that is to read them.
+        scenes: names of the scenes.
+        transform: changes the scenes' images; None: nothing.
+
+    Returns:
+        The windows.
+    """
     return read_windows(_list_files(config), config.view, scenes=scenes, transform=transform)
 
 

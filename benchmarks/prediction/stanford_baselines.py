@@ -1,22 +1,30 @@
-"""A network without map or recurrence on the Stanford windows, and places that share no ground."""
+"""A network without map or recurrence on the Stanford windows; maps where no ground is shared."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from benchmarks.data import require_data
 from benchmarks.prediction.results import Metrics, Workspace, write_results
-from benchmarks.prediction.stanford import DATA, STANFORD_SAMPLES, VAL_SCENES
+from benchmarks.prediction.stanford import (
+    DATA,
+    MODELS,
+    STANFORD_SAMPLES,
+    VAL_SCENES,
+    read_scenes,
+    train_on_scenes,
+)
 from geoaim.prediction.anchors import HISTORY_NOISE_M
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.batches import compute_top_k
-from geoaim.prediction.evaluation import evaluate_windows
-from geoaim.prediction.metrics import average_seeds
+from geoaim.prediction.evaluation import evaluate_windows, make_window_predictor
+from geoaim.prediction.metrics import Metric, average_seeds, bootstrap_trainings
 from geoaim.prediction.networks import build_mlp
 from geoaim.prediction.segments import Segments, concat, repeat
 from geoaim.prediction.window_training import WINDOW_TRAINING as TRAINING
@@ -36,6 +44,7 @@ VAL_PLACES = ("coupa", "gates", "hyang")  # no other place shows their ground
 HORIZON = WINDOW_STEPS - HISTORY_STEPS
 WIDTH, SCALE_M = 256, 5.0  # of the hidden layers; of the outputs, metres
 SEEDS = 3
+COMPARED = "map", "no map"  # models that are trained on the last split
 
 
 class ModesMLP(nn.Module):
@@ -64,8 +73,11 @@ class ModesMLP(nn.Module):
         modes = offsets.view(len(pose), -1, HORIZON, 2) + straight[:, None]
         return world_from_agent(pose[:, None, None], modes)
 
-    def sample(
-        self,
+
+def make_predictor(network: ModesMLP) -> Predictor:
+    """Make the predictor of a network: the modes, up to 20, of each window's pedestrian."""
+
+    def predict(
         segments: Segments,
         ground: Ground,
         *,
@@ -73,24 +85,14 @@ class ModesMLP(nn.Module):
         samples: int,
         generator: torch.Generator,
     ) -> Float[Tensor, "B K N T 4"]:
-        """Predict the modes of each window's pedestrian: a `Predictor` without noise.
-
-        Args:
-            segments: windows, each of one pedestrian.
-            ground: not used.
-            history: observed steps.
-            samples: K modes, up to 20.
-            generator: not used.
-
-        Returns:
-            States of which x and y (m) are predicted; the others are those of the windows.
-        """
         with torch.no_grad():
-            modes = self(segments.states[:, 0, history - 1], segments.states[:, 0, :history, :2])
+            modes = network(segments.states[:, 0, history - 1], segments.states[:, 0, :history, :2])
         states = repeat(segments, samples).states.view(len(segments), samples, 1, WINDOW_STEPS, 4)
         states = states.clone()
         states[:, :, 0, history:, :2] = modes[:, :samples]
         return states
+
+    return predict
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def run(workspace: Workspace) -> list[Path]:
         val = _read(split.val)
         networks = [train_modes(_read(split.train).segments, seed=seed) for seed in range(SEEDS)]
         predictors: dict[str, list[Predictor]] = {
-            "MLP without map": [network.sample for network in networks],
+            "MLP without map": [make_predictor(network) for network in networks],
             "constant velocity": [BASELINES["constant velocity"]],
             "constant velocity with noise": [BASELINES["constant velocity with noise"]],
         }
@@ -125,11 +127,57 @@ def run(workspace: Workspace) -> list[Path]:
                 for one in some
             ]
             metrics[f"{title}, {name}"] = average_seeds(parts)
+    name, split = list(splits.items())[-1]
+    trained = _train_models(split, workspace)
+    metrics |= {f"{name}, {model}": average_seeds(parts) for model, parts in trained.items()}
     settings: dict[str, Any] = {
         name: {"train": one.train, "val": one.val} for name, one in splits.items()
     }
     settings |= {"samples": STANFORD_SAMPLES, "seeds": SEEDS}
+    settings["map minus no map"] = _compare_by_scene(trained, split)
     return write_results("stanford_baselines", metrics, settings, workspace.results)
+
+
+def _train_models(split: _Split, workspace: Workspace) -> dict[str, list[Metrics]]:
+    """Metrics of the Stanford models with and without map, of each training."""
+    metrics: dict[str, list[Metrics]] = {}
+    for name in COMPARED:
+        label = f"{name} away"
+        models = [
+            train_on_scenes(name, split.train, workspace, seed=seed, label=label)
+            for seed in range(SEEDS)
+        ]
+        val = read_scenes(MODELS[name], split.val)
+        metrics[name] = [
+            evaluate_windows(
+                make_window_predictor(model, STANFORD_SAMPLES),
+                val,
+                STANFORD_SAMPLES,
+                progress=workspace.progress,
+            )
+            for model in models
+        ]
+    return metrics
+
+
+def _compare_by_scene(trained: Mapping[str, list[Metrics]], split: _Split) -> dict[str, Any]:
+    """Differences of the model with map and that without, over scenes and trainings."""
+    scenes = np.array(_read(split.val).scenes)
+    differences = {}
+    for metric in ("minADE_px", "minFDE_px"):
+        one, other = (
+            [
+                [
+                    Metric(metrics[metric].sums[here], metrics[metric].counts[here])
+                    for scene in split.val
+                    for here in [scenes == scene]
+                ]
+                for metrics in trained[name]
+            ]
+            for name in COMPARED
+        )
+        differences[metric] = bootstrap_trainings(one, other)
+    return differences
 
 
 def train_modes(segments: Segments, *, seed: int) -> ModesMLP:

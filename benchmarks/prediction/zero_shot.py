@@ -16,7 +16,7 @@ from benchmarks.prediction.results import Metrics, Workspace, compute_difference
 from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import SEGMENT_STEPS
-from geoaim.prediction.metrics import concat, keep_rates
+from geoaim.prediction.metrics import MIN_SEGMENTS, concat, keep_rates
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
 from geoaim.simulation.scene import Scene
 
@@ -33,7 +33,7 @@ def run(workspace: Workspace) -> list[Path]:
         workspace.progress("evaluate", number, len(sets))
         found = _evaluate(name.split()[-1].removesuffix("s"), cases)
         metrics |= {f"{name}, {method}": values for method, values in found.items()}
-        if len(found[NOISY]["minADE"].sums) > 1:
+        if len(found[NOISY]["minADE"].sums) >= MIN_SEGMENTS:
             differences[name] = compute_differences(found["ITRA"], found[NOISY])
     settings = {"ITRA minus constant velocity with noise": differences}
     return write_results("zero_shot", metrics, settings, workspace.results)

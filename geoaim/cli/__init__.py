@@ -10,6 +10,7 @@ from geoaim.cli.align import align
 from geoaim.cli.bench import bench
 from geoaim.cli.build import build
 from geoaim.cli.catalog import app as catalog
+from geoaim.cli.compare import compare
 from geoaim.cli.console import DEBUG, stop_when_terminated
 from geoaim.cli.convert import convert
 from geoaim.cli.doctor import doctor
@@ -32,7 +33,7 @@ GROUPS = {
     CATALOG_GROUP: (pick, build, align, draw, frame, register),
     "Tracks": (track, convert),
     "Look at maps and files": (info, view, render, texture),
-    "Simulate and predict": (simulate, predict, evaluate, train),
+    "Simulate and predict": (simulate, predict, compare, evaluate, train),
     "Test and measure": (sample, bench, doctor),
 }
 COMMANDS = tuple(command for commands in GROUPS.values() for command in commands)

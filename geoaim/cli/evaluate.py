@@ -14,6 +14,7 @@ from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
+from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 Result = tuple[dict[str, dict[str, Any]], str, int, str]
 
 
+@take_scene_files
 def evaluate(
     aim: Annotated[
         Path | None, typer.Argument(help="AIM, with --tracks; or give --windows instead")
@@ -50,13 +52,9 @@ def evaluate(
         ),
     ] = False,
     seed: options.Seed = 0,
-    lights: options.LightsFile = None,
-    hdmap: options.HDMapFile = None,
-    stop_lines: options.StopLinesFile = None,
-    tracks_world: options.TracksWorld = None,
-    tracks_resolution: options.TracksResolution = None,
-    tracks_frame_rate: options.TracksFrameRate = None,
     as_json: options.AsJson = False,
+    *,
+    files: SceneFiles,
 ) -> None:
     """Evaluate a prediction model and compare it with constant-velocity and -turn-rate baselines.
 
@@ -71,16 +69,7 @@ def evaluate(
         if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
             raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
         if aim is not None and tracks is not None:
-            source = SceneSource(
-                aim,
-                tracks,
-                tracks_world,
-                tracks_resolution,
-                tracks_frame_rate,
-                lights,
-                hdmap,
-                stop_lines,
-            )
+            source = files.make_source(aim, tracks)
             model = load_model(weights, kind)
             config = {"samples": samples, "seed": seed, "realism": realism}
             result = _evaluate_on_map(source, model, val_fraction, config, progress)
@@ -89,8 +78,8 @@ def evaluate(
         elif weights is None:
             raise ValueError("--windows needs --weights of a model that was trained on windows")
         else:
-            files, model = (windows, images, scenes), load_model(weights)
-            result = _evaluate_on_windows(files, model, samples, seed, progress)
+            model, windows_files = load_model(weights), (windows, images, scenes)
+            result = _evaluate_on_windows(windows_files, model, samples, seed, progress)
     _print_result(result, samples, as_json)
 
 
@@ -156,7 +145,7 @@ def _evaluate_on_windows(
 
 def _print_result(result: Result, samples: int, as_json: bool) -> None:
     """Print metrics as a table, a column for each method, or as JSON."""
-    from geoaim.prediction.metrics import summarise
+    from geoaim.prediction.metrics import MIN_SEGMENTS, summarise
     from geoaim.prediction.report import format_cell
 
     metrics, unit, count, horizon = result
@@ -172,7 +161,9 @@ def _print_result(result: Result, samples: int, as_json: bool) -> None:
         cells = [format_cell(s[name]) if name in s else "" for s in summaries.values()]
         table.add_row(name, *cells)
     console.print(table)
+    few = f"no intervals, which need {MIN_SEGMENTS} {unit} or more: give longer tracks"
+    intervals = few if count < MIN_SEGMENTS else "95 % intervals"
     console.print(
         f"{count} {unit}, {samples} samples of {horizon}; metres, or pixels where a name says px; "
-        "rates per agent, sample and step; 95 % intervals"
+        f"rates per agent, sample and step; {intervals}"
     )

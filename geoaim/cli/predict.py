@@ -8,10 +8,12 @@ import typer
 from geoaim.base.defaults import SAMPLES
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
+from geoaim.cli.inputs import get_horizon, load_model, read_scene
 from geoaim.cli.outputs import check_output
+from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 
+@take_scene_files
 def predict(
     aim: options.AimFile,
     tracks: options.TracksFile,
@@ -31,12 +33,8 @@ def predict(
     ] = None,
     samples: options.Samples = SAMPLES,
     seed: options.Seed = 0,
-    lights: options.LightsFile = None,
-    hdmap: options.HDMapFile = None,
-    stop_lines: options.StopLinesFile = None,
-    tracks_world: options.TracksWorld = None,
-    tracks_resolution: options.TracksResolution = None,
-    tracks_frame_rate: options.TracksFrameRate = None,
+    *,
+    files: SceneFiles,
 ) -> None:
     """Predict futures of all vehicles, or of all pedestrians, jointly.
 
@@ -56,19 +54,10 @@ def predict(
     from geoaim.tracks.agent_types import select_group
 
     with show_progress() as progress, report_errors():
-        inputs = [aim, tracks, lights, hdmap]
+        inputs = [aim, tracks, files.lights, files.hdmap]
         check_output(output, (".csv", ".png", ".mp4", ".gif"), inputs)
         model = load_model(weights, kind)
-        source = SceneSource(
-            aim,
-            tracks,
-            tracks_world,
-            tracks_resolution,
-            tracks_frame_rate,
-            lights,
-            hdmap,
-            stop_lines,
-        )
+        source = files.make_source(aim, tracks)
         scene, _, world = read_scene(source, rate=1 / model.config.dt)
         start, horizon = find_step(scene, at), get_horizon(model, duration)
         progress("predict", 0, 1)

@@ -8,8 +8,9 @@ import typer
 from geoaim.base.progress import Progress, report_each
 from geoaim.cli import options
 from geoaim.cli.console import console, print_table, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, read_scene
+from geoaim.cli.inputs import read_scene
 from geoaim.cli.outputs import TRACKS, check_output
+from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -23,6 +24,7 @@ DEFAULT_SIZE_PX, DEFAULT_EXTENT_M = 512, 80.0  # sides of a view
 VIDEO = {"size": DEFAULT_SIZE_PX, "extent": DEFAULT_EXTENT_M, "trail": 2.0}
 
 
+@take_scene_files
 def render(
     aim: options.AimFile,
     tracks: options.TracksFile,
@@ -38,12 +40,8 @@ def render(
     trail: Annotated[
         float, typer.Option(help="length of the trails behind the agents, s", min=0)
     ] = 0.0,
-    lights: options.LightsFile = None,
-    hdmap: options.HDMapFile = None,
-    stop_lines: options.StopLinesFile = None,
-    tracks_world: options.TracksWorld = None,
-    tracks_resolution: options.TracksResolution = None,
-    tracks_frame_rate: options.TracksFrameRate = None,
+    *,
+    files: SceneFiles,
 ) -> None:
     """Render the bird's-eye view of an agent: the map with all agents, heading up.
 
@@ -56,18 +54,7 @@ def render(
 
     with show_progress() as progress, report_errors():
         check_output(output, (".mp4", ".gif", ".png"))
-        scene, _, _ = read_scene(
-            SceneSource(
-                aim,
-                tracks,
-                tracks_world,
-                tracks_resolution,
-                tracks_frame_rate,
-                lights,
-                hdmap,
-                stop_lines,
-            )
-        )
+        scene, _, _ = read_scene(files.make_source(aim, tracks))
         agent = find_agent(scene, ego)
         steps = scene.present[agent].nonzero()[:, 0]
         if output.suffix.lower() == ".png":
@@ -77,6 +64,7 @@ def render(
     console.print(f"{output}: {len(steps)} images of {size} x {size} px around agent {ego}")
 
 
+@take_scene_files
 def simulate(
     aim: options.AimFile,
     tracks: options.TracksFile,
@@ -101,13 +89,9 @@ def simulate(
     video: Annotated[
         Path | None, typer.Option(help=".mp4 or .gif of the view around the ego to write")
     ] = None,
-    lights: options.LightsFile = None,
-    hdmap: options.HDMapFile = None,
-    stop_lines: options.StopLinesFile = None,
     drivable: options.DrivableFile = None,
-    tracks_world: options.TracksWorld = None,
-    tracks_resolution: options.TracksResolution = None,
-    tracks_frame_rate: options.TracksFrameRate = None,
+    *,
+    files: SceneFiles,
 ) -> None:
     """Simulate agents by a policy, and count infractions beside those of the recording.
 
@@ -126,21 +110,12 @@ def simulate(
     from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
-        check_output(output, TRACKS, [aim, tracks, lights])
+        check_output(output, TRACKS, [aim, tracks, files.lights])
         if video is not None:
             check_output(video, (".mp4", ".gif"), [aim])
             if ego is None:
                 raise ValueError("--video needs --ego, the agent at its centre")
-        source = SceneSource(
-            aim,
-            tracks,
-            tracks_world,
-            tracks_resolution,
-            tracks_frame_rate,
-            lights,
-            hdmap,
-            stop_lines,
-        )
+        source = files.make_source(aim, tracks)
         scene, roads, world = read_scene(source)
         area = None if drivable is None else read_drivable_area(drivable, world)
         rules = make_road_rules(roads, area, world=world)

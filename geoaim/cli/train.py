@@ -1,6 +1,7 @@
 """The command that trains a prediction model."""
 
 import csv
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, load_model
 from geoaim.cli.outputs import check_output
+from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from geoaim.prediction.config import TrainConfig
@@ -21,8 +23,10 @@ if TYPE_CHECKING:
 
 STEPS, BATCH_SIZE = 200, 32  # defaults
 CHECKPOINT_STEPS = 50  # steps from one checkpoint to the next
+TIMED_STEPS = 10  # after which it is said how long the others take
 
 
+@take_scene_files
 def train(
     aim: Annotated[
         Path | None,
@@ -73,12 +77,7 @@ def train(
         typer.Option(help="fraction at the end of the tracks for validation", min=0.01, max=0.9),
     ] = 0.1,
     seed: options.Seed = 0,
-    lights: options.LightsFile = None,
-    hdmap: options.HDMapFile = None,
-    stop_lines: options.StopLinesFile = None,
-    tracks_world: options.TracksWorld = None,
-    tracks_resolution: options.TracksResolution = None,
-    tracks_frame_rate: options.TracksFrameRate = None,
+    files: SceneFiles,
 ) -> None:
     """Train a prediction model on your map: fine-tune a trained model, or start from scratch.
 
@@ -97,19 +96,18 @@ def train(
 
     with show_progress() as progress, report_errors():
         check_output(output / "model.pt", inputs=[weights])
-        given = tracks, tracks_world, tracks_resolution, tracks_frame_rate
         view = {"view_size": view_size, "resolution": view_resolution}
         view = {name: value for name, value in view.items() if value is not None}
         if view and not scratch:
             raise ValueError("a trained model keeps its view; give --scratch with a view's options")
         if windows is not None:
-            if aim is not None or weights is not None or scratch or any(given):
+            if aim is not None or weights is not None or scratch or tracks is not None:
                 raise ValueError("--windows starts a new model; give no AIM, --tracks or --weights")
             model, dataset, config = _prepare_windows(windows, images, scenes, seed)
         elif aim is None:
             raise ValueError("give an AIM with --tracks, a table of recordings, or --windows")
         else:
-            source = SceneSource(aim, *given, lights, hdmap, stop_lines)
+            source = files.make_source(aim, tracks)
             model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
             dataset = _make_dataset(source, model, val_fraction, segment_duration, progress)
             configure = configure_training if scratch else configure_fine_tuning
@@ -122,7 +120,7 @@ def train(
         }
         config = replace(config, **{k: v for k, v in chosen.items() if v is not None})
         try:
-            train_model(model, config, dataset, output, progress=progress)
+            train_model(model, config, dataset, output, progress=_announce_duration(progress))
         except (KeyboardInterrupt, SystemExit):
             console.print(_describe_checkpoint(output))
             raise
@@ -160,6 +158,24 @@ def _make_dataset(
         segment_steps=None if segment_duration is None else round(segment_duration / dt),
         progress=progress,
     )
+
+
+def _announce_duration(progress: Progress) -> Progress:
+    """Report progress, and once print about how long the steps of a training take."""
+    started: list[tuple[float, float]] = []
+
+    def report(stage: str, done: float, total: float | None) -> None:
+        progress(stage, done, total)
+        if stage != "train" or total is None:
+            return
+        started.append((done, time.perf_counter()))
+        if len(started) == TIMED_STEPS + 1:
+            (first, began), (last, now) = started[0], started[-1]
+            minutes = (total - done) * (now - began) / (last - first) / 60
+            text = f"about {minutes:.0f} minutes" if minutes >= 1.5 else "a minute or two"
+            console.print(f"{total - done:.0f} more steps, validated on the way: {text}")
+
+    return report
 
 
 def _prepare_windows(

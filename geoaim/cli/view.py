@@ -8,17 +8,16 @@ import typer
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors
 from geoaim.cli.outputs import check_output
+from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from geoaim.web.map_view import MapView
 
 
+@take_scene_files
 def view(
     aim: options.AimFile,
     tracks: options.OptionalTracks = None,
-    lights: options.LightsFile = None,
-    hdmap: options.HDMapFile = None,
-    stop_lines: options.StopLinesFile = None,
     drivable: options.DrivableFile = None,
     imagery: Annotated[
         list[str] | None, typer.Option(help="imagery to show beneath the map, with a swipe")
@@ -30,9 +29,8 @@ def view(
         Path | None, typer.Option(help=".html to write: the view in one file, to send to others")
     ] = None,
     browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
-    tracks_world: options.TracksWorld = None,
-    tracks_resolution: options.TracksResolution = None,
-    tracks_frame_rate: options.TracksFrameRate = None,
+    *,
+    files: SceneFiles,
 ) -> None:
     """Show a map and its traffic in the browser: play, follow agents, compare imagery.
 
@@ -44,23 +42,14 @@ def view(
     from contextlib import ExitStack
     from dataclasses import replace
 
-    from geoaim.cli.inputs import SceneSource, read_contents
+    from geoaim.cli.inputs import read_contents
     from geoaim.web.explore import make_map_view, read_map_world
     from geoaim.web.html_file import write_html
 
     with report_errors(), ExitStack() as stack:
         if html is not None:
             check_output(html, (".html",), [aim, tracks, futures])
-        source = SceneSource(
-            aim,
-            tracks,
-            tracks_world,
-            tracks_resolution,
-            tracks_frame_rate,
-            lights,
-            hdmap,
-            stop_lines,
-        )
+        source = files.make_source(aim, tracks)
         contents = read_contents(source, read_map_world(aim), drivable)
         contents = replace(contents, imagery=imagery or None, futures=futures)
         shown = make_map_view(aim, contents, stack)

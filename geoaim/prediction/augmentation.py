@@ -32,7 +32,7 @@ def augment(
     if config.colour_jitter:
         gain = 1 + config.colour_jitter * (2 * torch.rand(3, 1, 1, generator=draws) - 1)
         offset = config.colour_jitter * (torch.rand(3, 1, 1, generator=draws) - 0.5)
-        image = ground.image * gain.to(ground.image) + offset.to(ground.image)
+        image = torch.addcmul(offset.to(ground.image), ground.image, gain.to(ground.image))
         ground = replace(ground, image=image)
     if config.map_shift or config.map_scale:
         ground = misplace_ground(ground, config.map_shift, config.map_scale, draws)

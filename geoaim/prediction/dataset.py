@@ -16,7 +16,7 @@ from geoaim.simulation.scene import Scene, slice_scene
 
 PARTS = ("training", "validation")
 MAP_DENSITY = 2  # map pixels per side of a view pixel: fewer than by default, to save memory
-PARKED_SHARE = 0.3  # most segments of parked agents for each one of a moving agent
+PARKED_SHARE = 0.6  # most segments of parked agents for each one of a moving agent
 VAL_FRACTION = 0.05  # share of each recording, at its end, as in the paper
 
 
@@ -116,7 +116,7 @@ def _cut_with_parked(scene: Scene, config: Config, steps: int | None) -> Segment
     steps, stride = steps or SEGMENT_STEPS[config.kind], SEGMENT_STRIDES[config.kind]
     moving = cut_segments(scene, config.kind, steps=steps, stride=stride)
     try:
-        parked = cut_segments(scene, config.kind, steps=steps, stride=2 * steps, parked=True)
+        parked = cut_segments(scene, config.kind, steps=steps, stride=steps, parked=True)
     except TracksError:  # there are none
         return moving
     thinning = math.ceil(len(parked) / (PARKED_SHARE * len(moving)))

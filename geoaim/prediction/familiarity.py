@@ -49,7 +49,7 @@ def learn_known_views(
     Returns:
         Mean, covariance and limit.
     """
-    known, held_out = (_encode(model, segments, ground, step) for segments in (train, val))
+    known, held_out = (_encode_some(model, segments, ground, step) for segments in (train, val))
     mean = known.mean(dim=0)
     covariance = torch.cov(known.double().T)
     scale = covariance.diagonal().mean().clamp_min(1e-12)
@@ -76,11 +76,13 @@ def measure_strangeness(
     """
     if model.known_views is None:
         return None
-    return model.known_views.measure(_encode(model, segments, ground, step))
+    return model.known_views.measure(_encode_some(model, segments, ground, step))
 
 
 @torch.no_grad()
-def _encode(model: ITRA, segments: Segments, ground: Ground, step: int) -> Float[Tensor, "E F"]:
+def _encode_some(
+    model: ITRA, segments: Segments, ground: Ground, step: int
+) -> Float[Tensor, "E F"]:
     stride = -(-len(segments) // MAX_SEGMENTS)
     some = move_to(pick(segments, slice(None, None, stride)), ground.image.device)
-    return model.encode(some, prefilter_ground(ground, model.config.resolution), step).float()
+    return model.encode_views(some, prefilter_ground(ground, model.config.resolution), step).float()

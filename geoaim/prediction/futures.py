@@ -1,6 +1,7 @@
 """Sampled futures of a scene, and how they are drawn on its map."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy import ndarray as Array
 from torch import Tensor
 
 from geoaim.base.displays import Display
+from geoaim.base.errors import TracksError
 from geoaim.base.world import World
 from geoaim.simulation.lines import LIGHT_COLOURS
 from geoaim.simulation.scene import Scene
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FUTURE_COLOUR, TRUTH_COLOUR = (1.0, 0.45, 0.0), (0.95, 0.95, 0.95)
+MAX_LISTED = 8  # agents that an error lists
 MARGIN_M = 15.0  # distance from the paths to the edges of a picture
 LIGHT_NAMES = ("green light", "yellow light", "red light")  # names by light state
 
@@ -49,6 +52,22 @@ class Futures(Display):
     def time(self) -> float:
         """Time of the last observed step, s."""
         return float(self.scene.times[self.start])
+
+    def select(self, ids: Sequence[str]) -> "Futures":
+        """Keep the futures of some agents; those of all others are NaN.
+
+        Raises:
+            TracksError: one of them is not predicted.
+        """
+        able = [self.scene.ids[row] for row in self.mark_predicted().nonzero()[:, 0].tolist()]
+        missing = sorted(set(ids) - set(able))
+        if missing:
+            listed = ", ".join(able[:MAX_LISTED]) + (", ..." if len(able) > MAX_LISTED else "")
+            raise TracksError(
+                f"no future of {', '.join(missing)} at {self.time:g} s; there are those of {listed}"
+            )
+        kept = torch.tensor([name in ids for name in self.scene.ids], device=self.states.device)
+        return replace(self, states=torch.where(kept[:, None, None], self.states, torch.nan))
 
     def mark_predicted(self) -> Bool[Tensor, "N"]:
         """Mark agents whose samples differ. Of one sample: all that are present."""

@@ -284,7 +284,7 @@ class ITRA(nn.Module):
         """Convert normalised actions to those of the motion model, such as m/s² and radians."""
         return action * action.new_tensor(self.motion.scale)
 
-    def encode(self, segments: Segments, ground: Ground, step: int) -> Float[Tensor, "E F"]:
+    def encode_views(self, segments: Segments, ground: Ground, step: int) -> Float[Tensor, "E F"]:
         """Encode the views of all controlled agents at a step.
 
         Args:
@@ -297,7 +297,7 @@ class ITRA(nn.Module):
         """
         batch = Batch(segments, ground, index_controlled(segments), step + 1)
         none = segments.sizes.new_zeros(len(batch.controlled.agent), self.config.feature_size)
-        return self._encode_view(batch, segments.states[:, :, step], step, none)
+        return self._update_features(batch, segments.states[:, :, step], step, none)
 
     def _start(self, batch: Batch, actions: Float[Tensor, "E t 2"]) -> Rollout:
         """Replay all observed steps but the last one, and update hidden states on the way."""
@@ -306,7 +306,7 @@ class ITRA(nn.Module):
         hidden = sizes.new_zeros(len(sizes), self.config.hidden_size)
         for step in range(batch.history - 1):
             states = batch.segments.states[:, :, step]  # (B, N, 4)
-            features = self._encode_view(batch, states, step, features)  # (E, F)
+            features = self._update_features(batch, states, step, features)  # (E, F)
             attributes = normalise_attributes(batch.truth[:, step], sizes)
             inputs = torch.cat([features, actions[:, step], attributes], dim=1)  # (E, F + 2 + 3)
             updated = self.update_hidden(inputs, hidden)  # (E, H)
@@ -330,7 +330,7 @@ class ITRA(nn.Module):
     def _look(self, rollout: Rollout) -> tuple[Rollout, Float[Tensor, "E C"]]:
         """Encode the views; also gives the context of all decisions."""
         index, before = rollout.index, rollout.features
-        features = self._encode_view(rollout.batch, rollout.states, index, before)  # (E, F)
+        features = self._update_features(rollout.batch, rollout.states, index, before)  # (E, F)
         attributes = normalise_attributes(rollout.pose, rollout.batch.sizes)  # (E, 3)
         context = torch.cat([features, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
         return replace(rollout, features=features), context
@@ -370,23 +370,23 @@ class ITRA(nn.Module):
         target = truth[:, [history - 1 + step for step in self.anchors.steps], :2]
         return target, compute_anchor_loss(anchors, logits, target, top_k)
 
-    def _encode_view(
+    def _update_features(
         self,
         batch: Batch,
         states: Float[Tensor, "B N 4"],
         step: int,
         features: Float[Tensor, "E F"],
     ) -> Float[Tensor, "E F"]:
-        """Encode views every `view_stride` steps; else, and for absent agents, reuse features."""
+        """Encode views at each `view_stride`-th step; else, and of absent agents, keep features."""
         config = self.config
         if not config.use_observations or (step - batch.history + 1) % config.view_stride:
             return features
         split = split_views(config.view, batch.segments, batch.controlled, states, step)
-        parts = [self._encode(batch, states, step, some) for some in split]
+        parts = [self._render_and_encode(batch, states, step, some) for some in split]
         encoded = torch.cat(parts).to(features)
         return torch.where(batch.present[:, step, None], encoded, features)
 
-    def _encode(
+    def _render_and_encode(
         self, batch: Batch, states: Float[Tensor, "B N 4"], step: int, controlled: Controlled
     ) -> Float[Tensor, "e F"]:
         """Render and encode the views of some of the controlled agents."""

@@ -19,6 +19,7 @@ from geoaim.simulation.scene_infractions import AgentMotion, find_infractions
 
 BOOTSTRAP_DRAWS = 1000
 CONFIDENCE = 0.95
+MIN_SEGMENTS = 10  # fewer have no interval: their bootstrap is too narrow
 # names of metrics by those of infractions
 RATES = {"collision": "collision rate", "off road": "off-road rate", "red light": "red-light rate"}
 
@@ -161,7 +162,7 @@ def bootstrap_interval(
     return float(low), float(high)
 
 
-def bootstrap_nested(
+def bootstrap_trainings(
     trainings: Sequence[Sequence[Metric]], others: Sequence[Sequence[Metric]] = (), *, seed: int = 0
 ) -> tuple[float, float]:
     """Estimate the interval of a mean over trainings and places, or of the difference of two.
@@ -181,7 +182,8 @@ def bootstrap_nested(
     Raises:
         ValueError: there is one training or one place, over which there is no interval.
 
-    >>> low, high = bootstrap_nested([[Metric(np.array([x]), np.ones(1)) for x in (1.0, 3.0)]] * 2)
+    >>> places = [Metric(np.array([x]), np.ones(1)) for x in (1.0, 3.0)]
+    >>> low, high = bootstrap_trainings([places, places])
     >>> low, high
     (1.0, 3.0)
     """
@@ -239,7 +241,7 @@ def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
     """Summarise each metric by its mean, its 95 % interval, and what it is the mean of.
 
     Returns:
-        By name "mean"; "low" and "high", but not of one segment alone; "count" of summands, which
+        By name "mean"; "low" and "high", of `MIN_SEGMENTS` or more; "count" of summands, which
         for displacements are agents; and "segments" that have any.
     """
     summary = {}
@@ -247,7 +249,7 @@ def summarise(metrics: Mapping[str, Metric]) -> dict[str, dict[str, float]]:
         segments = int((metric.counts > 0).sum())
         summary[name] = {"mean": metric.mean, "count": float(metric.counts.sum())}
         summary[name]["segments"] = segments
-        if segments > 1:
+        if segments >= MIN_SEGMENTS:
             summary[name]["low"], summary[name]["high"] = bootstrap_interval(metric)
     return summary
 

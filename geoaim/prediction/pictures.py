@@ -1,22 +1,24 @@
 """Futures on the map as a picture and frames of a film, and as a table."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
 import torch
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy import ndarray as Array
 
 from geoaim.base.files import atomic_write
-from geoaim.base.map_axes import add_legend, add_scale_bar
+from geoaim.base.map_axes import add_legend, add_scale_bar, move_to_axes
 from geoaim.base.world import World
 from geoaim.prediction.futures import Futures
 from geoaim.tracks.files import format_world
 
+PANEL_INCHES = 5.0  # side of one of several maps
+PANEL_MARGIN_M = 20.0  # about the paths that panels show
 PICTURE_INCHES = 10.0  # the longer side of the map
 BESIDE_INCHES, BELOW_INCHES = 2.6, 1.0  # space for the legend and for the axes' labels
 
@@ -26,6 +28,50 @@ def draw_futures(futures: Futures) -> Figure:
     figure = _make_figure(futures)
     futures.plot(figure.add_subplot())
     return figure
+
+
+def draw_panels(rows: Sequence[Sequence[Futures]], titles: Sequence[str]) -> Figure:
+    """Draw futures of one place in rows and columns, all of the same square of ground.
+
+    Args:
+        rows: rows of equally many futures, such as one for each duration.
+        titles: a title of each column, such as the name of its map.
+
+    Returns:
+        The figure, with metres of the first map.
+    """
+    shape = len(rows), len(titles)
+    size = PANEL_INCHES * shape[1] + BESIDE_INCHES, PANEL_INCHES * shape[0]
+    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    grid = figure.subplots(*shape, squeeze=False, sharex=True, sharey=True)
+    limits = _fit_square(rows)
+    for row, (panels, futures_of_row) in enumerate(zip(grid, rows, strict=True)):
+        for axes, futures, title in zip(panels, futures_of_row, titles, strict=True):
+            futures.scene.draw_ground(axes, limits)
+            futures.draw_step(axes, None)
+            axes.set_title(title if row == 0 else "")
+            (left, bottom), (right, top) = move_to_axes(axes, limits, futures.world).tolist()
+            axes.set(xlim=(left, right), ylim=(bottom, top))
+            axes.set_aspect("equal")
+        seconds = futures.states.shape[2] * futures.dt
+        panels[0].set_ylabel(f"{len(futures.states)} futures of {seconds:g} s; metres")
+    add_legend(grid[0, -1])
+    return figure
+
+
+def _fit_square(rows: Sequence[Sequence[Futures]]) -> Float[Array, "2 2"]:
+    """Lowest and highest x and y of a square with all paths of the predicted agents, metres."""
+    paths = []
+    for futures in (one for row in rows for one in row):
+        shown = futures.mark_predicted()
+        steps = slice(futures.start, futures.start + 1 + futures.states.shape[2])
+        recorded = futures.scene.poses[shown, steps, :2]
+        paths += [futures.states[:, shown, :, :2].reshape(-1, 2), recorded.reshape(-1, 2)]
+    every = torch.cat(paths)
+    positions = every[torch.isfinite(every).all(dim=1)].double().cpu().numpy()
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    half = (high - low).max() / 2 + PANEL_MARGIN_M
+    return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
 
 
 def film_futures(futures: Futures) -> Iterator[UInt8[Array, "H W 3"]]:

@@ -30,7 +30,7 @@ def test_training_and_validation_do_not_overlap():
 def test_some_segments_are_of_parked_agents(monkeypatch):
     train = make_dataset([scene()], TINY, val_fraction=0.3).train
     parked = train.states[:, 0, 0, 1] == PARKED_Y  # the controlled agent comes first
-    assert parked.tolist() == [False] * 5 + [True]
+    assert parked.tolist() == [False] * 5 + [True] * 2
     monkeypatch.setattr(dataset, "PARKED_SHARE", 0.1)
     long = make_dataset([scene(200)], TINY, val_fraction=0.3).train
     share = float((long.states[:, 0, 0, 1] == PARKED_Y).float().mean())
@@ -50,9 +50,9 @@ def test_scenes_of_one_place_share_its_ground():
     shared = make_dataset([one, replace(one)], TINY, val_fraction=0.3)
     apart = make_dataset([one, replace(one, ground=hill())], TINY, val_fraction=0.3)
     assert (len(shared.ground.regions), len(apart.ground.regions)) == (1, 2)
-    assert len(apart.train) == len(shared.train) == 12
-    assert shared.train.places.tolist() == [0] * 12
-    assert apart.train.places.tolist() == [0] * 6 + [1] * 6
+    assert len(apart.train) == len(shared.train) == 14
+    assert shared.train.places.tolist() == [0] * 14
+    assert apart.train.places.tolist() == [0] * 7 + [1] * 7
     for data in (shared, apart):
         low, high = data.ground.bounds[data.train.places].unbind(1)
         positions = data.train.states[:, 0, :, :2].double()

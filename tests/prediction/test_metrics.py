@@ -11,7 +11,7 @@ from geoaim.prediction.metrics import (
     Metric,
     average_seeds,
     bootstrap_interval,
-    bootstrap_nested,
+    bootstrap_trainings,
     compute_metrics,
     concat,
     keep_rates,
@@ -112,7 +112,7 @@ def test_concatenated_metrics_average_over_all_segments():
     assert set(whole) == {"a", "b"}
     assert whole["b"].mean == 1
     assert whole["a"].mean == pytest.approx(1.5)
-    assert "| x | 4 | 2 | 1.5 (" in format_markdown({"x": summarise(whole)})
+    assert "| x | 4 | 2 | 1.5 |" in format_markdown({"x": summarise(whole)})
 
 
 @pytest.mark.parametrize("name", BASELINES)
@@ -160,6 +160,15 @@ def test_one_segment_has_no_interval():
     assert summarise(whole)["a"] == {"mean": 3.0, "count": 2.0, "segments": 1}
     assert list(keep_rates(whole)) == ["b rate"]
     assert format_markdown({"x": summarise(whole)}).endswith("| x | 2 | 1 | 3 | 1 |")
+
+
+def test_intervals_need_ten_segments():
+    few, enough = (
+        summarise({"a": Metric(np.arange(count, dtype=float), np.ones(count))})["a"]
+        for count in (9, 10)
+    )
+    assert "low" not in few
+    assert enough["low"] < enough["mean"] < enough["high"]
 
 
 def test_hidden_lights_change_futures_and_infractions_still_count():
@@ -210,13 +219,13 @@ def spread(trainings, places, *, seed=0):
 
 def test_nested_intervals_are_as_wide_as_trainings_and_places_differ():
     for trainings, places in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)):
-        low, high = bootstrap_nested(spread(trainings, places))
+        low, high = bootstrap_trainings(spread(trainings, places))
         assert (high - low > 0.3) == (trainings + places > 0)
 
 
 def test_places_that_are_hard_for_both_do_not_widen_a_difference():
     hard = spread(0.0, 1.0)
-    low, high = bootstrap_nested(hard, hard)
+    low, high = bootstrap_trainings(hard, hard)
     assert low == pytest.approx(high) == pytest.approx(0)
     with pytest.raises(ValueError, match="1 trainings at 12 places"):
-        bootstrap_nested(hard[:1])
+        bootstrap_trainings(hard[:1])

@@ -182,6 +182,7 @@ def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     assert "│ joint minADE " in done.output
     assert "┃ constant turn rate " in done.output
     assert "| --- |" not in done.output
+    assert "no intervals, which need 10 segments or more" in " ".join(done.output.split())
     done = run(app, ["evaluate", str(tmp_path / "m.tif")])
     assert done.exit_code == 1
 

@@ -99,8 +99,10 @@ def write_windows(folder):
 
 def test_command_trains_on_windows_what_evaluate_takes(tmp_path):
     files = write_windows(tmp_path / "data")
-    done = run(app, ["train", *files, "--steps", "1", "-o", str(tmp_path / "mine")])
+    few = ["--steps", "13", "--batch-size", "4"]
+    done = run(app, ["train", *files, *few, "-o", str(tmp_path / "mine")])
     assert done.exit_code == 0, done.output
+    assert "2 more steps, validated on the way: " in " ".join(done.output.split())
     weights = str(tmp_path / "mine/model.pt")
     assert read_model(tmp_path / "mine/model.pt").config == WITHOUT_MAP
     judged = run(app, ["evaluate", *files, "--weights", weights, "--samples", "20"])

@@ -1,6 +1,7 @@
 import cv2
 import pytest
 
+from benchmarks.prediction import aim_or_hdmap, pretrained
 from benchmarks.prediction.places import DEGRADED_RESOLUTION, MAPS, TEST, TRAIN, read_map
 from geoaim.hdmap.rasterize import SURFACES
 
@@ -10,6 +11,15 @@ def test_training_places_are_not_test_places():
         assert not {seed for seed, _ in train} & {seed for seed, _ in TEST[kind]}
         assert {place for _, place in TEST[kind]} <= {place for _, place in train}
         assert 1 not in {seed for seed, _ in train}  # the bundled sample's
+
+
+def test_no_validation_place_is_seen_in_training_or_judged():
+    for kind, val in pretrained.VAL.items():
+        seeds = {seed for seed, _ in val}
+        assert len(seeds) == len(val)
+        assert not seeds & {seed for seed, _ in (*TRAIN[kind], *TEST[kind], *aim_or_hdmap.TEST)}
+        assert 1 not in seeds  # the bundled sample's
+        assert {place for _, place in val} <= {place for _, place in TRAIN[kind]}
 
 
 @pytest.mark.parametrize("name", MAPS)

@@ -11,6 +11,11 @@ def tracks(place):
     return read_recordings(place)[0].tracks
 
 
+def added(tracks):
+    """Rows of the agents that `add_standing` added."""
+    return [row for row, name in enumerate(tracks.ids) if name.startswith("standing")]
+
+
 @pytest.fixture(autouse=True)
 def short(monkeypatch):
     monkeypatch.setattr(realistic, "STANDING_S", 10.0)
@@ -27,6 +32,25 @@ def test_added_agents_stand_where_no_other_agent_is(tracks):
         others = tracks.states[tracks.present][::5]
         distances = np.hypot(*(others[:, :2] - here[0, :2]).T)
         assert distances.min() > realistic.CLEARANCE_M
+
+
+def test_vehicles_are_added_in_rows_side_by_side(tracks):
+    more = add_standing(tracks, np.random.default_rng(0))
+    poses = np.array([more.states[agent, more.present[agent]][0, :3] for agent in added(more)])
+    gaps = np.hypot(*(poses[1:, :2] - poses[:-1, :2]).T)
+    beside = np.isclose(gaps, realistic.ROW_PITCH_M)
+    assert beside.sum() > 5
+    assert (poses[1:, 2] == poses[:-1, 2])[beside].all()
+
+
+def test_who_stands_keeps_the_heading_despite_detection_noise(tracks):
+    more = add_standing(tracks, np.random.default_rng(0))
+    noisy = add_detection_noise(more, np.random.default_rng(1))
+    for agent in added(more):
+        known = np.isfinite(noisy.observed[agent, :, 2])
+        assert known.sum() > 50
+        assert np.ptp(noisy.observed[agent, known, 2]) == 0
+        assert np.ptp(noisy.observed[agent, known, 0]) > 0.02
 
 
 def test_detection_noise_moves_all_states_and_knows_no_later_row(tracks):

@@ -79,8 +79,7 @@ def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
 
 @pytest.mark.slow
 def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch):
-    for name in ("REALISTIC_TRAIN", "REALISTIC_VAL"):
-        monkeypatch.setattr(pretrained, name, dict.fromkeys(("vehicle", "pedestrian"), ((5, "t"),)))
+    monkeypatch.setattr(pretrained, "VAL", dict.fromkeys(("vehicle", "pedestrian"), ((5, "t"),)))
     monkeypatch.setattr(pretrained, "REALISTIC_STEPS", 1)
     monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
     monkeypatch.setattr(realistic, "PIECE_S", 25.0)
@@ -135,12 +134,17 @@ def test_sind_compares_images_and_hd_maps(place, workspace, monkeypatch):
 
 
 @pytest.fixture
-def stanford_data(tmp_path):
-    """A folder of windows and images of two scenes."""
+def stanford_data(tmp_path, monkeypatch):
+    """A folder of windows and images of three scenes, for tiny trainings."""
     generator = np.random.default_rng(0)
     for folder in ("windows", "images"):
         (tmp_path / "data" / folder).mkdir(parents=True)
-    for scene in ("park_0", "square_1"):
+    for name, config in stanford.MODELS.items():
+        monkeypatch.setitem(stanford.MODELS, name, replace(config, **SMALL))
+    training = replace(stanford.WINDOW_TRAINING, steps=1, batch_size=2)
+    monkeypatch.setattr(stanford, "WINDOW_TRAINING", training)
+    monkeypatch.setattr(stanford, "require_data", lambda name: tmp_path / "data")
+    for scene in ("park_0", "square_1", "square_2"):
         rows = np.column_stack(
             [
                 np.tile(12 * np.arange(WINDOW_STEPS), 4),
@@ -152,7 +156,7 @@ def stanford_data(tmp_path):
         table.to_csv(tmp_path / "data" / "windows" / f"{scene}.csv", index=False)
         pixels = generator.integers(0, 255, (300, 400, 3), np.uint8)
         Image.fromarray(pixels).save(tmp_path / "data" / "images" / f"{scene}.jpg")
-    lines = "scene,metres_per_pixel\npark_0,0.05\nsquare_1,0.05\n"
+    lines = "scene,metres_per_pixel\npark_0,0.05\nsquare_1,0.05\nsquare_2,0.05\n"
     (tmp_path / "data" / "scenes.csv").write_text(lines)
     return tmp_path / "data"
 
@@ -162,12 +166,13 @@ def test_a_plain_network_is_compared_on_scenes_and_on_places(workspace, monkeypa
         "require_data": lambda name: stanford_data,
         "VAL_SCENES": ("park_0",),
         "VAL_PLACES": ("square",),
-        "SEEDS": 1,
+        "SEEDS": 2,
         "TRAINING": replace(stanford_baselines.TRAINING, steps=2, batch_size=2),
     }.items():
         monkeypatch.setattr(stanford_baselines, name, value)
     methods = read_methods(stanford_baselines.run(workspace))
     assert {"six scenes, MLP without map", "three places, constant velocity"} < set(methods)
+    assert {f"three places, {name}" for name in stanford_baselines.COMPARED} < set(methods)
 
 
 def test_the_plain_network_learns_to_turn():
@@ -179,7 +184,7 @@ def test_the_plain_network_learns_to_turn():
         patch.setattr(stanford_baselines, "TRAINING", training)
         network = stanford_baselines.train_modes(segments, seed=0)
     given = {"history": 8, "samples": 20, "generator": torch.Generator()}
-    futures = network.sample(segments, hill(), **given)
+    futures = stanford_baselines.make_predictor(network)(segments, hill(), **given)
     straight = BASELINES["constant velocity"](segments, hill(), **given)
     truth = segments.states[:, None, :, 8:, :2]
     errors = [
@@ -192,13 +197,7 @@ def test_the_plain_network_learns_to_turn():
 def test_stanford_trains_on_other_scenes_than_it_evaluates_on(
     workspace, monkeypatch, stanford_data
 ):
-    for name, value in {
-        "require_data": lambda name: stanford_data,
-        "VAL_SCENES": ("park_0",),
-        "SEEDS": {"map": 2, "no map": 1},
-        "WINDOW_TRAINING": replace(stanford.WINDOW_TRAINING, steps=1, batch_size=2),
-        "MODELS": {name: replace(config, **SMALL) for name, config in stanford.MODELS.items()},
-    }.items():
+    for name, value in {"VAL_SCENES": ("park_0",), "SEEDS": {"map": 2, "no map": 1}}.items():
         monkeypatch.setattr(stanford, name, value)
     torch.manual_seed(0)
     methods = read_methods(stanford.run(workspace))
