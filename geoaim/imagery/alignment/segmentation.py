@@ -51,18 +51,18 @@ def find_parts(imagery: AIM, aim: AIM, prior: Prior) -> Labels | None:
     """
     found = list[ImageryAlignment]()
     for depth in range(SPLITS + 1):
-        for box in _split_evenly(imagery, 2**depth):
+        for box in _mark_rectangles(imagery, 2**depth):
             _add_places(found, imagery, aim, prior, box)
     places = _merge_places(found, imagery.resolution)
     labels = _divide_pixels(imagery, aim, places)
     if labels is None:
-        return _set_unconfirmed_apart(imagery, aim, places[:1])
+        return _separate_unconfirmed(imagery, aim, places[:1])
     refined = _align_again(imagery, aim, prior, labels)
     _add_places(refined, imagery, aim, prior, np.ones(imagery.coverage.shape, bool))
     return _divide_pixels(imagery, aim, _merge_places(refined, imagery.resolution)) or labels
 
 
-def _set_unconfirmed_apart(
+def _separate_unconfirmed(
     imagery: AIM, aim: AIM, places: Sequence[ImageryAlignment]
 ) -> Labels | None:
     """Make parts of large regions where nothing agrees with the only place that was found."""
@@ -91,7 +91,7 @@ def _align_again(imagery: AIM, aim: AIM, prior: Prior, labels: Labels) -> list[I
     return refined
 
 
-def _split_evenly(imagery: AIM, count: int) -> Iterator[Bool[Array, "H W"]]:
+def _mark_rectangles(imagery: AIM, count: int) -> Iterator[Bool[Array, "H W"]]:
     """Mark the pixels of each of `count` x `count` rectangles."""
     height, width = imagery.coverage.shape
     rows, columns = (np.linspace(0, size, count + 1).astype(int) for size in (height, width))
