@@ -108,8 +108,8 @@ def test_command_prints_metrics_as_json_or_as_a_table(folder, tmp_path):
     assert report["windows"] == 10
     assert {"minADE_px", "minFDE_px", "minADE_m", "minFDE_m"} < set(report)
     done = CliRunner().invoke(app, command)
-    assert "| model |" in done.stdout
-    assert "| constant velocity |" in done.stdout
+    assert "┃ model " in done.output
+    assert "┃ constant velocity " in done.output
     done = CliRunner().invoke(app, [part for part in command if part not in command[3:5]])
     assert done.exit_code == 0, done.output
     assert "without --images it gets a uniform grey one" in " ".join(done.output.split())
