@@ -2,8 +2,9 @@
 
 Generators that share no code, in whose clips queues stand for 60 % of the time and further cars
 follow when they leave. The rules were chosen on seeds 0, 1, 4 and 5 of minsk_junction,
-munich_mos074, the drawn road and the hover video; the figures are of other seeds, and of a place
-(munich_street02) that was kept for them. Every method gets the same frames with true transforms.
+munich_mos074, the drawn road and the hover video, those of doubt on seeds 0, 1 and 4 of
+minsk_junction and the road before a signal and on seed 0 of munich_street02, which was kept for the
+test before. The figures are of other seeds. Every method gets the same frames with true transforms.
 """
 
 import time

@@ -2,9 +2,12 @@
 
 from benchmarks.prediction import (
     aim_or_hdmap,
+    known_views,
+    latent_scales,
     observed_states,
     pedestrians,
     pretrained,
+    robust,
     sind,
     songdo,
     standing,
@@ -20,6 +23,9 @@ EXPERIMENTS = {
     "pedestrians": pedestrians.run,
     "vehicles": vehicles.run,
     "standing": standing.run,
+    "robust": robust.run,
+    "known_views": known_views.run,
+    "latent_scales": latent_scales.run,
     "stanford": stanford.run,
     "stanford_baselines": stanford_baselines.run,
     "songdo": songdo.run,

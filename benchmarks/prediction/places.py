@@ -141,6 +141,23 @@ def add_blur_and_noise(
     return np.clip(blurred + resized, 0, 1).astype(np.float32)
 
 
+def misplace_map(aim: AIM, *, shift: float = 0.0, scale: float = 1.0) -> AIM:
+    """Place a map wrongly.
+
+    Args:
+        aim: the map.
+        shift: metres by which it is moved to the north-east.
+        scale: factor by which it is resized about its middle.
+
+    Returns:
+        The map.
+    """
+    matrix, middle = aim.world_from_image.copy(), aim.corners.mean(axis=0)
+    matrix[:2] *= scale
+    matrix[:2, 2] += (1 - scale) * middle + shift / np.sqrt(2)
+    return replace(aim, world_from_image=matrix)
+
+
 def make_place_scene(
     recording: PlaceRecording, aim: AIM, *, dt: float, lights: bool = True
 ) -> Scene:

@@ -133,15 +133,11 @@ def add_standing(tracks: Tracks, generator: np.random.Generator) -> Tracks:
         reach = CLEARANCE_M + max(STANDING_SIZES[kind]) / 4
         wanted = len(kinds) + count
         for place in generator.uniform(low, high, (20 * count, 2)):
-            along = paths[np.hypot(*(paths[:, :2] - place).T).argmin(), 2]
-            turn = generator.choice([along, generator.uniform(-np.pi, np.pi)])
-            length = 1 if kind == "pedestrian" else generator.integers(1, MAX_ROW + 1)
-            steps = ROW_PITCH_M * np.arange(min(length, wanted - len(kinds)))
-            row = place + steps[:, None] * [-np.sin(turn), np.cos(turn)]
-            near_paths = np.hypot(*(paths[:, None, :2] - row).T).min(axis=1) <= reach
-            near_others = (np.hypot(*(poses[:, None, :2] - row).T) <= reach).any(axis=1)
-            row = row[~near_paths & ~near_others]
-            poses = np.vstack([poses, np.column_stack([row, np.full(len(row), turn)])])
+            row = _draw_row(place, kind, paths, generator)[: wanted - len(kinds)]
+            for others in (paths, poses):
+                away = np.hypot(*(others[:, None, :2] - row[:, :2]).T) > reach  # (row, others)
+                row = row[away.all(axis=1)]
+            poses = np.vstack([poses, row])
             kinds += [kind] * len(row)
             latest = tracks.times[-1] - STANDING_S
             starts += [generator.uniform(tracks.times[0], latest)] * len(row)
@@ -202,6 +198,18 @@ def read_realistic_map(place: Path, name: str) -> AIM:
         return _spoil(place, _read_later(place) if name == "bad later" else read_map(place, "aim"))
     readers = {"drawn": lambda place: read_map(place, "aim"), "later": _read_later}
     return (readers | {"video": _read_video})[name](place)
+
+
+def _draw_row(
+    place: Float[Array, "2"], kind: str, paths: Float[Array, "_ 4"], generator: np.random.Generator
+) -> Float[Array, "_ 3"]:
+    """Draw the poses of vehicles side by side, or of one pedestrian."""
+    along = paths[np.hypot(*(paths[:, :2] - place).T).argmin(), 2]
+    turn = generator.choice([along, generator.uniform(-np.pi, np.pi)])
+    length = 1 if kind == "pedestrian" else generator.integers(1, MAX_ROW + 1)
+    steps = ROW_PITCH_M * np.arange(length)
+    points = place + steps[:, None] * [-np.sin(turn), np.cos(turn)]
+    return np.column_stack([points, np.full(length, turn)])
 
 
 def _draw_drift(shape: tuple[int, ...], generator: np.random.Generator) -> Float[Array, "N T 2"]:

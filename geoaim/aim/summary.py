@@ -24,7 +24,7 @@ def summarize_report(report: Mapping[str, Any]) -> Lines:
     if registration := report.get("registration"):
         lines["motion model"] = registration["model"]
         lines["registered frames"] = f"{registration['valid']} of {registration['frames']}"
-        lines["registration"] = f"{registration['uncertainty_px']:.3f} px (1 sigma, corners)"
+        lines["registration"] = f"{registration['uncertainty_px']:.3f} px (1 sigma, over the image)"
     if background := report.get("background"):
         lines["background"] = f"{background['method']} of {background['frames_used']} frames"
         lines["contested"] = _summarize_contested(background)

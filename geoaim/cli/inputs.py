@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from geoaim.tracks.tracks import Tracks
     from geoaim.web.explore import Contents
 
-DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0}  # how long futures are predicted
+# how long futures are predicted
+DEFAULT_DURATIONS_S = {"vehicle": 4.0, "pedestrian": 8.0, "cyclist": 6.0}
+PRETRAINED_KINDS = "vehicles", "pedestrians"
 
 
 @dataclass(frozen=True)
@@ -115,12 +117,19 @@ def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
     """Load the model of a file; None: the pretrained one of `kind` ("vehicles" if None).
 
     Raises:
-        ValueError: the file's model predicts agents of another kind than the given one.
+        ValueError: the file's model predicts agents of another kind than the given one, or there
+            is no pretrained one.
     """
     from geoaim.prediction.checkpoints import read_model, read_pretrained
 
     if weights is None:
-        return read_pretrained((kind or "vehicles").removesuffix("s"))
+        kind = kind or "vehicles"
+        if kind not in PRETRAINED_KINDS:
+            raise ValueError(
+                f"no model of {kind} comes with geoaim; train one with geoaim train --kind {kind} "
+                "--scratch, and give --weights"
+            )
+        return read_pretrained(kind.removesuffix("s"))
     model = read_model(weights)
     kinds = f"{model.config.kind}s"
     if kind not in (None, kinds):
@@ -131,8 +140,8 @@ def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
 def get_horizon(model: "ITRA", duration: float | None = None) -> int:
     """Get the number of steps, at least 1, in a predicted duration (s, rounded to steps).
 
-    For None, it is the horizon of the model's proposals, or else 4 s for vehicles and 8 s for
-    pedestrians.
+    For None, it is the horizon of the model's proposals, or else 4 s for vehicles, 8 s for
+    pedestrians and 6 s for cyclists.
     """
     config = model.config
     if duration is None and config.horizon:

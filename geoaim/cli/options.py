@@ -55,7 +55,7 @@ WindowScenes = Annotated[
     Path | None, typer.Option(help="table of the windows' scenes: scene, metres_per_pixel")
 ]
 
-AgentKind = Literal["vehicles", "pedestrians"]
+AgentKind = Literal["vehicles", "pedestrians", "cyclists"]
 Kind = Annotated[AgentKind, typer.Option(help="agents that the model predicts")]
 WeightsFile = Annotated[
     Path | None, typer.Option("--weights", help="model.pt; the pretrained model if omitted")

@@ -26,8 +26,8 @@ def predict(
     duration: Annotated[
         float | None,
         typer.Option(
-            help="predicted time, s; 4 for vehicles and 8 for pedestrians if omitted. A model with "
-            "trajectory proposals has a fixed one",
+            help="predicted time, s; 4 for vehicles, 8 for pedestrians and 6 for cyclists if "
+            "omitted. A model with trajectory proposals has a fixed one",
             min=0.1,
         ),
     ] = None,

@@ -64,7 +64,9 @@ def train(
     ] = None,
     segment_duration: Annotated[
         float | None,
-        typer.Option(help="seconds of a training segment; 4 of vehicles, 12 of pedestrians"),
+        typer.Option(
+            help="seconds of a training segment; 4 of vehicles, 12 of pedestrians, 8 of cyclists"
+        ),
     ] = None,
     view_size: Annotated[
         int | None, typer.Option(help="side of a view, pixels, with --scratch", min=8)

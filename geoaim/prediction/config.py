@@ -9,9 +9,10 @@ from geoaim.prediction.observation import ObservationView
 from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M
 
 MAX_HISTORY_STEPS = 10  # observed steps that a model gets at most, as in the paper
-# length of a training segment: 4 s and 12 s, as in the paper
-SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30}
-SEGMENT_STRIDES = {"vehicle": 20, "pedestrian": 5}  # steps from one segment's start to the next
+# length of a training segment: 4 s and 12 s, as in the paper; cyclists are not in it
+SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30, "cyclist": 40}
+# steps from one segment's start to the next
+SEGMENT_STRIDES = {"vehicle": 20, "pedestrian": 5, "cyclist": 10}
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,7 @@ class Config:
     """Hyperparameters of an ITRA model.
 
     Attributes:
-        kind: group of the agents that the model controls, "vehicle" or "pedestrian".
+        kind: group of the agents that the model controls, "vehicle", "pedestrian" or "cyclist".
         motion: kinematic model: "bicycle", "unicycle", or "slide" for tracks of positions without
             measured headings.
         dt: time between steps, s.
@@ -36,6 +37,8 @@ class Config:
         hidden_size: width of the GRU's hidden state.
         feature_size: width of an encoded view.
         latent_size: width of the latent z.
+        latent_scale: standard deviation of latents when futures are sampled; 1 as in training. With
+            less, samples lie closer together.
         sigma: standard deviation of states in the likelihood, metres.
         heading_scale: an error of 1 rad counts as this many metres in the likelihood: half an
             agent's length.
@@ -57,6 +60,7 @@ class Config:
     hidden_size: int = 128
     feature_size: int = 96
     latent_size: int = 8
+    latent_scale: float = 1.0
     sigma: float = 0.2
     heading_scale: float = 2.0
     num_anchors: int = 0
@@ -90,6 +94,17 @@ DEFAULT_CONFIGS = {
         resolution=0.5,
         view_stride=3,
         heading_scale=0.25,
+    ),
+    # not tuned: the motion and rate of vehicles at the size of a bicycle
+    "cyclist": Config(
+        kind="cyclist",
+        motion="bicycle",
+        dt=0.2,
+        view_size=48,
+        resolution=0.75,
+        view_stride=3,
+        light_width=8.0,
+        heading_scale=1.0,
     ),
 }
 
@@ -129,7 +144,7 @@ def configure_training(group: str, *, steps: int, batch_size: int, seed: int = 0
     """Configure the training of a new model.
 
     Args:
-        group: group of the agents that the model controls: "vehicle" or "pedestrian".
+        group: group of the agents that the model controls, a key of `DEFAULT_CONFIGS`.
         steps: number of optimiser steps.
         batch_size: segments of a step.
         seed: random seed.
@@ -145,7 +160,7 @@ def configure_fine_tuning(group: str, *, steps: int, batch_size: int, seed: int 
     """Configure the fine-tuning of a trained model: a low learning rate, and no warm-up.
 
     Args:
-        group: group of the agents that the model controls: "vehicle" or "pedestrian".
+        group: group of the agents that the model controls, a key of `DEFAULT_CONFIGS`.
         steps: number of optimiser steps.
         batch_size: segments of a step.
         seed: random seed.

@@ -23,7 +23,7 @@ def cut_segments(
 
     Args:
         scene: a scene whose steps are evenly spaced.
-        group: "vehicle" or "pedestrian"; other agents replay.
+        group: "vehicle", "pedestrian" or "cyclist"; other agents replay.
         steps: number of steps of each segment.
         stride: steps from one segment's start to the next.
         joint: one segment for each start, in which all agents of the group that are present at all
@@ -67,7 +67,7 @@ def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int)
     Args:
         scene: with steps at even intervals. What agents do after `start` is not used: they keep
             speed and heading. Beyond the scene's end lights keep their states.
-        group: "vehicle" or "pedestrian".
+        group: "vehicle", "pedestrian" or "cyclist".
         dt: time between steps, s; needed because a scene of one step has none.
         steps: half-open slice of the segment's steps, as indices of the scene's; it may end beyond
             the scene.

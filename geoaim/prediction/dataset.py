@@ -42,7 +42,7 @@ def make_dataset(
 
     Args:
         scenes: scenes with the config's dt; scenes of one place hold the same `Ground` object.
-        config: the model's configuration: its agent kind ("vehicle" or "pedestrian") and its view.
+        config: the model's configuration: its agent kind and its view.
         val_fraction: share of each scene's steps, at its end, for validation.
         val_scenes: scenes to validate with, whole; if there are any, the others are for training
             alone.

@@ -114,10 +114,7 @@ class ITRA(nn.Module):
             ValueError: the segments do not fit the model.
         """
         batch = index_batch(self.config, segments, ground, history)
-        truth, actions = (
-            batch.truth,
-            normalise_actions(self.motion, batch),
-        )  # (E, T, 4), (E, T - 1, 2)
+        truth, actions = batch.truth, normalise_actions(self.motion, batch)
         rollout, anchor_loss = self._start(batch, actions), truth.new_zeros(())
         predicted, kl = [], []
         for step in range(history - 1, segments.steps - 1):
@@ -157,7 +154,7 @@ class ITRA(nn.Module):
             history: observed steps.
             samples: K futures to draw.
             generator: source of the noise, on the segments' device.
-            latent_scale: factor on the prior's standard deviation.
+            latent_scale: a further factor on latents; 0: all samples are alike.
 
         Returns:
             States x, y (m), heading (rad), speed (m/s) of all agents at all steps, the observed
@@ -229,9 +226,10 @@ class ITRA(nn.Module):
         return repeat_rollout(rollout, samples)
 
     def draw_latent(self, rollout: Rollout, generator: torch.Generator) -> Float[Tensor, "E Z"]:
-        """Draw the latents of a step of all controlled agents from the prior."""
+        """Draw the latents of a step of all controlled agents: the prior, times `latent_scale`."""
         shape = len(rollout.hidden), self.config.latent_size
-        return torch.randn(shape, generator=generator, device=rollout.hidden.device)
+        noise = torch.randn(shape, generator=generator, device=rollout.hidden.device)
+        return self.config.latent_scale * noise
 
     def step(self, rollout: Rollout, latent: Float[Tensor, "E Z"] | None = None) -> Rollout:
         """Move all controlled agents by one step; all others are where the segments have them.

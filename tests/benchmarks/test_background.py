@@ -1,7 +1,9 @@
+import cv2
 import numpy as np
 import pytest
 
 from benchmarks.background import benchmark as background_results
+from benchmarks.background import crops
 from benchmarks.background import real as background_real
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import (
@@ -108,3 +110,12 @@ def test_a_signal_holds_a_queue_in_the_middle_of_the_clip_and_the_ground_is_seen
     stood = clip.share > 0.8  # before, while and after the signal is red
     shares = [same[part][:, stood].mean() for part in (slice(0, 3), slice(8, 11), slice(16, 19))]
     assert shares[1] > 0.9 > 0.7 > max(shares[0], shares[2])
+
+
+def test_crops_show_a_frame_the_median_and_the_background(monkeypatch, tmp_path):
+    short = film_signal(standing=0.6, seed=0, count=6)
+    monkeypatch.setattr(crops, "film_signal", lambda **_: short)
+    crops.main(tmp_path / "crops.png")
+    picture = cv2.imread(str(tmp_path / "crops.png"))[..., ::-1]
+    assert (picture[:200] == short.frames[3][crops.CROP]).all()
+    assert picture.shape == (3 * 200 + 2 * crops.GAP_PX, 480, 3)

@@ -102,6 +102,15 @@ def test_samples_differ_and_equal_seeds_give_equal_samples():
     assert (ends[0] - ends[1]).norm() > 1e-4
 
 
+def test_a_smaller_scale_of_latents_brings_samples_closer_together():
+    segments, spreads = drive(10), []
+    for scale in (1.0, 0.5, 0.0):
+        itra = model(replace(TINY, latent_scale=scale)).eval()
+        futures = itra.sample(segments, hill(), history=2, samples=8, generator=noise())
+        spreads.append(float(futures[:, :, 0, -1, :2].std(dim=1).sum()))
+    assert spreads[0] > spreads[1] > spreads[2] == 0
+
+
 def test_each_sample_follows_another_proposal():
     itra, segments = model(KINDS["slide with proposals"]).eval(), drive(7, 1)
     states = itra.sample(

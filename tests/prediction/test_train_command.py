@@ -118,6 +118,23 @@ def test_command_trains_on_windows_what_evaluate_takes(tmp_path):
         assert message in " ".join(refused.output.split())
 
 
+def test_models_of_cyclists_are_trained_from_scratch(aim, tmp_path):
+    given = [str(aim), "--tracks", "samples/tracks.csv", "--kind", "cyclists"]
+    mine = ["-o", str(tmp_path / "mine"), "--steps", "1", "--batch-size", "2"]
+    short = ["--segment-duration", "3", "--val-fraction", "0.5", "--scratch"]
+    done = run(app, ["train", *given, *mine, *short])
+    assert done.exit_code == 0, done.output
+    assert read_model(tmp_path / "mine/model.pt").config.kind == "cyclist"
+    weights = ["--weights", str(tmp_path / "mine/model.pt"), "--samples", "2"]
+    futures = tmp_path / "futures.csv"
+    done = run(app, ["predict", *given, *weights, "--at", "50", "-o", str(futures)])
+    assert done.exit_code == 0, done.output
+    assert "cyclist" in futures.read_text()
+    refused = run(app, ["predict", *given, "-o", str(futures)])
+    assert refused.exit_code == 1
+    assert "no model of cyclists comes with geoaim" in " ".join(refused.output.split())
+
+
 def test_command_trains_on_a_table_of_recordings(aim, tmp_path, monkeypatch):
     monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 4)
     tracks = geoaim.read_tracks("samples/tracks.csv")

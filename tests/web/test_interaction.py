@@ -167,3 +167,33 @@ def test_frames_per_pixel_have_a_legend(shown):
     shown.get_by_label("frames per pixel").check()
     assert legend.is_visible()
     assert " ".join(legend.inner_text().split()) == "0 40 frames"
+
+
+def test_imagery_is_moved_by_hand_and_says_how_far(shown, aim):
+    east, north = (aim.world_from_image @ [440.0, 640.0, 1.0])[:2]
+    colour = 255 - np.array([640 % 256, 440 % 256, 1080 % 256])
+    shown.get_by_label("AIM", exact=True).uncheck()
+    shown.get_by_label("tracks", exact=True).uncheck()
+    x, y = locate(shown, east, north)
+    assert find_colour(shown, (x, y), colour)
+    shown.get_by_label("move imagery by hand").check()
+    shown.mouse.move(x, y)
+    shown.mouse.down()
+    shown.mouse.move(x + 40, y - 20, steps=4)
+    assert find_colour(shown, (x + 40, y - 20), colour)  # while it is dragged
+    shown.mouse.up()
+    assert find_colour(shown, (x + 40, y - 20), colour)
+    assert locate(shown, east, north) == pytest.approx([x, y], abs=0.5)  # the map stays
+    metres = shown.evaluate("geoaim.view.getResolution()")
+    text = shown.locator(".moved").text_content()
+    moved = [float(number) for number in text.removeprefix("geoaim align --shift ").split(",")]
+    assert moved == pytest.approx([40 * metres, 20 * metres], abs=0.02)
+    shown.keyboard.press("ArrowRight")
+    text = shown.locator(".moved").text_content()
+    assert float(text.split()[-1].split(",")[0]) == pytest.approx(moved[0] + 0.1, abs=0.011)
+    shown.get_by_label("move imagery by hand").uncheck()
+    shown.mouse.move(x, y)
+    shown.mouse.down()
+    shown.mouse.move(x + 30, y, steps=4)
+    shown.mouse.up()
+    assert locate(shown, east, north)[0] > x + 10  # the map moves again

@@ -38,7 +38,6 @@ BASES: dict[str, tuple[tuple[str, str, bool], ...]] = {
         ("splines", "fields", False),
     ),
 }
-CORNERS = [0, 4, 24, 20]  # indices of the points of `make_check_points` that are corners
 TEST_STEP = 0.3  # how far levels of the test split lie towards the next level
 
 

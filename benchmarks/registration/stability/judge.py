@@ -8,12 +8,12 @@ import pandas as pd
 from jaxtyping import Float
 from numpy import ndarray as Array
 
-from benchmarks.registration.stability.clips import CORNERS, Clip, list_cases, make_check_points
+from benchmarks.registration.stability.clips import Clip, list_cases, make_check_points
 from geoaim.base.geometry import transform_points
 
 MAX_RIGHT_ERROR_PX = 1.0
-# The stated uncertainty is the RMS displacement of the corners. The factor to its 95 % region is
-# that of a displacement common to all corners: chi-squared with two degrees of freedom.
+# The stated uncertainty is the RMS displacement over the image. The factor to its 95 % region is
+# that of a displacement common to all points: chi-squared with two degrees of freedom.
 TO_95 = float(np.sqrt(5.991 / 2))
 MAX_UNDERSTATEMENT = 5.0
 FAR_PX = 10.0
@@ -38,11 +38,11 @@ def judge_frames(
         clip: the clip.
         reference: number of the frame to which the others are registered.
         matrices: (T, 3, 3) reference_from_frame, NaN where rejected.
-        uncertainty: (T,) stated standard deviation of the corners, px; None where not stated.
+        uncertainty: (T,) stated standard deviation over the image, px; None where not stated.
 
     Returns:
         A row for each frame: index; error and floor (largest over the points), rms (over the
-        corners) and stated (the method's own uncertainty), px; verdict, one of `VERDICTS`.
+        points) and stated (the method's own uncertainty), px; verdict, one of `VERDICTS`.
     """
     grid, rows = make_check_points(clip.size), []
     for index, matrix in enumerate(matrices):
@@ -55,7 +55,7 @@ def judge_frames(
         row = {
             "index": index,
             "error": float(error.max()),
-            "rms": float(np.sqrt((error[CORNERS] ** 2).mean())),
+            "rms": float(np.sqrt((error**2).mean())),
             "floor": float(np.linalg.norm(transform_points(best, grid) - truth, axis=1).max()),
             "stated": stated,
         }
@@ -68,8 +68,8 @@ def decide_verdict(error: float, rms: float, stated: float) -> str:
 
     Args:
         error: largest over the frame, px; NaN where rejected.
-        rms: root mean square over the corners, px.
-        stated: standard deviation of the corners, px; NaN where the method states none.
+        rms: root mean square over the points, px.
+        stated: standard deviation over the image, px; NaN where the method states none.
 
     Returns:
         One of `VERDICTS`: "wrong but uncertain" if the stated 95 % region contains the error,

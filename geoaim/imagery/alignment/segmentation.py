@@ -71,7 +71,8 @@ def _separate_unconfirmed(
     matrix = aim.grid.grid_from_world @ imagery.world_from_image
     ground = sample_nearest(aim.coverage, matrix, imagery.coverage.shape) > 0
     ground &= imagery.coverage > 0
-    rest = _find_large(ground & ~_mark_windows(imagery, places[0]))
+    side = np.sqrt(MIN_PART_SHARE * ground.size)
+    rest = _find_large(ground & ~_mark_windows(imagery, places[0]), side)
     numbers = np.ones(ground.shape, np.uint16)
     names = ["part 1"]
     for number in range(1, int(rest.max()) + 1):
@@ -181,17 +182,18 @@ def _divide_pixels(imagery: AIM, aim: AIM, found: Sequence[ImageryAlignment]) ->
     for number, index in enumerate(kept, 1):
         agreeing |= _mark_windows(imagery, found[index]) & (numbers == number)
     names = [f"part {number}" for number in range(1, len(kept) + 1)]
-    rest = _find_large((imagery.coverage > 0) & ~agreeing)
+    side = found[0].window_side / imagery.resolution  # a window fits in, and none agrees
+    rest = _find_large((imagery.coverage > 0) & ~agreeing, side)
     for number in range(1, int(rest.max()) + 1):
         numbers[rest == number] = len(names) + 1
         names.append(f"part {len(names) + 1}")
     return Labels(numbers, names, [found[index] for index in kept])
 
 
-def _find_large(mask: Bool[Array, "H W"]) -> UInt16[Array, "H W"]:
-    """Number the connected regions of a mask that are large enough to be parts, from 1."""
-    side = int(np.sqrt(MIN_PART_SHARE * mask.size))
-    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((side, side)))
+def _find_large(mask: Bool[Array, "H W"], side: float) -> UInt16[Array, "H W"]:
+    """Number the connected regions of a mask that hold a square of so many pixels, from 1."""
+    square = np.ones((max(int(side), 1),) * 2, np.uint8)
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
     return cv2.connectedComponents(opened, ltype=cv2.CV_16U)[1]
 
 

@@ -18,7 +18,7 @@ from geoaim.mapping.background.stacks import (
     Masks,
     Stack,
     average_at,
-    average_selected,
+    average_stack,
     find_alike,
     find_pixels,
     measure_difference,
@@ -133,7 +133,7 @@ def remove_outlines(
     clear = np.empty_like(masks)
     for mask, visible, free in zip(masks, seen, clear, strict=True):
         free[:] = visible & (cv2.dilate(mask.view(np.uint8), OUTLINE_WINDOW) == 0)
-    mean = average_selected(stack, clear, background)
+    mean = average_stack(stack, clear, background)
     differs = (measure_difference(mean, background) > threshold).view(np.uint8)
     thin = differs - cv2.morphologyEx(differs, cv2.MORPH_OPEN, SQUARE)
     return np.where(((thin > 0) & (clear.sum(0) >= MIN_REPEATS))[..., None], mean, background)

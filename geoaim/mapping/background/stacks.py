@@ -99,7 +99,7 @@ def average_at(
     return np.where(count > 0, np.rint(total / np.maximum(count, 1)), default).astype(np.uint8)
 
 
-def average_selected(stack: Stack, selected: Masks, default: Image) -> Image:
+def average_stack(stack: Stack, selected: Masks, default: Image) -> Image:
     """Average the selected frames at every pixel.
 
     Args:

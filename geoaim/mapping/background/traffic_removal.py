@@ -52,7 +52,7 @@ from geoaim.mapping.background.stacks import (
     Pixels,
     Stack,
     average_at,
-    average_selected,
+    average_stack,
     compute_median,
     estimate_noise,
     find_alike,
@@ -128,7 +128,7 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
     contested |= find_seams(stack, seen, background, threshold)
     masks = _dilate(masks, seen)
     mask_outliers(stack, seen & ~contested, masks, background, threshold)
-    return Traffic(masks, contested, average_selected(stack, seen & ~masks, background))
+    return Traffic(masks, contested, average_stack(stack, seen & ~masks, background))
 
 
 def _summarise_votes(

@@ -36,7 +36,7 @@ class Placements:
 
     matrices: Float[Array, "T 3 3"]  # (T, 3, 3) reference_from_frame, pixels; NaN where rejected
     seconds: Float[Array, " T"]  # (T,) processor time of each frame
-    stated: Float[Array, " T"]  # (T,) uncertainty of the corners, pixels
+    stated: Float[Array, " T"]  # (T,) uncertainty over the image, pixels
     reference: Reference  # the frame that they are registered to
 
 

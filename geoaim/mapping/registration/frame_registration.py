@@ -22,7 +22,7 @@ from geoaim.mapping.registration.patches import (
     PatchTemplate,
     align_patches,
     make_template,
-    predict_corner_uncertainty,
+    predict_uncertainty,
     shrink_image,
 )
 from geoaim.mapping.registration.placement_comparison import Overview, make_overview
@@ -40,16 +40,19 @@ MIN_INLIERS = 16  # inliers without which a frame is rejected, of about 300 patc
 MIN_INLIER_SHARE = 0.2  # share of the patches in view that must be inliers
 SUFFICIENT_INLIER_SHARE = 0.5  # the search is not widened at this share or more
 UNDOUBTED_INLIER_SHARE = 0.7  # a placement with a smaller share is always compared with others
-MAX_CORNER_UNCERTAINTY_PX = 10.0
-# chosen on the validation part of `benchmarks.registration.stability`: without it, 90 % of the
-# frames with an estimated 0.02 to 0.04 px are off by less than 1.6 times that, with 0.15 to
-# 0.25 px by less than 8
-UNCERTAINTY_INFLATION_PX = 0.12
+MAX_UNCERTAINTY_PX = 10.0  # over the image, beyond which a frame is rejected
+# chosen on the validation part of `benchmarks.registration.stability`
+UNCERTAINTY_INFLATION_PX = 0.12  # spread of the fit that is widened twofold
+MAX_INFLATION = 6.0  # factor by which the spread is widened at most
 INTERPOLATION_ERROR_PX = 0.012  # lower bound of the uncertainty
 BASE_RESIDUAL_PX = 0.08  # residual of plain video, which widens nothing
-RESIDUAL_INFLATION_PX = 0.2  # residual that widens the uncertainty by nearly as much
+RESIDUAL_INFLATION_PX = 0.3  # residual that widens the uncertainty by nearly as much
+MAX_MISLED_RATIO = 2.5  # largest widening by residuals, over the residual
+FROZEN_RATIO = 3.0  # the same where compression has frozen a part of the image
 MISFIT_QUANTILE = 0.8  # of the residuals, so that a fifth of the patches may lie on vehicles
+FROZEN_QUANTILE = 0.25  # of the residuals, which a real image does not make smaller than 0.012 px
 MAX_MISFIT_PX = 4.0  # a larger residual is another motion
+GRID = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 1, 5)), -1).reshape(-1, 2)
 MIN_OVERLAP = 0.55  # share of a keyframe's patches in view, below which another keyframe is made
 
 
@@ -61,7 +64,7 @@ class FrameRegistration:
     reason: str  # why it is rejected; empty if it is not
     quality: float  # median correlation of the patches with the frame, 0 to 1
     inlier_share: float  # share of inliers among the patches in view
-    uncertainty: float  # standard deviation of the transformed image corners, pixels
+    uncertainty: float  # standard deviation over the image, root mean square, pixels
     # placement that fits what moves by itself; None if nothing does, or if it was not looked for
     other_placement: Float[Array, "3 3"] | None = None
 
@@ -81,7 +84,7 @@ class Keyframe:
     overview: Overview  # its small image, in which other placements of a frame are found
     # transform in pixels; the identity for the reference itself
     reference_from_keyframe: Float[Array, "3 3"]
-    uncertainty: float  # standard deviation of the transformed image corners, pixels
+    uncertainty: float  # standard deviation over the image, root mean square, pixels
 
 
 def register_frame(
@@ -151,7 +154,7 @@ def make_keyframe(
         features: its ORB features.
         detections: vehicles to leave out.
         reference_from_keyframe: its transform to the reference, pixels.
-        uncertainty: uncertainty of that transform at the image corners, pixels.
+        uncertainty: uncertainty of that transform over the image, pixels.
 
     Returns:
         The keyframe.
@@ -163,7 +166,7 @@ def make_keyframe(
         make_template(frame.grey, factor=factor, exclude=exclude),
         make_template(frame.grey, exclude=exclude),
         features,
-        make_overview(shrink_image(frame.grey, factor), scale=1 / factor),
+        make_overview(shrink_image(frame.grey, factor), scale=1 / factor, exclude=exclude),
         reference_from_keyframe,
         uncertainty,
     )
@@ -236,8 +239,9 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
     in_view, inliers = int(alignment.in_view.sum()), int(alignment.inliers.sum())
     share = inliers / max(in_view, 1)
     quality = float(np.median(alignment.correlation[alignment.in_view]))
-    spread = predict_corner_uncertainty(keyframe.fine, alignment.motion)
-    stated = _widen_uncertainty(spread, _measure_misfit(alignment))
+    size = keyframe.fine.width, keyframe.fine.height
+    spread = predict_uncertainty(keyframe.fine, alignment.motion, GRID * size)
+    stated = _widen_uncertainty(spread, *_measure_misfit(alignment))
     total = float(np.hypot(stated, keyframe.uncertainty))
     reason = ""
     if in_view < MIN_INLIERS:
@@ -246,29 +250,38 @@ def _check_alignment(keyframe: Keyframe, alignment: PatchAlignment | None) -> Fr
         reason = f"too few inliers: {inliers} of {in_view} patches agree"
     elif not alignment.converged:
         reason = "the alignment did not converge"
-    elif not stated <= MAX_CORNER_UNCERTAINTY_PX:
-        reason = f"badly spread inliers: corners uncertain by {stated:.1f} px"
+    elif not stated <= MAX_UNCERTAINTY_PX:
+        reason = f"badly spread inliers: uncertain by {stated:.1f} px"
     matrix = keyframe.reference_from_keyframe @ alignment.matrix
     matrix = np.full((3, 3), np.nan) if reason else matrix / matrix[2, 2]
     return FrameRegistration(matrix, reason, quality, share, total)
 
 
-def _measure_misfit(alignment: PatchAlignment) -> float:
-    """Residual of the patches that match, px; NaN without any."""
+def _measure_misfit(alignment: PatchAlignment) -> tuple[float, bool]:
+    """Residual of the patches that match, px, NaN without any; and whether a part is frozen.
+
+    Strong compression repeats blocks of an earlier frame: they fit better than an image can.
+    """
     matches = alignment.correlation[alignment.fitted] > MIN_INLIER_CORRELATION
     residuals = np.hypot(*alignment.motion.residuals.T)
     residuals = residuals[matches & (residuals < MAX_MISFIT_PX)]
-    return float(np.quantile(residuals, MISFIT_QUANTILE)) if residuals.size else np.nan
+    if not residuals.size:
+        return np.nan, False
+    frozen, misfit = np.quantile(residuals, [FROZEN_QUANTILE, MISFIT_QUANTILE])
+    return float(misfit), bool(frozen < INTERPOLATION_ERROR_PX)
 
 
-def _widen_uncertainty(uncertainty: float, misfit: float) -> float:
-    """Widen a stated uncertainty where the parts of the image disagree, all in px.
+def _widen_uncertainty(spread: float, misfit: float, is_frozen: bool) -> float:
+    """Widen the spread of the fit where the parts of the image disagree, all in px.
 
     What displaces some parts (compression, waves, a rolling shutter) also misleads the others.
     """
-    widened = uncertainty * (1 + (uncertainty / UNCERTAINTY_INFLATION_PX) ** 2)
-    misled = np.maximum(misfit**2 - BASE_RESIDUAL_PX**2, 0.0) / RESIDUAL_INFLATION_PX
-    return float(np.linalg.norm([widened, misled, INTERPOLATION_ERROR_PX]))
+    inflation = min(1 + (spread / UNCERTAINTY_INFLATION_PX) ** 2, MAX_INFLATION)
+    excess = np.maximum(misfit**2 - BASE_RESIDUAL_PX**2, 0.0)
+    misled = np.minimum(excess / RESIDUAL_INFLATION_PX, MAX_MISLED_RATIO * misfit)
+    if is_frozen:
+        misled = FROZEN_RATIO * np.sqrt(excess)
+    return float(np.linalg.norm([spread * inflation, misled, INTERPOLATION_ERROR_PX]))
 
 
 def _reject(reason: str) -> FrameRegistration:

@@ -170,7 +170,7 @@ def align_patches(
     points, size = template.points[measured.fitted], (template.height, template.width)
     spread = jackknife_covariance(points, information, motion, size=size)
     motion = replace(motion, covariance=motion.covariance + spread)
-    uncertainty = predict_corner_uncertainty(template, motion) * template.scale
+    uncertainty = predict_uncertainty(template, motion, corners) * template.scale
     converged = bool(length < max(CONVERGED_STEP_PX, uncertainty))
     matrix = np.linalg.inv(scale) @ matrix @ scale
     return PatchAlignment(
@@ -184,13 +184,22 @@ def align_patches(
     )
 
 
-def predict_corner_uncertainty(template: PatchTemplate, motion: Motion) -> float:
-    """Predict the standard deviation of the mapped image corners, px of the full image: S = J C J'.
+def predict_uncertainty(
+    template: PatchTemplate, motion: Motion, points: Float[Array, "N 2"]
+) -> float:
+    """Predict the standard deviation of mapped points, root mean square: S = J C J'.
 
     Criminisi (1997), "Accurate visual metrology from single and multiple uncalibrated images".
+
+    Args:
+        template: the template to which the motion was fitted.
+        motion: the motion.
+        points: (N, 2) points in pixels of the template's pyramid level.
+
+    Returns:
+        Pixels of the full image.
     """
-    corners = image_corners(template.height, template.width)
-    columns = compute_basis(corners, motion.model, size=(template.height, template.width))
+    columns = compute_basis(points, motion.model, size=(template.height, template.width))
     variance = np.einsum("mik,kl,mil->m", columns, motion.covariance, columns)
     return float(np.sqrt(variance.mean()) / template.scale)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import scipy.fft
-from jaxtyping import Complex, Float, Int, UInt8
+from jaxtyping import Bool, Complex, Float, Int, UInt8
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import to_opencv, translation
@@ -51,18 +51,23 @@ class Comparison(NamedTuple):
     other_peak: Float[Array, "3 3"]  # placement of that peak
 
 
-def make_overview(small: UInt8[Array, "h w"], *, scale: float) -> Overview:
+def make_overview(
+    small: UInt8[Array, "h w"], *, scale: float, exclude: Bool[Array, "H W"] | None = None
+) -> Overview:
     """Prepare the reference for `compare_placements`.
 
     Args:
         small: the reference, reduced.
         scale: pixels of `small` per pixel of the full image.
+        exclude: pixels of the full image that do not count, such as vehicles.
 
     Returns:
         The overview.
     """
     height, width = small.shape
     detail = _extract_detail(small)
+    if exclude is not None:
+        detail[cv2.resize(exclude.view(np.uint8), small.shape[::-1]) > 0] = 0.0
     spectrum = scipy.fft.rfft2(detail)
     rows, columns = scipy.fft.fftfreq(height)[:, None], scipy.fft.rfftfreq(width)
     smoothing = np.exp(-2 * (np.pi * SMOOTHING_PX) ** 2 * (rows**2 + columns**2))

@@ -28,6 +28,10 @@ MAX_COMPETING_FIT_RATIO_AT_REST = 0.065
 MAX_REST_SHIFT_PX = 0.05  # mean displacement of the corners
 # a camera that hovers moves more; frozen blocks of H.264 move less
 MIN_HOVERING_SHIFT_PX = 1.0
+# another placement that is nearer does not count unless it fits nearly as well: roofs and trees
+# from an aeroplane, whose distance the stated uncertainty includes
+MIN_COMPETING_DISTANCE_PX = 5.0
+MAX_NEAR_FIT_RATIO = 0.65
 MIN_MOVING_SHARE = 0.025  # that tells another placement from chance
 MAX_OTHER_PEAK_STRENGTH = 0.4  # of another peak in the phase correlation, relative to the one found
 
@@ -76,12 +80,20 @@ def choose_placement(
         limit = MAX_COMPETING_FIT_RATIO_AT_REST
     elif travel > MIN_HOVERING_SHIFT_PX and _measure_travel(compared.moving, template) > 2 * travel:
         limit = MAX_COMPETING_FIT_RATIO_HOVERING
+    if _measure_distance(compared.moving, alignment.matrix, template) < MIN_COMPETING_DISTANCE_PX:
+        limit = MAX_NEAR_FIT_RATIO
     if compared.competing_fit_ratio > limit:
         share = min(compared.competing_fit_ratio, 1.0)
         raise AmbiguousPlacementError(
             f"{MOVING_PART}: another placement fits {share:.0%} as much of the image"
         )
-    if compared.other_peak_strength > MAX_OTHER_PEAK_STRENGTH:
+    strongest = MAX_OTHER_PEAK_STRENGTH
+    if (
+        _measure_distance(compared.other_peak, alignment.matrix, template)
+        < MIN_COMPETING_DISTANCE_PX
+    ):
+        strongest = MAX_NEAR_FIT_RATIO
+    if compared.other_peak_strength > strongest:
         raise AmbiguousPlacementError("texture repeats: another placement fits as well")
     moves = compared.competing_fit_ratio > MIN_MOVING_SHARE and not overview.repeats
     return alignment, compared.moving if moves else None
@@ -97,5 +109,14 @@ def is_at_rest(alignment: PatchAlignment, template: PatchTemplate) -> bool:
 
 def _measure_travel(reference_from_frame: Float[Array, "3 3"], template: PatchTemplate) -> float:
     """Mean displacement of the image's corners, pixels."""
+    return _measure_distance(reference_from_frame, np.eye(3), template)
+
+
+def _measure_distance(
+    one: Float[Array, "3 3"], other: Float[Array, "3 3"], template: PatchTemplate
+) -> float:
+    """Mean distance of the image's corners at two placements, pixels."""
     corners = image_corners(template.height, template.width)
-    return float(np.hypot(*(transform_points(reference_from_frame, corners) - corners).T).mean())
+    return float(
+        np.hypot(*(transform_points(one, corners) - transform_points(other, corners)).T).mean()
+    )

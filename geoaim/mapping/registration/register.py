@@ -81,7 +81,7 @@ class Registration(Display):
     reason: tuple[str, ...]  # why each frame is rejected; empty if it is not
     quality: Float[Array, " T"]  # median correlation of the patches with the frame, 0 to 1
     inlier_share: Float[Array, " T"]  # share of inliers among the patches in view
-    uncertainty: Float[Array, " T"]  # standard deviation of the transformed image corners, pixels
+    uncertainty: Float[Array, " T"]  # standard deviation over the image, root mean square, pixels
     reference: Reference  # the frame to which the others are registered
 
     @property

@@ -20,6 +20,7 @@ MIN_JUMP_SHARE = 0.01  # of the image's width; a smaller jump is not an error
 # chosen on the validation part of `benchmarks.registration.stability`
 MAX_AMBIGUOUS_SHARE = 0.5  # of the frames
 MAX_STEP_RATIO = 0.7  # a step is the shorter one if it has at most this share of the other's length
+MIN_STEP_SHARE = 1 / 320  # of the image's width, by which the steps must differ
 MIN_SHORTER_STEPS = 2  # a single one may be chance
 MAX_STILL_SHARE = 1 / 240  # of the image's width, within which another placement does not move
 
@@ -95,7 +96,8 @@ def _is_still(frames: list[FrameRegistration], size: tuple[int, int]) -> bool:
 def _compare_steps(frames: list[FrameRegistration], size: tuple[int, int]) -> tuple[int, int]:
     """Count steps in which the other placement moves less than the registered one, and more.
 
-    What does not move in the frame at all, such as an overlay, is not the ground.
+    What does not move in the frame at all, such as an overlay, is not the ground. Steps that differ
+    by less than a comparison of small images resolves are equal.
     """
     middle = np.array([[size[1] / 2, size[0] / 2]])
     pairs = [
@@ -109,4 +111,6 @@ def _compare_steps(frames: list[FrameRegistration], size: tuple[int, int]) -> tu
     moves = np.hypot(*(paths[1] - middle).T) > MAX_STILL_SHARE * size[1]
     moves = moves[1:] | moves[:-1]
     step, other = (np.hypot(*np.diff(path, axis=0).T)[moves] for path in paths)
+    differs = np.abs(step - other) > MIN_STEP_SHARE * size[1]
+    step, other = step[differs], other[differs]
     return int((other < MAX_STEP_RATIO * step).sum()), int((step < MAX_STEP_RATIO * other).sum())

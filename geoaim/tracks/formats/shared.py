@@ -23,7 +23,9 @@ AGENT_TYPES = {
     "bicyclist": "cyclist",
     "bike": "cyclist",
     "biker": "cyclist",
+    "cart": "car",  # a golf cart
     "ped": "pedestrian",
+    "skater": "cyclist",  # of Stanford's types the one that moves alike
     "truck_bus": "truck",
     "veh": "car",
 }

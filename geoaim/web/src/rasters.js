@@ -7,7 +7,15 @@ const TILE_ERROR = 3; // ol/TileState.ERROR
 
 /** Make the layer of a raster (an item of `rasters` in the description). */
 export function makeRasterLayer(raster, transport, projection) {
-  const { path, extent, resolutions, tile_px: tileSize } = raster;
+  const layer = new TileLayer({ visible: raster.visible, opacity: raster.opacity });
+  placeRaster(layer, raster, transport, projection);
+  return layer;
+}
+
+/** Put the tiles of a raster where it lies, moved by metres east and north. */
+export function placeRaster(layer, raster, transport, projection, [east, north] = [0, 0]) {
+  const { path, resolutions, tile_px: tileSize } = raster;
+  const extent = raster.extent.map((value, index) => value + (index % 2 ? north : east));
   const tileGrid = new TileGrid({ extent, origin: [extent[0], extent[3]], resolutions, tileSize });
   const source = new TileImage({
     projection,
@@ -25,5 +33,6 @@ export function makeRasterLayer(raster, transport, projection) {
       }
     },
   });
-  return new TileLayer({ source, visible: raster.visible, opacity: raster.opacity, extent });
+  layer.setExtent(extent);
+  layer.setSource(source);
 }

@@ -9,7 +9,8 @@ import { addShortcuts } from "./keys.js";
 import { readLink, writeLink } from "./link.js";
 import { addMeasure } from "./measure.js";
 import { makeMapView } from "./map_view.js";
-import { makeRasterLayer } from "./rasters.js";
+import { addRasterMove } from "./move_raster.js";
+import { makeRasterLayer, placeRaster } from "./rasters.js";
 import { addSwipe } from "./swipe.js";
 import { listMarkKinds, Timeline } from "./timeline.js";
 import { readJson } from "./transport.js";
@@ -60,6 +61,8 @@ export async function showView(element, description, transport, { link = false, 
     if (!visible) hidden.add(name);
     panel.append(toggles[name], ...(legend ? [legend] : []));
   };
+  let moving = false;
+  const move = []; // what moves the lowest raster
   for (const raster of description.rasters) {
     const layer = makeRasterLayer(raster, transport, view.getProjection());
     map.addLayer(layer);
@@ -68,6 +71,21 @@ export async function showView(element, description, transport, { link = false, 
     addToggle(raster.name, layer, raster.visible, { swatch: raster.colour, legend });
     if (raster.swipe) {
       panel.append(makeCheckbox("swipe between the two", false, addSwipe(layer, map)));
+    }
+    if (!move.length) {
+      const text = make("small", { className: "moved", hidden: true });
+      const place = (shift) => placeRaster(layer, raster, transport, view.getProjection(), shift);
+      const toggle = addRasterMove(layer, map, place, (shift) => {
+        text.textContent = `geoaim align --shift ${shift.map((metres) => metres.toFixed(2)).join(",")}`;
+      });
+      const change = (on) => {
+        moving = on;
+        text.hidden = !on && text.textContent.endsWith(" 0.00,0.00");
+        toggle(on);
+      };
+      const box = makeCheckbox(`move ${raster.name} by hand`, false, change);
+      box.title = "drag it, or press arrow keys; geoaim align --shift moves the file as far";
+      move.push(box, text);
     }
   }
   for (const shapes of description.shapes) {
@@ -83,7 +101,7 @@ export async function showView(element, description, transport, { link = false, 
   }
   const setMeasure = addMeasure(map, (length) => (status.textContent = `${length.toFixed(2)} m`));
   let measuring = false;
-  panel.append(makeCheckbox("measure", false, (on) => setMeasure((measuring = on))));
+  panel.append(makeCheckbox("measure", false, (on) => setMeasure((measuring = on))), ...move);
 
   let loadingView = null;
   let lastAsked = -Infinity;
@@ -157,7 +175,7 @@ export async function showView(element, description, transport, { link = false, 
     if (!measuring) status.textContent = describePoint(description, coordinate);
   });
   map.on("click", ({ coordinate }) => {
-    if (measuring || !state.tracks) return;
+    if (measuring || moving || !state.tracks) return;
     select(findAgent(state.tracks, state.time, coordinate, PICK_MARGIN_PX * view.getResolution()));
   });
   const actions = { " ": () => app.timeline?.toggle(), f: () => app.follow(!state.follow), Escape: () => select(null) };

@@ -1,8 +1,16 @@
 import cv2
+import numpy as np
 import pytest
 
 from benchmarks.prediction import aim_or_hdmap, pretrained
-from benchmarks.prediction.places import DEGRADED_RESOLUTION, MAPS, TEST, TRAIN, read_map
+from benchmarks.prediction.places import (
+    DEGRADED_RESOLUTION,
+    MAPS,
+    TEST,
+    TRAIN,
+    misplace_map,
+    read_map,
+)
 from geoaim.hdmap.rasterize import SURFACES
 
 
@@ -48,3 +56,13 @@ def test_complete_hd_maps_show_more(place):
     for kind in ("walkway", "crosswalk", "parking"):
         shares = [(image == SURFACES[kind]).all(axis=2).mean() for image in (lanes, full)]
         assert 10 * shares[0] < shares[1], kind
+
+
+def test_misplaced_maps_are_moved_and_resized_about_their_middle(place):
+    aim = read_map(place, "aim")
+    moved, larger = misplace_map(aim, shift=2.0), misplace_map(aim, scale=1.5)
+    step = moved.corners - aim.corners
+    assert np.hypot(*step.T) == pytest.approx(2.0)
+    assert (step > 0).all()
+    assert larger.corners.mean(axis=0) == pytest.approx(aim.corners.mean(axis=0))
+    assert np.ptp(larger.corners, axis=0) == pytest.approx(1.5 * np.ptp(aim.corners, axis=0))

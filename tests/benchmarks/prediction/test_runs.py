@@ -11,11 +11,14 @@ from PIL import Image
 
 from benchmarks.prediction import (
     aim_or_hdmap,
+    known_views,
+    latent_scales,
     models,
     pedestrians,
     pretrained,
     protocol,
     realistic,
+    robust,
     sind,
     songdo,
     stanford,
@@ -27,6 +30,8 @@ from benchmarks.prediction.results import Workspace
 from geoaim.prediction.baselines import BASELINES
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES
 from geoaim.prediction.dataset import split_scene
+from geoaim.prediction.familiarity import KnownViews
+from geoaim.prediction.training import init_model
 from geoaim.prediction.windows import WINDOW_STEPS, make_path_segments
 from geoaim.simulation.scene import slice_scene
 from tests.prediction.tiny import hill
@@ -77,16 +82,22 @@ def test_tables_are_written_with_a_figure(experiment, workspace, monkeypatch):
     assert paths[2].read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
-def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch):
-    monkeypatch.setattr(pretrained, "VAL", dict.fromkeys(("vehicle", "pedestrian"), ((5, "t"),)))
-    monkeypatch.setattr(pretrained, "REALISTIC_STEPS", 1)
-    monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
+@pytest.fixture
+def tiny_places(monkeypatch):
+    """Short realistic recordings of the one place, for validation too."""
+    for module in (pretrained, latent_scales):
+        monkeypatch.setattr(module, "VAL", dict.fromkeys(("vehicle", "pedestrian"), ((5, "t"),)))
     monkeypatch.setattr(realistic, "PIECE_S", 25.0)
     monkeypatch.setattr(realistic, "STANDING_S", 10.0)
     monkeypatch.setattr(realistic, "NOISY_MAPS", ("bad later",))
     # noisy agents are not yet observed at the first step
     monkeypatch.setitem(SEGMENT_STRIDES, "pedestrian", 5)
+
+
+@pytest.mark.slow
+def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, tiny_places):
+    monkeypatch.setattr(pretrained, "REALISTIC_STEPS", {"vehicle": 1, "pedestrian": 1})
+    monkeypatch.setattr(pretrained, "REALISTIC_BATCH", 2)
     paths = pretrained.run(workspace)
     assert [path.parent for path in paths[:2]] == [workspace.folder / "pretrained"] * 2
     assert "pedestrians, ITRA" in read_methods(paths)
@@ -107,6 +118,52 @@ def test_aim_and_hd_map_are_compared_over_places_and_trainings(workspace, monkey
     assert first["places"] == 2
     assert first["low"] <= first["difference"] <= first["high"]
     assert "AIM minus HD map" in paths[1].read_text()
+
+
+@pytest.fixture
+def shipped(monkeypatch):
+    """Tiny models in place of those that come with the package."""
+    for module in (known_views, latent_scales, robust):
+        monkeypatch.setattr(module, "read_pretrained", make_tiny)
+
+
+def make_tiny(kind):
+    """A tiny model with random weights, which knows views about the origin of its features."""
+    model = init_model(replace(models.MODELS[f"{kind}_aim"].config, **SMALL)).eval()
+    count = model.config.feature_size
+    model.known_views = KnownViews(torch.zeros(count), torch.eye(count), 1e-3)
+    return model
+
+
+@pytest.mark.slow
+def test_bad_maps_cost_what_the_models_lose_on_them(workspace, shipped):
+    methods = read_methods(paths := robust.run(workspace))
+    assert {"vehicles, shifted by 1 m", "pedestrians, clean map"} < set(methods)
+    costs = json.loads(paths[0].read_text())["cost as a share of the clean map's error"]
+    assert costs["vehicles, clean map"]["minADE"] == [0, 0, 0]
+    low, high = costs["vehicles, 3 % too large"]["minADE"][1:]
+    assert low <= costs["vehicles, 3 % too large"]["minADE"][0] <= high
+
+
+@pytest.mark.slow
+def test_scales_of_latents_are_compared_on_exact_and_noisy_states(workspace, shipped, tiny_places):
+    rows = json.loads(latent_scales.run(workspace)[0].read_text())["rows"]
+    assert len(rows) == 2 * len(latent_scales.SCALES) * 2
+    assert {row["states"] for row in rows} == {"exact", "noisy"}
+    assert all(row["joint minADE"] > 0 for row in rows)
+
+
+@pytest.mark.slow
+def test_views_beyond_the_limit_are_counted(workspace, shipped, monkeypatch):
+    for name in ("KNOWN", "OTHER"):
+        places = dict.fromkeys(("vehicle", "pedestrian"), ((5, "t"),))
+        monkeypatch.setattr(known_views, name, places)
+    monkeypatch.setattr(known_views, "_list_real", lambda model: {})
+    rows = json.loads(known_views.run(workspace)[0].read_text())["rows"]
+    first = rows[0]
+    assert first["where"] == "places of trained kinds"
+    assert first["beyond"] == first["warned"] == 1  # the limit is tiny
+    assert {row["agents"] for row in rows} == {"vehicles", "pedestrians"}
 
 
 @pytest.mark.slow

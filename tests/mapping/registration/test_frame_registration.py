@@ -67,3 +67,16 @@ def test_parts_that_disagree_widen_the_statement(keyframes):
     torn, _ = register_frame(frame, keyframes[:1], keyframes[0], np.eye(3), "translation")
     assert calm.uncertainty < 0.1
     assert not torn.valid or torn.uncertainty > 0.5
+
+
+def test_blocks_that_compression_froze_widen_the_statement(keyframes):
+    moved = view(0).copy()
+    right = np.s_[:, 7 * moved.shape[1] // 10 :]
+    moved[right] = np.rint(view(0)[right] * 0.5 + view(1)[right] * 0.5).astype(np.uint8)
+    noise = np.random.default_rng(0).normal(0, 3, moved.shape)
+    noisy = np.rint(moved + noise).clip(0, 255).astype(np.uint8)
+    frozen, alive = (
+        register_frame(frame, keyframes[:1], keyframes[0], np.eye(3), "translation")[0]
+        for frame in (moved, noisy)
+    )
+    assert frozen.uncertainty > 1.5 * alive.uncertainty

@@ -17,10 +17,10 @@ def make_grey_texture(generator, height, width):
     return textured(generator, height, width)[..., 0].copy()
 
 
-def place(reference, frame, start):
-    template = make_template(reference)
+def place(reference, frame, start, *, factor=FACTOR, exclude=None):
+    template = make_template(reference, exclude=exclude)
     found = align_patches(template, frame, start, "homography")
-    overview = make_overview(shrink_image(reference, FACTOR), scale=1 / FACTOR)
+    overview = make_overview(shrink_image(reference, factor), scale=1 / factor, exclude=exclude)
     return choose_placement(frame, template, overview, found)[0]
 
 
@@ -63,6 +63,25 @@ def test_less_may_move_in_a_frame_that_is_at_rest_as_overlays_are():
     reference, frame = film_traffic(shift=40, share=0.12)
     with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
         place(reference, frame, np.eye(3))
+
+
+def test_more_may_move_by_a_few_pixels_as_roofs_and_trees_do():
+    start = translation(-1.0, 0.0)  # the camera moved by a pixel
+    near, far = (film_traffic(shift=shift, share=0.3) for shift in (4, 40))
+    placed = place(near[0], np.roll(near[1], 1, axis=1), start, factor=1)
+    assert np.abs(placed.matrix - start).max() < 1.5
+    with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
+        place(far[0], np.roll(far[1], 1, axis=1), start, factor=1)
+
+
+def test_detected_vehicles_do_not_contradict_a_placement():
+    reference, frame = film_traffic(shift=40, share=0.3)
+    frame, start = np.roll(frame, 1, axis=1), translation(-1.0, 0.0)
+    with pytest.raises(AmbiguousPlacementError, match="moves by itself"):
+        place(reference, frame, start)
+    exclude = np.zeros(reference.shape, bool)
+    exclude[: round(0.3 * HEIGHT)] = True
+    assert np.abs(place(reference, frame, start, exclude=exclude).matrix - start).max() < 0.05
 
 
 def test_a_frame_at_rest_is_compared_even_if_others_were_just_now():

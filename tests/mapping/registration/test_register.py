@@ -6,11 +6,7 @@ import pytest
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import detect_features, match_features
-from geoaim.mapping.registration.patches import (
-    align_patches,
-    make_template,
-    predict_corner_uncertainty,
-)
+from geoaim.mapping.registration.patches import align_patches, make_template, predict_uncertainty
 from geoaim.mapping.registration.register import choose_reference, register, register_frames
 from geoaim.mapping.video.video import open_video
 from geoaim.synthetic.camera import reference_from_frames, render_frame
@@ -124,7 +120,8 @@ def test_aligning_the_reference_with_itself_gives_the_identity(frames):
     alignment = align_patches(template, grey, np.eye(3), "homography")
     np.testing.assert_allclose(alignment.matrix, np.eye(3), atol=1e-4)
     assert alignment.inliers[alignment.in_view].all()
-    assert predict_corner_uncertainty(template, alignment.motion) < 0.1
+    corners = image_corners(template.height, template.width)
+    assert predict_uncertainty(template, alignment.motion, corners) < 0.1
 
 
 def test_features_of_unlike_pictures_do_not_match(frames):

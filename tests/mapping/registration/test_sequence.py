@@ -34,6 +34,10 @@ def test_a_sequence_that_moves_more_than_the_rest_of_the_image_is_refused():
         check_ground(map(make_registered, drift(5), drift(1)), SIZE)
 
 
+def test_steps_are_equal_that_a_small_image_does_not_tell_apart():
+    check_ground(map(make_registered, drift(8), drift(5.5)), SIZE)
+
+
 def test_an_overlay_at_rest_is_not_the_ground():
     check_ground(map(make_registered, drift(5), drift(0) - 20), SIZE)
 
