@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from geoaim.base.defaults import MAX_HISTORY_STEPS
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
 from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
 from geoaim.cli.outputs import check_output
 from geoaim.cli.scene_options import SceneFiles, take_scene_files
-from geoaim.prediction.config import MAX_HISTORY_STEPS
 
 if TYPE_CHECKING:
     from geoaim.prediction.futures import Futures

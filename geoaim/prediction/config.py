@@ -5,10 +5,10 @@ What is the same for all trainings, such as the limit of the gradient norm, is i
 
 from dataclasses import dataclass, replace
 
+from geoaim.base.defaults import MAX_HISTORY_STEPS as MAX_HISTORY_STEPS
 from geoaim.prediction.observation import ObservationView
 from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M
 
-MAX_HISTORY_STEPS = 10  # observed steps that a model gets at most, as in the paper
 # length of a training segment: 4 s and 12 s, as in the paper; cyclists are not in it
 SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30, "cyclist": 40}
 # steps from one segment's start to the next

@@ -1,4 +1,6 @@
 import inspect
+import subprocess
+import sys
 
 from geoaim.base.defaults import SAMPLES
 from geoaim.cli import COMMANDS
@@ -10,3 +12,8 @@ def test_command_and_library_draw_the_same_number_of_futures():
     functions = (predict, commands["predict"], commands["evaluate"])
     defaults = [inspect.signature(function).parameters["samples"].default for function in functions]
     assert defaults == 3 * [SAMPLES]
+
+
+def test_the_command_line_starts_without_torch():
+    code = "import sys, geoaim.cli; raise SystemExit('torch' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True)
