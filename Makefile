@@ -21,6 +21,10 @@ endif
 LOWEST_BIN := $(subst .venv,.venv-lowest,$(BIN))
 SAMPLE ?= samples/hover.mp4
 POINTS ?= samples/gcps.csv
+# PyPI's torch for Linux brings several GB of CUDA, which only a GPU of NVIDIA uses;
+# with CPU_TORCH= it is installed all the same
+CPU_TORCH ?= $(shell test "$$(uname -s)" = Linux && ! command -v nvidia-smi >/dev/null && echo yes)
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 QUICK_NOTEBOOKS := $(wildcard notebooks/03_*.ipynb notebooks/05_*.ipynb)
 
@@ -106,8 +110,11 @@ install: .venv/installed
 # modules are compiled when they are first imported
 .venv/usable: pyproject.toml constraints.txt
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11) and 'geoaim needs Python 3.11 or newer, found ' + sys.version.split()[0] + '; name another one: make PYTHON=python3.12')"
-	@echo "Installing geoaim and the packages that it needs into .venv: about 2 GB, most of it torch"
+	@echo "Installing geoaim and the packages that it needs into .venv: about 2 GB, most of it torch (for a GPU of NVIDIA several more)"
 	$(PYTHON) -m venv --clear .venv
+	$(if $(CPU_TORCH),$(BIN)/python -m pip install --no-compile --no-deps --retries 1 \
+		--constraint constraints.txt --index-url $(TORCH_INDEX) torch \
+		|| echo "$(TORCH_INDEX) has no torch for this machine: taking the one of PyPI")
 	$(BIN)/python -m pip install --no-compile --constraint constraints.txt --editable '.[jupyter]'
 	touch $@
 

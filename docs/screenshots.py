@@ -18,12 +18,14 @@ from benchmarks.viewer import open_page
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import world_from_lonlat
 from geoaim.mapping.video.video import read_frame
+from geoaim.tracks.changes import to_world
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.picking.page import make_picking_view
 from geoaim.web.picking.task import PickingTask
 
 SAMPLES = Path("samples")
 TIME_S = 14.0
+NEAR_M = 60.0  # how far from the middle of the map the selected car may be
 COMPLETE_S = 120.0
 # every map has drawn all its tiles
 DRAWN = """Promise.all([geoaim.map, geoaim.frame?.map, geoaim.imagery?.map].filter(Boolean).map(
@@ -63,9 +65,10 @@ def show_view(aim: Path, folder: Path) -> None:
     contents = Contents(tracks, lights, hdmap)
     with ExitStack() as stack, open_page(make_map_view(aim, contents, stack)) as page:
         step = int(np.searchsorted(tracks.times, TIME_S))
-        ego = tracks.ids[
-            np.nanargmax(np.where(tracks.present[:, step], tracks.states[:, step, 3], 0))
-        ]
+        states = to_world(tracks, world).states[:, step]
+        middle = geoaim.read_aim(aim).corners.mean(axis=0)
+        near = np.linalg.norm(states[:, :2] - middle, axis=1) < NEAR_M  # NaN where absent
+        ego = tracks.ids[np.argmax(np.where(near, states[:, 3], 0))]
         page.evaluate(f"geoaim.timeline.set({TIME_S}); geoaim.select('{ego}')")
         page.evaluate("geoaim.view.setResolution(geoaim.view.getResolution() * 0.6)")
         save(page, folder / "view.jpg")

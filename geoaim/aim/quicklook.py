@@ -30,12 +30,16 @@ def draw_quicklook(aim: AIM) -> Figure:
     grid = right.add_gridspec(3, 2, height_ratios=[1.2, 1, 1])
     main = left.add_subplot()
     aim.plot(main)
-    _draw_coverage(right.add_subplot(grid[0, 0]), aim)
-    _draw_uncertainty(right.add_subplot(grid[0, 1]), aim.report.get("georeference", {}))
+    georeference = aim.report.get("georeference", {})
+    if georeference.get("given_scale"):  # no place whose uncertainty could be drawn
+        _draw_coverage(right.add_subplot(grid[0, :]), aim)
+    else:
+        _draw_coverage(right.add_subplot(grid[0, 0]), aim)
+        _draw_uncertainty(right.add_subplot(grid[0, 1]), georeference)
     _draw_path(right.add_subplot(grid[1, :]), aim.report.get("registration", {}))
     _draw_summary(right.add_subplot(grid[2, :]), aim)
     figure.draw_without_rendering()  # labels are placed in the final layout
-    _draw_points(main, aim.report.get("georeference", {}).get("points", []))
+    _draw_points(main, georeference.get("points", []))
     return figure
 
 
@@ -90,10 +94,7 @@ def _draw_uncertainty(axes: Axes, georeference: Mapping[str, Any]) -> None:
         "uncertainty of the place (95 %)\nover the frame of the video", fontsize=9, loc="left"
     )
     axes.set(xticks=[], yticks=[])
-    if georeference.get("given_scale"):
-        axes.set_title("the scale is as given", fontsize=9, loc="left")
-        axes.axis("off")
-    elif uncertainty := georeference.get("uncertainty"):
+    if uncertainty := georeference.get("uncertainty"):
         drawn = axes.imshow(uncertainty["map_m"], vmin=0, cmap="viridis", interpolation="bilinear")
         _add_scale(axes, drawn, "m")
 

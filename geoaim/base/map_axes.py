@@ -139,14 +139,20 @@ def add_legend(axes: Axes) -> None:
 
 
 def add_scale_bar(axes: Axes) -> None:
-    """Make axes a map: equal aspect, metres at both axes, and a scale bar of a round length."""
-    axes.set(xlabel="x (east), m", ylabel="y (north), m")
+    """Make axes a map: equal aspect, metres at both axes, and a scale bar of a round length.
+
+    A world without a CRS may be turned in any direction, so that no north is named.
+    """
+    world = _worlds.get(axes)
+    north_up = world is None or world.crs is not None
+    x, y = ("x (east), m", "y (north), m") if north_up else ("x, m", "y, m")
+    axes.set(xlabel=x, ylabel=y)
     axes.set_aspect("equal")
     for drawn in [artist for artist in axes.artists if isinstance(artist, AnchoredSizeBar)]:
         drawn.remove()
     longest = SCALE_BAR_SHARE * abs(float(np.subtract(*axes.get_xlim())))
     power = 10.0 ** np.floor(np.log10(longest))
     length = power * max(n for n in (1, 2, 5) if n * power <= longest)
-    text = f"{length:g} m, north up"
+    text = f"{length:g} m, north up" if north_up else f"{length:g} m"
     bar = AnchoredSizeBar(axes.transData, length, text, "lower right", pad=0.4, sep=SCALE_BAR_SEP)
     axes.add_artist(bar)

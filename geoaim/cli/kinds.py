@@ -30,10 +30,12 @@ MAP_COMMANDS = (
     "train FILE --tracks tracks.csv -o model",
 )
 VIDEO_COMMANDS = (
-    "frame FILE -o frame.png",
-    "register FILE -o registration.csv",
+    "build FILE --frame-resolution 0.05 -o map.tif",  # a first look
+    "pick FILE -o points.csv",
     "pick FILE --imagery ortho.tif -o points.csv",
     "build FILE --gcps points.csv -o map.tif",
+    "frame FILE -o frame.png",
+    "register FILE -o registration.csv",
 )
 STILL_COMMAND = "build FILE --resolution 0.04 -o map.tif"
 IMAGERY_COMMANDS = (

@@ -208,9 +208,9 @@ def _check_region(world: World | None, corners: Float[Array, "n 2"] | None) -> N
         raise ValueError(f"corners must be finite and span an area, found {corners.tolist()}")
     if world is not None and world.crs is None:
         raise ImageryError(
-            "the AIM, tracks or world that should place the imagery have no CRS: georeference them "
-            "first (control points or telemetry; tracks name theirs in a line '# crs: EPSG:n'), or "
-            "leave them out to get a world that suits the imagery"
+            "the AIM, tracks or world that should place the imagery have no CRS: build the AIM "
+            "with control points or telemetry, name the tracks' CRS (--tracks-world EPSG:n, or a "
+            "line '# crs: EPSG:n' in their file), or leave them out to keep the stated position"
         )
 
 

@@ -23,7 +23,8 @@ def to_world(tracks: Tracks, world: World) -> Tracks:
     if (tracks.world.crs is None) != (world.crs is None):
         there, here = (w.crs or "a local plane without a CRS" for w in (tracks.world, world))
         raise TracksError(
-            f"the tracks lie in {there}, and are needed in {here}; give both a CRS, or neither"
+            f"the tracks lie in {there}, and are needed in {here}; give both a CRS "
+            "(--tracks-world EPSG:n), or neither"
         )
     states = _transform_states(tracks.states, tracks.world, world)
     observed = tracks.observed

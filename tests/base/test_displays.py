@@ -156,6 +156,18 @@ def test_the_scale_bar_does_not_cross_its_text():
         assert bottom > top
 
 
+def test_north_is_named_where_the_world_has_a_crs():
+    for crs, label, text in (
+        ("EPSG:32635", "y (north), m", "0.2 m, north up"),
+        (None, "y, m", "0.2 m"),
+    ):
+        axes = Figure().add_subplot()
+        move_to_axes(axes, np.zeros((1, 2)), World(crs, (0.0, 0.0)))
+        add_scale_bar(axes)
+        [bar] = [artist for artist in axes.artists if isinstance(artist, AnchoredSizeBar)]
+        assert (axes.get_ylabel(), bar.txt_label.get_text()) == (label, text)
+
+
 def test_pale_lines_are_outlined_on_the_map_and_in_the_legend():
     axes = Figure().add_subplot()
     draw_lines(axes, [np.zeros((2, 2))], "white", label="recorded", outlined=True)

@@ -6,7 +6,7 @@ An action is {"action": NAME, ...}:
 - "add" with what is known: u and v (pixel), x and y or lon and lat (place; with "side": "imagery" u
   and v are a pixel of the imagery), and a name; "move" is the same with the id of a point;
 - "rename" (id, name), "delete" (id), "undo", "redo";
-- "snap" (u, v, side "frame" or "imagery") tells the corner beside a click in "snapped";
+- "snap" (u, v, side "frame" or "imagery", radius) tells the corner beside a click in "snapped";
 - "accept" (candidate: its index) makes a proposed pair a point; `search` proposes them;
 - "export" (format "csv", "txt" or "points") gives the "text" of a file to save.
 
@@ -34,7 +34,7 @@ from geoaim.web.picking.session import (
     redo,
     undo,
 )
-from geoaim.web.picking.snap import snap_to_corner
+from geoaim.web.picking.snap import SNAP_RADIUS_PX, snap_to_corner
 from geoaim.web.picking.state import describe_session
 
 Action = Mapping[str, Any]
@@ -97,7 +97,10 @@ def _snap(session: PickingSession, action: Action) -> Outcome:
     image = session.task.frame
     if action.get("side") == "imagery":
         image = require_imagery(session.task).image
-    corner = snap_to_corner(image, read_pair(action, "u", "v"))
+    radius = action.get("radius", SNAP_RADIUS_PX)
+    if type(radius) not in (int, float) or not radius > 0:
+        raise ValueError(f"the radius of a snap is a number of pixels above 0, found {radius!r}")
+    corner = snap_to_corner(image, read_pair(action, "u", "v"), min(radius, SNAP_RADIUS_PX))
     return session, {"snapped": None if corner is None else dict(zip("uv", corner, strict=True))}
 
 

@@ -5,6 +5,7 @@ import { invert, linearize, project } from "./homography.js";
 import { PixelMap } from "./pixel_map.js";
 
 const EXPORTS = { csv: "points.csv", txt: "gcp_list.txt", points: "frame.points" };
+const SNAP_SCREEN_PX = 4;
 const SEARCH_PERIOD_MS = 300; // between two questions how far a search for pairs is
 const ELLIPSE_STEPS = 40;
 // two numbers, as map services copy a place; both with a point, since a comma may be a decimal sign
@@ -45,7 +46,9 @@ export async function showPicking(element, description, transport, { keys = elem
   };
   const snap = async (side, [u, v]) => {
     if (!snapping) return { u, v };
-    return (await ask({ action: "snap", side, u, v })).snapped ?? { u, v };
+    // the larger a picture is shown, the more exact a click is
+    const radius = SNAP_SCREEN_PX * app[side].map.getView().getResolution();
+    return (await ask({ action: "snap", side, u, v, radius })).snapped ?? { u, v };
   };
   // a click joins a point that lacks this side, the selected one first; else it begins a new point
   const place = async (side, pixel) => {
@@ -124,8 +127,9 @@ export async function showPicking(element, description, transport, { keys = elem
   }
   bar.append(makeCheckbox("snap clicks to corners", true, (on) => (snapping = on)));
   button("Fit", "show the whole pictures", () => [app.frame, app.imagery].forEach((map) => map?.fit()));
+  bar.append(make("span", {}, "save as"));
   for (const [kind, name] of Object.entries(EXPORTS)) {
-    button(`Save ${name}`, "download", async () => {
+    button(name, `save the points as ${name}`, async () => {
       const { text } = await ask({ action: "export", format: kind });
       if (text === undefined) return;
       const link = make("a", { href: URL.createObjectURL(new Blob([text])), download: name });

@@ -165,6 +165,8 @@ def test_clicks_on_imagery_give_places_and_pixels_of_it(tmp_path):
     np.testing.assert_allclose(shift, [[1, 0, 50], [0, 1, 30], [0, 0, 1]], atol=1e-6)
     _, reply = run(session, {"action": "snap", "side": "imagery", "u": 402, "v": 297})
     assert (reply["snapped"]["u"], reply["snapped"]["v"]) == pytest.approx((400, 300), abs=0.05)
+    near = {"action": "snap", "side": "imagery", "u": 402, "v": 297, "radius": 2.0}
+    assert run(session, near)[1]["snapped"] is None  # beyond what an exact click may mean
     _, reply = run(session, {"action": "snap", "u": 200, "v": 100})
     assert reply["snapped"] is None
 
@@ -234,6 +236,8 @@ def test_export_gives_the_text_of_a_file(task, tmp_path, format):
         {"action": "rename", "id": 2, "name": "taken"},
         {"action": "delete"},
         {"action": "snap", "u": -5, "v": 6},
+        {"action": "snap", "u": 5, "v": 6, "radius": 0},
+        {"action": "snap", "u": 5, "v": 6, "radius": "8"},
         {"action": "accept", "candidate": 0},
         {"action": "accept", "candidate": "0"},
         {"action": "export", "format": "../points.csv"},
