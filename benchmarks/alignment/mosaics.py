@@ -7,7 +7,7 @@ Two orthophotos: a made place on another day by another sensor, and the orthopho
 stripes are displaced by 0.5 to 6 m each in any direction, as several files or as one, and aligned
 by an AIM or by tracks. A chain aligns a picture to an AIM that is off within what it states, and
 another picture to the first. Choices were made on the
-seeds 1, 5 and 11; the seed 12 was judged once.
+seeds 1, 5, 11 and 12; the seed 13 was judged once.
 """
 
 import warnings
@@ -263,7 +263,7 @@ def summarize_chains(rows: Sequence[Row]) -> list[dict[str, Any]]:
     ]
 
 
-def main(cases: int = 60, chains: int = 30, seed: int = 12, json: JsonFile = None) -> None:
+def main(cases: int = 60, chains: int = 30, seed: int = 13, json: JsonFile = None) -> None:
     """Measure mosaics and chains."""
     mosaics = print_rows(measure_mosaics(cases, seed))
     chained = print_rows(measure_chains(chains, seed))

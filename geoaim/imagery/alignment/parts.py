@@ -4,12 +4,13 @@ The least model that the evidence needs is taken: one place for all the imagery,
 each part.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, UInt16
+from jaxtyping import Bool, Float, UInt16
 from numpy import ndarray as Array
 from scipy.special import chdtrc
 
@@ -42,6 +43,8 @@ class Labels(NamedTuple):
     names: Sequence[str]
     # where the first parts belong by what they were found by, if that is known
     found: Sequence[ImageryAlignment] = ()
+    # numbers of parts, and of those found at a place that they are most likely to belong to
+    beside: Mapping[int, int] = MappingProxyType({})
 
 
 def align_parts(
@@ -58,11 +61,12 @@ def align_parts(
 
     Returns:
         Empty if one place suits all of them, or fewer than two can be aligned and none was found;
-        else all parts, the largest first. Parts that cannot be aligned are placed as the others
-        are, with the differences between these and the prior as uncertainty.
+        else all parts, the largest first. Parts that cannot be aligned are placed as the part
+        beside them, or as the others are on average, and their uncertainty is that of the
+        differences between the others and of the prior.
     """
     everything = imagery.coverage > 0
-    parts, others = [], []
+    aligned, others = dict[int, Part](), []
     for number, name in enumerate(labels.names, 1):
         mask = (labels.numbers == number) & everything
         if not mask.any():
@@ -72,17 +76,21 @@ def align_parts(
         if found is None and number <= len(labels.found):
             found = labels.found[number - 1]
         if found is None:
-            others.append((name, mask))
+            others.append((number, name, mask))
         else:
-            parts.append(Part(name, mask, found))
+            aligned[number] = Part(name, mask, found)
+    parts = list(aligned.values())
     unconfirmed = bool(parts and others and labels.found)
     one_place = len(parts) < 2 or (
         whole is not None and not _differ(parts, whole, imagery.resolution)
     )
     if one_place and not unconfirmed:
         return []
-    middle = [_place_by_others(name, mask, parts, max_shift) for name, mask in others]
-    return sorted([*parts, *middle], key=lambda part: -int(part.mask.sum()))
+    for number, name, mask in others:
+        beside = aligned.get(labels.beside.get(number, 0))
+        likely = None if beside is None else beside.alignment.shift
+        parts.append(_place_by_others(name, mask, list(aligned.values()), max_shift, likely))
+    return sorted(parts, key=lambda part: -int(part.mask.sum()))
 
 
 def mask_imagery(imagery: AIM, mask: Bool[Array, "H W"]) -> AIM:
@@ -142,16 +150,20 @@ def _differ(parts: Sequence[Part], whole: ImageryAlignment, resolution: float) -
 
 
 def _place_by_others(
-    name: str, mask: Bool[Array, "H W"], parts: Sequence[Part], max_shift: float
+    name: str,
+    mask: Bool[Array, "H W"],
+    aligned: Sequence[Part],
+    max_shift: float,
+    likely: Float[Array, "2"] | None,
 ) -> Part:
-    """Place a part as the mean of the others, which differ as much as it may differ from them.
+    """Place a part at its likely shift, or the mean of others, as unsure as those differ from it.
 
     Two or three shifts tell little of a spread: the prior's counts as one more.
     """
-    shifts = np.array([part.alignment.shift for part in parts])
-    mean, count = shifts.mean(axis=0), len(parts)
-    squares = ((shifts - mean) ** 2).sum() / 2 + (max_shift / 2) ** 2
+    shifts = np.array([part.alignment.shift for part in aligned])
+    shift, count = shifts.mean(axis=0) if likely is None else likely, len(aligned)
+    squares = ((shifts - shift) ** 2).sum() / 2 + (max_shift / 2) ** 2
     covariance = np.eye(2) * squares / count * (1 + 1 / count)
-    center = np.mean([part.alignment.center for part in parts], axis=0)
-    alignment = ImageryAlignment(translation(*mean), "translation", covariance, center)
+    center = np.mean([part.alignment.center for part in aligned], axis=0)
+    alignment = ImageryAlignment(translation(*shift), "translation", covariance, center)
     return Part(name, mask, alignment, placed=False)

@@ -98,10 +98,7 @@ def _warn_of_parts(parts: list[Part], name: str) -> None:
     )
     message = f"by the {name} the parts of the imagery are displaced each for itself: {listed}"
     if rest := [part.name for part in parts if not part.placed]:
-        message += (
-            f"; {', '.join(rest)} cannot be aligned, and is moved as the others on average: its "
-            "uncertainty is that of their differences"
-        )
+        message += f"; {', '.join(rest)} cannot be aligned, and is as unsure as such parts differ"
     warn(message)
 
 

@@ -79,7 +79,11 @@ def _separate_unconfirmed(
         if (rest == number).sum() > MIN_UNCONFIRMED_SHARE * ground.sum():
             names.append(f"part {len(names) + 1}")
             numbers[rest == number] = len(names)
-    return Labels(numbers, names, places) if len(names) > 1 else None
+    return (
+        Labels(numbers, names, places, dict.fromkeys(range(2, len(names) + 1), 1))
+        if len(names) > 1
+        else None
+    )
 
 
 def _align_again(imagery: AIM, aim: AIM, prior: Prior, labels: Labels) -> list[ImageryAlignment]:
@@ -184,10 +188,13 @@ def _divide_pixels(imagery: AIM, aim: AIM, found: Sequence[ImageryAlignment]) ->
     names = [f"part {number}" for number in range(1, len(kept) + 1)]
     side = found[0].window_side / imagery.resolution  # a window fits in, and none agrees
     rest = _find_large((imagery.coverage > 0) & ~agreeing, side)
+    beside = dict[int, int]()
     for number in range(1, int(rest.max()) + 1):
-        numbers[rest == number] = len(names) + 1
+        region = rest == number
         names.append(f"part {len(names) + 1}")
-    return Labels(numbers, names, [found[index] for index in kept])
+        beside[len(names)] = int(np.bincount(numbers[region]).argmax())
+        numbers[region] = len(names)
+    return Labels(numbers, names, [found[index] for index in kept], beside)
 
 
 def _find_large(mask: Bool[Array, "H W"], side: float) -> UInt16[Array, "H W"]:

@@ -121,6 +121,18 @@ def test_parts_that_agree_leave_another_as_unsure_as_the_prior():
     np.testing.assert_allclose(rest.alignment.covariance, np.eye(2) * 12.0, rtol=0.01)
 
 
+def test_region_that_nothing_confirms_stays_with_the_part_beside_it():
+    imagery, labels = _striped(3)
+    shifts = np.array([[4.0, 0.0], [-2.0, 0.0], [np.nan, np.nan]])
+    places = [_drawn(shifts)(mask_imagery(imagery, labels.numbers == k)) for k in (1, 2)]
+    labels = labels._replace(found=places, beside={3: 2})
+    found = align_parts(imagery, labels, _drawn(shifts), None, 8.0)
+    [rest] = [part for part in found if not part.placed]
+    np.testing.assert_allclose(rest.alignment.shift, [-2.0, 0.0])
+    off = np.array([6.0, 0.0])
+    assert off @ np.linalg.inv(rest.alignment.covariance) @ off < CHI2_2D
+
+
 def test_part_that_was_found_stays_where_it_was_found():
     """Windows that found a part may be too few to find it again by its own pixels."""
     imagery, labels = _striped(2)
