@@ -24,7 +24,7 @@ from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import make_similarity, to_opencv, transform_points
 from geoaim.base.grid import Grid
 from geoaim.imagery.alignment import template_matching
-from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior
+from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, compute_log_prior
 from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
 from geoaim.tracks.agent_types import AGENT_GROUPS
 from geoaim.tracks.tracks import Tracks
@@ -89,9 +89,8 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
             "align imagery to them. Give more tracks, control points, or an AIM"
         )
     search = _make_search(imagery, poses, prior)
-    half = float(np.abs(poses[:, :2] - search.center).max())
-    count = int(np.ceil(prior.max_rotation * half / ROTATION_STEP_M))
-    rotations = np.arange(-count, count + 1) * ROTATION_STEP_M / half
+    count = int(np.ceil(prior.max_rotation * search.half / ROTATION_STEP_M))
+    rotations = np.arange(-count, count + 1) * ROTATION_STEP_M / search.half
     posterior = _estimate_posterior(search, rotations)
     _refuse_weak(posterior.sum(axis=0), len(poses), prior.max_shift)
     return _average_posterior(posterior, rotations, search.center, len(poses))
@@ -143,6 +142,7 @@ class _Search(NamedTuple):
     classes: Int[Array, "H W"]
     poses: Float[Array, "M 3"]
     center: Float[Array, "2"]
+    half: float  # metres from the center to the farthest pose, along x or y
     max_shift: float  # metres
 
     @property
@@ -158,7 +158,7 @@ def _make_search(imagery: AIM, poses: Float[Array, "M 3"], prior: Prior) -> _Sea
     left, top = center[0] - reach, center[1] + reach
     matrix = np.array([[RESOLUTION, 0, left], [0, -RESOLUTION, top], [0, 0, 1.0]])
     grid = Grid((int(np.ceil(2 * reach / RESOLUTION)),) * 2, matrix)
-    return _Search(grid, *_classify_ground(imagery, grid), poses, center, prior.max_shift)
+    return _Search(grid, *_classify_ground(imagery, grid), poses, center, half, prior.max_shift)
 
 
 def _estimate_posterior(search: _Search, rotations: Float[Array, "t"]) -> Float[Array, "t n n"]:
@@ -320,7 +320,7 @@ def _correlate(
 
 def _normalise(scores: Float32[Array, "t n n"], max_shift: float) -> Float[Array, "t n n"]:
     """Probabilities from scores and a normal prior of the shift, whose 2 sigma are `max_shift`."""
-    log_prior = -(list_shifts(scores.shape[1]) ** 2).sum(axis=-1) / 2 / (max_shift / 2) ** 2
+    log_prior = compute_log_prior(list_shifts(scores.shape[1]), max_shift)
     log_posterior = (scores - scores.max()) / TEMPERATURE + log_prior
     posterior = np.exp(log_posterior - log_posterior.max())
     return posterior / posterior.sum()

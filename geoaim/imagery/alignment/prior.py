@@ -39,6 +39,11 @@ class Prior:
 DEFAULT_PRIOR = Prior()
 
 
+def compute_log_prior(shifts: Float[Array, "*n 2"], max_shift: float) -> Float[Array, "*n"]:
+    """Log density, up to a constant, of shifts whose two standard deviations are `max_shift`."""
+    return -(shifts**2).sum(axis=-1) / 2 / (max_shift / 2) ** 2
+
+
 def refuse_beyond_prior(
     matrix: Float[Array, "3 3"], center: Float[Array, "2"], prior: Prior
 ) -> None:

@@ -49,16 +49,18 @@ def find_parts(imagery: AIM, aim: AIM, prior: Prior) -> Labels | None:
         The parts, first those that were found at a place; None where there is one only, or where
         what differs does not lie together, as roofs that lean.
     """
-    found = list[ImageryAlignment]()
+    found, unexplained = list[ImageryAlignment](), imagery.coverage > 0
     for depth in range(SPLITS + 1):
         for box in _mark_rectangles(imagery, 2**depth):
-            _add_places(found, imagery, aim, prior, box)
+            found += _find_places(imagery, aim, prior, unexplained, box)
     places = _merge_places(found, imagery.resolution)
     labels = _divide_pixels(imagery, aim, places)
     if labels is None:
         return _separate_unconfirmed(imagery, aim, places[:1])
-    refined = _align_again(imagery, aim, prior, labels)
-    _add_places(refined, imagery, aim, prior, np.ones(imagery.coverage.shape, bool))
+    refined, unexplained = _align_again(imagery, aim, prior, labels), imagery.coverage > 0
+    for alignment in refined:
+        unexplained &= ~_mark_windows(imagery, alignment)
+    refined += _find_places(imagery, aim, prior, unexplained, unexplained)
     return _divide_pixels(imagery, aim, _merge_places(refined, imagery.resolution)) or labels
 
 
@@ -107,20 +109,19 @@ def _mark_rectangles(imagery: AIM, count: int) -> Iterator[Bool[Array, "H W"]]:
             yield box
 
 
-def _add_places(
-    found: list[ImageryAlignment], imagery: AIM, aim: AIM, prior: Prior, box: Bool[Array, "H W"]
-) -> None:
-    """Add the places of what a rectangle shows and no place found before explains."""
-    shown = imagery.coverage > 0
-    for alignment in found:
-        shown &= ~_mark_windows(imagery, alignment)
-    while (shown & box).sum() >= MIN_PART_SHARE * (imagery.coverage > 0).sum():
-        rest = crop_to_mask(imagery, shown & box)
+def _find_places(
+    imagery: AIM, aim: AIM, prior: Prior, unexplained: Bool[Array, "H W"], box: Bool[Array, "H W"]
+) -> list[ImageryAlignment]:
+    """Find the places of what a rectangle shows and no place explains, and mark it explained."""
+    found = list[ImageryAlignment]()
+    while (unexplained & box).sum() >= MIN_PART_SHARE * (imagery.coverage > 0).sum():
+        rest = crop_to_mask(imagery, unexplained & box)
         place, _ = try_alignment(lambda x: align_largest_part(x, aim, prior), rest)
         if place is None:
-            return
+            break
         found.append(place)
-        shown &= ~_mark_windows(imagery, place)
+        unexplained &= ~_mark_windows(imagery, place)
+    return found
 
 
 def _merge_places(found: Sequence[ImageryAlignment], resolution: float) -> list[ImageryAlignment]:

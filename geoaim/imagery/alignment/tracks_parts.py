@@ -23,7 +23,7 @@ from geoaim.imagery.alignment.by_tracks import (
     score_parts,
 )
 from geoaim.imagery.alignment.parts import Labels, Part
-from geoaim.imagery.alignment.prior import Prior
+from geoaim.imagery.alignment.prior import Prior, compute_log_prior
 from geoaim.imagery.alignment.result import MAX_SIGMA_M, ImageryAlignment
 from geoaim.tracks.tracks import Tracks
 
@@ -89,7 +89,7 @@ def weigh_displacement(
     Returns:
         The probability of displaced parts, and the (K, n, n) probabilities of each part's shifts.
     """
-    log_prior = -(list_shifts(scores.shape[1]) ** 2).sum(axis=-1) / 2 / (prior.max_shift / 2) ** 2
+    log_prior = compute_log_prior(list_shifts(scores.shape[1]), prior.max_shift)
     log_prior -= logsumexp(log_prior)
     together = scores.sum(axis=0) + log_prior
     each = scores + log_prior
