@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 from benchmarks.prediction.places import TRAIN, make_places
 from benchmarks.prediction.protocol import (
@@ -93,7 +94,7 @@ def train_once(
     Raises:
         ModelError: the folder's model is of another training.
     """
-    folder = workspace.models / (f"{name}_{training.seed}" if training.seed else name)
+    folder = name_training(name, training.seed, workspace)
     path = folder / "model.pt"
     if path.exists():
         state = read_state(folder / "checkpoint.pt")
@@ -107,3 +108,8 @@ def train_once(
     else:
         train(model, training, load_dataset(), folder, progress=workspace.progress)
     return read_model(path)
+
+
+def name_training(name: str, seed: int, workspace: Workspace) -> Path:
+    """Name the folder of a training."""
+    return workspace.models / (f"{name}_{seed}" if seed else name)

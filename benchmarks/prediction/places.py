@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -12,14 +13,17 @@ from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import read_aim, write_aim
-from geoaim.base.progress import Progress, notebook_progress
+from geoaim.base.progress import Progress, no_progress, notebook_progress
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
+from geoaim.mapping.pipeline import build_aim
 from geoaim.simulation.road_rules import RoadRules, make_road_rules
 from geoaim.simulation.scene import Scene, make_scene
 from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
 from geoaim.synthetic.roads.layouts import PlaceKind
+from geoaim.synthetic.sample import HOVER, VIDEOS
+from geoaim.synthetic.video_files import write_video_files
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import Lights, read_lights
@@ -46,6 +50,8 @@ RECORDING_MINUTES = 10.0
 RESOLUTION = 0.1  # metres per pixel of drawn places
 LANES, FULL = "map.osm", "map_full.osm"  # lanes; walkways, car parks and private roads as well
 DEGRADED_RESOLUTION = 1.0  # metres per pixel of blur and noise: that of vehicles' views
+FILMED_RESOLUTION = 0.2  # metres per pixel at which places are drawn to be filmed
+VIDEO_FRAMES, VIDEO_RATE = 30, 3.0  # of the videos that maps are built from: ten seconds
 NOISE = 0.2  # standard deviation, of full brightness, as in the paper
 
 
@@ -108,7 +114,7 @@ def read_recordings(place: Path) -> tuple[PlaceRecording, ...]:
 def read_map(place: Path, name: str) -> AIM:
     """Read a map from a place's folder; maps that take long to make are kept there.
 
-    `name` is "aim", "hdm" (lanes), "full" (and walkways), "degraded", "another day" or "none"
+    XX
     (grey): a key of `MAPS`.
 
     Raises:
@@ -190,6 +196,28 @@ def _read_background(place: Path) -> AIM:
     return read_aim(path)
 
 
+def _read_video(place: Path) -> AIM:
+    """The map that `build_aim` makes of a video of the place, and of its control points."""
+    path = place / "video.tif"
+    if not path.exists():
+        kind, seed = place.name.rsplit("_", 1)
+        sample = make_sample(
+            int(seed),
+            kind=kind,  # type: ignore[arg-type]
+            minutes=VIDEO_FRAMES / VIDEO_RATE / 60,
+            hover=replace(HOVER, count=VIDEO_FRAMES, frame_rate=VIDEO_RATE),
+            video=VIDEOS["720p"],
+            resolution=FILMED_RESOLUTION,
+        )
+        assert sample.clip is not None
+        with TemporaryDirectory() as folder:
+            files = Path(folder)
+            write_video_files(sample, sample.clip, files, no_progress)
+            aim = build_aim(files / "hover.mp4", files / "gcps.csv", progress=no_progress)
+        write_aim(aim, path)
+    return read_aim(path)
+
+
 def _read_degraded(place: Path) -> AIM:
     aim = _read_background(place)
     size = DEGRADED_RESOLUTION / aim.resolution
@@ -216,6 +244,7 @@ def _read_annotations(place: Path, name: str) -> HDMap:
 
 MAPS: Mapping[str, Callable[[Path], AIM]] = {
     "aim": _read_background,
+    "video": _read_video,
     "hdm": lambda place: draw_hdmap(_read_annotations(place, LANES)),
     "full": lambda place: draw_hdmap(_read_annotations(place, FULL)),
     "degraded": _read_degraded,

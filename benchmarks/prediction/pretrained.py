@@ -26,8 +26,8 @@ VAL: dict[str, Places] = {
     "vehicle": (*_VAL_ROADS, (403, "campus")),
     "pedestrian": (*_VAL_ROADS, (404, "park")),
 }
-# about twenty minutes of one core each
-REALISTIC_STEPS = {"vehicle": 2600, "pedestrian": 1000}
+# vehicles: about half an hour of one core
+REALISTIC_STEPS = {"vehicle": 5000, "pedestrian": 1000}
 REALISTIC_BATCH, REALISTIC_RATE = 48, 1e-3
 CHECKPOINT_INTERVAL = 150  # steps
 # standard deviation of latents in samples, by joint minADE and standing agents at `VAL`

@@ -39,6 +39,7 @@ def make_places_dataset(
     config: Config,
     map_name: str,
     *,
+    val: Sequence[Path] = (),
     lights: bool = True,
     progress: Progress = notebook_progress,
 ) -> Dataset:
@@ -48,22 +49,30 @@ def make_places_dataset(
         places: folders of the places.
         config: configuration of the model; recordings are resampled to its `dt`.
         map_name: a key of `experiments.places.MAPS`.
+        val: folders of other places, to validate with; without them the last 5 % of each recording
+            are for validation.
         lights: whether the scenes have traffic lights.
         progress: takes stage, done and total.
 
     Returns:
-        Training and validation segments; the last 5 % of each recording are for validation.
+        Training and validation segments.
     """
-    scenes: list[Scene] = []
-    for number, folder in enumerate(places):
-        progress("places", number, len(places))
+    scenes: dict[Path, list[Scene]] = {}
+    for number, folder in enumerate((*places, *val)):
+        progress("places", number, len(places) + len(val))
         aim = read_map(folder, map_name)
         here = [
             make_place_scene(recording, aim, dt=config.dt, lights=lights)
             for recording in read_recordings(folder)
         ]
-        scenes += [replace(scene, ground=here[0].ground) for scene in here]
-    return make_dataset(scenes, config, val_fraction=VAL_FRACTION, progress=progress)
+        scenes[folder] = [replace(scene, ground=here[0].ground) for scene in here]
+    return make_dataset(
+        [scene for folder in places for scene in scenes[folder]],
+        config,
+        val_fraction=VAL_FRACTION,
+        val_scenes=[scene for folder in val for scene in scenes[folder]],
+        progress=progress,
+    )
 
 
 @cache  # the places of several rows of a table are the same

@@ -1,9 +1,8 @@
 """Recordings and maps of synthetic places as detectors, drones and other sources give them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from jaxtyping import Float
@@ -18,15 +17,12 @@ from benchmarks.prediction.places import (
 )
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import read_aim, write_aim
-from geoaim.base.progress import Progress, no_progress, notebook_progress
-from geoaim.mapping.pipeline import build_aim
+from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import Dataset, make_dataset
 from geoaim.simulation.scene import Scene
-from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image
+from geoaim.synthetic import draw_place, make_place, world_from_image
 from geoaim.synthetic.imagery import make_other_day
-from geoaim.synthetic.sample import HOVER, VIDEOS
-from geoaim.synthetic.video_files import write_video_files
 from geoaim.tracks.changes import cut_tracks
 from geoaim.tracks.formats.motion import derive_motion
 from geoaim.tracks.tracks import Tracks
@@ -47,13 +43,15 @@ STANDING_S = 30.0  # for which each of them is seen
 # standard deviations of detections, drawn for each recording: of each position alone, and of an
 # error that changes over DRIFT_S, as by a box that takes the shadow in; and of lengths and widths
 WHITE_M, DRIFT_M, DRIFT_S = (0.01, 0.06), (0.03, 0.15), 1.0
+# seconds by which an agent is seen too early or late, in half of the recordings, and over which
+# that changes: as where frames are doubled or detections come late
+TIMING_S, TIMING_DRIFT_S = (0.0, 0.08), 0.3
 SIZE_NOISE = 0.08  # as a share
 STILL_SPEED = 0.3  # m/s; who is slower stands
 HALF_WINDOW_S = 0.25  # over which headings and speeds are differenced, as of geo-trax
 # metres of blur, and standard deviation of noise, of full brightness, of a bad map
 BLUR_M, MAP_NOISE = (0.2, 1.2), (0.02, 0.2)
 LATER_RESOLUTION = 0.2  # metres per pixel at which places are drawn on another day
-VIDEO_FRAMES, VIDEO_RATE = 30, 3.0  # of the videos that maps are built from: ten seconds
 # maps of the recordings with exact states, and of those with noisy ones
 EXACT_MAPS = ("drawn", "later")
 NOISY_MAPS = ("video", "bad", "bad later", "lanes", "later", "bad", "bad later", "lanes")
@@ -172,8 +170,12 @@ def add_detection_noise(tracks: Tracks, generator: np.random.Generator) -> Track
     white, drift = generator.uniform(*WHITE_M), generator.uniform(*DRIFT_M)
     shape = *tracks.present.shape, 2
     noise = white * generator.standard_normal(shape)
-    noise += drift * _draw_drift(shape, generator)
+    noise += drift * _draw_drift(shape, DRIFT_S, generator)
+    timing = generator.choice([0.0, generator.uniform(*TIMING_S)])
+    late = timing * _draw_drift(tracks.present.shape, TIMING_DRIFT_S, generator)
     states = tracks.states.copy()
+    heading, speed = states[..., 2], states[..., 3]
+    noise -= (late * speed)[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     states[..., :2] += noise
     sizes = tracks.sizes * (1 + SIZE_NOISE * generator.standard_normal(tracks.sizes.shape))
     noisy = replace(tracks, states=states, sizes=np.maximum(sizes, 0.5 * tracks.sizes))
@@ -192,12 +194,15 @@ def read_realistic_map(place: Path, name: str) -> AIM:
     `name` is "drawn", "later" (drawn on another day), "video" (built from a video), "bad" and "bad
     later" (blurred and noisy, of either day), or "lanes" (the HD map).
     """
-    if name == "lanes":
-        return read_map(place, "hdm")
-    if name.startswith("bad"):
-        return _spoil(place, _read_later(place) if name == "bad later" else read_map(place, "aim"))
-    readers = {"drawn": lambda place: read_map(place, "aim"), "later": _read_later}
-    return (readers | {"video": _read_video})[name](place)
+    readers: dict[str, Callable[[Path], AIM]] = {
+        "drawn": lambda place: read_map(place, "aim"),
+        "later": _read_later,
+        "video": lambda place: read_map(place, "video"),
+        "bad": lambda place: _spoil(place, read_map(place, "aim")),
+        "bad later": lambda place: _spoil(place, _read_later(place)),
+        "lanes": lambda place: read_map(place, "hdm"),
+    }
+    return readers[name](place)
 
 
 def _draw_row(
@@ -212,9 +217,11 @@ def _draw_row(
     return np.column_stack([points, np.full(length, turn)])
 
 
-def _draw_drift(shape: tuple[int, ...], generator: np.random.Generator) -> Float[Array, "N T 2"]:
-    """Draw errors of unit variance that change over `DRIFT_S` (Ornstein and Uhlenbeck 1930)."""
-    keep = np.exp(-1 / (RATE * DRIFT_S))
+def _draw_drift(
+    shape: tuple[int, ...], seconds: float, generator: np.random.Generator
+) -> Float[Array, "N T *_"]:
+    """Draw errors of unit variance that change over some time (Ornstein and Uhlenbeck 1930)."""
+    keep = np.exp(-1 / (RATE * seconds))
     drift = generator.standard_normal(shape)
     for step in range(1, shape[1]):
         drift[:, step] = keep * drift[:, step - 1] + np.sqrt(1 - keep**2) * drift[:, step]
@@ -237,26 +244,4 @@ def _read_later(place: Path) -> AIM:
         image = draw_place(made, make_other_day(made), resolution=LATER_RESOLUTION)
         matrix = world_from_image(made, LATER_RESOLUTION)
         write_aim(AIM.from_image(image, matrix, made.world, "drawn on another day"), path)
-    return read_aim(path)
-
-
-def _read_video(place: Path) -> AIM:
-    """The map that `build_aim` makes of a video of the place, and of its control points."""
-    path = place / "video.tif"
-    if not path.exists():
-        kind, seed = place.name.rsplit("_", 1)
-        sample = make_sample(
-            int(seed),
-            kind=kind,  # type: ignore[arg-type]
-            minutes=VIDEO_FRAMES / VIDEO_RATE / 60,
-            hover=replace(HOVER, count=VIDEO_FRAMES, frame_rate=VIDEO_RATE),
-            video=VIDEOS["720p"],
-            resolution=LATER_RESOLUTION,
-        )
-        assert sample.clip is not None
-        with TemporaryDirectory() as folder:
-            files = Path(folder)
-            write_video_files(sample, sample.clip, files, no_progress)
-            aim = build_aim(files / "hover.mp4", files / "gcps.csv", progress=no_progress)
-        write_aim(aim, path)
     return read_aim(path)

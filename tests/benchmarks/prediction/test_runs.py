@@ -107,6 +107,7 @@ def test_pretrained_models_are_written_to_the_workspace(workspace, monkeypatch, 
 def test_aim_and_hd_map_are_compared_over_places_and_trainings(workspace, monkeypatch):
     monkeypatch.setattr(aim_or_hdmap, "TRAIN", ((5, "t"),))
     monkeypatch.setattr(aim_or_hdmap, "TEST", ((5, "t"), (5, "t")))
+    monkeypatch.setattr(aim_or_hdmap, "VAL", {"vehicle": ((5, "t"),)})
     monkeypatch.setattr(aim_or_hdmap, "STEPS", 1)
     monkeypatch.setattr(aim_or_hdmap, "BATCH_SIZE", 2)
     monkeypatch.setattr(aim_or_hdmap, "SEEDS", 2)
@@ -115,7 +116,7 @@ def test_aim_and_hd_map_are_compared_over_places_and_trainings(workspace, monkey
     paths = aim_or_hdmap.run(workspace)
     rows = json.loads(paths[0].read_text())["results"]
     first = next(row for row in rows if row["metric"] == "minADE")
-    assert first["places"] == 2
+    assert first["number of places"] == 2
     assert first["low"] <= first["difference"] <= first["high"]
     assert "AIM minus HD map" in paths[1].read_text()
 
