@@ -29,6 +29,7 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.familiarity import measure_strangeness
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.predict import MAX_STRANGE_SHARE
+from geoaim.prediction.segments import control_present
 from geoaim.simulation.scene import Scene
 
 # kinds of places that a model was trained on, at places that it has not seen; and other kinds
@@ -79,6 +80,7 @@ def measure(model: ITRA, scenes: Sequence[Scene]) -> Row:
             segments = cut_segments(scene, config.kind, steps=steps, stride=2 * steps, joint=True)
         except TracksError:
             continue
+        segments = control_present(segments, slice(MAX_HISTORY_STEPS - 1, MAX_HISTORY_STEPS))
         distances = measure_strangeness(model, segments, scene.ground, step=MAX_HISTORY_STEPS - 1)
         if distances is not None:
             ends = segments.controlled.sum(dim=1).cumsum(dim=0)[:-1]

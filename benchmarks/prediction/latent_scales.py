@@ -20,7 +20,7 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_metrics
-from geoaim.prediction.segments import Segments, pick
+from geoaim.prediction.segments import Segments, control_present, pick
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.prefiltering import prefilter_ground
 from geoaim.simulation.scene import Scene
@@ -69,6 +69,7 @@ def _cut(scene: Scene, number: int, model: ITRA) -> list[Piece]:
             segments = cut_segments(
                 scene, kind, steps=steps, stride=steps, joint=True, parked=parked
             )
+            segments = control_present(segments, slice(None))
         except TracksError:  # none is present for long enough
             continue
         every = -(-len(segments) // MAX_SEGMENTS)

@@ -100,6 +100,7 @@ def _evaluate_on_map(
     from geoaim.prediction.cutting import cut_segments
     from geoaim.prediction.dataset import split_scene
     from geoaim.prediction.metrics import keep_rates
+    from geoaim.prediction.segments import control_present
     from geoaim.simulation.prefiltering import prefilter_ground
     from geoaim.simulation.road_rules import check_rules, make_road_rules
 
@@ -109,6 +110,8 @@ def _evaluate_on_map(
     _, scene = split_scene(whole, fraction)
     steps = MAX_HISTORY_STEPS + horizon
     segments = cut_segments(scene, config.kind, steps=steps, stride=steps, joint=True)
+    if config.num_anchors:  # a proposal needs all observed steps of its agent
+        segments = control_present(segments, slice(MAX_HISTORY_STEPS))
     ground = prefilter_ground(scene.ground, config.resolution)
     given = segments, ground, evaluation.EvalConfig(MAX_HISTORY_STEPS, **choices)
     metrics = {

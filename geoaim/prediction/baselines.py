@@ -6,10 +6,11 @@ from functools import partial
 from typing import Protocol, runtime_checkable
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from geoaim.prediction.segments import Segments, make_segment_scenario, repeat
+from geoaim.prediction.segments import Segments, make_segment_scenario, mark_entries, repeat
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.simulator import Policy, rollout
@@ -67,22 +68,23 @@ def _predict_with_policy(
 def _predict_with_noise(
     segments: Segments, ground: Ground, *, history: int, samples: int, generator: torch.Generator
 ) -> Float[Tensor, "B K N T 4"]:
-    """Continue at constant velocity after noise on heading and speed at the last observed step.
+    """Continue at constant velocity after noise on heading and speed.
 
-    Schöller et al. 2020.
+    The noise is that of the last observed step, or of the step at which an agent enters (Schöller
+    et al. 2020).
     """
     repeated = repeat(segments, samples)
     states = repeated.states
     shape = len(repeated), states.shape[1], 2
     noise = torch.randn(shape, generator=generator, device=states.device)
-    noise = torch.where(repeated.controlled[..., None], noise, 0.0)
-    x, y, heading, speed = states[:, :, history - 1].unbind(-1)
-    heading = heading + HEADING_NOISE_RAD * noise[..., 0]
-    speed = speed * (1 + SPEED_NOISE * noise[..., 1])
-    last = torch.stack([x, y, heading, speed], dim=-1)
-    parts = states[:, :, : history - 1], last[:, :, None], states[:, :, history:]
-    states = torch.cat(parts, dim=2)
-    noisy = replace(repeated, states=states)
+    noise = torch.where(repeated.controlled[..., None], noise, 0.0)[:, :, None]
+    starts = mark_entries(repeated, history)
+    starts = F.pad(F.pad(starts, (1, 0), value=True), (history - 1, 0))  # (B K, N, T)
+    x, y, heading, speed = states.unbind(-1)
+    turned = heading + HEADING_NOISE_RAD * noise[..., 0]
+    faster = speed * (1 + SPEED_NOISE * noise[..., 1])
+    changed = torch.stack([x, y, turned, faster], dim=-1)
+    noisy = replace(repeated, states=torch.where(starts[..., None], changed, states))
     futures = _predict_with_policy(
         constant_velocity, noisy, ground, history=history, samples=1, generator=generator
     )

@@ -26,9 +26,10 @@ def cut_segments(
         group: "vehicle", "pedestrian" or "cyclist"; other agents replay.
         steps: number of steps of each segment.
         stride: steps from one segment's start to the next.
-        joint: one segment for each start, in which all agents of the group that are present at all
-            steps are controlled; otherwise one segment for each of these agents, which alone is
-            controlled, with its nearest neighbours.
+        joint: one segment for each start at which an agent of the group is present at all steps. In
+            it all agents of the group are controlled, each while it is there. Otherwise one segment
+            for each agent that is present at all steps, which alone is controlled, with its nearest
+            neighbours.
         parked: whether to control the agents that move by less than `MIN_TRAVEL_M` in the whole
             scene, instead of all others.
 
@@ -53,11 +54,13 @@ def cut_segments(
             f"no {'parked' if parked else 'moving'} {group} is present for {steps} steps of "
             f"{dt:g} s; the longest track has {longest}"
         )
-    choose_agents = _choose_all if joint else _choose_neighbours
     parts = []
     for number in complete.any(dim=0).nonzero()[:, 0].tolist():
         piece = slice_scene(scene, slice(number * stride, number * stride + steps))
-        parts.append(_cut(piece, *choose_agents(piece, complete[:, number]), round(dt, 6)))
+        chosen = (
+            _choose_all(piece, agents) if joint else _choose_neighbours(piece, complete[:, number])
+        )
+        parts.append(_cut(piece, *chosen, round(dt, 6)))
     return concat(parts)
 
 
@@ -116,11 +119,11 @@ def _find_complete(
 
 
 def _choose_all(
-    piece: Scene, complete: Bool[Tensor, "N"]
+    piece: Scene, controlled: Bool[Tensor, "N"]
 ) -> tuple[Int[Tensor, "1 n"], Bool[Tensor, "1 n"]]:
     """All agents that are present at some step, in one segment; and which are controlled."""
     agents = piece.present.any(dim=1).nonzero()[:, 0]
-    return agents[None], complete[agents][None]
+    return agents[None], controlled[agents][None]
 
 
 def _choose_neighbours(

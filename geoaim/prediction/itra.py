@@ -10,7 +10,7 @@ its kinematic model f_kin, and the hidden state h_t of a GRU is updated:
 Samples take the mean of s_{t+1}: noise at each step would move a standing car by a metre.
 In training z_t comes from the posterior q_phi(z_t | b_t, a_t, h_{t-1}), where a_t is the
 ground-truth action, and the evidence lower bound is maximized through kinematics and renderer.
-All other agents replay their ground truth.
+All other agents replay their ground truth. Agents enter and leave as recorded.
 
 Beyond the paper, a model may have trajectory proposals (`anchors`): at the last observed step it
 proposes `num_anchors` of them, and each sample follows one, as a further input of f_theta.
@@ -147,8 +147,8 @@ class ITRA(nn.Module):
         It is `start`, then `step` in a loop, with the same samples for the same seed.
 
         Args:
-            segments: segments, whose first steps are observed; later steps of controlled agents are
-                ignored.
+            segments: segments, whose first steps are observed. Of controlled agents' later steps,
+                only when they leave is used, and when and in which state they enter.
             ground: the map. It is prefiltered for the model's views here unless that was done
                 before (`prefilter_ground`), which saves time over many calls.
             history: observed steps.
@@ -309,8 +309,7 @@ class ITRA(nn.Module):
             inputs = torch.cat([features, actions[:, step], attributes], dim=1)  # (E, F + 2 + 3)
             updated = self.update_hidden(inputs, hidden)  # (E, H)
             # the hidden state of an agent that enters later stays zero until then
-            present = batch.present[:, step : step + 2].all(dim=1, keepdim=True)
-            hidden = torch.where(present, updated, hidden)
+            hidden = torch.where(batch.find_moving(step), updated, hidden)
         last = batch.history - 1
         return Rollout(batch, last, batch.segments.states[:, :, last], features, hidden)
 
@@ -344,17 +343,17 @@ class ITRA(nn.Module):
         action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
         action = MAX_ACTION * torch.tanh(action / MAX_ACTION)
         seen = torch.cat([rollout.features, action, context[:, -ATTRIBUTES:]], dim=1)
-        return action, replace(rollout, hidden=self.update_hidden(seen, rollout.hidden))
+        updated, moving = self.update_hidden(seen, rollout.hidden), rollout.moving
+        return action, replace(rollout, hidden=torch.where(moving, updated, rollout.hidden))
 
     def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
-        """Move the controlled agents by their actions."""
+        """Move the controlled agents that are there; those that enter do so as recorded."""
         batch, controlled = rollout.batch, rollout.batch.controlled
+        row = controlled.segment, controlled.agent
         given = rollout.pose, self.scale_action(action), batch.sizes[:, 0], batch.segments.dt
-        after = self.motion.step(*given)  # (E, 4)
-        states = batch.segments.states[:, :, rollout.index + 1].index_put(
-            (controlled.segment, controlled.agent), after
-        )
-        return replace(rollout, index=rollout.index + 1, states=states)
+        recorded = batch.segments.states[:, :, rollout.index + 1]
+        after = torch.where(rollout.moving, self.motion.step(*given), recorded[row])  # (E, 4)
+        return replace(rollout, index=rollout.index + 1, states=recorded.index_put(row, after))
 
     def _train_anchors(
         self, rollout: Rollout, generator: torch.Generator, top_k: int
@@ -375,14 +374,15 @@ class ITRA(nn.Module):
         step: int,
         features: Float[Tensor, "E F"],
     ) -> Float[Tensor, "E F"]:
-        """Encode views at each `view_stride`-th step; else, and of absent agents, keep features."""
-        config = self.config
-        if not config.use_observations or (step - batch.history + 1) % config.view_stride:
+        """Encode views at each `view_stride`-th step and of who enters; else keep features."""
+        config, due = self.config, (step - batch.history + 1) % self.config.view_stride == 0
+        now = batch.present[:, step] if due else batch.find_entering(step)
+        if not config.use_observations or not now.any():
             return features
-        split = split_views(config.view, batch.segments, batch.controlled, states, step)
+        shown = Controlled(batch.controlled.segment[now], batch.controlled.agent[now])
+        split = split_views(config.view, batch.segments, shown, states, step)
         parts = [self._render_and_encode(batch, states, step, some) for some in split]
-        encoded = torch.cat(parts).to(features)
-        return torch.where(batch.present[:, step, None], encoded, features)
+        return features.index_put((now.nonzero()[:, 0],), torch.cat(parts).to(features))
 
     def _render_and_encode(
         self, batch: Batch, states: Float[Tensor, "B N 4"], step: int, controlled: Controlled

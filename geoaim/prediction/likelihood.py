@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
@@ -64,7 +64,10 @@ CONFIG_2024 = _make_config(
 
 
 def estimate_log_likelihood(
-    logged: Float[Tensor, "E T"], simulated: Float[Tensor, "K E S"], estimator: Estimator
+    logged: Float[Tensor, "E T"],
+    simulated: Float[Tensor, "K E S"],
+    estimator: Estimator,
+    counted: Bool[Tensor, "E S"] | None = None,
 ) -> Float[Tensor, "E T"]:
     """Estimate the log-likelihood of logged values under a histogram of simulated ones.
 
@@ -75,6 +78,7 @@ def estimate_log_likelihood(
         logged: values of E agents at T steps.
         simulated: values of the same agents in K samples of S steps.
         estimator: the histogram.
+        counted: the simulated steps that count; None: all.
 
     Returns:
         For each logged value, the logarithm of the share of simulated values in its bin.
@@ -87,7 +91,10 @@ def estimate_log_likelihood(
     samples = simulated.transpose(0, 1).flatten(1)  # (E, K * S)
     bins = _find_bins(samples, estimator)
     counts = samples.new_full((len(samples), estimator.bins), estimator.pseudocount)
-    counts.scatter_add_(1, bins, torch.ones_like(samples))
+    weights = torch.ones_like(samples)
+    if counted is not None:
+        weights = weights * counted.repeat(1, len(simulated))
+    counts.scatter_add_(1, bins, weights)
     shares = counts / counts.sum(dim=1, keepdim=True)
     return shares.log().gather(1, _find_bins(logged, estimator))
 

@@ -3,20 +3,22 @@
 Bootstrap intervals need the segments, hence the sums and counts instead of means.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.prediction.segments import VEHICLE, Segments, repeat
+from geoaim.prediction.segments import VEHICLE, Segments, mark_followed, repeat
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules_to_any
 from geoaim.simulation.scene_infractions import AgentMotion, find_infractions
 
+MIN_JUDGED_S = 1.0  # agents that leave sooner after the last observed step have no displacement
 BOOTSTRAP_DRAWS = 1000
 CONFIDENCE = 0.95
 MIN_SEGMENTS = 10  # fewer have no interval: their bootstrap is too narrow
@@ -46,6 +48,10 @@ def compute_metrics(
 ) -> dict[str, Metric]:
     """Compute all metrics of controlled agents.
 
+    Displacements are those of agents that are present at the last observed step and for
+    `MIN_JUDGED_S` after it, or to the end of shorter segments: over the steps until they leave, and
+    at the last of these. Rates count all agents at the steps at which they are there.
+
     - `minADE`, `minFDE`: average and final displacement error of the best of K samples, chosen for
       each agent (Gupta et al. 2018).
     - `joint minADE`, `joint minFDE`: the same, one sample chosen for all agents of a segment (Liu
@@ -71,18 +77,19 @@ def compute_metrics(
     """
     check_futures(futures, segments, history)
     rules = move_rules_to_any(rules, segments.worlds)
-    controlled = segments.controlled
-    count = controlled.sum(dim=1)
+    judged = mark_judged(segments, history)
+    count = judged.sum(dim=1)
     metrics = {}
-    errors_at_end = (futures[..., -1, :2] - segments.states[:, None, :, -1, :2]).norm(dim=-1)
+    ends = _gather_ends(futures, segments, history)  # (B, K, N, 2)
+    truth = _gather_ends(segments.states[:, None], segments, history)
+    errors_at_end = (ends - truth).norm(dim=-1)
     for name, errors in (("ADE", compute_ade(futures, segments, history)), ("FDE", errors_at_end)):
-        best = torch.where(controlled, errors.amin(dim=1), 0.0).sum(dim=1)
+        best = torch.where(judged, errors.amin(dim=1), 0.0).sum(dim=1)
         metrics[f"min{name}"] = _make_metric(best, count)
-        joint = torch.where(controlled[:, None], errors, 0.0).sum(dim=2).amin(dim=1)
+        joint = torch.where(judged[:, None], errors, 0.0).sum(dim=2).amin(dim=1)
         metrics[f"joint min{name}"] = _make_metric(joint / count.clamp_min(1), count.sign())
-    ends = futures[..., -1, :2].transpose(1, 2)  # (B, N, K, 2)
-    distances = (ends[:, :, :, None] - ends[:, :, None]).norm(dim=-1).amax(dim=(2, 3))
-    mfd = torch.where(controlled, distances, 0.0).sum(dim=1)
+    distances = (ends[:, :, None] - ends[:, None]).norm(dim=-1).amax(dim=(1, 2))  # (B, N)
+    mfd = torch.where(judged, distances, 0.0).sum(dim=1)
     metrics["MFD"] = _make_metric(mfd, count)
     return metrics | _compute_infraction_rates(futures, segments, history, rules)
 
@@ -127,10 +134,29 @@ def compute_ade(
         history: observed steps.
 
     Returns:
-        Mean distance from the ground truth over predicted steps, metres.
+        Mean distance from the ground truth over the predicted steps until an agent leaves, metres;
+        0 for agents that are absent at the last observed step or the next one.
     """
+    followed = mark_followed(segments, history)
     offsets = futures[..., history:, :2] - segments.states[:, None, :, history:, :2]
-    return offsets.norm(dim=-1).mean(dim=-1)
+    distances = torch.where(followed[:, None], offsets.norm(dim=-1), 0.0)
+    return distances.sum(dim=-1) / followed.sum(dim=-1).clamp_min(1)[:, None]
+
+
+def mark_judged(segments: Segments, history: int) -> Bool[Tensor, "B N"]:
+    """Mark the controlled agents whose displacements are judged, as `compute_metrics` says."""
+    horizon = segments.steps - history
+    least = min(horizon, math.ceil(MIN_JUDGED_S / segments.dt - 1e-6))
+    return segments.controlled & (mark_followed(segments, history).sum(dim=2) >= least)
+
+
+def _gather_ends(
+    states: Float[Tensor, "B k N T 4"], segments: Segments, history: int
+) -> Float[Tensor, "B k N 2"]:
+    """Positions at the last predicted step before an agent leaves."""
+    last = history - 1 + mark_followed(segments, history).sum(dim=2)  # (B, N)
+    index = last[:, None, :, None, None].expand(-1, states.shape[1], -1, 1, 2)
+    return states[..., :2].gather(3, index)[..., 0, :]
 
 
 def bootstrap_interval(

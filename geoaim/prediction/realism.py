@@ -12,9 +12,9 @@ from torch import Tensor
 
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.likelihood import CONFIG_2024, Estimator, estimate_log_likelihood
-from geoaim.prediction.metrics import Metric, check_futures
+from geoaim.prediction.metrics import Metric, check_futures, mark_judged
 from geoaim.prediction.realism_features import compute_features
-from geoaim.prediction.segments import Segments, pick
+from geoaim.prediction.segments import Segments, mark_followed, pick
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules, move_rules_to_any
 
 MIN_HISTORY_STEPS = 2  # steps before the first simulated one, whose acceleration needs them
@@ -39,6 +39,8 @@ def compute_realism(
     config: Mapping[str, Estimator] = CONFIG_2024,
 ) -> dict[str, Metric]:
     """Compute the realism of the controlled agents' futures, from 0 to 1 for each segment.
+
+    Judged are the agents whose displacements `compute_metrics` judges, until they leave.
 
     The definitions are those of the challenge's code of 2024; the challenge has 32 samples of 8 s
     at 10 Hz, and results with other numbers are not comparable with its own. Positions are planar.
@@ -140,21 +142,19 @@ def _score_segment(
     config: Mapping[str, Estimator],
 ) -> dict[str, Tensor]:
     """The likelihood of each feature, averaged over agents and steps."""
-    controlled, present = segment.controlled[0], segment.present[0]  # (N,), (N, T)
-    simulated = present.clone()
-    simulated[:, history:] |= controlled[:, None]
+    judged, present = mark_judged(segment, history)[0], segment.present[0]  # (N,), (N, T)
     log, samples = (
         compute_features(
             states[..., :3],
-            there.expand(len(states), -1, -1),
+            present.expand(len(states), -1, -1),
             segment.sizes[0],
-            controlled,
+            judged,
             dt=segment.dt,
             drivable=rules.drivable,
         )
-        for states, there in ((segment.states, present), (futures, simulated))
+        for states in (segment.states, futures)
     )
-    valid = present[controlled, history:]
+    valid = mark_followed(segment, history)[0, judged]
     scores = {}
     for name, estimator in config.items():
         feature, sign = BINARY_FEATURES.get(name, (name, 0.0))
@@ -162,8 +162,9 @@ def _score_segment(
             values = log[feature][0, :, history:], samples[feature][..., history:]
             if sign:
                 values = _indicate(values[0], valid, sign), _indicate(values[1], valid, sign)
-            counted = _select_steps(name, valid)
-            scores[name] = estimate_log_likelihood(*values, estimator)[counted].mean().exp()
+            steps = None if sign else valid
+            likelihoods = estimate_log_likelihood(*values, estimator, steps)
+            scores[name] = likelihoods[_select_steps(name, valid)].mean().exp()
     return scores
 
 

@@ -49,6 +49,16 @@ class Batch:
         """Presence of the controlled agents."""
         return self.segments.present[self.controlled.segment, self.controlled.agent]
 
+    def find_moving(self, step: int) -> Bool[Tensor, "E 1"]:
+        """Controlled agents that are there at a step and the next: those that a model moves."""
+        return self.present[:, step : step + 2].all(dim=1, keepdim=True)
+
+    def find_entering(self, step: int) -> Bool[Tensor, "E"]:
+        """Controlled agents that enter at a predicted step: they were absent the step before."""
+        if step < self.history:
+            return torch.zeros_like(self.present[:, 0])
+        return self.present[:, step] & ~self.present[:, step - 1]
+
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
@@ -77,6 +87,11 @@ class Rollout:
     def pose(self) -> Float[Tensor, "E 4"]:
         """States of the controlled agents."""
         return self.states[self.batch.controlled.segment, self.batch.controlled.agent]
+
+    @property
+    def moving(self) -> Bool[Tensor, "E 1"]:
+        """Controlled agents that are still there at the next step."""
+        return self.batch.find_moving(self.index)
 
     def place(self, agent: int, states: Float[Tensor, "B 4"]) -> "Rollout":
         """Put an agent elsewhere in all rows, as its own planner wants.

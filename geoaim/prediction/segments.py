@@ -25,7 +25,8 @@ class Segments:
         present: (B, N, T) whether the agent is there.
         sizes: (B, N, 2) length and width, metres; 1 in padding.
         layers: (B, N) the layer that the agent is drawn in, `VEHICLE` or `PEDESTRIAN`.
-        controlled: (B, N) whether the model controls the agent; others replay.
+        controlled: (B, N) whether the model controls the agent while it is there: it enters in its
+            recorded state and leaves at its recorded time. Others replay.
         places: (B,) number of the segment's map in the ground of all maps.
         stop_lines: (B, L, 2, 2) both ends of each light's line, metres.
         light_states: (B, T, L) states, as in `geoaim.tracks.lights`.
@@ -128,6 +129,23 @@ def make_segment_scenario(segments: Segments) -> Scenario:
     """Make the simulator's scenario of segments."""
     pedestrian = segments.layers == PEDESTRIAN
     return Scenario(segments.states, segments.present, segments.sizes, pedestrian, segments.dt)
+
+
+def control_present(segments: Segments, steps: slice) -> Segments:
+    """Control only those of the controlled agents that are there at all of some steps."""
+    there = segments.present[:, :, steps].all(dim=2)
+    return replace(segments, controlled=segments.controlled & there)
+
+
+def mark_followed(segments: Segments, history: int) -> Bool[Tensor, "B N t"]:
+    """Mark the predicted steps at which an agent is there, since the last observed one on."""
+    there = segments.present[:, :, history - 1 :]
+    return there.int().cumprod(dim=2).bool()[:, :, 1:]
+
+
+def mark_entries(segments: Segments, history: int) -> Bool[Tensor, "B N t"]:
+    """Mark the predicted steps at which an agent is there and was not at the step before."""
+    return segments.present[:, :, history:] & ~segments.present[:, :, history - 1 : -1]
 
 
 def scale(segments: Segments, factors: Float[Tensor, "2"]) -> Segments:

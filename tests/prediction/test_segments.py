@@ -59,7 +59,8 @@ def test_each_moving_agent_gets_a_segment():
 
 def test_joint_segments_control_all_of_a_kind_at_once():
     segments = cut_segments(scene(), "vehicle", steps=10, stride=10, joint=True)
-    assert segments.controlled.sum(dim=1).tolist() == [2, 2]
+    assert segments.controlled.sum(dim=1).tolist() == [3, 2]  # one car leaves within the first
+    assert segments.present[0].sum(dim=1).tolist() == [10, 10, 10, 10, 8]
     pedestrians = cut_segments(scene(), "pedestrian", steps=10, stride=10, joint=True)
     assert pedestrians.controlled.sum(dim=1).tolist() == [1, 1]
 
