@@ -80,8 +80,9 @@ def build_aim(
 
     Args:
         video: what `open_video` opens: a video file, a folder or glob of images, or arrays. Of a
-            camera on a mast or a tripod, `replace(open_video(path), is_fixed=True)`: frames that
-            are not at rest are then rejected, and traffic is no reason to reject one.
+            camera on a mast or a tripod that is not recognised as such,
+            `replace(open_video(path), is_fixed=True)`: frames that are not at rest are then
+            rejected, and traffic is no reason to reject one.
         gcps: what `read_control_points` reads: at least four points, better six or more, picked on
             the first frame unless they name another. Or the georeference of the first frame; one
             that only gives a scale (`make_local_georeference`) is of the reference frame, which is

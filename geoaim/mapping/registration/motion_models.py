@@ -15,7 +15,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import transform_points
 
-# "rest" has no parameter, and is never chosen by the data: overlays are at rest, too
+# "rest" has no parameter; `registration.rest` chooses it
 Model = Literal["rest", "translation", "rigid", "similarity", "affine", "homography"]
 MIN_ACCURACY_GAIN_PX = 0.01  # a model with more parameters is chosen for a greater gain in accuracy
 BLOCK_COLUMNS, BLOCK_ROWS = 4, 3  # blocks of the jackknife

@@ -38,7 +38,12 @@ from geoaim.mapping.registration.frame_registration import (
 )
 from geoaim.mapping.registration.motion_models import Model, ModelChoice, PointMatches, choose_model
 from geoaim.mapping.registration.patches import PatchAlignment
-from geoaim.mapping.registration.rest import register_at_rest
+from geoaim.mapping.registration.rest import (
+    EVIDENCE_FRAMES,
+    may_stand,
+    register_at_rest,
+    stands_still,
+)
 from geoaim.mapping.registration.sequence import check_ground, find_jumps
 from geoaim.mapping.video.detections import Detections, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
@@ -132,8 +137,8 @@ def register(
     Args:
         video: what `open_video` opens.
         detections: vehicles to leave out, as `read_detections` reads them.
-        model: the motion model; None chooses the simplest that the frames need. "rest" is for a
-            camera that stands still, on a mast or a tripod.
+        model: the motion model; None chooses the simplest that the frames need. "rest" is that of
+            a camera that stands still, on a mast or a tripod.
         reference_time: seconds; 0 for the first frame; None chooses the reference by the data.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
 
@@ -214,8 +219,9 @@ def choose_reference(
 ) -> Reference:
     """Choose the reference and the motion model by a few frames spread over the video.
 
-    The reference is the middle one if all others can be registered to it, else the one that matches
-    most others, or the first one when the view moves on so that none overlaps with the others.
+    A camera that stands still is recognised first; any frame then serves. Else the reference is the
+    middle one if all others can be registered to it, or the one that matches most others, or the
+    first one when the view moves on so that none overlaps with the others.
 
     Args:
         video: the video.
@@ -244,6 +250,13 @@ def choose_reference(
         known = (one for one in read if abs(one.time - time) < TIME_TOLERANCE_S)
         frame = next(known, None) or next(iter(video.frames_at([time])))
     reference = _make_reference(frame, detections, model)
+    others = [probe for probe in probes if probe.index != frame.index]
+    if model is None and may_stand(others, reference.keyframe):
+        spread_frames = (
+            read if len(read) >= EVIDENCE_FRAMES else list(video.sample(EVIDENCE_FRAMES))
+        )
+        if stands_still(spread_frames):
+            return replace(reference, model="rest")
     placed = [] if is_given else _register_probes(reference, probes)
     if time is None and not all(result.valid for result, _ in placed):
         features = [

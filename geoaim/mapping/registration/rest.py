@@ -1,13 +1,16 @@
-"""Register the frames of a camera that is said to stand still, on a mast or a tripod.
+"""Find that a camera stands still, on a mast or a tripod, and register its frames.
 
 No motion is estimated: the transform is the identity. A frame must show that it is at rest, by
 patches that have not moved; a moving mass does not count against it, however large.
+
+An overlay over a moving scene is at rest, too. But what passes covers the ground of a camera that
+stands, and an overlay it never does.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.mapping.registration.frame_registration import (
@@ -18,12 +21,64 @@ from geoaim.mapping.registration.frame_registration import (
 )
 from geoaim.mapping.registration.patches import (
     MIN_INLIER_CORRELATION,
+    PATCH_COUNT,
     PatchAlignment,
+    PatchTemplate,
     align_patches,
+    make_template,
 )
 from geoaim.mapping.video.frames import Frame
 
 MAX_SHIFT_PX = 0.3  # of a patch at rest: noise moves patches by some tenths of a pixel
+EVIDENCE_FRAMES = 16  # by which it is decided whether a camera stands
+MIN_EVIDENCE_FRAMES = 8
+# chosen on the validation part of `benchmarks.registration.stability`
+MIN_STEADY_RATIO = 0.5  # fewest patches at rest in a frame over the most: frozen blocks move on
+MIN_REST_SHARE = 0.4  # of a full grid of patches that rest in half of the frames
+MAX_COVERED_CORRELATION = 0.4  # of a patch over which something else lies
+MIN_COVERED_SHARE = 0.1  # of the resting patches, covered in two frames or more
+
+
+def may_stand(frames: Sequence[Frame], keyframe: Keyframe) -> bool:
+    """Whether about as many patches of the reference are at rest in each frame.
+
+    Args:
+        frames: other frames, spread over the video.
+        keyframe: the reference.
+    """
+    counts = [int(_classify_patches(keyframe.fine, f.grey)[0].sum()) for f in frames]
+    return len(counts) > 1 and min(counts) >= max(MIN_INLIERS, MIN_STEADY_RATIO * max(counts))
+
+
+def stands_still(frames: Sequence[Frame]) -> bool:
+    """Whether what is at rest in the frames is the ground: over the image, and covered at times.
+
+    Args:
+        frames: some 16, spread over the video.
+    """
+    if len(frames) < MIN_EVIDENCE_FRAMES:
+        return False
+    median = np.median(np.stack([frame.grey for frame in frames]), axis=0).astype(np.uint8)
+    template = make_template(median)
+    states = [_classify_patches(template, frame.grey) for frame in frames]
+    at_rest, covered = (np.stack(part) for part in zip(*states, strict=True))
+    rests = at_rest.mean(axis=0) >= 0.5
+    if rests.sum() < MIN_REST_SHARE * PATCH_COUNT:
+        return False
+    return bool((covered[:, rests].sum(axis=0) >= 2).mean() >= MIN_COVERED_SHARE)
+
+
+def _classify_patches(
+    template: PatchTemplate, grey: UInt8[Array, "H W"]
+) -> tuple[Bool[Array, " M"], Bool[Array, " M"]]:
+    """Which patches a frame shows at the same pixels, and over which something else lies."""
+    count = len(template.points)
+    at_rest, covered = np.zeros(count, bool), np.ones(count, bool)
+    alignment = align_patches(template, grey, np.eye(3), "translation", iterations=1)
+    if alignment is not None:
+        at_rest[alignment.fitted] = _find_still(alignment)
+        covered = alignment.correlation < MAX_COVERED_CORRELATION
+    return at_rest, covered
 
 
 def register_at_rest(
@@ -53,9 +108,7 @@ def check_rest(grey: UInt8[Array, "H W"], keyframe: Keyframe) -> FrameRegistrati
     alignment = align_patches(keyframe.fine, grey, np.eye(3), "translation", iterations=1)
     if alignment is None:
         return _reject("no patch in view")
-    shift = measure_displacements(alignment)
-    correlation = alignment.correlation[alignment.fitted]
-    still = (np.hypot(*shift.T) < MAX_SHIFT_PX) & (correlation > MIN_INLIER_CORRELATION)
+    still, shift = _find_still(alignment), measure_displacements(alignment)
     if still.sum() < MIN_INLIERS:
         return _reject(
             f"not at rest: {still.sum()} of {alignment.in_view.sum()} patches have not moved"
@@ -63,7 +116,7 @@ def check_rest(grey: UInt8[Array, "H W"], keyframe: Keyframe) -> FrameRegistrati
     return FrameRegistration(
         reference_from_frame=np.eye(3),
         reason="",
-        quality=float(np.median(correlation[still])),
+        quality=float(np.median(alignment.correlation[alignment.fitted][still])),
         inlier_share=float(still.sum() / alignment.in_view.sum()),
         uncertainty=float(np.hypot(*shift[still].mean(axis=0))) + INTERPOLATION_ERROR_PX,
     )
@@ -72,6 +125,13 @@ def check_rest(grey: UInt8[Array, "H W"], keyframe: Keyframe) -> FrameRegistrati
 def measure_displacements(alignment: PatchAlignment) -> Float[Array, "N 2"]:
     """Displacements of the fitted patches from where the alignment started, after one iteration."""
     return alignment.motion.residuals + alignment.motion.matrix[:2, 2]
+
+
+def _find_still(alignment: PatchAlignment) -> Bool[Array, "N"]:
+    """Which of the fitted patches have not moved."""
+    shift = np.hypot(*measure_displacements(alignment).T)
+    correlation = alignment.correlation[alignment.fitted]
+    return np.asarray((shift < MAX_SHIFT_PX) & (correlation > MIN_INLIER_CORRELATION))
 
 
 def _reject(reason: str) -> FrameRegistration:

@@ -1,8 +1,11 @@
-"""A camera that is said to stand still, over traffic that covers most of its view."""
+"""A camera that stands still, over traffic that covers most of its view."""
 
 import numpy as np
 
-from geoaim.mapping.registration.register import register
+from geoaim.mapping.registration.register import choose_reference, register
+from geoaim.mapping.registration.rest import stands_still
+from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.video import open_video
 from tests.conftest import textured
 
 SIZE = (240, 320)
@@ -42,3 +45,47 @@ def test_a_frame_of_something_else_is_rejected():
     frames = film()
     frames[4] = textured(np.random.default_rng(7), *SIZE)
     assert np.flatnonzero(~register(frames, model="rest").valid).tolist() == [4]
+
+
+def film_road(*, is_overlay=False, count=12):
+    """Frames of the lower three quarters that textures cover in turn; or those lie over a drift."""
+    image = textured(np.random.default_rng(1), SIZE[0], SIZE[1] + 4 * count)
+    traffic = textured(np.random.default_rng(2), SIZE[0], SIZE[1] + 20 * count)
+    frames = []
+    for k in range(count):
+        if is_overlay:
+            shown = traffic[:, : SIZE[1]].copy()
+            shown[:60] = image[:60, 4 * k : 4 * k + SIZE[1]]
+        else:
+            shown = image[:, : SIZE[1]].copy()
+            top = 60 + 60 * (k % 3)
+            shown[top : top + 60] = traffic[top : top + 60, 20 * k : 20 * k + SIZE[1]]
+        noise = np.random.default_rng(k).normal(0, 2, shown.shape)
+        frames.append((shown + noise).clip(0, 255).astype(np.uint8))
+    return frames
+
+
+def list_frames(images):
+    return [Frame(k, float(k), None, image) for k, image in enumerate(images)]
+
+
+def test_a_camera_that_stands_is_found_by_ground_that_traffic_covers_at_times():
+    registration = register(film_road())
+    assert registration.reference.model == "rest"
+    assert registration.valid.all()
+
+
+def test_an_overlay_is_never_covered_and_is_no_ground():
+    overlay = film_road(is_overlay=True)
+    assert not stands_still(list_frames(overlay))
+    assert choose_reference(open_video(overlay), time=0.0).model != "rest"
+
+
+def test_few_frames_do_not_tell_that_a_camera_stands():
+    road = list_frames(film_road())
+    assert stands_still(road)
+    assert not stands_still(road[:7])
+
+
+def test_a_given_model_is_kept():
+    assert register(film_road(), model="translation").reference.model == "translation"
