@@ -111,5 +111,14 @@ def train_once(
 
 
 def name_training(name: str, seed: int, workspace: Workspace) -> Path:
-    """Name the folder of a training."""
+    """Name the folder of a training.
+
+    Args:
+        name: name of what is trained.
+        seed: seed of the training.
+        workspace: keeps the folder.
+
+    Returns:
+        The folder.
+    """
     return workspace.models / (f"{name}_{seed}" if seed else name)
