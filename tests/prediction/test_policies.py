@@ -50,7 +50,7 @@ def test_traffic_reacts_to_a_planner_that_drives_one_car_of_the_sample(scene):  
     steps = 40  # 10 observed, 3 s predicted
     segments = pick(cut_segments(scene, "vehicle", steps=steps, stride=99, joint=True), slice(1))
     ground = prefilter_ground(scene.ground, itra.config.resolution)
-    planned = int(segments.controlled[0].nonzero()[0, 0])
+    planned = int(segments.controlled[0].nonzero()[1, 0])  # one before another
     others = segments.controlled.clone()
     others[:, planned] = False
     traffic = replace(segments, controlled=others)
