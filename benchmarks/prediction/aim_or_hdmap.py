@@ -44,7 +44,7 @@ CASES = {"AIM": ("AIM", "video"), "HD map": ("HD map", "hdm"), "drawn AIM": ("AI
 SEEDS, STEPS, BATCH_SIZE = 3, 2500, 48
 COLOURS = {"AIM": "tab:blue", "HD map": "tab:orange"}
 METRICS = ("minADE", "joint minADE", "minFDE", "collision rate", "off-road rate", "red-light rate")
-TEST_FRACTION = 0.5  # of each recording, at its end: five minutes
+TEST_FRACTION = 0.25  # of each recording, at its end: two and a half minutes
 # expected before any test place was judged: AIM minus HD map, as a share of the HD map's value
 EXPECTED = {
     "joint minADE, all places": "-6 to +3 %",

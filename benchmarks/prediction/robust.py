@@ -16,6 +16,7 @@ from benchmarks.prediction.results import Metrics, Workspace, compute_difference
 from geoaim.aim.aim import AIM
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import SEGMENT_STEPS
+from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.metrics import concat
 from geoaim.simulation.road_rules import NO_ROAD_RULES
 
@@ -27,6 +28,7 @@ CHANGES: Mapping[str, Callable[[Path], AIM]] = {
     "shifted by 1 m": lambda place: misplace_map(read_map(place, "aim"), shift=1.0),
     "3 % too large": lambda place: misplace_map(read_map(place, "aim"), scale=1.03),
 }
+TEST_FRACTION = 0.25  # of each recording, at its end: two and a half minutes
 COSTS = ("minADE", "joint minADE")
 
 
@@ -52,9 +54,11 @@ def _evaluate(kind: str, places: list[Path], change: Callable[[Path], AIM]) -> M
     for place in places:
         aim = change(place)
         for recording in read_recordings(place):
+            whole = make_place_scene(recording, aim, dt=model.config.dt)
+            _, scene = split_scene(whole, TEST_FRACTION)
             parts += evaluate_scene(
                 model.sample,
-                make_place_scene(recording, aim, dt=model.config.dt),
+                scene,
                 model.config,
                 stride=2 * SEGMENT_STEPS[kind],
                 rules=recording.rules if kind == "vehicle" else NO_ROAD_RULES,
