@@ -29,10 +29,25 @@ stopping = Event()  # set once SIGTERM has arrived
 DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback
 
 
+class Count(rich.progress.ProgressColumn):
+    """What is done of how much, such as steps of a training, and how many a second."""
+
+    def render(self, task: rich.progress.Task) -> Text:
+        """Make the text of a stage: none for stages of one part or of unknown length."""
+        if task.total is None or task.total <= 1:
+            return Text("")
+        rate = "" if task.speed is None else f", {task.speed:.2g}/s"
+        return Text(f"{task.completed:.0f} of {task.total:.0f}{rate}", style="progress.download")
+
+
 @contextmanager
 def show_progress() -> Iterator[Progress]:
     """Show a progress bar for each stage; yield the function that advances them."""
-    columns = (*rich.progress.Progress.get_default_columns(), rich.progress.TimeElapsedColumn())
+    columns = (
+        *rich.progress.Progress.get_default_columns(),
+        rich.progress.TimeElapsedColumn(),
+        Count(),
+    )
     tasks: dict[str, rich.progress.TaskID] = {}
     with rich.progress.Progress(*columns, console=console) as bars:
 

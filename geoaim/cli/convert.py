@@ -26,7 +26,10 @@ SUFFIXES = {"plain": (".csv", ".parquet"), "geopackage": (".gpkg",), "geo-trax":
 
 
 def convert(
-    tracks: Annotated[Path, typer.Argument(help=options.TRACKS_HELP)],
+    tracks: Annotated[
+        list[Path],
+        typer.Argument(help=f"{options.TRACKS_HELP}; several of one recording are merged"),
+    ],
     output: Annotated[Path, options.output(".csv, .parquet or .gpkg, or a new folder, to write")],
     to: Annotated[
         Format | None, typer.Option(help="format; by the name of the output if omitted")
@@ -58,6 +61,8 @@ def convert(
 ) -> None:
     """Write tracks in another format: plain, GeoPackage, geo-trax or ScenarioNet.
 
+    Files of one recording, such as one of vehicles and one of pedestrians, are merged.
+
     A name that ends in .csv or .parquet is the plain format, .gpkg a GeoPackage, and a folder
     ScenarioNet, with the lanes and lights of --hdmap and --lights. geo-trax needs --to geo-trax.
 
@@ -65,6 +70,7 @@ def convert(
     """
     from geoaim.hdmap.lanelet2 import read_hdmap
     from geoaim.hdmap.scenarionet import write_scenarionet
+    from geoaim.tracks.changes import merge_tracks
     from geoaim.tracks.formats.geotrax import CLASS_OF_TYPE
 
     with report_errors():
@@ -72,8 +78,9 @@ def convert(
         if written is None:
             raise ValueError(f"{output}: give a name that ends in {', '.join(FORMATS)}, or --to")
         if written != "scenarionet":
-            check_output(output, SUFFIXES[written], [tracks, aim])
-        read = read_any_tracks(tracks, tracks_world, tracks_resolution, tracks_frame_rate, scenario)
+            check_output(output, SUFFIXES[written], [*tracks, aim])
+        given = tracks_world, tracks_resolution, tracks_frame_rate, scenario
+        read = merge_tracks([read_any_tracks(path, *given) for path in tracks])
         read = _change_times(read, rate, start, duration)
         if written != "plain":
             _warn_of_derived_states(read, tracks)
@@ -100,11 +107,12 @@ def _change_times(
     return tracks if rate is None else resample_tracks(tracks, rate)
 
 
-def _warn_of_derived_states(tracks: "Tracks", path: Path) -> None:
+def _warn_of_derived_states(tracks: "Tracks", paths: list[Path]) -> None:
     """Warn where written states know of later rows: the format has no column for observed ones."""
     if not np.array_equal(tracks.states, tracks.get_observed(), equal_nan=True):
         warn(
-            f"headings and speeds, or positions between rows, are computed from all of {path}: a "
+            f"headings and speeds, or positions between rows, are computed from all of "
+            f"{', '.join(map(str, paths))}: a "
             "prediction from the written file knows up to half a second of what comes; predict "
             "from the original"
         )

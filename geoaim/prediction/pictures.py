@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.files import atomic_write
 from geoaim.base.map_axes import add_legend, add_scale_bar, move_to_axes
-from geoaim.base.world import World
+from geoaim.base.world import World, change_world
 from geoaim.prediction.futures import Futures
 from geoaim.tracks.files import format_world
 
@@ -42,15 +42,18 @@ def draw_panels(rows: Sequence[Sequence[Futures]], titles: Sequence[str]) -> Fig
     """
     shape = len(rows), len(titles)
     size = PANEL_INCHES * shape[1] + BESIDE_INCHES, PANEL_INCHES * shape[0]
-    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    figure = Figure(figsize=size, dpi=100, layout="compressed")  # no gaps between equal squares
     grid = figure.subplots(*shape, squeeze=False, sharex=True, sharey=True)
-    limits = _fit_square(rows)
+    limits, world = _fit_square(rows), rows[0][0].world
     for row, (panels, futures_of_row) in enumerate(zip(grid, rows, strict=True)):
         for axes, futures, title in zip(panels, futures_of_row, titles, strict=True):
-            futures.scene.draw_ground(axes, limits)
+            (left, bottom), (right, top) = move_to_axes(axes, limits, world).tolist()
+            own = limits
+            if world is not None and futures.world is not None:
+                own = change_world(world, futures.world, limits)
+            futures.scene.draw_ground(axes, own)
             futures.draw_step(axes, None)
             axes.set_title(title if row == 0 else "")
-            (left, bottom), (right, top) = move_to_axes(axes, limits, futures.world).tolist()
             axes.set(xlim=(left, right), ylim=(bottom, top))
             axes.set_aspect("equal")
         seconds = futures.states.shape[2] * futures.dt
@@ -60,15 +63,22 @@ def draw_panels(rows: Sequence[Sequence[Futures]], titles: Sequence[str]) -> Fig
 
 
 def _fit_square(rows: Sequence[Sequence[Futures]]) -> Float[Array, "2 2"]:
-    """Lowest and highest x and y of a square with all paths of the predicted agents, metres."""
-    paths = []
+    """Lowest and highest x and y of a square with all paths of the predicted agents, metres.
+
+    The metres are those of the first map.
+    """
+    places, world = [], rows[0][0].world
     for futures in (one for row in rows for one in row):
         shown = futures.mark_predicted()
         steps = slice(futures.start, futures.start + 1 + futures.states.shape[2])
         recorded = futures.scene.poses[shown, steps, :2]
-        paths += [futures.states[:, shown, :, :2].reshape(-1, 2), recorded.reshape(-1, 2)]
-    every = torch.cat(paths)
-    positions = every[torch.isfinite(every).all(dim=1)].double().cpu().numpy()
+        paths = futures.states[:, shown, :, :2].reshape(-1, 2), recorded.reshape(-1, 2)
+        every = torch.cat(paths)
+        here = every[torch.isfinite(every).all(dim=1)].double().cpu().numpy()
+        if world is not None and futures.world is not None:
+            here = change_world(futures.world, world, here)
+        places.append(here)
+    positions = np.concatenate(places)
     low, high = positions.min(axis=0), positions.max(axis=0)
     half = (high - low).max() / 2 + PANEL_MARGIN_M
     return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])

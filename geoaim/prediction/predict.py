@@ -81,8 +81,9 @@ def _warn_of_strange_views(distances: Float[Tensor, "E"] | None) -> None:
     if share > MAX_STRANGE_SHARE:
         warn(
             f"the views of {share:.0%} of the agents are unlike those that the model was trained "
-            f"on, where it is 5 % (median distance {float(distances.median()):.1f} times the "
-            "limit). Check map, scale and place, evaluate the model here, or train it on this map"
+            "on; on known ground 5 % are (median distance "
+            f"{float(distances.median()):.1f} times the limit). Check map, scale and place, "
+            "evaluate the model here, or train it on this map"
         )
 
 

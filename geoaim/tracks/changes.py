@@ -1,9 +1,10 @@
-"""Tracks resampled to another rate, cut to a time or transformed to another world."""
+"""Tracks resampled to another rate, cut to a time, merged or transformed to another world."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError
@@ -81,6 +82,82 @@ def cut_tracks(tracks: Tracks, start: float, duration: float) -> Tracks:
             for name in ("observed", "seen", "uncertainty")
         },
     )
+
+
+def merge_tracks(parts: Sequence[Tracks]) -> Tracks:
+    """Merge tracks of one place and clock, such as files of vehicles and of pedestrians.
+
+    Args:
+        parts: one or more tracks.
+
+    Returns:
+        Tracks of all agents at all times, in the world of the first ones; an agent is absent at
+        times of other parts alone, which resampling fills. An id that an earlier part has becomes
+        "2-ID" in the second part, and so on. `seen` and `uncertainty` are kept where all parts
+        state them.
+
+    Raises:
+        TracksError: only some have a CRS, they share no time, or there would be too many states.
+        ValueError: there are none.
+    """
+    if not parts:
+        raise ValueError("no tracks to merge")
+    parts = [parts[0], *(to_world(part, parts[0].world) for part in parts[1:])]
+    _check_overlap(parts)
+    ticks = [np.round(part.times * TICKS_PER_S).astype(np.int64) for part in parts]
+    every, first = np.unique(np.concatenate(ticks), return_index=True)
+    count = sum(len(part.ids) for part in parts)
+    if count * len(every) > MAX_STATES:
+        raise TracksError(
+            f"{count:,} agents at {len(every):,} times exceed {MAX_STATES:,} states; cut the tracks"
+        )
+    columns = [np.searchsorted(every, own) for own in ticks]
+
+    def spread(values: Sequence[Shaped[Array, "n t ..."]], fill: float | bool) -> Array:
+        wide = []
+        for one, own in zip(values, columns, strict=True):
+            row = np.full((len(one), len(every), *one.shape[2:]), fill, one.dtype)
+            row[:, own] = one
+            wide.append(row)
+        return np.concatenate(wide)
+
+    seen = [part.seen for part in parts if part.seen is not None]
+    uncertainty = [part.uncertainty for part in parts if part.uncertainty is not None]
+    derived = any(part.observed is not None for part in parts)
+    return Tracks(
+        times=np.concatenate([part.times for part in parts])[first],
+        states=spread([part.states for part in parts], np.nan),
+        present=spread([part.present for part in parts], False),
+        sizes=np.concatenate([part.sizes for part in parts]),
+        types=tuple(kind for part in parts for kind in part.types),
+        ids=_make_unique(parts),
+        world=parts[0].world,
+        observed=spread([part.get_observed() for part in parts], np.nan) if derived else None,
+        seen=spread(seen, False) if len(seen) == len(parts) else None,
+        uncertainty=spread(uncertainty, np.nan) if len(uncertainty) == len(parts) else None,
+    )
+
+
+def _check_overlap(parts: Sequence[Tracks]) -> None:
+    """Refuse tracks of other times than the first ones: they are of another clock or recording."""
+    spans = [(part.times[0], part.times[-1]) for part in parts if len(part.times)]
+    for number, (start, end) in enumerate(spans[1:], 2):
+        if start > spans[0][1] or end < spans[0][0]:
+            raise TracksError(
+                f"the first tracks are from {spans[0][0]:g} to {spans[0][1]:g} s, and those of "
+                f"file {number} from {start:g} to {end:g} s; give files of one recording"
+            )
+
+
+def _make_unique(parts: Sequence[Tracks]) -> tuple[str, ...]:
+    """The ids of all parts; one that is taken gets the number of its part."""
+    ids: dict[str, None] = {}
+    for number, part in enumerate(parts, 1):
+        for name in part.ids:
+            while name in ids:
+                name = f"{number}-{name}"
+            ids[name] = None
+    return tuple(ids)
 
 
 def resample_tracks(tracks: Tracks, rate: float, *, max_gap: float = 0.5) -> Tracks:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -5,6 +7,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 import geoaim
+from geoaim import World
 from geoaim.base.errors import TracksError
 from geoaim.cli import app
 from geoaim.hdmap.lanelet2 import read_hdmap
@@ -14,6 +17,7 @@ from geoaim.prediction.pictures import draw_panels
 from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
 from geoaim.simulation.scene import make_scene
+from geoaim.simulation.worlds import move_ground
 from geoaim.tracks.changes import resample_tracks
 from tests.prediction.tiny import TINY
 
@@ -54,6 +58,38 @@ def test_all_panels_show_the_same_square(futures):
     shown = futures.states[:, futures.mark_predicted(), :, 0].numpy()
     assert left < shown.min()
     assert shown.max() < right
+
+
+def test_maps_with_other_origins_show_the_same_ground(futures):
+    here = futures.scene.world
+    there = World(here.crs, (here.origin[0] - 300.0, here.origin[1] + 100.0))
+    shift = torch.tensor([300.0, -100.0])
+    scene = futures.scene
+    poses = torch.cat([scene.poses[..., :2] + shift, scene.poses[..., 2:]], dim=-1)
+    states = torch.cat([futures.states[..., :2] + shift, futures.states[..., 2:]], dim=-1)
+    ground = move_ground(scene.ground, there)
+    moved = replace(
+        futures, states=states, scene=replace(scene, ground=ground, poses=poses, world=there)
+    )
+    same, other = (draw_panels([[futures, one]], ["a", "b"]).axes for one in (futures, moved))
+    for one, two in zip(same, other, strict=True):
+        np.testing.assert_allclose(one.get_xlim(), two.get_xlim(), atol=0.1)
+        np.testing.assert_allclose(one.get_ylim(), two.get_ylim(), atol=0.1)
+        paths = [axes.collections[1].get_paths()[0].vertices for axes in (one, two)]
+        np.testing.assert_allclose(*paths, atol=0.1)
+        pictures = [axes.images[0].get_array() for axes in (one, two)]
+        assert (pictures[0] == pictures[1]).mean() > 0.95
+
+
+def test_panels_lie_close_to_each_other_and_the_legend_beside_them(futures):
+    figure = draw_panels([[futures, futures], [futures, futures]], ["left", "right"])
+    figure.draw_without_rendering()
+    left, right, below = (axes.get_window_extent() for axes in figure.axes[:3])
+    assert 0 < right.x0 - left.x1 < 0.1 * left.width
+    assert 0 < left.y0 - below.y1 < 0.1 * left.height
+    legend = figure.axes[1].get_legend().get_window_extent()
+    assert right.x1 < legend.x0
+    assert legend.x1 < figure.bbox.x1
 
 
 def test_command_draws_a_column_for_each_map_and_a_row_for_each_duration(aim, tmp_path):

@@ -3,10 +3,11 @@ import signal
 import sys
 
 import pytest
+import rich.progress
 from typer.testing import CliRunner
 
 from geoaim.cli import app
-from geoaim.cli.console import console, report_errors, stop_when_terminated, stopping
+from geoaim.cli.console import Count, console, report_errors, stop_when_terminated, stopping
 
 run = CliRunner().invoke
 
@@ -73,3 +74,12 @@ def test_nothing_is_printed_while_the_signal_is_handled(monkeypatch):
         stopping.clear()
         signal.signal(signal.SIGTERM, before)
     assert handled == [("stopped", SystemExit), ("stopped", ImportError)]
+
+
+def test_progress_counts_steps():
+    with rich.progress.Progress() as bars:
+        train, other, whole = (bars.add_task("a", total=total) for total in (200, None, 1))
+        bars.update(train, completed=50)
+        texts = [Count().render(bars.tasks[task]).plain for task in (train, other, whole)]
+    assert texts[0].startswith("50 of 200")
+    assert texts[1:] == ["", ""]

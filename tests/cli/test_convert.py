@@ -92,3 +92,18 @@ def test_states_of_whole_tracks_are_written_with_a_warning(tmp_path):
     observed = [tracks.get_observed() for tracks in read]
     np.testing.assert_allclose(*observed, atol=6e-4)
     assert np.isnan(observed[0][:, 0]).all()
+
+
+def test_files_of_one_recording_are_merged(tmp_path):
+    for name, kind in (("v", "car"), ("p", "pedestrian")):
+        rows = [f"{k},1,{kind},{k},{k},0,1,1,1" for k in range(5)]
+        header = "time,id,type,x,y,heading,speed,length,width"
+        (tmp_path / f"{name}.csv").write_text("\n".join([header, *rows]))
+    given = ["convert", str(tmp_path / "v.csv"), str(tmp_path / "p.csv")]
+    result = run(
+        app, [*given, "-o", str(tmp_path / "both.csv"), "--tracks-world", "EPSG:32632 0 0"]
+    )
+    assert result.exit_code == 0, result.output
+    both = read_tracks(tmp_path / "both.csv")
+    assert both.types == ("car", "pedestrian")
+    assert both.ids == ("1", "2-1")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from geoaim import Tracks, World
 from geoaim.base.errors import TracksError
-from geoaim.tracks.changes import cut_tracks, resample_tracks, to_world
+from geoaim.tracks.changes import cut_tracks, merge_tracks, resample_tracks, to_world
 
 
 def _straight(times, present=None, heading=0.0, speed=2.0):
@@ -159,3 +159,36 @@ def test_what_was_seen_and_how_certainly_is_kept():
     assert to_world(tracks, World(None)).uncertainty is tracks.uncertainty
     with pytest.raises(ValueError, match=r"seen has the shape \(1, 3\); \(1, 4\) is needed"):
         replace(tracks, seen=tracks.seen[:, :3])
+
+
+def test_merged_tracks_have_all_agents_at_all_times():
+    cars, walkers = _straight([0.0, 0.1, 0.2]), _straight([0.1, 0.25], heading=1.0)
+    walkers = replace(walkers, types=("pedestrian",), observed=walkers.states + 0.5)
+    both = merge_tracks([cars, walkers])
+    np.testing.assert_allclose(both.times, [0, 0.1, 0.2, 0.25])
+    assert both.ids == ("1", "2-1")
+    assert both.types == ("car", "pedestrian")
+    assert both.present.tolist() == [[True, True, True, False], [False, True, False, True]]
+    np.testing.assert_array_equal(both.states[1, [1, 3]], walkers.states[0])
+    np.testing.assert_array_equal(both.observed[1, [1, 3]], walkers.observed[0])
+    np.testing.assert_array_equal(both.observed[0, :3], cars.states[0])
+    even = resample_tracks(both, 20)
+    assert even.present.tolist() == [[True] * 5 + [False], [False] * 2 + [True] * 4]
+
+
+def test_one_file_is_merged_to_itself_and_ids_stay_unique():
+    one = replace(_straight([0.0, 1.0]), seen=np.ones((1, 2), bool))
+    assert (merge_tracks([one]).seen == one.seen).all()
+    assert merge_tracks([one]).observed is None
+    assert merge_tracks([one, one, one]).ids == ("1", "2-1", "3-1")
+    assert merge_tracks([one, _straight([0.0, 1.0])]).seen is None
+
+
+def test_tracks_of_other_times_or_planes_are_not_merged():
+    one = _straight([0.0, 1.0])
+    with pytest.raises(TracksError, match="of file 2 from 5 to 6 s; give files of one recording"):
+        merge_tracks([one, _straight([5.0, 6.0])])
+    with pytest.raises(TracksError, match="give both a CRS"):
+        merge_tracks([one, replace(one, world=World("EPSG:32632"))])
+    with pytest.raises(ValueError, match="no tracks to merge"):
+        merge_tracks([])
