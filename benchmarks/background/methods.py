@@ -28,7 +28,12 @@ from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.background.warping import warp
-from geoaim.mapping.video.detections import read_detections
+from geoaim.mapping.video.detections import (
+    DetectedBoxes,
+    Detections,
+    convert_boxes,
+    read_detections,
+)
 from geoaim.mapping.video.frames import Frame
 from geoaim.synthetic import (
     list_boxes,
@@ -89,7 +94,8 @@ def make_clips(quick: bool, *, real: bool) -> Iterator[tuple[str, int, QueueClip
             yield name, seed, make(seed=seed)
 
 
-def _list_frames(clip: QueueClip) -> list[tuple[Frame, Array]]:
+def list_frames(clip: QueueClip) -> list[tuple[Frame, Array]]:
+    """List the frames of a clip, each with its image_from_frame."""
     frames = [Frame(i, float(i), None, image) for i, image in enumerate(clip.frames)]
     still = np.broadcast_to(np.eye(3), (len(frames), 3, 3))
     matrices = still if clip.transforms is None else clip.transforms
@@ -97,20 +103,37 @@ def _list_frames(clip: QueueClip) -> list[tuple[Frame, Array]]:
 
 
 def _search_traffic(clip: QueueClip) -> Background:
-    return remove_traffic(_list_frames(clip), size=clip.ground.shape[:2])
+    return remove_traffic(list_frames(clip), size=clip.ground.shape[:2])
+
+
+def damage_boxes(detections: Detections, *, missing: float = 0.0, scale: float = 1.0) -> Detections:
+    """Make detections worse.
+
+    Args:
+        detections: the boxes.
+        missing: share of them that is left out at random, frame by frame.
+        scale: size of the others, relative to what it was.
+
+    Returns:
+        The boxes that are left.
+    """
+
+    def damage(frame: Frame) -> DetectedBoxes | None:
+        if (known := convert_boxes(detections(frame))) is None:
+            return None
+        generator = np.random.default_rng(frame.index)
+        kept = known.boxes[generator.random(len(known.boxes)) >= missing]
+        middle, half = (kept[:, :2] + kept[:, 2:]) / 2, (kept[:, 2:] - kept[:, :2]) / 2
+        return convert_boxes(np.hstack([middle - scale * half, middle + scale * half]))
+
+    return damage
 
 
 def _mask_boxes(clip: QueueClip, *, missing: float = 0.0, scale: float = 1.0) -> Background:
     """Remove traffic with boxes, of which a share is missing at random, or which are too small."""
     assert clip.boxes is not None
-    generator = np.random.default_rng(0)
-    damaged = []
-    for boxes in clip.boxes:
-        kept = boxes[generator.random(len(boxes)) >= missing]
-        middle, half = (kept[:, :2] + kept[:, 2:]) / 2, (kept[:, 2:] - kept[:, :2]) / 2
-        damaged.append(np.hstack([middle - scale * half, middle + scale * half]))
-    size, detections = clip.ground.shape[:2], read_detections(damaged)
-    return remove_traffic(_list_frames(clip), size=size, detections=detections)
+    damaged = damage_boxes(read_detections(clip.boxes), missing=missing, scale=scale)
+    return remove_traffic(list_frames(clip), size=clip.ground.shape[:2], detections=damaged)
 
 
 def _clip_sigmas(stack: Array) -> Array:
@@ -133,7 +156,7 @@ def _warp_frames(clip: QueueClip) -> Iterable[Image]:
             estimate_gain(exposure, frame, matrix),
             0.0,
         )
-        for frame, matrix in _list_frames(clip)
+        for frame, matrix in list_frames(clip)
     )
 
 

@@ -62,14 +62,22 @@ def paste_queue(place: str, *, standing: float, seed: int, count: int = 32) -> Q
                 cars.append((np.rot90(sprite), np.stack([place_across, along], -1)))
             else:
                 cars.append((sprite, np.stack([along, place_across], -1)))
-    frames, covered = [], np.zeros((height, width), np.float32)
+    frames, covered, boxes = [], np.zeros((height, width), np.float32), []
     for k in range(count):
         picture, shown = ground.astype(np.float32), np.zeros((height, width), np.float32)
         for sprite, places in cars:
             _paste(picture, shown, sprite, places[k])
         covered += shown > 0.3
         frames.append(record(picture, generator))
-    return QueueClip(np.stack(frames), ground, covered / count)
+        corners = [(*places[k], *(places[k] + sprite.shape[1::-1])) for sprite, places in cars]
+        boxes.append(clip_boxes(np.array(corners), (height, width)))
+    return QueueClip(np.stack(frames), ground, covered / count, boxes=tuple(boxes))
+
+
+def clip_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Float[Array, "M 4"]:
+    """Cut boxes off at the rim of a (height, width) image; those outside are left out."""
+    cut = boxes.clip(0, [*size[::-1], *size[::-1]])
+    return cut[(cut[:, 2] > cut[:, 0]) & (cut[:, 3] > cut[:, 1])]
 
 
 def _paste(

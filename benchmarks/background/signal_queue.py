@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 
-from benchmarks.background.queue_clips import QueueClip, record
+from benchmarks.background.queue_clips import QueueClip, clip_boxes, record
 
 HEIGHT, WIDTH = 400, 960
 LANE_PX = 36
@@ -42,18 +42,20 @@ def film_signal(*, standing: float, seed: int, count: int = 40, speed: float = 1
     shares = [standing if lane in QUEUE_LANES else 0.0 for lane in range(5)]
     lanes = [_drive(generator, share, speed, count) for share in shares]
     vehicles = [[_paint_vehicle(generator, length) for length in lengths] for _, lengths in lanes]
-    frames, covers = [], []
+    frames, covers, boxes = [], [], []
     for k in range(count):
         picture = ground.astype(np.float32)
-        covered = np.zeros((HEIGHT, WIDTH), bool)
+        covered, own = np.zeros((HEIGHT, WIDTH), bool), []
         for lane, (fronts, _) in enumerate(lanes):
             top = HEIGHT // 2 + (lane - 2.5) * LANE_PX + 9
             for front, vehicle in zip(fronts[k], vehicles[lane], strict=True):
                 _place_vehicle(picture, covered, vehicle, (front - vehicle.shape[1], top))
+                own.append((front - vehicle.shape[1], top, front, top + vehicle.shape[0]))
         covers.append(covered)
+        boxes.append(clip_boxes(np.array(own), (HEIGHT, WIDTH)))
         frames.append(record(picture, generator))
     share = np.stack(covers).mean(axis=0).astype(np.float32)
-    return QueueClip(np.stack(frames), ground, share)
+    return QueueClip(np.stack(frames), ground, share, boxes=tuple(boxes))
 
 
 def _drive(

@@ -3,12 +3,14 @@ import numpy as np
 import pytest
 
 from benchmarks.background import benchmark as background_results
-from benchmarks.background import crops
+from benchmarks.background import crops, hover
 from benchmarks.background import real as background_real
 from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import (
     METHODS,
+    damage_boxes,
     divide_zones,
+    list_frames,
     measure_background,
     measure_gradient_energy,
     measure_methods,
@@ -16,6 +18,9 @@ from benchmarks.background.methods import (
 from benchmarks.background.queue_clips import QueueClip, paste_queue
 from benchmarks.background.signal_queue import film_signal
 from geoaim.base.progress import no_progress
+from geoaim.mapping.background.running_mean import Background
+from geoaim.mapping.video.detections import read_detections
+from geoaim.mapping.video.frames import Frame
 from tests.mapping.background.clips import make_ground, queue
 
 pytestmark = pytest.mark.slow
@@ -119,3 +124,55 @@ def test_crops_show_a_frame_the_median_and_the_background(monkeypatch, tmp_path)
     picture = cv2.imread(str(tmp_path / "crops.png"))[..., ::-1]
     assert (picture[:200] == short.frames[3][crops.CROP]).all()
     assert picture.shape == (3 * 200 + 2 * crops.GAP_PX, 480, 3)
+
+
+def test_a_hover_scene_is_compared_with_its_masked_median(clip, monkeypatch, tmp_path):
+    boxes = read_detections([np.array([[100.0, 100, 200, 150]])] * len(clip.frames))
+    scene = hover.Scene("drawn", list_frames(clip), clip.share > 0, boxes, "all")
+    _, judged, passed = hover.compute_masked_median(scene)
+    assert not judged[110:140, 110:190].any()  # boxes hide it in every frame
+    assert not judged[: hover.RIM_PX].any()
+    assert judged[300, 300]
+    assert passed[125, 150]
+    assert passed.sum() == pytest.approx(1.12**2 * 100 * 50, rel=0.05)
+    monkeypatch.setattr(hover, "read_scenes", lambda: [scene])
+    rows = list(hover.measure_scenes(tmp_path))
+    assert [row["boxes"] for row in rows] == ["none", "all", "10 % missing", "10 % too small"]
+    crop = cv2.imread(str(tmp_path / "drawn_none.png"))
+    assert crop.shape == (hover.CROP_PX, 3 * hover.CROP_PX, 3)
+
+
+def test_missed_pixels_differ_and_are_not_contested():
+    median = np.full((200, 200, 3), 90, np.uint8)
+    coverage, contested = np.ones((200, 200), np.uint16), np.zeros((200, 200), bool)
+    everywhere = np.ones((200, 200), bool)
+    image = median.copy()
+    image[100:110, 100:110] += 20
+    image[50:60, 50:60] += 20
+    contested[40:70, 40:70] = True
+    ground = Background(image, coverage, contested, 1, 0.0, np.ones(1))
+    missed = hover.find_missed(ground, median, everywhere)
+    assert missed[101:109, 101:109].all()
+    assert missed.sum() <= 12 * 12
+    assert hover.measure_rms(image, median, everywhere) == pytest.approx(20 * (200 / 200**2) ** 0.5)
+    assert np.isnan(hover.measure_rms(image, median, ~everywhere))
+
+
+def test_damaged_boxes_are_fewer_or_smaller():
+    boxes = np.tile([[10.0, 10, 30, 20]], (200, 1))
+    detections = read_detections([boxes])
+    frame = Frame(0, 0.0, None, np.zeros((40, 40, 3), np.uint8))
+    fewer = damage_boxes(detections, missing=0.1)(frame)
+    assert 160 < len(fewer.boxes) < 198
+    smaller = damage_boxes(detections, scale=0.9)(frame)
+    assert smaller.boxes[0] == pytest.approx([11, 10.5, 29, 19.5])
+
+
+@pytest.mark.parametrize("speed", [14.0, 9.0])
+def test_boxes_of_a_signal_hold_its_vehicles(speed):
+    clip = film_signal(standing=0.6, seed=1, count=6, speed=speed)
+    for image, boxes in zip(clip.frames, clip.boxes, strict=True):
+        outside = np.ones(image.shape[:2], bool)
+        for left, top, right, bottom in boxes.astype(int).tolist():
+            outside[max(top - 1, 0) : bottom + 8, max(left - 1, 0) : right + 5] = False  # shadows
+        assert np.abs(image.astype(int) - clip.ground)[outside].max() < 40

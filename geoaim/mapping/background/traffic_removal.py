@@ -83,7 +83,9 @@ DISC = np.array([[0, 1, 1, 1, 0], *[[1] * 5] * 3, [0, 1, 1, 1, 0]], np.uint8)
 class Traffic:
     """Traffic, moving or standing, in K registered frames."""
 
-    masks: Masks  # (K, h, w) pixels that do not show the ground in this frame
+    # (K, h, w) pixels that do not show the ground in this frame, and one pixel of what it does not
+    # cover beside them
+    masks: Masks
     contested: Bool[Array, "h w"]  # pixels where the frames do not decide what the ground is
     background: Image  # (h, w, 3) the ground, in the frames' colours
 
@@ -128,7 +130,10 @@ def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None
     contested |= find_seams(stack, seen, background, threshold)
     masks = _dilate(masks, seen)
     mask_outliers(stack, seen & ~contested, masks, background, threshold)
-    return Traffic(masks, contested, average_stack(stack, seen & ~masks, background))
+    ground = average_stack(stack, seen & ~masks, background)
+    for visible, mask in zip(seen, masks, strict=True):  # small pixels lie half outside of a box
+        mask |= _dilate_square(mask) & ~visible
+    return Traffic(masks, contested, ground)
 
 
 def _summarise_votes(

@@ -33,7 +33,7 @@ MAX_SHIFT_PX = 0.3  # of a patch at rest: noise moves patches by some tenths of 
 EVIDENCE_FRAMES = 16  # by which it is decided whether a camera stands
 MIN_EVIDENCE_FRAMES = 8
 # chosen on the validation part of `benchmarks.registration.stability`
-MIN_STEADY_RATIO = 0.5  # fewest patches at rest in a frame over the most: frozen blocks move on
+MIN_STEADY_RATIO = 0.25  # fewest patches at rest in a frame over the most: frozen blocks move on
 MIN_REST_SHARE = 0.4  # of a full grid of patches that rest in half of the frames
 MAX_COVERED_CORRELATION = 0.4  # of a patch over which something else lies
 MIN_COVERED_SHARE = 0.1  # of the resting patches, covered in two frames or more

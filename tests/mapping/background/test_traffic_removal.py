@@ -24,7 +24,7 @@ def test_traffic_is_found_in_frames_that_see_only_a_part(ground):
     seen = np.ones(images.shape[:3], bool)
     seen[::2, :, 180:] = False
     traffic = find_traffic(images.copy(), seen)
-    assert not traffic.masks[::2, :, 180:].any()
+    assert not traffic.masks[::2, :, 181:].any()
     assert np.abs(traffic.background.astype(int) - ground).mean() < 3
 
 
@@ -61,3 +61,14 @@ def test_no_value_is_left_out_where_the_ground_is_contested():
     assert not traffic.contested[90, 90]
     assert traffic.masks[8, 90, 90]
     assert not traffic.masks[8, *middle]
+
+
+def test_traffic_that_reaches_into_a_box_is_masked_at_its_rim(ground):
+    stack = np.stack([ground] * 8)
+    stack[5, 50:70, 60:90] = 240
+    seen = np.ones(stack.shape[:3], bool)
+    seen[5, :, 80:] = False  # the box of a vehicle beside
+    masks = find_traffic(stack, seen).masks
+    assert masks[5, 52:68, 64:81].all()
+    assert not masks[5, :, 82:].any()
+    assert not masks[4].any()
