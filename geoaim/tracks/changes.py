@@ -113,7 +113,7 @@ def merge_tracks(parts: Sequence[Tracks]) -> Tracks:
         )
     columns = [np.searchsorted(every, own) for own in ticks]
 
-    def spread(values: Sequence[Shaped[Array, "n t ..."]], fill: float | bool) -> Array:
+    def spread(values: Sequence[Shaped[Array, "_ _ ..."]], fill: float | bool) -> Array:
         wide = []
         for one, own in zip(values, columns, strict=True):
             row = np.full((len(one), len(every), *one.shape[2:]), fill, one.dtype)
