@@ -116,7 +116,7 @@ def simulate(inputs: Path, target: Path) -> None:
 
 
 def convert(inputs: Path, target: Path) -> None:
-    cli.convert(inputs / "tracks.csv", target)
+    cli.convert([inputs / "tracks.csv"], target)
 
 
 def film_simulation(inputs: Path, target: Path) -> None:
