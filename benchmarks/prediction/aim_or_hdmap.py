@@ -41,7 +41,7 @@ TEST: Places = tuple(
 PICTURES = {"AIM": "video", "HD map": "hdm"}  # that models are trained on
 # columns: pictures that models were trained on, and that they are judged on
 CASES = {"AIM": ("AIM", "video"), "HD map": ("HD map", "hdm")}
-SEEDS, STEPS, BATCH_SIZE = 2, 2500, 48
+SEEDS, STEPS, BATCH_SIZE = 3, 2500, 48
 COLOURS = {"AIM": "tab:blue", "HD map": "tab:orange"}
 METRICS = ("minADE", "joint minADE", "minFDE", "collision rate", "off-road rate", "red-light rate")
 TEST_FRACTION = 0.25  # of each recording, at its end: two and a half minutes
