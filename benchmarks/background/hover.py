@@ -139,7 +139,7 @@ def compute_masked_median(
     return np.rint(sharp).clip(0, 255).astype(np.uint8), judged, passed
 
 
-def find_missed(
+def find_unmarked_errors(
     ground: Background, median: UInt8[Array, "H W 3"], where: Bool[Array, "H W"]
 ) -> Bool[Array, "H W"]:
     """Find pixels that differ by over 8 grey levels over 3 x 3 pixels and are not contested.
@@ -192,7 +192,7 @@ def measure_scenes(crops: Path | None) -> Iterator[Row]:
         road = scene.road & judged
         for name, boxes in list_detections(scene.detections):
             ground = remove_traffic(scene.frames, size=median.shape[:2], detections=boxes)
-            missed = find_missed(ground, median, road)
+            missed = find_unmarked_errors(ground, median, road)
             if crops is not None:
                 path = crops / f"{scene.name} {name}.png".replace("/", "_").replace(" ", "_")
                 with atomic_write(path) as part:

@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from benchmarks.prediction.places import make_place_scene, read_map, read_recordings
+from geoaim.aim.aim import AIM
 from geoaim.base.defaults import SAMPLES
 from geoaim.base.errors import TracksError
 from geoaim.base.progress import Progress, notebook_progress
@@ -98,7 +99,33 @@ def evaluate_place(
     Returns:
         Metrics of each recording in which agents of the group are present for long enough.
     """
-    aim, parts = read_map(place, map_name), []
+    aim = read_map(place, map_name)
+    return evaluate_on_map(predictor, place, config, aim, fraction=fraction, lights=lights)
+
+
+def evaluate_on_map(
+    predictor: Predictor,
+    place: Path,
+    config: Config,
+    aim: AIM,
+    *,
+    fraction: float = 1.0,
+    lights: bool = True,
+) -> list[dict[str, Metric]]:
+    """Evaluate a predictor on every recording of a place, on any map of it.
+
+    Args:
+        predictor: a model's `sample`, or one of `BASELINES`.
+        place: folder of the place.
+        config: agent group, dt and resolution.
+        aim: the map.
+        fraction: share of each recording, at its end, to evaluate on.
+        lights: whether the predictor gets the lights' states.
+
+    Returns:
+        Metrics of each recording in which agents of the group are present for long enough.
+    """
+    parts = []
     for recording in read_recordings(place):
         _, scene = split_scene(make_place_scene(recording, aim, dt=config.dt), fraction)
         rules = recording.rules if config.kind == "vehicle" else NO_ROAD_RULES

@@ -3,22 +3,12 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from benchmarks.prediction.places import (
-    TEST,
-    make_place_scene,
-    make_places,
-    misplace_map,
-    read_map,
-    read_recordings,
-)
-from benchmarks.prediction.protocol import evaluate_scene
+from benchmarks.prediction.places import TEST, make_places, misplace_map, read_map
+from benchmarks.prediction.protocol import evaluate_on_map
 from benchmarks.prediction.results import Metrics, Workspace, compute_differences, write_results
 from geoaim.aim.aim import AIM
 from geoaim.prediction.checkpoints import read_pretrained
-from geoaim.prediction.config import SEGMENT_STEPS
-from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.metrics import concat
-from geoaim.simulation.road_rules import NO_ROAD_RULES
 
 CLEAN = "clean map"
 CHANGES: Mapping[str, Callable[[Path], AIM]] = {
@@ -49,20 +39,11 @@ def run(workspace: Workspace) -> list[Path]:
 
 
 def _evaluate(kind: str, places: list[Path], change: Callable[[Path], AIM]) -> Metrics:
-    """Evaluate a model as `evaluate_place` does, on changed maps."""
+    """Evaluate a model on changed maps."""
     model, parts = read_pretrained(kind), []
     for place in places:
-        aim = change(place)
-        for recording in read_recordings(place):
-            whole = make_place_scene(recording, aim, dt=model.config.dt)
-            _, scene = split_scene(whole, TEST_FRACTION)
-            parts += evaluate_scene(
-                model.sample,
-                scene,
-                model.config,
-                stride=2 * SEGMENT_STEPS[kind],
-                rules=recording.rules if kind == "vehicle" else NO_ROAD_RULES,
-            )
+        given = model.sample, place, model.config, change(place)
+        parts += evaluate_on_map(*given, fraction=TEST_FRACTION)
     return concat(parts)
 
 

@@ -78,7 +78,7 @@ def _predict_with_noise(
     shape = len(repeated), states.shape[1], 2
     noise = torch.randn(shape, generator=generator, device=states.device)
     noise = torch.where(repeated.controlled[..., None], noise, 0.0)[:, :, None]
-    starts = mark_entries(repeated, history)
+    starts = mark_entries(repeated.present, history)
     starts = F.pad(F.pad(starts, (1, 0), value=True), (history - 1, 0))  # (B K, N, T)
     x, y, heading, speed = states.unbind(-1)
     turned = heading + HEADING_NOISE_RAD * noise[..., 0]

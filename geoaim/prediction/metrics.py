@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from numpy import ndarray as Array
 from torch import Tensor
 
-from geoaim.prediction.segments import VEHICLE, Segments, mark_followed, repeat
+from geoaim.prediction.segments import VEHICLE, Segments, mark_steps_until_leaving, repeat
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules_to_any
 from geoaim.simulation.scene_infractions import AgentMotion, find_infractions
@@ -77,7 +77,7 @@ def compute_metrics(
     """
     check_futures(futures, segments, history)
     rules = move_rules_to_any(rules, segments.worlds)
-    judged = mark_judged(segments, history)
+    judged = select_agents_to_judge(segments, history)
     count = judged.sum(dim=1)
     metrics = {}
     ends = _gather_ends(futures, segments, history)  # (B, K, N, 2)
@@ -137,24 +137,24 @@ def compute_ade(
         Mean distance from the ground truth over the predicted steps until an agent leaves, metres;
         0 for agents that are absent at the last observed step or the next one.
     """
-    followed = mark_followed(segments, history)
+    followed = mark_steps_until_leaving(segments, history)
     offsets = futures[..., history:, :2] - segments.states[:, None, :, history:, :2]
     distances = torch.where(followed[:, None], offsets.norm(dim=-1), 0.0)
     return distances.sum(dim=-1) / followed.sum(dim=-1).clamp_min(1)[:, None]
 
 
-def mark_judged(segments: Segments, history: int) -> Bool[Tensor, "B N"]:
-    """Mark the controlled agents whose displacements are judged, as `compute_metrics` says."""
+def select_agents_to_judge(segments: Segments, history: int) -> Bool[Tensor, "B N"]:
+    """Select the controlled agents whose displacements are judged, as `compute_metrics` says."""
     horizon = segments.steps - history
     least = min(horizon, math.ceil(MIN_JUDGED_S / segments.dt - 1e-6))
-    return segments.controlled & (mark_followed(segments, history).sum(dim=2) >= least)
+    return segments.controlled & (mark_steps_until_leaving(segments, history).sum(dim=2) >= least)
 
 
 def _gather_ends(
     states: Float[Tensor, "B k N T 4"], segments: Segments, history: int
 ) -> Float[Tensor, "B k N 2"]:
     """Positions at the last predicted step before an agent leaves."""
-    last = history - 1 + mark_followed(segments, history).sum(dim=2)  # (B, N)
+    last = history - 1 + mark_steps_until_leaving(segments, history).sum(dim=2)  # (B, N)
     index = last[:, None, :, None, None].expand(-1, states.shape[1], -1, 1, 2)
     return states[..., :2].gather(3, index)[..., 0, :]
 

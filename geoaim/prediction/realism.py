@@ -12,9 +12,9 @@ from torch import Tensor
 
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.likelihood import CONFIG_2024, Estimator, estimate_log_likelihood
-from geoaim.prediction.metrics import Metric, check_futures, mark_judged
+from geoaim.prediction.metrics import Metric, check_futures, select_agents_to_judge
 from geoaim.prediction.realism_features import compute_features
-from geoaim.prediction.segments import Segments, mark_followed, pick
+from geoaim.prediction.segments import Segments, mark_steps_until_leaving, pick
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, move_rules, move_rules_to_any
 
 MIN_HISTORY_STEPS = 2  # steps before the first simulated one, whose acceleration needs them
@@ -142,7 +142,8 @@ def _score_segment(
     config: Mapping[str, Estimator],
 ) -> dict[str, Tensor]:
     """The likelihood of each feature, averaged over agents and steps."""
-    judged, present = mark_judged(segment, history)[0], segment.present[0]  # (N,), (N, T)
+    judged = select_agents_to_judge(segment, history)[0]  # (N,)
+    present = segment.present[0]  # (N, T)
     log, samples = (
         compute_features(
             states[..., :3],
@@ -154,7 +155,7 @@ def _score_segment(
         )
         for states in (segment.states, futures)
     )
-    valid = mark_followed(segment, history)[0, judged]
+    valid = mark_steps_until_leaving(segment, history)[0, judged]
     scores = {}
     for name, estimator in config.items():
         feature, sign = BINARY_FEATURES.get(name, (name, 0.0))

@@ -9,7 +9,7 @@ from torch import Tensor
 from geoaim.prediction.anchors import ANCHOR_SCALE_M
 from geoaim.prediction.config import Config
 from geoaim.prediction.observation import Controlled, index_controlled
-from geoaim.prediction.segments import Segments, repeat
+from geoaim.prediction.segments import Segments, mark_entries, repeat
 from geoaim.simulation.ground import Ground
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.kinematics import MotionModel, agent_from_world
@@ -57,7 +57,7 @@ class Batch:
         """Controlled agents that enter at a predicted step: they were absent the step before."""
         if step < self.history:
             return torch.zeros_like(self.present[:, 0])
-        return self.present[:, step] & ~self.present[:, step - 1]
+        return mark_entries(self.present[:, : step + 1], step)[:, 0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,15 +137,15 @@ def control_present(segments: Segments, steps: slice) -> Segments:
     return replace(segments, controlled=segments.controlled & there)
 
 
-def mark_followed(segments: Segments, history: int) -> Bool[Tensor, "B N t"]:
+def mark_steps_until_leaving(segments: Segments, history: int) -> Bool[Tensor, "B N t"]:
     """Mark the predicted steps at which an agent is there, since the last observed one on."""
     there = segments.present[:, :, history - 1 :]
     return there.int().cumprod(dim=2).bool()[:, :, 1:]
 
 
-def mark_entries(segments: Segments, history: int) -> Bool[Tensor, "B N t"]:
+def mark_entries(present: Bool[Tensor, "*_ T"], history: int) -> Bool[Tensor, "*_ t"]:
     """Mark the predicted steps at which an agent is there and was not at the step before."""
-    return segments.present[:, :, history:] & ~segments.present[:, :, history - 1 : -1]
+    return present[..., history:] & ~present[..., history - 1 : -1]
 
 
 def scale(segments: Segments, factors: Float[Tensor, "2"]) -> Segments:

@@ -151,7 +151,7 @@ def test_missed_pixels_differ_and_are_not_contested():
     image[50:60, 50:60] += 20
     contested[40:70, 40:70] = True
     ground = Background(image, coverage, contested, 1, 0.0, np.ones(1))
-    missed = hover.find_missed(ground, median, everywhere)
+    missed = hover.find_unmarked_errors(ground, median, everywhere)
     assert missed[101:109, 101:109].all()
     assert missed.sum() <= 12 * 12
     assert hover.measure_rms(image, median, everywhere) == pytest.approx(20 * (200 / 200**2) ** 0.5)

@@ -1,6 +1,7 @@
 """Doubles of torchdrivesim's renderer interface, made from its published signatures alone."""
 
 import sys
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import ModuleType
 from typing import NamedTuple
@@ -29,7 +30,7 @@ COLOURS = {name: (30 * k, 255 - 30 * k, 10 * k) for k, name in enumerate(LEVELS)
 SMALL = Resolution(64, 64)
 
 
-class Renderer023:
+class Renderer023(ABC):
     """`BirdviewRenderer` of 0.2.3."""
 
     def __init__(
@@ -50,6 +51,7 @@ class Renderer023:
         self.color_map, self.rendering_levels = color_map or COLOURS, rendering_levels or LEVELS
         self.world_center = torch.zeros(batch_size, 2) if world_center is None else world_center
 
+    @abstractmethod
     def render_frame(
         self,
         agent_state,
@@ -63,7 +65,7 @@ class Renderer023:
         waypoints=None,
         waypoints_rendering_mask=None,
     ):
-        raise NotImplementedError
+        """Render a picture of each element of a batch."""
 
 
 class Cameras(NamedTuple):
