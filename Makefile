@@ -1,8 +1,8 @@
 # make demo       an AIM from the bundled sample video, and what may happen on it
 # make notebook   the notebooks, in JupyterLab
 # make test       lint, format, types, layers, and the tests, in a few minutes
-# make test-slow  what takes longer: kills, mutations, documentation, notebooks, many examples
-# make check      lint, types and the tests of changed files, before a commit
+# make test-slow  what takes longer, shapes checked: kills, damage, benchmarks, documentation, notebooks
+# make check      lint, types and the tests of changed files, in a minute, before a commit
 # make test-lowest   the package's tests with the lowest versions that pyproject.toml allows
 # make lint       ruff, mypy and import-linter alone
 # make docs       the documentation, in build/site
@@ -25,6 +25,8 @@ POINTS ?= samples/gcps.csv
 # with CPU_TORCH= it is installed all the same
 CPU_TORCH ?= $(shell test "$$(uname -s)" = Linux && ! command -v nvidia-smi >/dev/null && echo yes)
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+# functions of array code refuse arguments of other shapes or types than their signatures say
+SHAPES := --jaxtyping-packages=geoaim,benchmarks,tests.check_types
 NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 QUICK_NOTEBOOKS := $(wildcard notebooks/03_*.ipynb notebooks/05_*.ipynb)
 
@@ -61,12 +63,12 @@ test: install
 	$(MAKE) --no-print-directory -j 2 lint tests
 
 tests: install
-	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "not slow" \
+	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "not slow and not benchmarks" \
 		geoaim tests $(if $(QUICK_NOTEBOOKS),--nbmake $(QUICK_NOTEBOOKS))
 
 test-slow: install
-	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "slow or hypothesis" \
-		--hypothesis-profile many
+	$(BIN)/python tests/second_chance.py -n auto --dist loadfile -m "slow or hypothesis or benchmarks" \
+		--hypothesis-profile many $(SHAPES)
 	$(if $(NOTEBOOKS),$(BIN)/python tests/second_chance.py -n auto -o addopts= --nbmake \
 		$(filter-out $(QUICK_NOTEBOOKS),$(NOTEBOOKS)))
 
@@ -74,7 +76,7 @@ check: install
 	$(MAKE) --no-print-directory -j 2 lint changed
 
 changed: install
-	$(BIN)/python tests/rooms.py -n auto --dist loadfile -m "not slow"
+	$(BIN)/python tests/changed.py -n auto --dist loadfile -m "not slow" $(SHAPES)
 
 # old versions beside new ones warn; the documentation and the layers need tools of their own
 test-lowest: .venv-lowest/installed
@@ -82,7 +84,7 @@ test-lowest: .venv-lowest/installed
 		--disable-warnings --doctest-ignore-import-errors --ignore tests/test_docs.py --ignore tests/test_architecture.py $(TESTS)
 
 coverage: install
-	$(BIN)/python -m pytest -n auto --dist loadfile --cov=geoaim \
+	$(BIN)/python -m pytest -n auto --dist loadfile $(SHAPES) --cov=geoaim \
 		--cov-report=term:skip-covered --cov-report=xml:build/coverage.xml
 
 lint: ruff mypy layers

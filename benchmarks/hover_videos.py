@@ -10,9 +10,9 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from benchmarks.stills import STILLS, cut_sprites, read_clean_still
-from geoaim.synthetic import VIDEOS, make_sample
-from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film, render_frame
-from geoaim.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic import VIDEOS, make_sample
+from benchmarks.synthetic.camera import Hover, HoverClip, SpriteTracks, film, render_frame
+from benchmarks.synthetic.roads.layouts import PlaceKind
 
 Kind = Literal["plain", "queue", "cars", "shadow", "gain", "cut", "noise"]
 

@@ -18,6 +18,7 @@ import numpy as np
 import typer
 
 from benchmarks.hover_videos import make_hover_video
+from benchmarks.synthetic import write_video
 from geoaim.aim.aim import AIM
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.background.running_mean import average_frames
@@ -32,7 +33,6 @@ from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.sampling import FrameCount
 from geoaim.mapping.video.video import open_video
-from geoaim.synthetic import write_video
 
 THREADS = 2
 SIZE, FRAMES = "4k", 90  # size and length of the rendered clip, at 30 frames/s

@@ -21,11 +21,11 @@ from numpy import ndarray as Array
 
 from benchmarks.hover_videos import make_hover_video
 from benchmarks.pipeline import THREADS, build, decode
+from benchmarks.synthetic import write_video
+from benchmarks.synthetic.camera import render_background
 from geoaim.mapping.bench.report import JsonFile, Row, print_rows, write_rows
 from geoaim.mapping.sampling import FrameCount
 from geoaim.mapping.video import decoding
-from geoaim.synthetic import write_video
-from geoaim.synthetic.camera import render_background
 
 SIZE, MEGABITS, RATE = "1080p", 20.0, 30
 # seconds of a clip, and from one keyframe to the next
@@ -58,7 +58,7 @@ def measure_clip(path: Path, truth: UInt8[Array, "H W 3"]) -> Iterator[Row]:
 
 def _measure_processor(method: Callable[[Path], Any], path: Path) -> tuple[float, int, Any]:
     """Processor seconds of a method, the number of frames that it decodes, and its result."""
-    count, original = 0, decoding._decode
+    count, original = 0, decoding._decode  # noqa: SLF001
 
     def count_frames(codec: Any, packets: Iterator[Any]) -> Iterator[Any]:
         nonlocal count

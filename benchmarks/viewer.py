@@ -10,7 +10,6 @@ draws without a graphics card. Times of pages are those of the browser, from the
 import os
 import shutil
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -86,14 +85,12 @@ def open_page(view: MapView) -> Iterator[Any]:
 
     path = os.environ.get("CHROMIUM") or shutil.which("chromium")
     with ViewServer(view) as server, sync_playwright() as playwright:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
         browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(server.address)
         _wait(lambda: page.evaluate(f"Boolean(window.geoaim) && {PAINTED} > 0"))
         yield page
         browser.close()
-        server.shutdown()
 
 
 def _wait(is_true: Callable[[], bool]) -> None:

@@ -1,36 +1,24 @@
-"""What the documentation builds from the code and its results: mkdocs calls these functions.
+"""What the documentation builds from the code: mkdocs calls these functions.
 
-- A page of the API reference for each package, and a table of all decisions.
-- `<!-- options: build -->` becomes the table of that command's options.
-- `<!-- table: NAME -->` becomes a table made of the results in docs/bench (see tables.py).
-- What stands before such a comment on its line, for readers of the sources, is left out.
+- A page of the API reference for each package, and a list of them on the page of the reference.
 - A formula between `$$` becomes a picture, so that pages need no script from another server.
+
+Tables stand in their pages; `python docs/tables.py` writes them.
 """
 
 import ast
-import inspect
 import io
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
 from functools import cache
 from pathlib import Path
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from matplotlib import mathtext, rc_context
 from matplotlib.font_manager import FontProperties
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
-from tables import write_results
-from typer.models import ArgumentInfo
 
-from geoaim.cli import app
-
-DOCS = Path(__file__).parent
-PACKAGE = DOCS.parent / "geoaim"
+PACKAGE = Path(__file__).parents[1] / "geoaim"
 # weight of a folder's pages in a search; a word in a title counts 1000 times as much as in a text,
 # so that titles of the API reference and of decisions count as texts
 SEARCH_BOOST = {
@@ -61,15 +49,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Fill in tables, lists and formulas; in a search, guides come before records and figures."""
-    page.meta["search"] = {"boost": SEARCH_BOOST.get(page.file.src_uri.split("/")[0], 1.0)}
-    # what stands before a comment on its line is for readers of the sources
-    writers = {"options": write_options, "table": write_results}
-    pattern = r"^.*<!-- (options|table): (\w+(?: \w+)?) -->$"
-    markdown = re.sub(pattern, lambda m: writers[m[1]](m[2]), markdown, flags=re.M)
-    lists = {"decisions": write_decisions, "packages": write_packages}
-    pattern = r"^.*<!-- (decisions|packages) -->$"
-    markdown = re.sub(pattern, lambda m: lists[m[1]](), markdown, flags=re.M)
+    """List the packages, draw formulas; in a search, guides come before records and figures."""
+    source = page.file.src_uri
+    page.meta["search"] = {"boost": SEARCH_BOOST.get(source.split("/")[0], 1.0)}
+    if source == "reference/index.md":
+        markdown += f"\n## Packages\n\n{write_packages()}\n"
     return re.sub(r"^\$\$\n(.+?)\n\$\$$", lambda m: draw_formula(m[1]), markdown, flags=re.M | re.S)
 
 
@@ -82,22 +66,6 @@ def list_modules() -> dict[str, list[str]]:
             name = ".".join(part for part in parts if part != "__init__")
             modules.setdefault(".".join(parts[:-1]), []).append(name)
     return modules
-
-
-def list_decisions() -> list[Path]:
-    """Files of the decisions, by their numbers."""
-    return sorted(DOCS.glob("decisions/[0-9]*.md"))
-
-
-def write_decisions() -> str:
-    """A table of all decisions: number, title with a link, and what was decided."""
-    rows = ["| | decision | what |", "|---|---|---|"]
-    for path in list_decisions():
-        text = path.read_text("utf-8")
-        [(number, title)] = re.findall(r"\A# (\d+) (.+)$", text, re.M)
-        [what] = re.findall(r"^- \*\*What:\*\* (.+)$", text, re.M)
-        rows.append(f"| {number} | [{title}]({path.name}) | {what.replace('|', chr(92) + '|')} |")
-    return "\n".join(rows)
 
 
 def write_packages() -> str:
@@ -113,90 +81,6 @@ def write_packages() -> str:
                 rows.append(f"| `{name.rpartition('.')[2]}` | {duty} |")
         parts.append("\n".join(rows))
     return "\n\n".join(parts)
-
-
-def write_options(command: str) -> str:
-    """The arguments and options of a command as a table."""
-    lines = ["| option | value | default | meaning |", "|---|---|---|---|"]
-    for parameter in list_parameters(command):
-        names = ", ".join(f"`{name}`" for name in parameter.names)
-        cells = names, _value(parameter), _default(parameter), _one_line(parameter.info.help or "")
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """An argument or option of a command.
-
-    Attributes:
-        names: as they are typed; capitals for an argument.
-        kind: the type in the function's signature.
-        default: of the function; `inspect.Parameter.empty` when the parameter is required.
-        info: what typer was told about it.
-    """
-
-    names: list[str]
-    kind: Any
-    default: Any
-    info: Any
-
-
-def list_commands() -> dict[str, Callable[..., Any]]:
-    """The function of each command by the command's name; of a group's, by both names."""
-    commands = {}
-    groups = [("", app)]
-    groups += [(f"{g.typer_instance.info.name} ", g.typer_instance) for g in app.registered_groups]
-    for prefix, group in groups:
-        for info in group.registered_commands:
-            assert info.callback is not None
-            name = info.name or info.callback.__name__.replace("_", "-")
-            commands[prefix + name] = info.callback
-    return commands
-
-
-def list_parameters(command: str) -> list[Parameter]:
-    """Arguments and options of a command, as typer reads them from its function."""
-    function = list_commands()[command]
-    hints = get_type_hints(function, include_extras=True)
-    parameters = []
-    for name, parameter in inspect.signature(function).parameters.items():
-        kind, info = get_args(hints[name])[:2]
-        if isinstance(info, ArgumentInfo):
-            names = [name.upper()]
-        else:
-            long = [f"--{name.replace('_', '-')}"]
-            stated = (info.default, *(info.param_decls or ()))  # the first is Option's default
-            names = [d for d in stated if isinstance(d, str) and d.startswith("-")]
-            names = names if any(d.startswith("--") for d in names) else long + names
-        parameters.append(Parameter(names, kind, parameter.default, info))
-    return parameters
-
-
-def _value(parameter: Parameter) -> str:
-    kind = parameter.kind
-    if isinstance(kind, UnionType) or get_origin(kind) is Union:
-        kind = next(k for k in get_args(kind) if k is not type(None))
-    if get_origin(kind) is Literal:
-        return ", ".join(f"`{choice}`" for choice in get_args(kind))
-    if inspect.isclass(kind) and issubclass(kind, Enum):
-        return ", ".join(f"`{choice.value}`" for choice in kind)
-    name = _KINDS.get(kind, "text")
-    low, high = parameter.info.min, parameter.info.max
-    if low is not None and high is not None:
-        return f"{name}, {low:g} to {high:g}"
-    return name if low is None else f"{name}, at least {low:g}"
-
-
-_KINDS = {bool: "flag", float: "number", int: "whole number", Path: "path"}
-
-
-def _default(parameter: Parameter) -> str:
-    if parameter.default is inspect.Parameter.empty:
-        return "required"
-    if parameter.default is None or parameter.default is False:
-        return ""
-    return f"`{getattr(parameter.default, 'value', parameter.default)}`"
 
 
 def _one_line(text: str) -> str:

@@ -12,6 +12,9 @@ import torch
 import typer
 from matplotlib.axes import Axes
 
+from benchmarks.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
+from benchmarks.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic.sample import RATE
 from geoaim.aim.aim import AIM
 from geoaim.aim.quicklook import draw_quicklook
 from geoaim.base.geometry import transform_points
@@ -22,12 +25,9 @@ from geoaim.mapping import build_aim, open_video, read_detections, transform_box
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.video import Video
 from geoaim.prediction import predict, read_pretrained
+from geoaim.rendering.pictures import render_agent_video
+from geoaim.rendering.scene import Scene, find_agent, find_agent_step, find_step
 from geoaim.simulation import View, make_scene
-from geoaim.simulation.pictures import render_agent_video
-from geoaim.simulation.scene import Scene, find_agent, find_agent_step, find_step
-from geoaim.synthetic import Day, draw_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.roads.layouts import PlaceKind
-from geoaim.synthetic.sample import RATE
 from geoaim.tracks.changes import resample_tracks, to_world
 from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import read_lights

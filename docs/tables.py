@@ -1,13 +1,148 @@
-"""Tables of the documentation, made from the results of the benchmarks in docs/bench."""
+"""Tables of the documentation, which stand in its pages between two comments.
 
+    python docs/tables.py
+
+writes them anew: `<!-- table: NAME -->` from the results of a benchmark in docs/bench,
+`<!-- experiment: NAME -->` from docs/experiments, `<!-- options: build -->` from a command, and
+`<!-- decisions -->` from docs/decisions. Each ends at `<!-- end -->`.
+"""
+
+import inspect
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-BENCH = Path(__file__).parent / "bench"
+from typer.models import ArgumentInfo
+
+from geoaim.cli import app
+
+DOCS = Path(__file__).parent
+BENCH = DOCS / "bench"
+MARKED = re.compile(
+    r"(<!-- (table|experiment|options|decisions):? ?([\w ]*?) -->\n).*?(<!-- end -->)", re.S
+)
 Row = Mapping[str, Any]
+
+
+def fill(text: str) -> str:
+    """Write the tables of a page anew."""
+    return MARKED.sub(lambda m: f"{m[1]}\n{WRITERS[m[2]](m[3])}\n\n{m[4]}", text)
+
+
+def write_experiment(name: str) -> str:
+    """Write the tables of an experiment, which its script wrote."""
+    return (DOCS / "experiments" / f"{name}.md").read_text("utf-8").strip()
+
+
+def write_decisions(_: str = "") -> str:
+    """Write a table of all decisions: title with a link, and what was decided."""
+    rows = ["| decision | what |", "|---|---|"]
+    for path in sorted(DOCS.glob("decisions/*.md")):
+        if path.name != "index.md":
+            text = path.read_text("utf-8")
+            [title] = re.findall(r"\A# (.+)$", text, re.M)
+            [what] = re.findall(r"^- \*\*What:\*\* (.+)$", text, re.M)
+            rows.append(f"| [{title}]({path.name}) | {_write_line(what)} |")
+    return "\n".join(rows)
+
+
+def _write_line(text: str) -> str:
+    return " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;").replace("{", "&#123;")
+
+
+def write_options(command: str) -> str:
+    """The arguments and options of a command as a table."""
+    lines = ["| option | value | default | meaning |", "|---|---|---|---|"]
+    for parameter in list_parameters(command):
+        names = ", ".join(f"`{name}`" for name in parameter.names)
+        cells = (
+            names,
+            _value(parameter),
+            _default(parameter),
+            _write_line(parameter.info.help or ""),
+        )
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An argument or option of a command.
+
+    Attributes:
+        names: as they are typed; capitals for an argument.
+        kind: the type in the function's signature.
+        default: of the function; `inspect.Parameter.empty` when the parameter is required.
+        info: what typer was told about it.
+    """
+
+    names: list[str]
+    kind: Any
+    default: Any
+    info: Any
+
+
+def list_commands() -> dict[str, Callable[..., Any]]:
+    """The function of each command by the command's name; of a group's, by both names."""
+    commands = {}
+    groups = [("", app)]
+    groups += [(f"{g.typer_instance.info.name} ", g.typer_instance) for g in app.registered_groups]
+    for prefix, group in groups:
+        for info in group.registered_commands:
+            assert info.callback is not None
+            name = info.name or info.callback.__name__.replace("_", "-")
+            commands[prefix + name] = info.callback
+    return commands
+
+
+def list_parameters(command: str) -> list[Parameter]:
+    """Arguments and options of a command, as typer reads them from its function."""
+    function = list_commands()[command]
+    hints = get_type_hints(function, include_extras=True)
+    parameters = []
+    for name, parameter in inspect.signature(function).parameters.items():
+        kind, info = get_args(hints[name])[:2]
+        if isinstance(info, ArgumentInfo):
+            names = [name.upper()]
+        else:
+            long = [f"--{name.replace('_', '-')}"]
+            stated = (info.default, *(info.param_decls or ()))  # the first is Option's default
+            names = [d for d in stated if isinstance(d, str) and d.startswith("-")]
+            names = names if any(d.startswith("--") for d in names) else long + names
+        parameters.append(Parameter(names, kind, parameter.default, info))
+    return parameters
+
+
+def _value(parameter: Parameter) -> str:
+    kind = parameter.kind
+    if isinstance(kind, UnionType) or get_origin(kind) is Union:
+        kind = next(k for k in get_args(kind) if k is not type(None))
+    if get_origin(kind) is Literal:
+        return ", ".join(f"`{choice}`" for choice in get_args(kind))
+    if inspect.isclass(kind) and issubclass(kind, Enum):
+        return ", ".join(f"`{choice.value}`" for choice in kind)
+    name = _KINDS.get(kind, "text")
+    low, high = parameter.info.min, parameter.info.max
+    if low is not None and high is not None:
+        return f"{name}, {low:g} to {high:g}"
+    return name if low is None else f"{name}, at least {low:g}"
+
+
+_KINDS = {bool: "flag", float: "number", int: "whole number", Path: "path"}
+
+
+def _default(parameter: Parameter) -> str:
+    if parameter.default is inspect.Parameter.empty:
+        return "required"
+    if parameter.default is None or parameter.default is False:
+        return ""
+    return f"`{getattr(parameter.default, 'value', parameter.default)}`"
 
 
 def write_results(name: str) -> str:
@@ -191,3 +326,24 @@ def _mean(rows: Sequence[Row], key: str, **wanted: Any) -> float:
 def _range(values: Sequence[int]) -> str:
     low, high = min(values), max(values)
     return f"{low}" if low == high else f"{low} to {high}"
+
+
+WRITERS = {
+    "table": write_results,
+    "experiment": write_experiment,
+    "options": write_options,
+    "decisions": write_decisions,
+}
+
+
+def main() -> None:
+    """Write the tables of all pages."""
+    for page in DOCS.rglob("*.md"):
+        text = page.read_text("utf-8")
+        if fill(text) != text:
+            page.write_text(fill(text), "utf-8")
+            print(page.relative_to(DOCS))
+
+
+if __name__ == "__main__":
+    main()

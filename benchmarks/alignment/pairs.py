@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from benchmarks.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
+from benchmarks.synthetic.imagery import make_other_day, photograph
+from benchmarks.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.aim.aim import AIM
 from geoaim.base.geometry import make_similarity, transform_points
-from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.imagery import make_other_day, photograph
-from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks.tracks import Tracks
 
 PICTURE_RESOLUTIONS = (0.3, 0.4, 0.5, 0.6)  # m a pixel

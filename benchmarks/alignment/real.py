@@ -13,6 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from benchmarks.alignment.pairs import Pair, measure_error, misplace_picture
+from benchmarks.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import CHI2_2D
 from geoaim.base.errors import AlignmentError
@@ -22,7 +23,6 @@ from geoaim.imagery.alignment.by_image import align_image
 from geoaim.imagery.alignment.by_tracks import align_tracks
 from geoaim.imagery.alignment.template_matching import reduce_to_grey, resample_grey
 from geoaim.imagery.mosaic import read_imagery
-from geoaim.synthetic.roads.layouts import STANDARD_KINDS
 from geoaim.tracks.formats import read_geotrax
 from geoaim.tracks.tracks import Tracks
 

@@ -25,7 +25,7 @@ from benchmarks.stills import STILLS
 from geoaim.base.files import atomic_write
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
 from geoaim.mapping.background.running_mean import Background, Registered, draw_outside
-from geoaim.mapping.background.stacks import compute_median
+from geoaim.mapping.background.traffic_removal import compute_median
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.background.warping import (
     draw_footprint,

@@ -24,6 +24,12 @@ from benchmarks.background.signal_queue import film_signal
 from benchmarks.hover_videos import make_hover_video
 from benchmarks.registration.benchmark import code_frames
 from benchmarks.stills import STILLS
+from benchmarks.synthetic import (
+    list_boxes,
+    measure_traffic_share,
+    reference_from_frames,
+    render_background,
+)
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
 from geoaim.mapping.background.running_mean import Background
 from geoaim.mapping.background.traffic_search import remove_traffic
@@ -35,12 +41,6 @@ from geoaim.mapping.video.detections import (
     read_detections,
 )
 from geoaim.mapping.video.frames import Frame
-from geoaim.synthetic import (
-    list_boxes,
-    measure_traffic_share,
-    reference_from_frames,
-    render_background,
-)
 
 SEEDS = (2, 3)
 STANDING = 0.6  # share of the time

@@ -12,7 +12,7 @@ from geoaim.base.defaults import SAMPLES
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.predict import predict
-from geoaim.simulation.scene import find_step
+from geoaim.rendering.scene import find_step
 
 HEIGHT_INCHES = 5.2
 

@@ -30,7 +30,7 @@ from geoaim.prediction.familiarity import measure_strangeness
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.predict import MAX_STRANGE_SHARE
 from geoaim.prediction.segments import control_present
-from geoaim.simulation.scene import Scene
+from geoaim.rendering.scene import Scene
 
 # kinds of places that a model was trained on, at places that it has not seen; and other kinds
 KNOWN: Mapping[str, Places] = {

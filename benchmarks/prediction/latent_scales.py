@@ -21,9 +21,9 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_metrics
 from geoaim.prediction.segments import Segments, control_present, pick
-from geoaim.simulation.ground import Ground
-from geoaim.simulation.prefiltering import prefilter_ground
-from geoaim.simulation.scene import Scene
+from geoaim.rendering.ground import Ground
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene
 
 SCALES = (1.0, 0.8, 0.6)
 STATES = ("exact", "noisy")  # of each place's scenes in turn

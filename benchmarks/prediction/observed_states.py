@@ -24,7 +24,7 @@ from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.metrics import Metric, concat, merge_segments
-from geoaim.simulation.scene import Scene
+from geoaim.rendering.scene import Scene
 from geoaim.tracks.formats.motion import estimate_velocity
 from geoaim.tracks.tracks import Tracks, estimate_heading
 

@@ -11,6 +11,19 @@ import numpy as np
 from jaxtyping import Float32
 from numpy import ndarray as Array
 
+from benchmarks.synthetic import (
+    draw_place,
+    make_place,
+    make_sample,
+    tracks_of,
+    world_from_image,
+    write_sample,
+)
+from benchmarks.synthetic.roads.lanelet import make_lanelet_map
+from benchmarks.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic.sample import HOVER, VIDEOS
+from benchmarks.synthetic.traffic.signals import compute_light_states
+from benchmarks.synthetic.video_files import write_video_files
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import read_aim, write_aim
 from geoaim.base.progress import Progress, no_progress, notebook_progress
@@ -18,12 +31,8 @@ from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.imagery.alignment.pipeline import align_tiles
 from geoaim.mapping.pipeline import build_aim
+from geoaim.rendering.scene import Scene, make_scene
 from geoaim.simulation.road_rules import RoadRules, make_road_rules
-from geoaim.simulation.scene import Scene, make_scene
-from geoaim.synthetic import draw_place, make_place, make_sample, world_from_image, write_sample
-from geoaim.synthetic.roads.layouts import PlaceKind
-from geoaim.synthetic.sample import HOVER, VIDEOS
-from geoaim.synthetic.video_files import write_video_files
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import Lights, read_lights
@@ -50,6 +59,7 @@ RECORDING_MINUTES = 10.0
 RESOLUTION = 0.1  # metres per pixel of drawn places
 LANES, FULL = "map.osm", "map_full.osm"  # lanes; walkways, car parks and private roads as well
 DEGRADED_RESOLUTION = 1.0  # metres per pixel of blur and noise: that of vehicles' views
+DRAWN_RESOLUTION = 0.25  # metres per pixel of maps that are not kept
 FILMED_RESOLUTION = 0.2  # metres per pixel at which places are drawn to be filmed
 VIDEO_FRAMES, VIDEO_RATE = 30, 3.0  # of the videos that maps are built from: ten seconds
 NOISE = 0.2  # standard deviation, of full brightness, as in the paper
@@ -181,6 +191,32 @@ def make_place_scene(
     return make_scene(
         aim, resample_tracks(recording.tracks, 1 / dt), recording.lights if lights else None
     )
+
+
+def make_drawn_scene(
+    kind: PlaceKind, seed: int, *, minutes: float = 1.0, dt: float = 0.1
+) -> tuple[Scene, RoadRules]:
+    """Make the traffic of a synthetic place, with its lights, on the map drawn from above.
+
+    Nothing is written; `make_places` keeps longer recordings with imagery of several days.
+    """
+    sample = make_sample(seed, kind=kind, minutes=minutes, video=None)
+    place, recording = sample.place, sample.recordings[0]
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / LANES
+        frame = place.roads, place.world_from_plan, place.world
+        path.write_bytes(make_lanelet_map(*frame, complete=True))
+        hdmap = read_hdmap(path, place.world)
+    image = draw_place(place, resolution=DRAWN_RESOLUTION)
+    matrix = world_from_image(place, DRAWN_RESOLUTION)
+    aim = AIM.from_image(image, matrix, place.world, "drawn")
+    tracks, lights = resample_tracks(tracks_of(sample), 1 / dt), None
+    if names := tuple(line.signal for line in hdmap.stop_lines):
+        states = compute_light_states(recording.signals, tracks.times)
+        states = states[:, [*map(recording.signals.names.index, names)]]
+        lines = np.array([line.ends for line in hdmap.stop_lines])
+        lights = Lights(names, lines, tracks.times, states, hdmap.world)
+    return make_scene(aim, tracks, lights), make_road_rules(hdmap)
 
 
 def _read_background(place: Path) -> AIM:

@@ -22,9 +22,9 @@ from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.dataset import VAL_FRACTION, Dataset, make_dataset, split_scene
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.metrics import Metric
-from geoaim.simulation.prefiltering import prefilter_ground
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
-from geoaim.simulation.scene import Scene
 
 VEHICLES_ON_AIM = DEFAULT_CONFIGS["vehicle"]
 VEHICLES = replace(VEHICLES_ON_AIM, surface_contrast=False)

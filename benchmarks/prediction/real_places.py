@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmarks.data import read_image, require_data
-from benchmarks.synthetic.motion import read_sdd_resolutions
+from benchmarks.realism.motion import read_sdd_resolutions
 from geoaim.aim.aim import AIM
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
+from geoaim.rendering.scene import Scene, make_scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, make_road_rules
-from geoaim.simulation.scene import Scene, make_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_interaction, read_sdd
 from geoaim.tracks.tracks import Tracks

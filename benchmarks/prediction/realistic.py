@@ -15,14 +15,14 @@ from benchmarks.prediction.places import (
     read_map,
     read_recordings,
 )
+from benchmarks.synthetic import draw_place, make_place, world_from_image
+from benchmarks.synthetic.imagery import make_other_day
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import read_aim, write_aim
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import Dataset, make_dataset
-from geoaim.simulation.scene import Scene
-from geoaim.synthetic import draw_place, make_place, world_from_image
-from geoaim.synthetic.imagery import make_other_day
+from geoaim.rendering.scene import Scene
 from geoaim.tracks.changes import cut_tracks
 from geoaim.tracks.formats.motion import derive_motion
 from geoaim.tracks.tracks import Tracks

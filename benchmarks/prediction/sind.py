@@ -25,7 +25,7 @@ from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import SEGMENT_STEPS, configure_fine_tuning
 from geoaim.prediction.dataset import make_dataset, split_scene
 from geoaim.prediction.metrics import Metric, average_seeds, concat
-from geoaim.simulation.scene import Scene, make_scene
+from geoaim.rendering.scene import Scene, make_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_tracks
 

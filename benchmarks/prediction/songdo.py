@@ -20,7 +20,7 @@ from geoaim.prediction.dataset import Dataset, stack_maps
 from geoaim.prediction.evaluation import EvalConfig, evaluate
 from geoaim.prediction.metrics import keep_rates, merge_segments
 from geoaim.prediction.segments import pick
-from geoaim.simulation.scene import Scene, slice_scene
+from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.tracks.formats import read_geotrax
 from geoaim.tracks.formats.motion import OBSERVED_WINDOW_S
 

@@ -14,7 +14,7 @@ from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.predict import predict
-from geoaim.simulation.scene import Scene, find_step, make_scene
+from geoaim.rendering.scene import Scene, find_step, make_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_tracks
 from geoaim.tracks.lights import read_lights

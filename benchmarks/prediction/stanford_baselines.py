@@ -37,7 +37,7 @@ from geoaim.prediction.windows import (
     read_windows,
     reverse_paths,
 )
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 from geoaim.simulation.kinematics import agent_from_world, world_from_agent
 
 VAL_PLACES = ("coupa", "gates", "hyang")  # no other place shows their ground

@@ -9,12 +9,12 @@ from benchmarks.prediction.figures import draw_futures_on_maps
 from benchmarks.prediction.models import MODELS, train_all_seeds
 from benchmarks.prediction.places import TEST, TRAIN, make_places
 from benchmarks.prediction.protocol import evaluate_place
+from benchmarks.synthetic.roads.layouts import PLACE_KINDS, STANDARD_KINDS, PlaceKind
 from geoaim.base.errors import TracksError
 from geoaim.prediction.baselines import BASELINES, Predictor
 from geoaim.prediction.config import Config
 from geoaim.prediction.dataset import VAL_FRACTION
 from geoaim.prediction.metrics import Metric, average_seeds, concat
-from geoaim.synthetic.roads.layouts import PLACE_KINDS, STANDARD_KINDS, PlaceKind
 
 SUBSETS: Mapping[str, Sequence[PlaceKind]] = {
     "test": PLACE_KINDS,

@@ -17,8 +17,8 @@ from geoaim.prediction.baselines import BASELINES, Predictor, replay
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import SEGMENT_STEPS
 from geoaim.prediction.metrics import MIN_SEGMENTS, concat, keep_rates
+from geoaim.rendering.scene import Scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
-from geoaim.simulation.scene import Scene
 
 NOISY = "constant velocity with noise"
 Case = tuple[Scene, RoadRules]

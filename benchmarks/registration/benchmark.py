@@ -17,6 +17,8 @@ from benchmarks.hover_videos import HoverVideo, Kind, film_place, make_hover_vid
 from benchmarks.registration.methods import Matrices, Method, list_methods, to_grey
 from benchmarks.registration.settings import SETTINGS, measure_models, measure_sizes
 from benchmarks.stills import STILLS
+from benchmarks.synthetic import list_boxes, reference_from_frames, write_video
+from benchmarks.synthetic.roads.layouts import PlaceKind
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
 from geoaim.mapping.bench.charts import draw_fronts, draw_sizes
@@ -30,8 +32,6 @@ from geoaim.mapping.bench.report import Results, Row, collect
 from geoaim.mapping.registration.motion_models import MIN_ACCURACY_GAIN_PX
 from geoaim.mapping.registration.patches import align_patches, make_template
 from geoaim.mapping.video.video import open_video
-from geoaim.synthetic import list_boxes, reference_from_frames, write_video
-from geoaim.synthetic.roads.layouts import PlaceKind
 
 Frames = list[UInt8[Array, "H W 3"]]
 Videos = dict[tuple[str, str], HoverVideo]  # videos by size and what they show

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from benchmarks.rendering.peers import make_sampling_grid
 from geoaim.mapping.bench.report import time_medians
-from geoaim.simulation import (
+from geoaim.rendering import (
     Ground,
     OrientedBoxes,
     View,

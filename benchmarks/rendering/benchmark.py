@@ -39,6 +39,7 @@ from benchmarks.rendering.peers import (
     make_sampling_grid,
     supersample,
 )
+from benchmarks.synthetic import draw_place, make_place
 from geoaim.mapping.bench.charts import draw_fronts
 from geoaim.mapping.bench.report import (
     ChartFile,
@@ -48,10 +49,7 @@ from geoaim.mapping.bench.report import (
     time_medians,
     write_rows,
 )
-from geoaim.simulation import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
-from geoaim.simulation.boxes import stack_layers
-from geoaim.simulation.drawing import Drawing, draw_with_torch
-from geoaim.synthetic import draw_place, make_place
+from geoaim.rendering import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
 
 TEXTURE_SIDE_PX = 1024
 MIN_TIMED_PIXELS = 1_000_000  # a smaller batch is timed as often as it fits in
@@ -92,13 +90,6 @@ def _make_renderer(ground: Ground) -> Draw:
     return lambda view, cameras, boxes: render(view, cameras, ground, [boxes])
 
 
-def _make_torch_renderer(ground: Ground) -> Draw:
-    """Make this library's renderer without numba."""
-    return lambda view, cameras, boxes: draw_with_torch(
-        Drawing(view, cameras, ground, present=None), stack_layers([boxes])
-    )
-
-
 def _time_renderer(ground: Ground, size: tuple[int, int, int], repeats: int) -> dict[str, Any]:
     """Time forward and backward passes beside `grid_sample` alone on the same texture and grid.
 
@@ -113,10 +104,7 @@ def _time_renderer(ground: Ground, size: tuple[int, int, int], repeats: int) -> 
     leaves = [x.clone().requires_grad_() for x in (cameras, boxes.poses)]
     prefiltered = prefilter_ground(ground, view.resolution)
     draw, draw_with_opencv = _make_renderer(prefiltered), make_opencv_renderer(ground)
-    draw_by_torch, draw_by_distances = (
-        _make_torch_renderer(prefiltered),
-        make_distance_renderer(ground),
-    )
+    draw_by_distances = make_distance_renderer(ground)
 
     def sample() -> Tensor:
         return F.grid_sample(texture, grid, align_corners=False)
@@ -141,12 +129,8 @@ def _time_renderer(ground: Ground, size: tuple[int, int, int], repeats: int) -> 
     often = repeats * max(1, MIN_TIMED_PIXELS // (views * pixels**2))
     own, alone, opencv, own_both, alone_both = time_medians(parts, often, process_time)
     # timed apart: they evict the caches of whatever is timed beside them
-    slow_parts = [
-        f(d) for f in (run, differentiate) for d in (draw, draw_by_torch, draw_by_distances)
-    ]
-    beside, plain, slow, beside_both, plain_both, slow_both = time_medians(
-        slow_parts, 3, process_time
-    )
+    slow_parts = [f(d) for f in (run, differentiate) for d in (draw, draw_by_distances)]
+    beside, slow, beside_both, slow_both = time_medians(slow_parts, 3, process_time)
     return {
         "pixels": pixels,
         "views": views,
@@ -156,8 +140,6 @@ def _time_renderer(ground: Ground, size: tuple[int, int, int], repeats: int) -> 
         "forward + backward, ms per view": 1e3 * own_both / views,
         "forward + backward, ratio to grid_sample": own_both / alone_both,
         "ratio to OpenCV (no gradient)": own / opencv,
-        "without numba, ratio to geoaim": plain / beside,
-        "without numba, forward + backward, ratio to geoaim": plain_both / beside_both,
         "soft boxes, ratio to geoaim": slow / beside,
         "soft boxes, forward + backward, ratio to geoaim": slow_both / beside_both,
     }

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.base.geometry import to_opencv
-from geoaim.simulation import Ground, OrientedBoxes, View, render
-from geoaim.simulation.rasterization import TRIANGLE_SHARE
+from geoaim.rendering import Ground, OrientedBoxes, View, render
+from geoaim.rendering.rasterization import TRIANGLE_SHARE
 
 LATTICE_POINTS, LATTICE_GENERATOR = 377, 233  # a Fibonacci lattice in each pixel
 MAX_POINTS = 2_000_000  # points that are rendered at once

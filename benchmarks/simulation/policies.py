@@ -20,20 +20,20 @@ from torch import Tensor
 
 from benchmarks.data import find_data, require_data
 from benchmarks.simulation.drivable import JUNCTIONS
+from benchmarks.synthetic import make_sample, tracks_of
+from benchmarks.synthetic.roads.lanelet import make_lanelet_map
+from benchmarks.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic.sample import Sample
+from benchmarks.synthetic.traffic.signals import compute_light_states
 from geoaim.base.errors import TracksError
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
+from geoaim.rendering.scene import Scene, make_scene, slice_scene
 from geoaim.simulation.episodes import HISTORY_STEPS, simulate_scene
 from geoaim.simulation.infractions import OFFROAD_TOLERANCE_M, compute_offroad_distance
 from geoaim.simulation.road_rules import RoadRules, make_road_rules
-from geoaim.simulation.scene import Scene, make_scene, slice_scene
 from geoaim.simulation.scene_infractions import detect_infractions
-from geoaim.synthetic import make_sample, tracks_of
-from geoaim.synthetic.roads.lanelet import make_lanelet_map
-from geoaim.synthetic.roads.layouts import PlaceKind
-from geoaim.synthetic.sample import Sample
-from geoaim.synthetic.traffic.signals import compute_light_states
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import read_tracks

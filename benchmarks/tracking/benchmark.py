@@ -20,6 +20,11 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from benchmarks.synthetic.camera import HoverClip, render_background, render_frames
+from benchmarks.synthetic.place import RESOLUTION, world_from_image
+from benchmarks.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic.sample import HOVER, MARGIN, VIDEOS, make_sample
+from benchmarks.synthetic.traffic.interpolation import interpolate_tracks
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, detect_boxes, project_boxes
 from benchmarks.tracking.peers import list_peers
 from benchmarks.tracking.scores import make_view, score_tracks
@@ -28,11 +33,6 @@ from geoaim.base.encode import write_video
 from geoaim.base.progress import no_progress
 from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.mapping.video.video import open_video
-from geoaim.synthetic.camera import HoverClip, render_background, render_frames
-from geoaim.synthetic.place import RESOLUTION, world_from_image
-from geoaim.synthetic.roads.layouts import PlaceKind
-from geoaim.synthetic.sample import HOVER, MARGIN, VIDEOS, make_sample
-from geoaim.synthetic.traffic.interpolation import interpolate_tracks
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.pipeline import track_boxes
 from geoaim.tracks.agent_types import find_group

@@ -7,11 +7,11 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 
+from benchmarks.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic.sample import MARGIN, make_sample
+from benchmarks.synthetic.traffic.interpolation import interpolate_tracks
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.video.detections import DetectedBoxes
-from geoaim.synthetic.roads.layouts import PlaceKind
-from geoaim.synthetic.sample import MARGIN, make_sample
-from geoaim.synthetic.traffic.interpolation import interpolate_tracks
 from geoaim.tracks.tracks import Tracks
 
 FRAME_RATE = 25.0  # Hz

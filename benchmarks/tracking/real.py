@@ -23,7 +23,7 @@ from geoaim.mapping.video.frames import Frame
 from geoaim.tracking import track_boxes
 from geoaim.tracking.report import find_unknown_headings
 from geoaim.tracks.formats import read_geotrax
-from geoaim.tracks.formats.geotrax_pixels import FRAME_RATE
+from geoaim.tracks.formats.geotrax import FRAME_RATE
 from geoaim.tracks.tracks import Tracks
 
 FOLDER, NAME = "tracks/songdo_u", "U_video_cut"

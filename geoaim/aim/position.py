@@ -76,18 +76,7 @@ def read_position_covariance(report: Report) -> Float[Array, "2 2"] | None:
 
 
 def bind_report(report: Report, grid: Grid) -> dict[str, Any]:
-    """Bind what a report claims to the place of its map, or note that the map was moved since.
-
-    A map that was cropped, or resampled where it lies, was not moved.
-
-    Args:
-        report: the report of a map.
-        grid: where the map lies.
-
-    Returns:
-        The report with the entry "place" if it claims a position. If the place differs, its claims
-        are under "before_moving".
-    """
+    """Bind what a report claims to the place of its map, or note that the map was moved since."""
     claims = {name: report[name] for name in CLAIMS if name in report}
     if not claims:
         return dict(report)

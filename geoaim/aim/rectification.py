@@ -24,6 +24,8 @@ MIN_ALPHA = 0.01  # a pixel of lower alpha has no colour of its own
 def rectify(aim: AIM, resolution: float | None = None) -> AIM:
     """Resample an AIM to a north-up grid whose lines lie on whole multiples of its resolution.
 
+        aim = geoaim.rectify(geoaim.read_aim("aim.tif"), resolution=0.1)
+
     Colours are interpolated bicubically, and averaged where the grid is coarser than the image;
     coverage and contested are those of the nearest pixel. Outside the image the coverage is 0.
 

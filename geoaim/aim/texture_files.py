@@ -27,6 +27,7 @@ FRAME_FILE, PICTURE_FILE = "texture.json", "texture.png"
 BYTES_PER_PIXEL = 12  # memory needed to read a texture
 FORMAT = FileFormat("corner frame", VERSION, VERSION, VERSION + 1, AimError, editable=True)
 SIZES = ("height", "width", "pixel_height", "pixel_width")
+PICTURE_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF")  # of pillow: none starts a program
 REQUIRED = frozenset({"version", "image", *SIZES, "corner_order", "corners", "world"})
 POSITION_KEYS = ("position", "place")  # of the report: how well it is known, and where that holds
 OPTIONAL = frozenset({"image_sha256", "checksum", *POSITION_KEYS})  # which geoaim writes
@@ -171,7 +172,7 @@ def _open_large(picture: Path) -> Iterator[Image.Image]:
     """Open an image without pillow's own limit of its size, since `check_memory` has one."""
     given, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with Image.open(picture) as image:
+        with Image.open(picture, formats=PICTURE_FORMATS) as image:
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = given

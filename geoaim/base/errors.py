@@ -71,7 +71,7 @@ class GeoaimWarning(UserWarning):
 
 def warn(message: str) -> None:
     """Warn with `GeoaimWarning`, at the line outside the package from which it was called."""
-    level, frame = 2, sys._getframe(1)
+    level, frame = 2, sys._getframe(1)  # noqa: SLF001
     while frame.f_back and frame.f_back.f_globals.get("__name__", "").startswith("geoaim"):
         level, frame = level + 1, frame.f_back
     warnings.warn(message.translate(CONTROLS), GeoaimWarning, stacklevel=level + 1)

@@ -34,9 +34,16 @@ def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
     """Yield a list of temporary paths whose files replace `paths` together, like `atomic_write`.
 
     The block must write all of them. The other files are removed before the first one is replaced,
-    so that a kill in between never leaves a new first file beside old ones.
+    so that a kill in between never leaves a new first file beside old ones. Permissions of files
+    that exist are kept.
+
+    Raises:
+        ValueError: a path is a pipe, a device or another thing that cannot be replaced by a file.
     """
     targets = [Path(path).resolve() if Path(path).is_symlink() else Path(path) for path in paths]
+    for path in targets:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ValueError(f"{path} is no ordinary file and is not replaced; name a file")
     with ExitStack() as stack:
         folders = {
             parent: stack.enter_context(_make_temporary_folder(parent))
@@ -44,8 +51,10 @@ def atomic_files(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
         }
         temporary = [folders[path.parent] / path.name for path in targets]
         yield temporary
-        for file in temporary:
+        for file, path in zip(temporary, targets, strict=True):
             _flush(file)
+            if path.is_file():
+                shutil.copymode(path, file)
         for path in targets[1:]:
             path.unlink(missing_ok=True)
         for file, path in zip(temporary, targets, strict=True):
@@ -73,15 +82,15 @@ def atomic_folder(folder: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def lock_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
+def lock_folder(folder: str | os.PathLike[str], *, wait: bool = False) -> Iterator[None]:
     """Keep other processes that lock a folder out of it until the block ends; make it if missing.
 
     Raises:
-        ValueError: another process has locked it.
+        ValueError: another process has locked it, and this one should not wait.
     """
     Path(folder).mkdir(parents=True, exist_ok=True)
     try:
-        with _lock(Path(folder), wait=False):
+        with _lock(Path(folder), wait=wait):
             yield
     except BlockingIOError:
         raise ValueError(f"another process writes into {folder}; name another folder") from None

@@ -63,10 +63,7 @@ _cells: dict[str, _Cell] = {}
 
 
 def _format_bars(cell: _Cell) -> str:
-    """Format a line for each stage; those before the last one are complete.
-
-    A stage may end before its total, such as when the background has converged.
-    """
+    """Format a line for each stage; those before the last one are complete."""
     lines, last = [], next(reversed(cell.stages))
     for stage, (done, total) in cell.stages.items():
         of = "" if total is None or (stage != last and done < total) else f" of {total:g}"

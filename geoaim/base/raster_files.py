@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import rasterio
+from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.io import MemoryFile
 
@@ -28,6 +29,8 @@ SETTINGS = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
     "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",  # else a truncated JPEG ends in grey
 }
+# for the header alone, of which GDAL opens no other file
+SIDE_FILE_SETTINGS = SETTINGS | {"GDAL_DISABLE_READDIR_ON_OPEN": "TRUE", "GDAL_PAM_ENABLED": "YES"}
 
 
 @contextmanager
@@ -64,6 +67,22 @@ def open_raster_file(
                     f"copy it without tags: gdal_translate -nomd {Path(path).name} copy.tif"
                 )
             yield dataset
+
+
+def read_georeference(
+    path: str | os.PathLike[str], *, options: Mapping[str, int] | None = None
+) -> tuple[rasterio.Affine | None, CRS | None]:
+    """Read the transform and the CRS of a raster, or of the .aux.xml or world file beside it.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        RasterioIOError: none of the drivers reads the file.
+    """
+    with warnings.catch_warnings(), rasterio.Env(**SIDE_FILE_SETTINGS):
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        driver = _recognise(Path(path), IMAGE_DRIVERS)
+        with rasterio.open(Path(path), driver=driver, sharing=False, **options or {}) as dataset:
+            return None if dataset.transform.is_identity else dataset.transform, dataset.crs
 
 
 @contextmanager

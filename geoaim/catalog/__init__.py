@@ -9,10 +9,9 @@ if missing := [
 
 from geoaim.catalog.engine import Cluster
 from geoaim.catalog.pipeline import Catalog, build_catalog, read_catalog
-from geoaim.catalog.problems import Problem
 from geoaim.catalog.recordings import Recording, read_recordings
 from geoaim.catalog.records import Record
-from geoaim.catalog.verification import remove_changed_files, verify_catalog
+from geoaim.catalog.verification import Problem, remove_changed_files, verify_catalog
 
 __all__ = [
     "Catalog",

@@ -2,25 +2,46 @@
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
+from typing import Any
 
 import av
 import cv2
+import numpy as np
 
+from geoaim.aim.aim import AIM
 from geoaim.base.errors import AimError, CatalogError, GeoaimError, GeoaimWarning
+from geoaim.base.geometry import translation
 from geoaim.base.progress import Progress, no_progress
-from geoaim.catalog.description import describe_files, describe_grid, find_datetime
-from geoaim.catalog.inputs import VERSION, InputFile, compute_content_hash, fetch_inputs
-from geoaim.catalog.record_files import get_folder, has_files, write_record
-from geoaim.catalog.recordings import Recording
-from geoaim.catalog.records import ITEM, LOOK, MAP, RECORD, OutputFile, Record, Status, parse_record
+from geoaim.base.world import lonlat_from_world
+from geoaim.catalog.recordings import (
+    VERSION,
+    InputFile,
+    Recording,
+    compute_content_hash,
+    fetch_inputs,
+)
+from geoaim.catalog.records import (
+    ITEM,
+    LOOK,
+    MAP,
+    RECORD,
+    OutputFile,
+    Record,
+    Status,
+    get_folder,
+    has_files,
+    parse_record,
+    write_record,
+)
 from geoaim.catalog.stac import format_item
 from geoaim.catalog.storage import (
+    get_modified,
     hash_bytes,
     hash_file,
     join_address,
@@ -31,7 +52,7 @@ from geoaim.catalog.storage import (
     write_file,
 )
 from geoaim.mapping.build_map import build_map
-from geoaim.mapping.video.video import open_video
+from geoaim.mapping.video.video import IMAGE_SUFFIXES, open_video
 
 # one build at a time in a process, since caught warnings and OpenCV's threads belong to all of it
 ONE_AT_A_TIME = Lock()
@@ -53,33 +74,16 @@ class Task:
 
 
 def make_task(recording: Recording, inputs: Sequence[InputFile], catalog: str) -> Task:
-    """Make the task of a recording.
-
-    Args:
-        recording: the recording.
-        inputs: its files.
-        catalog: address of the catalogue.
-
-    Returns:
-        The task.
-    """
+    """Make the task of a recording."""
     return Task(recording, tuple(inputs), get_folder(catalog, recording.name))
 
 
 def build_recording(
     task: Task, scratch: Path | None = None, progress: Progress = no_progress
 ) -> Record:
-    """Build the map of a recording and put it into the catalogue, its record last.
+    """Build the map of a recording, unless it is there, and put it into the catalogue.
 
-    Nothing is built where the catalogue has the map of the same inputs, settings and version.
-
-    Args:
-        task: the recording.
-        scratch: folder for temporary files; None: the system's.
-        progress: called with the stage, the frames done and the frames in all.
-
-    Returns:
-        The record. What goes wrong is recorded, not raised.
+    The record is written last. What goes wrong is recorded, not raised.
     """
     record = make_record(task.recording, "failed", "", task.inputs)
     with ONE_AT_A_TIME, TemporaryDirectory(dir=scratch) as folder:
@@ -201,3 +205,47 @@ def _find_earlier(task: Task, content_hash: str) -> Record | None:
     is_same = record.content_hash == content_hash and record.status != "failed"
     sizes = {name: file.size for name, file in stored.items()}
     return record if is_same and has_files(record, sizes) else None
+
+
+def find_datetime(stated: str | None, address: str, path: Path) -> tuple[str, str]:
+    """Find when a recording was made, and how that is known."""
+    if stated is not None:
+        return stated, "table"
+    if created := _read_creation_time(path):
+        return created, "video"
+    return get_modified(address).isoformat(timespec="seconds"), "time of the file"
+
+
+def describe_grid(aim: AIM) -> Mapping[str, Any]:
+    """Describe the grid of a map: its CRS, shape, transform, resolution and corners in degrees."""
+    height, width = aim.coverage.shape
+    crs_from_image = translation(*aim.world.origin) @ aim.world_from_image
+    corners = None
+    if aim.world.crs is not None:
+        corners = np.round(lonlat_from_world(aim.world, aim.corners), 8).tolist()
+    return {
+        "crs": aim.world.crs,
+        "shape": [height, width],
+        "transform": crs_from_image[:2].ravel().tolist(),
+        "resolution_m": aim.resolution,
+        "corners_lonlat": corners,
+    }
+
+
+def describe_files(folder: Path, names: Sequence[str]) -> dict[str, OutputFile]:
+    """Describe files of a folder by their sizes and checksums."""
+    return {
+        name: OutputFile((folder / name).stat().st_size, hash_file(folder / name)) for name in names
+    }
+
+
+def _read_creation_time(path: Path) -> str | None:
+    """The time that a video states, ISO 8601; None for images, and where it states none."""
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        return None
+    try:
+        with av.open(f"file:{path}", metadata_errors="replace") as container:
+            stated = container.metadata.get("creation_time")
+        return datetime.fromisoformat(stated).isoformat() if stated else None
+    except (av.FFmpegError, ValueError):
+        return None

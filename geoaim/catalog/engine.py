@@ -45,19 +45,7 @@ class Cluster:
 def run_tasks(
     tasks: Sequence[Task], cluster: Cluster, progress: RecordingProgress
 ) -> Iterator[Record]:
-    """Run tasks on workers, the first ones first.
-
-    Args:
-        tasks: they are also run again where a worker is lost, four times at most.
-        cluster: the workers.
-        progress: called while recordings are built.
-
-    Yields:
-        The record of each task, as soon as it is there.
-
-    Raises:
-        CatalogError: the scheduler cannot be reached, for longer than the patience.
-    """
+    """Run tasks on workers, the first ones first."""
     waiting = {task.recording.name: task for task in tasks}
     lost_since = None
     with _start_workers(cluster) as address:

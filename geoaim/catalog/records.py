@@ -1,4 +1,4 @@
-"""Records: what became of each recording, beside its map."""
+"""Records: what became of each recording, beside its map, and which of them are current."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,8 +6,15 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from geoaim.base.errors import CatalogError
-from geoaim.catalog.inputs import InputFile
-from geoaim.catalog.storage import hash_bytes
+from geoaim.catalog.recordings import VERSION, InputFile, Recording
+from geoaim.catalog.storage import (
+    StoredFile,
+    hash_bytes,
+    join_address,
+    list_tree,
+    read_files,
+    write_file,
+)
 from geoaim.mapping.build_map import MapSettings
 
 FORMAT = 1
@@ -84,15 +91,7 @@ def format_record(record: Record) -> bytes:
 
 
 def parse_record(content: bytes, address: str) -> Record:
-    """Parse a record.
-
-    Args:
-        content: content of the file.
-        address: address for messages.
-
-    Raises:
-        CatalogError: it is not a record, or of a later version.
-    """
+    """Parse a record."""
     try:
         values = json.loads(content)
         checksum = values.pop("checksum", None)
@@ -115,3 +114,69 @@ def parse_record(content: bytes, address: str) -> Record:
 
 def _compute_checksum(values: Mapping[str, Any]) -> str:
     return hash_bytes(json.dumps(values, sort_keys=True).encode())
+
+
+def get_folder(catalog: str, name: str) -> str:
+    """Get the address of the folder of a recording in a catalogue."""
+    return join_address(catalog, FOLDER, name)
+
+
+def write_record(record: Record, folder: str) -> None:
+    """Write a record into the folder of its recording."""
+    write_file(join_address(folder, RECORD), format_record(record))
+
+
+def has_files(record: Record, sizes: Mapping[str, int]) -> bool:
+    """Tell whether all files of a record's map are among files of given sizes, by name."""
+    return all(sizes.get(name) == file.size for name, file in list_files(record).items())
+
+
+def check_records(
+    catalog: str, records: Mapping[str, Record], problems: Sequence[str] = ()
+) -> None:
+    """Check that `read_records` found a catalogue."""
+    if not records and not problems:
+        raise CatalogError(
+            f"{catalog} holds no recordings; give the folder that `geoaim catalog build` wrote"
+        )
+
+
+def read_records(catalog: str) -> tuple[dict[str, Record], dict[str, StoredFile], list[str]]:
+    """Read the records of a catalogue.
+
+    Args:
+        catalog: its address.
+
+    Returns:
+        The records by name; all files of recordings, by their paths below `FOLDER`; and the
+        messages about records that cannot be read.
+    """
+    tree = list_tree(join_address(catalog, FOLDER))
+    files = [file for path, file in sorted(tree.items()) if path.endswith(f"/{RECORD}")]
+    records, problems = {}, []
+    for file, content in zip(files, read_files([file.address for file in files]), strict=True):
+        try:
+            record = parse_record(content, file.address)
+        except CatalogError as error:
+            problems.append(str(error))
+        else:
+            records[record.name] = record
+    return records, tree, problems
+
+
+def is_current(
+    record: Record,
+    recording: Recording,
+    inputs: Sequence[InputFile],
+    tree: Mapping[str, StoredFile],
+) -> bool:
+    """Tell, without reading any file, whether a recording needs no new build."""
+    paths = {name: f"{record.name}/{name}" for name in list_files(record)}
+    sizes = {name: tree[path].size for name, path in paths.items() if path in tree}
+    return (
+        record.status != "failed"
+        and record.version == VERSION
+        and record.settings == recording.settings
+        and tuple(record.inputs) == tuple(inputs)
+        and has_files(record, sizes)
+    )

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geoaim.aim.summary import summarize_report
-from geoaim.catalog.inputs import VERSION
+from geoaim.catalog.recordings import VERSION
 from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
 
 REPORT = "report.json"
@@ -27,14 +27,7 @@ STYLE = (
 
 
 def format_report(records: Sequence[Record]) -> dict[str, bytes]:
-    """Format the page and the JSON of a catalogue.
-
-    Args:
-        records: records of all recordings of the catalogue.
-
-    Returns:
-        Content by the name of the file.
-    """
+    """Format the page and the JSON of a catalogue."""
     rows = [summarize_record(record) for record in records]
     counts = Counter(record.status for record in records)
     report = {"version": VERSION, "counts": dict(counts), "recordings": rows}
@@ -43,11 +36,7 @@ def format_report(records: Sequence[Record]) -> dict[str, bytes]:
 
 
 def summarize_record(record: Record) -> dict[str, Any]:
-    """Summarize a record: whether it was built, or why not; time, quality and uncertainty.
-
-    Returns:
-        Values by name, as JSON has them.
-    """
+    """Summarize a record: whether it was built, or why not; time, quality and uncertainty."""
     return {
         "name": record.name,
         "status": record.status,

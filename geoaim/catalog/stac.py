@@ -23,15 +23,7 @@ ROLES = {".tif": "data", ".png": "overview"}
 
 
 def make_item(record: Record) -> pystac.Item:
-    """Make the item of a map: its footprint, time, accuracy and files.
-
-    Args:
-        record: record of a recording that was built.
-
-    Returns:
-        The item; links and files are relative to its own place. A map in a local plane has no
-        geometry.
-    """
+    """Make the item of a map: its footprint, time, accuracy and files."""
     grid = record.grid
     assert record.datetime is not None
     geometry = bbox = None
@@ -71,14 +63,7 @@ def format_item(record: Record) -> bytes:
 
 
 def format_index(records: Sequence[Record]) -> dict[str, bytes]:
-    """Format the collection and the index (stac-geoparquet) of the maps that were built.
-
-    Args:
-        records: records of the catalogue.
-
-    Returns:
-        Content by the name of the file; without the index where no map has a place on the Earth.
-    """
+    """Format the collection and the index (stac-geoparquet) of the maps that were built."""
     items = [make_item(record) for record in records if record.status == "built"]
     contents = {COLLECTION: _format(_make_collection(items))}
     placed = [_move_to_root(item) for item in items if item.geometry is not None]

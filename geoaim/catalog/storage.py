@@ -173,11 +173,7 @@ def hash_file(path: Path) -> str:
 
 @contextmanager
 def report_storage(address: str) -> Iterator[None]:
-    """Name the address in errors of its store.
-
-    Raises:
-        OSError: the store failed; its message names the address.
-    """
+    """Name the address in errors of its store."""
     try:
         yield
     except OSError as error:

@@ -90,7 +90,7 @@ def _predict(source: SceneSource, model: "ITRA", choices: _Choices) -> list["Fut
     import torch
 
     from geoaim.prediction.predict import predict
-    from geoaim.simulation.scene import find_step, slice_scene
+    from geoaim.rendering.scene import find_step, slice_scene
 
     scene, _, _ = read_scene(source, rate=1 / model.config.dt)
     last = find_step(scene, choices.at)
@@ -111,11 +111,7 @@ def _predict(source: SceneSource, model: "ITRA", choices: _Choices) -> list["Fut
 def _pair_weights(
     maps: list[Path], weights: list[Path] | list[None]
 ) -> list[tuple[Path, Path | None]]:
-    """Pair each map with a model.
-
-    Raises:
-        ValueError: there are several models, but not one for each map.
-    """
+    """Pair each map with a model."""
     if len(weights) not in (1, len(maps)):
         raise ValueError(
             f"{len(weights)} --weights for {len(maps)} maps; give one, or one for each map"

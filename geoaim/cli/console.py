@@ -63,10 +63,7 @@ def show_progress() -> Iterator[Progress]:
 
 @contextmanager
 def report_errors() -> Iterator[None]:
-    """Print warnings as yellow lines; print any error as one red line and exit with code 1.
-
-    With `--debug` an error is raised as it is, with its traceback.
-    """
+    """Print warnings as yellow lines; print any error as one red line and exit with code 1."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", GeoaimWarning)
         warnings.showwarning = lambda message, *_, **__: console.print(
@@ -127,14 +124,7 @@ def print_table(title: str, lines: Mapping[str, str]) -> None:
 def print_result(
     files: Sequence[Path], lines: Mapping[str, str], as_json: bool, **more: Any
 ) -> None:
-    """Print what was written, on standard error; or as JSON on standard output.
-
-    Args:
-        files: the files that were written, or the one that is described.
-        lines: the lines of the table.
-        as_json: whether to print JSON: the files, the table as "summary", and `more`.
-        more: further values for the JSON alone.
-    """
+    """Print what was written, on standard error; or as JSON on standard output."""
     if as_json:
         content = {"files": [str(path) for path in files], "summary": dict(lines), **more}
         print(json.dumps(content, indent=1))

@@ -34,9 +34,6 @@ def convert(
     to: Annotated[
         Format | None, typer.Option(help="format; by the name of the output if omitted")
     ] = None,
-    scenario: Annotated[
-        str | None, typer.Option(help="id of one of several scenarios in the file (Waymo)")
-    ] = None,
     rate: Annotated[
         float | None, typer.Option(help="resample to this rate, Hz; ScenarioNet needs 10")
     ] = None,
@@ -79,7 +76,7 @@ def convert(
             raise ValueError(f"{output}: give a name that ends in {', '.join(FORMATS)}, or --to")
         if written != "scenarionet":
             check_output(output, SUFFIXES[written], [*tracks, aim])
-        given = tracks_world, tracks_resolution, tracks_frame_rate, scenario
+        given = tracks_world, tracks_resolution, tracks_frame_rate
         read = merge_tracks([read_any_tracks(path, *given) for path in tracks])
         read = _change_times(read, rate, start, duration)
         if written != "plain":

@@ -90,10 +90,7 @@ def _evaluate_on_map(
     choices: Mapping[str, Any],
     progress: Progress,
 ) -> Result:
-    """Evaluate a model and baselines jointly for all agents of its kind on a scene.
-
-    The choices are fields of `EvalConfig`.
-    """
+    """Evaluate a model and baselines jointly for all agents of its kind on a scene."""
     from geoaim.prediction import evaluation
     from geoaim.prediction.baselines import BASELINES, replay
     from geoaim.prediction.config import MAX_HISTORY_STEPS
@@ -101,7 +98,7 @@ def _evaluate_on_map(
     from geoaim.prediction.dataset import split_scene
     from geoaim.prediction.metrics import keep_rates
     from geoaim.prediction.segments import control_present
-    from geoaim.simulation.prefiltering import prefilter_ground
+    from geoaim.rendering.prefiltering import prefilter_ground
     from geoaim.simulation.road_rules import check_rules, make_road_rules
 
     config, horizon = model.config, get_horizon(model)

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from geoaim.base.world import World
     from geoaim.hdmap.lanelet2 import HDMap
     from geoaim.prediction.itra import ITRA
-    from geoaim.simulation.scene import Scene
+    from geoaim.rendering.scene import Scene
     from geoaim.tracks.lights import Lights
     from geoaim.tracks.tracks import Tracks
     from geoaim.web.explore import Contents
@@ -39,40 +39,22 @@ def read_any_tracks(
     world: str | None = None,
     resolution: float | None = None,
     frame_rate: float | None = None,
-    scenario: str | None = None,
 ) -> "Tracks":
-    """Read tracks with the options of a command.
-
-    Args:
-        path: the file or folder.
-        world: value of --tracks-world: a CRS and two numbers, or None.
-        resolution: value of --tracks-resolution: metres per pixel, or None.
-        frame_rate: value of --tracks-frame-rate: frames per second, or None.
-        scenario: value of --scenario: id of one of the file's scenarios, or None.
-
-    Returns:
-        The tracks.
-    """
+    """Read tracks with the options of a command."""
     from geoaim.tracks.formats import read_tracks
 
     plane = None if world is None else parse_world(world)
-    return read_tracks(
-        path, world=plane, resolution=resolution, frame_rate=frame_rate, scenario=scenario
-    )
+    return read_tracks(path, world=plane, resolution=resolution, frame_rate=frame_rate)
 
 
 def read_scene(
     source: SceneSource, *, rate: float | None = None
 ) -> tuple["Scene", "HDMap | None", "World"]:
-    """Read a scene, its HD map (None without one) and its world; a rate (Hz) resamples tracks.
-
-    Raises:
-        ValueError: only one of the lights and the places of their stop lines is given.
-    """
+    """Read a scene, its HD map (None without one) and its world; a rate (Hz) resamples tracks."""
     from geoaim.aim.texture_files import read_map
     from geoaim.base.limits import name_file
     from geoaim.hdmap.lanelet2 import read_hdmap
-    from geoaim.simulation.scene import make_scene
+    from geoaim.rendering.scene import make_scene
     from geoaim.tracks.changes import resample_tracks
 
     _check_lights(source.lights, source.stop_lines, source.hdmap)
@@ -114,12 +96,7 @@ def _read_source_tracks(source: SceneSource, path: Path) -> "Tracks":
 
 
 def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
-    """Load the model of a file; None: the pretrained one of `kind` ("vehicles" if None).
-
-    Raises:
-        ValueError: the file's model predicts agents of another kind than the given one, or there
-            is no pretrained one.
-    """
+    """Load the model of a file; None: the pretrained one of `kind` ("vehicles" if None)."""
     from geoaim.prediction.checkpoints import read_model, read_pretrained
 
     if weights is None:
@@ -138,11 +115,7 @@ def load_model(weights: Path | None, kind: AgentKind | None = None) -> "ITRA":
 
 
 def get_horizon(model: "ITRA", duration: float | None = None) -> int:
-    """Get the number of steps, at least 1, in a predicted duration (s, rounded to steps).
-
-    For None, it is the horizon of the model's proposals, or else 4 s for vehicles, 8 s for
-    pedestrians and 6 s for cyclists.
-    """
+    """Get the number of steps, at least 1, in a predicted duration (s, rounded to steps)."""
     config = model.config
     if duration is None and config.horizon:
         return config.horizon
@@ -153,20 +126,7 @@ def get_horizon(model: "ITRA", duration: float | None = None) -> int:
 def read_any_lights(
     lights: Path | None, stop_lines: Path | None, hdmap: "HDMap | None", world: "World"
 ) -> "Lights | None":
-    """Read traffic lights, with hand-drawn stop lines or those of an HD map.
-
-    Args:
-        lights: value of --lights: a table of states, or None.
-        stop_lines: value of --stop-lines, which replace those of the map.
-        hdmap: the HD map of --hdmap, or None.
-        world: the plane of the lights.
-
-    Returns:
-        The lights; None where no --lights are given.
-
-    Raises:
-        ValueError: only one of the lights and the places of their stop lines is given.
-    """
+    """Read traffic lights, with hand-drawn stop lines or those of an HD map."""
     from geoaim.tracks.lights import read_lights, read_stop_lines
 
     _check_lights(lights, stop_lines, hdmap)
@@ -186,11 +146,7 @@ def _check_lights(lights: Path | None, stop_lines: Path | None, hdmap: object | 
 
 
 def parse_world(text: str) -> "World":
-    """Parse the value of --tracks-world: a CRS and two numbers.
-
-    Raises:
-        ValueError: the value has another form.
-    """
+    """Parse the value of --tracks-world: a CRS and two numbers."""
     from geoaim.base.world import World
 
     try:

@@ -17,7 +17,6 @@ Description = tuple[str, Facts, tuple[str, ...]]
 
 TIME_NAMES = {"time", "timestamp", "t", "frame", "frame_id"}  # properties of points of tracks
 ID_NAMES = {"id", "track_id", "trackid", "agent_id", "vehicle_id", "object_id"}
-MAX_LISTED = 5  # scenarios of a file
 IMAGES = {".png", ".jpg", ".jpeg"}
 ON_A_MAP = "render map.tif --tracks tracks.csv --ego ID"
 MAP_COMMANDS = (
@@ -64,16 +63,7 @@ FUTURE_COMMANDS = ("view map.tif --tracks tracks.csv --futures FILE",)
 
 
 def describe_file(source: str) -> Description:
-    """Describe a file, folder, pattern or address.
-
-    Returns:
-        Its kind; its facts: for each name, a value with its unit as text; and the commands that use
-        it, without the word geoaim.
-
-    Raises:
-        FileNotFoundError: there is no such file or folder.
-        GeoaimError: it is damaged, or of no kind that geoaim reads.
-    """
+    """Describe a file, folder, pattern or address."""
     path = Path(source)
     if "://" in source:
         return "tile service", {}, IMAGERY_COMMANDS[:2]
@@ -81,8 +71,6 @@ def describe_file(source: str) -> Description:
         raise FileNotFoundError(f"{source}: no such file or folder")
     if path.is_dir():
         return _describe_folder(path)
-    if ".tfrecord" in path.name:
-        return _describe_scenarios(source)
     return DESCRIBERS.get(path.suffix.lower(), _describe_video)(source)
 
 
@@ -133,10 +121,11 @@ def _describe_raster(source: str) -> Description:
 
 def _describe_image(source: str) -> Description:
     """An image, which has a place where a world file lies beside it."""
-    from geoaim.imagery.side_files import read_pam, read_world_file
+    from geoaim.base.limits import refuse_damaged
+    from geoaim.base.raster_files import read_georeference
 
-    path = Path(source)
-    placed = read_pam(path)[0] or read_world_file(path)
+    with refuse_damaged(source, GeoaimError, "a readable image"):
+        placed = read_georeference(source)[0] is not None
     return _describe_imagery(source) if placed else _describe_video(source)
 
 
@@ -228,16 +217,6 @@ def _describe_tracks(source: str) -> Description:
         options += " --tracks-frame-rate 29.97"
     commands = (f"{command} {options}" for command in TRACK_COMMANDS)
     return name, needs, tuple(commands)
-
-
-def _describe_scenarios(source: str) -> Description:
-    from geoaim.tracks.formats import list_waymo_scenarios
-
-    names = list_waymo_scenarios(source)
-    listed = ", ".join(names[:MAX_LISTED]) + (", ..." if len(names) > MAX_LISTED else "")
-    facts = {"scenarios": f"{len(names)}: {listed}"}
-    command = f"convert FILE --scenario {names[0]} -o tracks.csv"
-    return "tracks (Waymo Open Motion format)", facts, (command,)
 
 
 def _describe_lights(source: str) -> Description:

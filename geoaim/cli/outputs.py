@@ -35,20 +35,7 @@ def check_output(
 def check_map_output(
     output: Path, sources: Iterable[str], inputs: Sequence[Path | None], *, recursive: bool = False
 ) -> Path:
-    """Check the output of a map and the .png beside it.
-
-    Args:
-        output: the GeoTIFF to write.
-        sources: inputs that are files, folders or patterns of files.
-        inputs: files that are read.
-        recursive: whether subfolders of the sources are read too.
-
-    Returns:
-        The path of the .png.
-
-    Raises:
-        ValueError: `check_output` refuses one of them, or the .png is an input.
-    """
+    """Check the output of a map and the .png beside it."""
     pattern = f"{'**/' if recursive else ''}{glob.escape(output.stem)}.*"
     read = [*inputs, *(path for source in sources for path in _list_files(source, pattern))]
     check_output(output, GEOTIFF, read)

@@ -49,8 +49,8 @@ def predict(
     from geoaim.base.files import write_figure
     from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
     from geoaim.prediction.predict import predict as predict_futures
-    from geoaim.simulation.pictures import write_pictures
-    from geoaim.simulation.scene import find_step
+    from geoaim.rendering.pictures import write_pictures
+    from geoaim.rendering.scene import find_step
     from geoaim.tracks.agent_types import select_group
 
     with show_progress() as progress, report_errors():

@@ -1,39 +1,51 @@
-"""The command that generates synthetic places."""
+"""The command that writes the bundled recording."""
 
+import shutil
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from geoaim.cli import options
-from geoaim.cli.console import console, report_errors, show_progress
+import geoaim
+from geoaim.cli.console import console, report_errors
 
-PlaceKind = Literal["junction", "t", "roundabout", "street", "park", "campus"]
-VideoSize = Literal["none", "720p", "1080p", "4k"]
+PACKAGE = Path(geoaim.__file__).resolve().parent
+NAME = "samples"  # a link in the package, which a checkout on Windows does not follow
 
 
-def sample(
-    folder: Annotated[Path, typer.Argument(help="folder to write, new or empty")],
-    seed: options.Seed = 1,
-    kind: Annotated[PlaceKind, typer.Option(help="kind of place")] = "junction",
-    minutes: Annotated[float, typer.Option(help="minutes of traffic", min=0.2, max=1440)] = 1.0,
-    video: Annotated[VideoSize, typer.Option(help="size of the drone video")] = "720p",
-) -> None:
-    """Generate a synthetic place with ground truth: video, tracks, lights, HD map and imagery.
+def sample(folder: Annotated[Path, typer.Argument(help="folder to write, new or empty")]) -> None:
+    """Write a recording to try everything on: video, tracks, lights, HD map and imagery.
 
-    The same seed gives the same data and rendered frames on every machine; the encoded video may
-    differ. The video lasts 12 s, whatever the minutes of traffic. README.md in the folder describes
-    each file. The folder appears when it is complete; no existing file is replaced or deleted,
-    earlier samples included.
+    It is of a made place, so that the truth of everything is known. README.md in the folder
+    describes each file. The folder appears when it is complete; no existing file is replaced or
+    deleted, earlier samples included.
 
-    Example: geoaim sample place --seed 2 --kind roundabout
+    Example: geoaim sample place
     """
-    from geoaim.base.files import check_new_folder
-    from geoaim.synthetic import VIDEOS, make_sample, write_sample
-
-    with show_progress() as progress, report_errors():
-        check_new_folder(folder)
-        progress("place", 0, 1)
-        generated = make_sample(seed, kind=kind, minutes=minutes, video=VIDEOS.get(video))
-        write_sample(generated, folder, progress=progress)
+    with report_errors():
+        write_sample(folder)
     console.print(f"{folder}: see {folder / 'README.md'}")
+
+
+def write_sample(folder: Path) -> None:
+    """Write the files of the bundled recording into a folder, which appears when it is complete."""
+    from geoaim.base.files import atomic_folder
+
+    source = find_sample()
+    with atomic_folder(folder) as temporary:
+        for path in sorted(source.rglob("*")):
+            if path.is_file():
+                target = temporary / path.relative_to(source)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, target)
+
+
+def find_sample() -> Path:
+    """Find the bundled recording, in the package or beside it in a checkout."""
+    places = (PACKAGE / NAME, PACKAGE.parent / NAME)
+    found = next((place for place in places if place.is_dir()), None)
+    if found is None:
+        raise FileNotFoundError(
+            f"the bundled recording is missing from {PACKAGE}; install geoaim again from its wheel"
+        )
+    return found.resolve()

@@ -12,8 +12,8 @@ from geoaim.base.progress import Progress
 from geoaim.cli.inputs import SceneSource, read_scene
 
 if TYPE_CHECKING:
-    from geoaim.simulation.ground import Ground
-    from geoaim.simulation.scene import Scene
+    from geoaim.rendering.ground import Ground
+    from geoaim.rendering.scene import Scene
 
 COLUMNS = tuple(field.name for field in fields(SceneSource))
 NEEDED = ("aim", "tracks")
@@ -22,17 +22,7 @@ NUMBERS = ("tracks_resolution", "tracks_frame_rate")
 
 
 def read_scene_sources(path: Path) -> list[SceneSource]:
-    """Read a CSV with the columns `aim` and `tracks`, and other fields of `SceneSource`.
-
-    Args:
-        path: the table; its paths are relative to its folder, and an empty cell is as no column.
-
-    Returns:
-        The sources, in the table's order.
-
-    Raises:
-        TracksError: the table cannot be read, has other columns, or a cell cannot be understood.
-    """
+    """Read a CSV with the columns `aim` and `tracks`, and other fields of `SceneSource`."""
     with open(path, encoding="utf-8-sig", newline="") as file:
         try:
             header, rows = read_rows(file)
@@ -55,16 +45,7 @@ def read_scene_sources(path: Path) -> list[SceneSource]:
 
 
 def read_scenes(sources: list[SceneSource], rate: float, progress: Progress) -> list["Scene"]:
-    """Read scenes; those of one map share its ground, so that it is kept once.
-
-    Args:
-        sources: their files.
-        rate: steps per second.
-        progress: called with "read", the number of scenes read, and their total.
-
-    Returns:
-        The scenes, in the order of the sources.
-    """
+    """Read scenes; those of one map share its ground, so that it is kept once."""
     grounds: dict[Path, Ground] = {}
     scenes = []
     for number, source in enumerate(sources):

@@ -15,8 +15,8 @@ from geoaim.cli.scene_options import SceneFiles, take_scene_files
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from geoaim.rendering.scene import Scene
     from geoaim.simulation.episodes import Episode
-    from geoaim.simulation.scene import Scene
 
 PolicyName = Literal["idm", "constant-velocity", "constant-turn-rate", "replay"]
 DEFAULT_SIZE_PX, DEFAULT_EXTENT_M = 512, 80.0  # sides of a view
@@ -50,7 +50,7 @@ def render(
 
     Example: geoaim render map.tif --tracks samples/tracks.csv --ego 12 -o view.mp4
     """
-    from geoaim.simulation.scene import find_agent, find_agent_step
+    from geoaim.rendering.scene import find_agent, find_agent_step
 
     with show_progress() as progress, report_errors():
         check_output(output, (".mp4", ".gif", ".png"))
@@ -104,9 +104,9 @@ def simulate(
     """
     from geoaim.base.files import atomic_files
     from geoaim.hdmap.drivable import read_drivable_area
+    from geoaim.rendering.scene import find_agent, make_tracks
     from geoaim.simulation.episodes import simulate_scene
     from geoaim.simulation.road_rules import make_road_rules
-    from geoaim.simulation.scene import find_agent, make_tracks
     from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
@@ -148,8 +148,8 @@ def _film_agent(
     scene: "Scene", agent: int, steps: "Tensor", path: Path, progress: Progress, **view: float
 ) -> None:
     """Write the view around an agent: its size (px), its extent (m) and its trail (s)."""
-    from geoaim.simulation.ground import View
-    from geoaim.simulation.pictures import render_agent_video, write_pictures
+    from geoaim.rendering.ground import View
+    from geoaim.rendering.pictures import render_agent_video, write_pictures
 
     size = int(view["size"])
     square = View(size, size, view["extent"] / size)

@@ -26,8 +26,20 @@ def track(
         typer.Option(help="frames per second by which the file's frame numbers count", min=0.01),
     ] = None,
     classes: Annotated[
-        str, typer.Option(help="names of class numbers from 0 on, such as car,van,truck,bus")
+        str, typer.Option(help="names of class numbers: car,van,bus from 0 on, or 3=car,4=bus")
     ] = "",
+    form: Annotated[
+        str | None, typer.Option(help="the four numbers of a box: ltrb, ltwh or xywh (the middle)")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option(help="WIDTHxHEIGHT of the pictures that boxes are of, pixels")
+    ] = None,
+    first: Annotated[
+        int | None, typer.Option(help="number of the first frame in the file", min=0)
+    ] = None,
+    image_rate: Annotated[
+        float | None, typer.Option(help="images per second of a folder of images", min=0.01)
+    ] = None,
     hdmap: options.HDMapFile = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -41,6 +53,7 @@ def track(
     """
     from geoaim.aim.files import read_aim
     from geoaim.hdmap.lanelet2 import read_hdmap
+    from geoaim.mapping.video.detection_checks import parse_size
     from geoaim.mapping.video.detection_columns import parse_columns
     from geoaim.mapping.video.detections import read_detections
     from geoaim.mapping.video.video import open_video
@@ -52,8 +65,17 @@ def track(
         check_output(output, TRACKS, [aim, hdmap])
         names = tuple(name.strip() for name in classes.split(",") if name.strip())
         chosen = None if columns is None else parse_columns(columns)
-        opened = open_video(video)
-        boxes = read_detections(detections, columns=chosen, rate=rate, classes=names, video=opened)
+        opened = open_video(video, rate=image_rate or 1.0)
+        boxes = read_detections(
+            detections,
+            columns=chosen,
+            rate=rate,
+            classes=names,
+            form=form,
+            size=None if size is None else parse_size(size),
+            first=first,
+            video=opened,
+        )
         ground = read_aim(aim)
         lanes = None if hdmap is None else read_hdmap(hdmap, ground.world)
         tracks = track_video(opened, ground, boxes, hdmap=lanes, progress=progress)

@@ -44,7 +44,7 @@ def view(
 
     from geoaim.cli.inputs import read_contents
     from geoaim.web.explore import make_map_view, read_map_world
-    from geoaim.web.html_file import write_html
+    from geoaim.web.map_view import write_html
 
     with report_errors(), ExitStack() as stack:
         if html is not None:
@@ -70,4 +70,4 @@ def serve_page(shown: "MapView", *, browser: bool) -> None:
         console.print(f"{server.address}  (Ctrl-C or closing the page stops)")
         if browser:
             webbrowser.open(server.address)
-        server.serve()
+        server.wait()

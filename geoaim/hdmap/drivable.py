@@ -32,11 +32,7 @@ def outline_lanelet(lanelet: Lanelet) -> Polygon:
 
 
 def sample_borders(lanelet: Lanelet, shares: Float[Array, "n"]) -> Float[Array, "2 n 2"]:
-    """Sample the left and the right border of a lanelet at shares (0 to 1) of their lengths.
-
-    Returns:
-        (2, n, 2) metres: points of the left border, then of the right one.
-    """
+    """Sample the left and the right border of a lanelet at shares (0 to 1) of their lengths."""
     sides = (
         shapely.line_interpolate_point(LineString(line), shares, normalized=True)
         for line in (lanelet.left, lanelet.right)

@@ -14,11 +14,11 @@ from shapely import LineString
 
 from geoaim.base.errors import TracksError, warn
 from geoaim.base.files import atomic_folder
+from geoaim.base.pickles import write_pickle
 from geoaim.base.world import change_world
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.hdmap.scenarionet_map import make_map_features
 from geoaim.tracks.agent_types import AGENT_GROUPS
-from geoaim.tracks.formats.pickles import write_pickle
 from geoaim.tracks.formats.scenarionet import TYPE_KEY, WORLD_KEY
 from geoaim.tracks.lights import GREEN, RED, YELLOW, Lights, find_light_states
 from geoaim.tracks.tracks import Tracks

@@ -21,11 +21,7 @@ MAX_JOINT_M = 0.5  # largest distance between the end of a lane and the beginnin
 
 
 def make_map_features(hdmap: HDMap, world: World) -> dict[str, dict[str, Any]]:
-    """Make ScenarioNet's map features of an HD map, in a world.
-
-    Lanelets of traffic become lanes with their middles and outlines, crosswalks and walkways areas,
-    markings and edges lines. Other lines, stairs and car parks are left out.
-    """
+    """Make ScenarioNet's map features of an HD map, in a world."""
 
     def move(points: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
         moved = change_world(hdmap.world, world, points)

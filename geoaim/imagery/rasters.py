@@ -17,7 +17,7 @@ from geoaim.base.errors import GeoreferenceError, ImageryError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.grid import Grid
 from geoaim.base.limits import check_regular
-from geoaim.base.raster_files import IMAGE_DRIVERS, open_raster_file
+from geoaim.base.raster_files import IMAGE_DRIVERS, open_raster_file, read_georeference
 from geoaim.base.world import (
     LONLAT,
     World,
@@ -27,9 +27,9 @@ from geoaim.base.world import (
     transform_crs,
     world_from_crs,
 )
-from geoaim.imagery.side_files import read_pam, read_prj, read_world_file
 
 SEQUENTIAL_DRIVERS = {"PNG", "JPEG", "WEBP", "GIF", "BMP"}  # decode a file from its start
+MAX_PRJ_BYTES = 1_000_000
 MAX_BLOCK_PIXELS = 1_000_000_000  # largest block; a block can only be decoded as a whole
 # smallest area of a pixel in units of the CRS; in degrees, pixels of 0.003 mm
 MIN_PIXEL_AREA = 1e-15
@@ -85,7 +85,7 @@ def describe_raster(
     with open_raster(path, options) as dataset:
         _refuse_decompression_bombs(dataset, path)
         chosen = _choose_bands(dataset, bands, path)
-        raster_crs, matrix = georeference or _read_georeference(dataset, crs, path)
+        raster_crs, matrix = georeference or _read_georeference(dataset, crs, path, options)
         if georeference is not None:
             matrix = matrix @ np.diag([1.0 / dataset.width, 1.0 / dataset.height, 1.0])
         return Raster(
@@ -174,22 +174,18 @@ def _choose_bands(dataset: Any, bands: Sequence[int] | None, name: str) -> tuple
     return tuple(bands)
 
 
-def _read_georeference(dataset: Any, crs: str | None, name: str) -> tuple[str, Float[Array, "3 3"]]:
-    pam_transform, pam_crs = read_pam(Path(name))
-    own = None if dataset.transform.is_identity else dataset.transform
-    transform = pam_transform or own or read_world_file(Path(name))
+def _read_georeference(
+    dataset: Any, crs: str | None, name: str, options: Mapping[str, int]
+) -> tuple[str, Float[Array, "3 3"]]:
+    transform, own_crs = read_georeference(name, options=options)
     if transform is None:
         points = f"{len(dataset.gcps[0])} control points and " if dataset.gcps[0] else ""
         raise ImageryError(
             f"{name} has {points}no transform from pixels to coordinates: warp it first "
-            "(gdalwarp), put a world file beside it, or georeference it with control points"
+            "(gdalwarp), put a world file (six numbers) beside it, or georeference it with control "
+            "points"
         )
-    stated = (
-        (pam_crs and _name_crs(pam_crs))
-        or (dataset.crs and dataset.crs.to_string())
-        or ((prj := read_prj(Path(name))) and _name_crs(prj))
-        or crs
-    )
+    stated = (own_crs and own_crs.to_string()) or _read_prj(Path(name)) or crs
     if stated is None:
         raise ImageryError(
             f"{name} names no coordinate reference system; say which its coordinates are in, "
@@ -201,10 +197,15 @@ def _read_georeference(dataset: Any, crs: str | None, name: str) -> tuple[str, F
     return str(stated), matrix
 
 
-def _name_crs(text: str) -> str:
-    """The code of a CRS where it has one, since programs write the same CRS in many ways."""
-    epsg = parse_crs(text).to_epsg()
-    return text if epsg is None else f"EPSG:{epsg}"
+def _read_prj(path: Path) -> str | None:
+    """Read the CRS in the .prj beside an image, which GDAL does not."""
+    for file in (path.with_suffix(".prj"), path.with_suffix(".PRJ")):
+        if file.is_file() and file.stat().st_size < MAX_PRJ_BYTES:
+            text = file.read_text(encoding="utf-8", errors="replace").strip()
+            if text:  # programs write the same CRS in many ways
+                epsg = parse_crs(text).to_epsg()
+                return text if epsg is None else f"EPSG:{epsg}"
+    return None
 
 
 @dataclass(frozen=True, eq=False)

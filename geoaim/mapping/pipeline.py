@@ -1,29 +1,19 @@
 """Build an AIM from video: registration, background, georeference, in this order."""
 
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
-from typing import NoReturn, TypeVar
+from typing import NoReturn
 
 import cv2
 import numpy as np
-from jaxtyping import Float
-from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import RegistrationError, warn
 from geoaim.base.geometry import transform_points
 from geoaim.base.progress import Progress, notebook_progress, report_each
-from geoaim.mapping.background.running_mean import (
-    Background,
-    RunningMean,
-    add_to_mean,
-    average_frames,
-    finish_mean,
-)
+from geoaim.mapping.background.running_mean import Background, RunningMean, average_frames
 from geoaim.mapping.background.traffic_removal import MIN_FRAMES
-from geoaim.mapping.background.traffic_search import TrafficSearch, add_to_search, average_ground
+from geoaim.mapping.background.traffic_search import TrafficSearch
 from geoaim.mapping.georeference.control_points import (
     ControlPoints,
     ControlPointSource,
@@ -37,7 +27,6 @@ from geoaim.mapping.georeference.reference_frame import (
     is_anywhere,
 )
 from geoaim.mapping.registration import register
-from geoaim.mapping.registration.frame_registration import FrameRegistration
 from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.report import (
     report_background,
@@ -45,7 +34,7 @@ from geoaim.mapping.report import (
     report_position,
     report_registration,
 )
-from geoaim.mapping.sampling import FrameCount, Sampling, read_registered, sample_video
+from geoaim.mapping.sampling import FrameCount, Sample, sample_video, select_registered
 from geoaim.mapping.video.detections import (
     DetectedBoxes,
     Detections,
@@ -63,8 +52,6 @@ SURVEY_ADVICE = (
     "of the photos of a survey flight, make an orthophoto first (with OpenDroneMap, for example) "
     "and read it as imagery"
 )
-
-Accumulated = TypeVar("Accumulated", RunningMean, TrafficSearch)
 
 
 def build_aim(
@@ -91,10 +78,10 @@ def build_aim(
         detections: vehicles to leave out, as `read_detections` reads them: a folder of YOLO text
             files, or a function of a frame. What they miss, or all traffic if they are None, is
             found by the frames themselves.
-        frames: how many frames are used: a number, spread over the video; "auto", up to 64, until
-            the background has converged; or "all", which averages every frame, and traffic too if
-            there are no detections. With "all", each frame of a long video adds one stripe only, so
-            that a pixel averages at least 50 frames.
+        frames: how many frames are used: a number, spread over the video; "auto", 64; or "all",
+            which averages every frame, and traffic too if there are no detections. With "all",
+            each frame of a long video adds one stripe only, so that a pixel averages at least 50
+            frames.
         crs: CRS of the map, projected and in metres, if control points place it; None keeps that of
             the points, or takes their UTM zone.
         progress: called with the stage, the frames done and the frames in all (None: unknown).
@@ -113,28 +100,25 @@ def build_aim(
     if crs is not None and (gcps is None or isinstance(gcps, Georeference)):
         raise ValueError(f"crs is {crs}, but there are no control points to transform to it")
     opened = open_video(video)
-    sampling = sample_video(opened, frames)
+    sample = sample_video(opened, frames)
     vehicles = None if detections is None else _remember(read_detections(detections, video=opened))
     given = gcps if gcps is None or isinstance(gcps, Georeference) else read_control_points(gcps)
-    batches = sampling.read()
-    probes = list(next(batches)) if frames == "auto" else []
     reference = register.choose_reference(
         opened,
         detections=vehicles,
         model="rest" if opened.is_fixed else None,
         time=choose_reference_time(given),
-        probes=probes,
+        probes=list(sample.read()) if sample.is_kept else (),
         prefer_first=is_anywhere(given),
     )
     georeference, points, reference = _georeference(given, opened, reference, vehicles, crs)
-    batches = chain([map(replace, probes)], batches)
     photos = opened.names is not None
     registration, background = _register_and_average(
-        sampling, batches, reference, vehicles, progress, photos=photos
+        sample, reference, vehicles, progress, photos=photos
     )
     _warn_of_limits(registration, background, photos=photos)
     background = _remove_distortion(background, georeference.radial)
-    method = _describe_method(vehicles, sampling, registration)
+    method = _describe_method(vehicles, sample, registration)
     return AIM(
         image=background.image,
         world_from_image=georeference.world_from_image,
@@ -182,8 +166,7 @@ def _georeference(
 
 
 def _register_and_average(
-    sampling: Sampling,
-    batches: Iterator[Iterable[Frame]],
+    sample: Sample,
     reference: register.Reference,
     detections: Detections | None,
     progress: Progress,
@@ -195,53 +178,31 @@ def _register_and_average(
     With detections, too few frames for that are averaged without their boxes; too few photos of a
     flight that overlap with the reference are averaged as they are, and all ground is contested.
     """
-    size, total = (reference.height, reference.width), sampling.frame_count
-    registered = chain.from_iterable(
-        register.register_frames(batch, reference, detections=detections) for batch in batches
-    )
-    if sampling.plain_mean:
-        mean = RunningMean(size, sampling.tolerance, detections, sampling.bands)
-        rows = _accumulate_frames(registered, mean, add_to_mean, total, progress)
-        return register.collect_registration(rows, reference), finish_mean(mean)
-    search, kept = TrafficSearch(size, sampling.tolerance, detections), []
-
-    def add_and_keep(search: TrafficSearch, frame: Frame, matrix: Float[Array, "3 3"]) -> None:
-        add_to_search(search, frame, matrix)
-        if sampling.fits_memory:
-            kept.append((replace(frame), matrix))
-
-    rows = _accumulate_frames(registered, search, add_and_keep, total, progress)
+    size = reference.height, reference.width
+    search = TrafficSearch(size, detections)
+    mean = RunningMean(size, detections, sample.bands)
+    background = mean if sample.plain_mean else search
+    rows = []
+    for frame, result in register.register_frames(sample.read(), reference, detections=detections):
+        rows.append((frame.index, frame.time, result))
+        progress("register", len(rows), sample.count)
+        if result.valid:
+            background.add(frame, result.reference_from_frame)
     registration = register.collect_registration(rows, reference)
-    again = kept or read_registered(sampling, registration)
-    again = report_each(again, progress, "average", total)
-    if len(search.stack) >= MIN_FRAMES:
-        return registration, average_ground(again, search)
+    if sample.plain_mean:
+        return registration, mean.finish()
+    again = report_each(
+        select_registered(sample.read(), registration), progress, "average", sample.count
+    )
+    if search.frame_count >= MIN_FRAMES:
+        return registration, search.average(again)
     if detections:
         return registration, average_frames(again, size=size, detections=detections)
     if not photos:
         _refuse_few_frames(registration)
     _refuse_other_places(registration)
-    background = average_frames(again, size=size)
-    return registration, replace(background, contested=background.coverage > 0)
-
-
-def _accumulate_frames(
-    registered: Iterator[tuple[Frame, FrameRegistration]],
-    background: Accumulated,
-    add: Callable[[Accumulated, Frame, Float[Array, "3 3"]], None],
-    total: int | None,
-    progress: Progress,
-) -> list[register.Row]:
-    """Add registered frames to the background until that has converged; one row for each frame."""
-    rows = []
-    for frame, result in registered:
-        rows.append((frame.index, frame.time, result))
-        progress("register", len(rows), total)
-        if result.valid:
-            add(background, frame, result.reference_from_frame)
-        if background.converged:
-            break
-    return rows
+    plain = average_frames(again, size=size)
+    return registration, replace(plain, contested=plain.coverage > 0)
 
 
 def _refuse_few_frames(registration: register.Registration) -> NoReturn:
@@ -316,11 +277,11 @@ def _warn_of_limits(
 
 
 def _describe_method(
-    detections: Detections | None, sampling: Sampling, registration: register.Registration
+    detections: Detections | None, sample: Sample, registration: register.Registration
 ) -> str:
     if detections:
         return "mean masked by detections"
-    plain = sampling.plain_mean or registration.valid.sum() < MIN_FRAMES
+    plain = sample.plain_mean or registration.valid.sum() < MIN_FRAMES
     return "mean" if plain else "mean without traffic"
 
 

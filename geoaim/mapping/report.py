@@ -101,12 +101,11 @@ def report_position(georeference: Georeference, points: ControlPoints | None) ->
 
 
 def report_background(background: Background, method: str) -> dict[str, Any]:
-    """Report the method, frames in the mean, contested pixels, and convergence, by name."""
+    """Report the method, frames in the mean, and contested pixels, by name."""
     seen = background.coverage > 0
     return {
         "method": method,
         "frames_used": background.frames_used,
-        "change_grey_levels": background.change,
         "contested_share": float(background.contested.mean()),
         "contested_pixels": int(background.contested.sum()),
         "undetected": UNDETECTED,

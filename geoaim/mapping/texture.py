@@ -18,7 +18,7 @@ from geoaim.aim.texture_files import (
     hash_picture,
 )
 from geoaim.base.checksums import PLACEHOLDER, write_checksum
-from geoaim.base.files import atomic_files
+from geoaim.base.files import atomic_write, lock_folder
 
 
 def export_texture(
@@ -63,7 +63,25 @@ def export_texture(
         "checksum": PLACEHOLDER,
     }
     frame |= {name: aim.report[name] for name in POSITION_KEYS if name in aim.report}
-    with atomic_files(Path(folder, FRAME_FILE), Path(folder, PICTURE_FILE)) as (text, picture):
-        picture.write_bytes(png.tobytes())
-        text.write_text(json.dumps(frame, indent=2) + "\n")
-        write_checksum(text)
+    with lock_folder(folder, wait=True):
+        _write_pair(Path(folder), frame, png.tobytes())
+
+
+def _write_pair(folder: Path, frame: dict[str, object], png: bytes) -> None:
+    """Write a picture and the JSON that names it; a kill leaves the old pair or the new one.
+
+    Where there is a pair, the JSON names another file while its picture is replaced.
+    """
+    text = json.dumps(frame, indent=2)
+    spare = f"{Path(PICTURE_FILE).stem}-{hash_picture(png):.8}.png"
+    is_new = not (folder / FRAME_FILE).exists()
+    try:
+        for name in (PICTURE_FILE,) if is_new else (spare, PICTURE_FILE):
+            with atomic_write(folder / name) as part:
+                part.write_bytes(png)
+            with atomic_write(folder / FRAME_FILE) as part:
+                part.write_text(text.replace(f'"{PICTURE_FILE}"', f'"{name}"', 1) + "\n")
+                write_checksum(part)
+    finally:
+        if not is_new and f'"{spare}"' not in (folder / FRAME_FILE).read_text():
+            (folder / spare).unlink(missing_ok=True)

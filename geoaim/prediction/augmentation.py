@@ -8,7 +8,7 @@ from torch import Tensor
 
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.segments import Segments, scale
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 
 
 def augment(

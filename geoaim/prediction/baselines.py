@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from geoaim.prediction.segments import Segments, make_segment_scenario, mark_entries, repeat
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
 from geoaim.simulation.simulator import Policy, rollout
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from geoaim.prediction.augmentation import augment
 from geoaim.prediction.config import TrainConfig
 from geoaim.prediction.segments import Segments, move_to, pick
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 
 
 @dataclass(frozen=True)

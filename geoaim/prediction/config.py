@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from geoaim.base.defaults import MAX_HISTORY_STEPS as MAX_HISTORY_STEPS
 from geoaim.prediction.observation import ObservationView
-from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M
+from geoaim.rendering.lines import LIGHT_BAR_WIDTH_M
 
 # length of a training segment: 4 s and 12 s, as in the paper; cyclists are not in it
 SEGMENT_STEPS = {"vehicle": 40, "pedestrian": 30, "cyclist": 40}
@@ -37,6 +37,12 @@ class Config:
         hidden_size: width of the GRU's hidden state.
         feature_size: width of an encoded view.
         latent_size: width of the latent z.
+        latent_steps: steps for which a latent is kept in samples; 1 as in the paper. Longer ones
+            make futures that differ by a decision rather than by a jitter.
+        neighbours: nearest other agents that the model also gets as numbers at each step, beside
+            the view, which draws them a few pixels wide; 0 as in the paper.
+        brakes: whether vehicles brake for others on their arcs (`braking`), which lowers the
+            acceleration that the networks decode.
         latent_scale: standard deviation of latents when futures are sampled; 1 as in training. With
             less, samples lie closer together.
         sigma: standard deviation of states in the likelihood, metres.
@@ -61,6 +67,9 @@ class Config:
     feature_size: int = 96
     latent_size: int = 8
     latent_scale: float = 1.0
+    latent_steps: int = 1
+    neighbours: int = 0
+    brakes: bool = False
     sigma: float = 0.2
     heading_scale: float = 2.0
     num_anchors: int = 0

@@ -8,8 +8,8 @@ from torch import Tensor
 
 from geoaim.base.errors import TracksError
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments, concat
+from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.kinematics import bicycle
-from geoaim.simulation.scene import Scene, slice_scene
 from geoaim.tracks.agent_types import select_group
 
 MAX_NEIGHBOURS = 24  # other agents that a segment keeps
@@ -62,6 +62,22 @@ def cut_segments(
         )
         parts.append(_cut(piece, *chosen, round(dt, 6)))
     return concat(parts)
+
+
+def cut_scene(scene: Scene, group: str) -> Segments:
+    """Cut one segment of all steps of a scene, which controls all agents of a group.
+
+    Each is controlled while it is there, as `ITRAPolicy` needs it to drive the traffic of a scene.
+
+    Args:
+        scene: a scene whose steps are evenly spaced.
+        group: "vehicle", "pedestrian" or "cyclist"; other agents replay.
+
+    Returns:
+        The segment; its agents are those that are present at some step, in the scene's order.
+    """
+    scene = _keep_observed(scene)
+    return _cut(scene, *_choose_all(scene, mask_agents(scene, group)), round(scene.dt, 6))
 
 
 def cut_future(scene: Scene, group: str, dt: float, *, steps: slice, start: int) -> Segments:

@@ -9,10 +9,10 @@ from geoaim.base.progress import Progress, notebook_progress
 from geoaim.prediction.config import SEGMENT_STEPS, SEGMENT_STRIDES, Config
 from geoaim.prediction.cutting import cut_segments
 from geoaim.prediction.segments import Segments, concat, pick
-from geoaim.simulation.atlas import stack_grounds
-from geoaim.simulation.ground import Ground, View
-from geoaim.simulation.prefiltering import prefilter_ground
-from geoaim.simulation.scene import Scene, slice_scene
+from geoaim.rendering.atlas import stack_grounds
+from geoaim.rendering.ground import Ground, View
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene, slice_scene
 
 PARTS = ("training", "validation")
 MAP_DENSITY = 2  # map pixels per side of a view pixel: fewer than by default, to save memory

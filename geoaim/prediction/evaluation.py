@@ -13,9 +13,8 @@ from geoaim.prediction.neighbours import MAX_VIEWS
 from geoaim.prediction.realism import compute_realism
 from geoaim.prediction.segments import Segments, pick
 from geoaim.prediction.windows import HISTORY_STEPS, Windows
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground, move_ground
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules
-from geoaim.simulation.worlds import move_ground
 from geoaim.tracks.lights import UNKNOWN
 
 

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.segments import Segments, move_to, pick
-from geoaim.simulation.ground import Ground
-from geoaim.simulation.prefiltering import prefilter_ground
+from geoaim.rendering.ground import Ground
+from geoaim.rendering.prefiltering import prefilter_ground
 
 MAX_SEGMENTS = 512  # whose views are measured
 KNOWN_SHARE = 0.95  # share of views in validation that count as known

@@ -13,8 +13,8 @@ from torch import Tensor
 from geoaim.base.displays import Display
 from geoaim.base.errors import TracksError
 from geoaim.base.world import World
-from geoaim.simulation.lines import LIGHT_COLOURS
-from geoaim.simulation.scene import Scene
+from geoaim.rendering.lines import LIGHT_COLOURS
+from geoaim.rendering.scene import Scene
 from geoaim.tracks.agent_types import get_colour
 from geoaim.tracks.tracks import count_agents
 

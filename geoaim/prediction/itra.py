@@ -19,7 +19,7 @@ Shapes: B segments, K samples, N agents, T steps, E controlled agents of all seg
 H hidden state, Z latent, A proposals, P points of a proposal.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -34,9 +34,10 @@ from geoaim.prediction.anchors import (
     select_anchor,
 )
 from geoaim.prediction.bound import Losses, compute_nll, draw_posterior
+from geoaim.prediction.braking import compute_curvature, limit_acceleration
 from geoaim.prediction.config import Config
 from geoaim.prediction.neighbours import split_views
-from geoaim.prediction.networks import build_cnn, build_mlp
+from geoaim.prediction.networks import NeighbourEncoder, build_cnn, build_mlp
 from geoaim.prediction.observation import (
     CHANNELS,
     Controlled,
@@ -49,20 +50,22 @@ from geoaim.prediction.rollouts import (
     Batch,
     Rollout,
     encode_anchor,
+    gather_others,
     index_batch,
     normalise_actions,
     normalise_attributes,
     repeat_rollout,
 )
 from geoaim.prediction.segments import Segments
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
+from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.kinematics import MOTION_MODELS
-from geoaim.simulation.prefiltering import prefilter_ground
 
 if TYPE_CHECKING:
     from geoaim.prediction.familiarity import KnownViews
 
+CURVATURE_SHARE = 0.3  # of a new action in the curvature of an agent's arc
 ATTRIBUTES = 3  # speed, length and width
 
 
@@ -89,6 +92,11 @@ class ITRA(nn.Module):
         self.posterior = build_mlp(context + 2, config.hidden_size, 2 * config.latent_size)
         if config.num_anchors:
             self.anchors = AnchorHead(config)
+        if config.brakes and config.motion != "bicycle":
+            raise ValueError(f"brakes=True is for vehicles; the motion is {config.motion!r}")
+        if config.neighbours:
+            width = config.hidden_size // 2
+            self.neighbours = NeighbourEncoder(config.neighbours, width, config.feature_size)
 
     def forward(
         self,
@@ -124,8 +132,8 @@ class ITRA(nn.Module):
                 rollout = replace(rollout, anchor=anchor)
             posterior = self.posterior(torch.cat([context, actions[:, step]], dim=1))
             latent, divergence = draw_posterior(posterior, generator)
-            action, rollout = self._act(rollout, context, latent)
-            rollout = self._move(rollout, action)
+            action = self._decode(rollout, context, latent)
+            rollout = self._move(self._remember(rollout, context, action), action)
             predicted.append(rollout.pose)
             kl.append(divergence)
         nll = compute_nll(self.config, torch.stack(predicted, dim=1), truth[:, history:])
@@ -164,9 +172,7 @@ class ITRA(nn.Module):
             ValueError: the segments do not fit the model.
         """
         rollout = self.start(segments, ground, history=history, samples=samples)
-        steps = range(segments.steps - history)
-        noise = (latent_scale * self.draw_latent(rollout, generator) for _ in steps)
-        return self._roll_out(rollout, noise)
+        return self._roll_out(rollout, lambda now: self.draw_latent(now, generator, latent_scale))
 
     def decode_latents(
         self,
@@ -201,7 +207,7 @@ class ITRA(nn.Module):
             rollout = self.start(segments, ground, history=history, samples=samples)
             index = rollout.batch.controlled.segment, rollout.batch.controlled.agent
             chosen = latents.flatten(0, 1)[index]  # (E, t, Z)
-            return self._roll_out(rollout, chosen.unbind(1))
+            return self._roll_out(rollout, lambda now: chosen[:, now.index - history + 1])
 
     def start(
         self, segments: Segments, ground: Ground, *, history: int, samples: int = 1
@@ -225,11 +231,19 @@ class ITRA(nn.Module):
         rollout = self._start(one, normalise_actions(self.motion, one))
         return repeat_rollout(rollout, samples)
 
-    def draw_latent(self, rollout: Rollout, generator: torch.Generator) -> Float[Tensor, "E Z"]:
-        """Draw the latents of a step of all controlled agents: the prior, times `latent_scale`."""
+    def draw_latent(
+        self, rollout: Rollout, generator: torch.Generator, scale: float = 1.0
+    ) -> Float[Tensor, "E Z"]:
+        """Draw the latents of a step of all controlled agents: the prior, scaled.
+
+        With `latent_steps`, those of the step before are kept for as long.
+        """
+        since = rollout.index - rollout.batch.history + 1
+        if rollout.latent is not None and since % self.config.latent_steps:
+            return rollout.latent
         shape = len(rollout.hidden), self.config.latent_size
         noise = torch.randn(shape, generator=generator, device=rollout.hidden.device)
-        return self.config.latent_scale * noise
+        return scale * self.config.latent_scale * noise
 
     def step(self, rollout: Rollout, latent: Float[Tensor, "E Z"] | None = None) -> Rollout:
         """Move all controlled agents by one step; all others are where the segments have them.
@@ -276,7 +290,10 @@ class ITRA(nn.Module):
             anchors, logits = self.anchors(rollout.pose, past, rollout.features)
             rank = rollout.batch.controlled.segment % rollout.samples
             rollout = replace(rollout, anchor=select_anchor(anchors, logits, rank))
-        return self._act(rollout, context, latent)
+        action = self._decode(rollout, context, latent)
+        if self.config.brakes:
+            action, rollout = self._brake(rollout, action)
+        return action, replace(self._remember(rollout, context, action), latent=latent)
 
     def scale_action(self, action: Float[Tensor, "E 2"]) -> Float[Tensor, "E 2"]:
         """Convert normalised actions to those of the motion model, such as m/s² and radians."""
@@ -314,12 +331,12 @@ class ITRA(nn.Module):
         return Rollout(batch, last, batch.segments.states[:, :, last], features, hidden)
 
     def _roll_out(
-        self, rollout: Rollout, latents: Iterable[Float[Tensor, "E Z"]]
+        self, rollout: Rollout, draw: Callable[[Rollout], Float[Tensor, "E Z"]]
     ) -> Float[Tensor, "B K N T 4"]:
-        """Take a step for each of the latents; the observed steps come first."""
+        """Step to the end by the latents that are drawn; the observed steps come first."""
         path = list(rollout.batch.segments.states[:, :, : rollout.batch.history].unbind(2))
-        for latent in latents:
-            rollout = self.step(rollout, latent)
+        for _ in range(rollout.index + 1, rollout.batch.segments.steps):
+            rollout = self.step(rollout, draw(rollout))
             path.append(rollout.states)
         states = torch.stack(path, dim=2)
         return states.view(-1, rollout.samples, *states.shape[1:])
@@ -329,22 +346,51 @@ class ITRA(nn.Module):
         index, before = rollout.index, rollout.features
         features = self._update_features(rollout.batch, rollout.states, index, before)  # (E, F)
         attributes = normalise_attributes(rollout.pose, rollout.batch.sizes)  # (E, 3)
-        context = torch.cat([features, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
+        seen = features if not self.config.neighbours else features + self._see(rollout)
+        context = torch.cat([seen, rollout.hidden, attributes], dim=1)  # (E, F + H + 3)
         return replace(rollout, features=features), context
 
-    def _act(
+    def _see(self, rollout: Rollout) -> Float[Tensor, "E F"]:
+        """Encode the nearest agents as numbers."""
+        return self.neighbours(rollout.pose, rollout.batch.sizes, *gather_others(rollout))
+
+    def _decode(
         self, rollout: Rollout, context: Float[Tensor, "E C"], latent: Float[Tensor, "E Z"]
-    ) -> tuple[Float[Tensor, "E 2"], Rollout]:
-        """Decode normalised actions, and update the hidden states by them."""
+    ) -> Float[Tensor, "E 2"]:
+        """Decode normalised actions."""
         inputs, total = [context, latent], rollout.batch.segments.steps
         if rollout.anchor is not None:
             remaining = (total - 1 - rollout.index) / total
             inputs.append(encode_anchor(rollout.pose, rollout.anchor, remaining))
         action = self.decode_action(torch.cat(inputs, dim=1))  # (E, 2)
-        action = MAX_ACTION * torch.tanh(action / MAX_ACTION)
+        return MAX_ACTION * torch.tanh(action / MAX_ACTION)
+
+    def _remember(
+        self, rollout: Rollout, context: Float[Tensor, "E C"], action: Float[Tensor, "E 2"]
+    ) -> Rollout:
+        """Update the hidden states by actions."""
         seen = torch.cat([rollout.features, action, context[:, -ATTRIBUTES:]], dim=1)
-        updated, moving = self.update_hidden(seen, rollout.hidden), rollout.moving
-        return action, replace(rollout, hidden=torch.where(moving, updated, rollout.hidden))
+        updated = self.update_hidden(seen, rollout.hidden)
+        return replace(rollout, hidden=torch.where(rollout.moving, updated, rollout.hidden))
+
+    def _brake(
+        self, rollout: Rollout, action: Float[Tensor, "E 2"]
+    ) -> tuple[Float[Tensor, "E 2"], Rollout]:
+        """Lower accelerations with which agents could not stop for others on their arcs."""
+        batch, pose = rollout.batch, rollout.pose
+        wanted = self.scale_action(action)
+        curvature = compute_curvature(wanted[:, 1], batch.sizes[:, 0])
+        if rollout.curvature is not None:  # actions jitter
+            curvature = torch.lerp(rollout.curvature, curvature, CURVATURE_SHARE)
+        others = gather_others(rollout)
+        turns = torch.zeros_like(rollout.states[..., 0])
+        turns = turns.index_put(batch.controlled.index, curvature)[batch.controlled.segment]
+        most = limit_acceleration(
+            pose, batch.sizes, curvature, *others[:2], turns, others[2], batch.segments.dt
+        )
+        lower = torch.minimum(action[:, 0], most / self.motion.scale[0])
+        limited = torch.stack([lower, action[:, 1]], dim=1)
+        return limited, replace(rollout, curvature=curvature)
 
     def _move(self, rollout: Rollout, action: Float[Tensor, "E 2"]) -> Rollout:
         """Move the controlled agents that are there; those that enter do so as recorded."""

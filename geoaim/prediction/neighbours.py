@@ -10,7 +10,7 @@ from torch import Tensor
 
 from geoaim.prediction.observation import Controlled
 from geoaim.prediction.segments import Segments
-from geoaim.simulation.ground import View
+from geoaim.rendering.ground import View
 
 MAX_VIEWS = 4000  # views that are rendered at once
 MAX_BOXES = 500_000  # boxes of all agents in these views

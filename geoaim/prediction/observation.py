@@ -7,10 +7,10 @@ from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
-from geoaim.simulation.birdview import render_layers
-from geoaim.simulation.boxes import OrientedBoxes
-from geoaim.simulation.ground import Ground, View
-from geoaim.simulation.lines import LIGHT_BAR_WIDTH_M, make_stop_line_layers
+from geoaim.rendering.birdview import render_layers
+from geoaim.rendering.boxes import OrientedBoxes
+from geoaim.rendering.ground import Ground, View
+from geoaim.rendering.lines import LIGHT_BAR_WIDTH_M, make_stop_line_layers
 from geoaim.tracks.lights import GREEN, RED, YELLOW
 
 # channels are 0 to 1; a surface whose colour differs by more is another one
@@ -33,6 +33,11 @@ class Controlled:
     agent: Int[Tensor, "E"]  # column of the agent in it
     # columns of the agents that its view may show, then -1; None: all
     seen: Int[Tensor, "E n"] | None = None
+
+    @property
+    def index(self) -> tuple[Tensor, Tensor]:
+        """Row and column of each agent."""
+        return self.segment, self.agent
 
 
 def index_controlled(segments: Segments) -> Controlled:

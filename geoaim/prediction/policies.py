@@ -8,7 +8,7 @@ from torch import Tensor
 
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.segments import Segments, make_segment_scenario
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 from geoaim.simulation.simulator import Scenario
 
 MOTION = {"vehicle": "bicycle", "pedestrian": "unicycle"}  # motion models of the simulator

@@ -13,8 +13,8 @@ from geoaim.prediction.familiarity import measure_strangeness
 from geoaim.prediction.futures import Futures
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.rollouts import DT_TOLERANCE_S
-from geoaim.simulation.prefiltering import prefilter_ground
-from geoaim.simulation.scene import Scene
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene
 
 MAX_STRANGE_SHARE = 0.5  # of the agents whose views are strange; with more, `predict` warns
 

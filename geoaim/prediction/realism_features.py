@@ -10,10 +10,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from geoaim.simulation.box_distance import compute_box_distance, locate_from, measure_extents
 from geoaim.simulation.infractions import Drivable, sample_distance
 from geoaim.simulation.kinematics import wrap_angle
-from geoaim.simulation.overlap import compute_box_corners
+from geoaim.simulation.overlap import (
+    compute_box_corners,
+    compute_box_distance,
+    locate_from,
+    measure_extents,
+)
 
 MAX_TIME_TO_COLLISION_S = 5.0  # also where there is nothing to collide with
 # an agent follows another one in front if their headings differ by at most the first angle, and

@@ -10,7 +10,7 @@ from geoaim.prediction.anchors import ANCHOR_SCALE_M
 from geoaim.prediction.config import Config
 from geoaim.prediction.observation import Controlled, index_controlled
 from geoaim.prediction.segments import Segments, mark_entries, repeat
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 from geoaim.simulation.input_checks import check_shape
 from geoaim.simulation.kinematics import MotionModel, agent_from_world
 
@@ -73,6 +73,8 @@ class Rollout:
         anchor: (E, P, 2) the proposal that each agent follows, metres; None: there is none, or not
             yet.
         samples: rows of each segment, next to each other.
+        latent: (E, Z) latents of the last step.
+        curvature: (E,) of the arcs on which agents drive, 1/m, of a model that brakes for others.
     """
 
     batch: Batch
@@ -82,6 +84,8 @@ class Rollout:
     hidden: Float[Tensor, "E H"]
     anchor: Float[Tensor, "E P 2"] | None = None
     samples: int = 1
+    latent: Float[Tensor, "E Z"] | None = None
+    curvature: Float[Tensor, "E"] | None = None
 
     @property
     def pose(self) -> Float[Tensor, "E 4"]:
@@ -127,6 +131,16 @@ def repeat_rollout(rollout: Rollout, samples: int) -> Rollout:
         hidden=rollout.hidden[row],
         samples=samples,
     )
+
+
+def gather_others(
+    rollout: Rollout,
+) -> tuple[Float[Tensor, "E N 4"], Float[Tensor, "E N 2"], Bool[Tensor, "E N"]]:
+    """States and sizes of all agents of each controlled agent's segment, and who is another one."""
+    segments, (row, agent) = rollout.batch.segments, rollout.batch.controlled.index
+    there = segments.present[row, :, rollout.index]
+    there = there & (torch.arange(there.shape[1], device=agent.device) != agent[:, None])
+    return rollout.states[row], segments.sizes[row], there
 
 
 def normalise_attributes(

@@ -30,7 +30,7 @@ from geoaim.prediction.familiarity import learn_known_views
 from geoaim.prediction.itra import ITRA
 from geoaim.prediction.metrics import compute_ade
 from geoaim.prediction.segments import Segments, move_to, pick
-from geoaim.simulation.ground import Ground
+from geoaim.rendering.ground import Ground
 
 MAX_VAL_SEGMENTS = 256  # segments that are predicted for the log
 ANCHOR_WEIGHT = 12.0  # weight of an error in metres beside a negative log-likelihood

@@ -22,7 +22,7 @@ from geoaim.base.errors import TracksError
 from geoaim.base.limits import MAX_POSITION_M, check_memory, refuse_damaged
 from geoaim.prediction.dataset import stack_maps
 from geoaim.prediction.segments import PEDESTRIAN, Segments
-from geoaim.simulation.ground import GREY, Ground, View, make_ground
+from geoaim.rendering.ground import GREY, Ground, View, make_ground
 from geoaim.tracks.files import read_table
 from geoaim.tracks.formats.shared import check_columns
 

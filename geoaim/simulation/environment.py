@@ -19,11 +19,11 @@ from jaxtyping import Float, Float32
 from numpy import ndarray as Array
 
 from geoaim.base.errors import TracksError
-from geoaim.simulation.box_distance import compute_box_distance
+from geoaim.rendering.scene import Scene, find_agent, find_step
 from geoaim.simulation.infractions import detect_offroad, sample_distance
 from geoaim.simulation.kinematics import bicycle, world_from_agent
+from geoaim.simulation.overlap import compute_box_distance
 from geoaim.simulation.road_rules import NO_ROAD_RULES, RoadRules, check_rules
-from geoaim.simulation.scene import Scene, find_agent, find_step
 from geoaim.simulation.simulator import check_even_steps
 from geoaim.tracks.agent_types import select_group
 

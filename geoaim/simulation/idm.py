@@ -1,4 +1,4 @@
-"""The intelligent driver (Treiber et al. 2000) on a recorded route, among others."""
+"""The intelligent driver (Treiber et al. 2000) on a recorded route, among others, before lights."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -7,7 +7,6 @@ from torch import Tensor
 from geoaim.simulation.conflicts import REACH_SLACK_M
 from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH
 from geoaim.simulation.overlap import cross
-from geoaim.simulation.red_lights import find_red_lights, intersect_stop_lines
 from geoaim.simulation.routes import Routes, interpolate, locate
 from geoaim.simulation.simulator import Policy, Scenario
 from geoaim.simulation.yielding import (
@@ -20,8 +19,9 @@ from geoaim.simulation.yielding import (
     swap,
 )
 from geoaim.tracks.car_following import DriverParameters, compute_gap_ratio
+from geoaim.tracks.lights import RED, YELLOW
 
-# calmer than in `geoaim.synthetic.traffic`, where brisk drivers empty short green phases
+# calmer than in the made places, where brisk drivers empty short green phases
 DRIVER = DriverParameters(acceleration=1.5, deceleration=2.0, standstill_gap=2.0, headway=1.5)
 STOP_GAP_M = 0.5  # vehicles stop this far before a stop line
 MIN_LOOKAHEAD_M, LOOKAHEAD_S = 1.5, 0.3  # distance to the point on its route that it steers to
@@ -118,3 +118,39 @@ def _steer(
     slip = (turn / (1 + distance / (2 * rear))).clamp(-1.0, 1.0)
     steering = torch.atan(2 * torch.tan(slip)).clamp(-MAX_STEERING_RAD, MAX_STEERING_RAD)
     return torch.where(scenario.pedestrian, 2 * turn.sin() / distance * speed, steering)
+
+
+MAX_STOP_DECELERATION_MPS2 = 4.0  # vehicles that would have to brake harder pass the light
+CROSSING_OVERLAP = 1e-4  # share by which segments are extended: no line falls between two
+MAX_CROSSINGS = 3  # crossings of a route with a stop line at most; two segments may share one
+
+
+def intersect_stop_lines(
+    routes: Float[Tensor, "B A P 2"], lines: Float[Tensor, "L 2 2"]
+) -> Float[Tensor, "B A C L"]:
+    """Find where routes cross stop lines: metres along the route at up to C first crossings.
+
+    Crossings that do not exist are infinite.
+    """
+    start, segment = routes[:, :, :-1, None], routes.diff(dim=2)[:, :, :, None]
+    length, line = segment.norm(dim=-1), lines[:, 1] - lines[:, 0]
+    offset, denominator = lines[:, 0] - start, cross(segment, line)
+    safe = torch.where(denominator == 0, torch.nan, denominator)
+    share, line_share = cross(offset, line) / safe, cross(offset, segment) / safe
+    limits = routes.new_ones(routes.shape[2] - 1)
+    limits[-1] = torch.inf
+    crosses = share >= -CROSSING_OVERLAP
+    crosses &= share <= limits[:, None] + CROSSING_OVERLAP
+    crosses &= (line_share >= 0) & (line_share <= 1)
+    along = torch.where(crosses, length.cumsum(2) - length + share * length, torch.inf)
+    return along.sort(dim=2).values[:, :, :MAX_CROSSINGS]
+
+
+def find_red_lights(
+    lines: Tensor, fronts: Tensor, speed: Tensor, states: Tensor
+) -> Float[Tensor, "B A"]:
+    """Find the metres to the next line at which a vehicle must and can stop; infinite if none."""
+    distance = lines - fronts[..., None, None]
+    braking_distance = speed[..., None, None].square() / (2 * MAX_STOP_DECELERATION_MPS2)
+    stops = ((states == RED) | (states == YELLOW))[:, None, None] & (distance > braking_distance)
+    return torch.where(stops, distance, torch.inf).amin(dim=(2, 3))

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.simulation.ground import apply_matrix, compute_resolutions
+from geoaim.rendering.ground import apply_matrix, compute_resolutions
 from geoaim.simulation.overlap import box_iou, check_poses, compute_box_corners, cross
 from geoaim.tracks.lights import RED
 
@@ -77,20 +77,7 @@ def detect_offroad(
     sizes: Float[Tensor, "... 2"],
     present: Bool[Tensor, "..."],
 ) -> tuple[Bool[Tensor, "..."], Bool[Tensor, "..."]]:
-    """Mark agents of which a corner is more than `OFFROAD_TOLERANCE_M` off the road.
-
-    All four corners count, as in Liu et al. 2023. An agent with a corner beyond the raster is
-    neither on nor off the road.
-
-    Args:
-        drivable: signed distances.
-        poses: (..., 3) x, y, heading.
-        sizes: (..., 2) length and width, metres.
-        present: (...); poses of absent agents may be NaN.
-
-    Returns:
-        (...) whether an agent is off the road; (...) whether that is known.
-    """
+    """Mark agents with a corner further off the road than allowed, and those on the raster."""
     corners = compute_box_corners(check_poses(poses, present), sizes)
     distance = sample_distance(drivable, corners).amax(dim=-1)
     pixels, (low, high) = _pixels_from_world(drivable, corners)
@@ -104,18 +91,7 @@ def detect_collisions(
     present: Bool[Tensor, "B A"],
     vehicles: Bool[Tensor, "*B A"],
 ) -> tuple[Bool[Tensor, "B A A"], Bool[Tensor, "B A A"]]:
-    """Mark pairs of agents whose boxes overlap.
-
-    Args:
-        poses: (B, A, 3) x, y, heading.
-        sizes: (B, A, 2) length and width, metres.
-        present: (B, A); poses of absent agents may be NaN.
-        vehicles: (A,) or (B, A) which agents are vehicles.
-
-    Returns:
-        (B, A, A) collisions: overlaps of two boxes, at least one of which is a vehicle's. (B, A, A)
-        contacts: overlaps of two others, such as pedestrians side by side.
-    """
+    """Mark pairs of agents whose boxes overlap: collisions with a vehicle, contacts without."""
     overlaps = box_iou(poses, sizes, present) > 0
     either = vehicles[..., :, None] | vehicles[..., None, :]
     return overlaps & either, overlaps & ~either
@@ -148,19 +124,7 @@ def detect_red_light_running(
     stop_lines: Float[Tensor, "... L 2 2"],
     states: Int[Tensor, "B L"],
 ) -> Bool[Tensor, "B A"]:
-    """Mark agents whose front crosses a stop line forwards in a step while its light is red.
-
-    Args:
-        last_poses: (B, A, 3) x, y, heading at the start of the step.
-        poses: (B, A, 3) poses at the end of the step.
-        lengths: (B, A) lengths of the agents, metres.
-        present: (B, A) agents present at both.
-        stop_lines: (L, 2, 2) or (B, L, 2, 2) both ends of each line, metres.
-        states: (B, L) states of the lights, as in `geoaim.tracks.lights`.
-
-    Returns:
-        (B, A) True for agents that run a red light in this step.
-    """
+    """Mark agents whose front crosses a stop line forwards in a step while its light is red."""
     last_poses, poses = (check_poses(x, present) for x in (last_poses, poses))
     start = _locate_fronts(last_poses, lengths)[:, :, None]  # (B, A, 1, 2)
     end = _locate_fronts(poses, lengths)[:, :, None]

@@ -14,11 +14,10 @@ from geoaim.base.errors import MapError
 from geoaim.base.world import World, describe_world
 from geoaim.hdmap.drivable import find_drivable_area, sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
-from geoaim.simulation.atlas import pack_rectangles
-from geoaim.simulation.ground import world_from_pixels
+from geoaim.rendering.atlas import pack_rectangles
+from geoaim.rendering.ground import find_offset, move_transform, world_from_pixels
+from geoaim.rendering.scene import Scene, check_near_origin, check_touches_map
 from geoaim.simulation.infractions import Drivable, Lanes
-from geoaim.simulation.scene import Scene, check_near_origin, check_touches_map
-from geoaim.simulation.worlds import find_offset, move_transform
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from geoaim.simulation.ground import apply_matrix
+from geoaim.rendering.ground import apply_matrix
+from geoaim.rendering.scene import Scene
 from geoaim.simulation.infractions import (
     detect_collisions,
     detect_offroad,
@@ -15,7 +16,6 @@ from geoaim.simulation.infractions import (
 )
 from geoaim.simulation.overlap import compute_box_corners
 from geoaim.simulation.road_rules import RoadRules, move_rules
-from geoaim.simulation.scene import Scene
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.lights import UNKNOWN
 

@@ -4,16 +4,17 @@ Controlled agents move by the actions of a policy; all others replay the recordi
 enters and leaves at the recorded times, and enters in the recorded state.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from geoaim.rendering.scene import Scene, slice_scene
 from geoaim.simulation.input_checks import check_shape, check_traffic
 from geoaim.simulation.kinematics import bicycle, unicycle
-from geoaim.simulation.scene import Scene, slice_scene
 from geoaim.tracks.agent_types import select_group
 
 
@@ -92,23 +93,45 @@ def check_even_steps(scene: Scene, steps: int) -> None:
         raise ValueError("two steps or more are needed, evenly spaced; resample the tracks")
 
 
+def collate_scenarios(scenarios: Sequence[Scenario]) -> Scenario:
+    """Collate pieces of recordings of several places, padded to the most agents.
+
+    Args:
+        scenarios: the scenarios, all with the same number of steps and the same dt.
+
+    Returns:
+        The pieces as one batch; agents that a piece lacks are absent.
+
+    Raises:
+        ValueError: there are none, or steps or dt differ.
+    """
+    kinds = {(scenario.states.shape[2], scenario.dt) for scenario in scenarios}
+    if len(kinds) != 1:
+        stated = ", ".join(f"{steps} steps of {dt:g} s" for steps, dt in sorted(kinds)) or "none"
+        raise ValueError(f"scenarios of {stated}; one or more with the same steps are needed")
+    most = max(scenario.states.shape[1] for scenario in scenarios)
+    parts = []
+    for scenario in scenarios:
+        more = most - scenario.states.shape[1]
+        parts.append(
+            (
+                F.pad(scenario.states, (0, 0, 0, 0, 0, more)),
+                F.pad(scenario.present, (0, 0, 0, more)),
+                F.pad(scenario.sizes, (0, 0, 0, more), value=1.0),
+                F.pad(scenario.pedestrian, (0, more)),
+            )
+        )
+    states, present, sizes, pedestrian = map(torch.cat, zip(*parts, strict=True))
+    return Scenario(states, present, sizes, pedestrian, scenarios[0].dt)
+
+
 def apply_rollout(
     scene: Scene,
     states: Float[Tensor, "A T 4"],
     start: int,
     present: Bool[Tensor, "A T"] | None = None,
 ) -> Scene:
-    """Make a scene of a simulation, to render it or to write its tracks.
-
-    Args:
-        scene: the scene in which it was simulated.
-        states: (A, T, 4) x, y, heading, speed of all agents, from `rollout`.
-        start: step of the scene at which the simulation begins.
-        present: (A, T) whether the agents are present; None: as in the recording.
-
-    Returns:
-        The scene of the T simulated steps.
-    """
+    """Make a scene of what `rollout` simulated from a step on, to render it or write its tracks."""
     part = slice_scene(scene, slice(start, start + states.shape[1]))
     if present is not None:
         part = replace(part, present=present)
@@ -151,16 +174,7 @@ def step(
 def invert_step(
     scenario: Scenario, states: Float[Tensor, "B A 4"], next_states: Float[Tensor, "B A 4"]
 ) -> Float[Tensor, "B A 2"]:
-    """Find the actions by which `step` reaches the speeds and headings of the next states.
-
-    Args:
-        scenario: the recording.
-        states: (B, A, 4) x, y, heading, speed before the step.
-        next_states: (B, A, 4) x, y, heading, speed after it.
-
-    Returns:
-        (B, A, 2) actions, as in `step`.
-    """
+    """Find the actions by which `step` reaches the speeds and headings of the next states."""
     given = states, next_states, scenario.sizes[..., 0], scenario.dt
     walks = scenario.pedestrian[..., None]
     return torch.where(walks, unicycle.inverse(*given), bicycle.inverse(*given))

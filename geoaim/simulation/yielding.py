@@ -59,16 +59,7 @@ class _Reserved:
 def make_plan(
     routes: Routes, sizes: Float[Tensor, "B A 2"], controlled: Bool[Tensor, "B A"]
 ) -> Plan:
-    """Find the conflicts of routes, and who goes first in them.
-
-    Args:
-        routes: the routes of all agents.
-        sizes: length and width, metres.
-        controlled: agents that yield to others.
-
-    Returns:
-        What the other functions need at each step.
-    """
+    """Find the conflicts of routes, and who goes first in them."""
     conflicts = find_conflicts(routes, sizes, controlled)
     other = swap(conflicts.agent)
     replays = ~controlled.flatten()[other]
@@ -83,17 +74,7 @@ def locate_entries(
     speed: Float[Tensor, "B A"],
     present: Bool[Tensor, "B A"],
 ) -> Encounters:
-    """Look up the agents of all conflicts, and which conflicts are open.
-
-    Args:
-        plan: the result of `make_plan`.
-        here: how far along their routes agents are, metres.
-        speed: m/s, not negative.
-        present: whether agents are there.
-
-    Returns:
-        The agents, and each conflict as both of its agents meet it.
-    """
+    """Look up the agents of all conflicts, and which conflicts are open."""
     here, speed = here.flatten(), speed.flatten()
     own = plan.conflicts.agent
     place = here.gather(0, own)
@@ -114,17 +95,7 @@ def swap(values: Tensor) -> Tensor:
 def limit_acceleration(
     plan: Plan, agents: Encounters, acceleration: Float[Tensor, "n"], dt: float
 ) -> Float[Tensor, "n"]:
-    """Brake where an acceleration would lead into what others have reserved.
-
-    Args:
-        plan: the result of `make_plan`.
-        agents: the result of `locate_entries`.
-        acceleration: (n,) the acceleration that each agent would choose, m/s².
-        dt: time between two steps, s.
-
-    Returns:
-        (n,) the acceleration, lower where an agent has to brake.
-    """
+    """Brake where an acceleration would lead into what others have reserved."""
     ways = plan.conflicts
     next_speed = (agents.speed + acceleration * dt).clamp_min(0)
     next_here = agents.here + (agents.speed + next_speed) * (dt / 2)

@@ -17,7 +17,7 @@ MAX_GAP_S = 2.0  # a track ends when it is not seen for longer
 CONFIRMING_HITS = 3  # detections after which a track may be missed for so long
 MAX_FIRST_MISSES = 2  # frames without a detection after which a track ends before that
 MIN_HITS, MIN_HIT_SHARE = 5, 0.4  # of a track; fewer are taken for false detections
-MIN_START_SCORE = 0.4  # of a detection that starts a track
+MIN_START_SCORE = 0.4  # of a detection that starts a track, or the median one
 UNMATCHED = 1e6  # cost of a pair outside the gate
 
 
@@ -50,6 +50,8 @@ def associate(
         The number of each detection's track, from 0; -1 for one that belongs to none.
     """
     track, count = np.full(len(detections.step), -1), 0
+    scores = detections.score[np.isfinite(detections.score)]
+    least_score = min(MIN_START_SCORE, float(np.median(scores))) if len(scores) else 0.0
     bounds = np.searchsorted(detections.step, np.arange(len(times) + 1))
     active = _describe(detections, np.empty(0, int), sigma, 0.0)
     for step, time in enumerate(times.tolist()):
@@ -67,7 +69,7 @@ def associate(
         track[rows[columns]] = active.number[matched]
         active = _update(active, matched, _select(new, columns), sigma[rows[columns]])
         born = np.setdiff1d(np.arange(len(rows)), columns)
-        born = born[~(detections.score[rows[born]] < MIN_START_SCORE)]
+        born = born[~(detections.score[rows[born]] < least_score)]
         track[rows[born]] = count + np.arange(len(born))
         started = replace(_select(new, born), number=track[rows[born]])
         count += len(born)

@@ -1,22 +1,25 @@
 """Track the agents of a video: frames and detections -> tracks in the world of an AIM."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
-from geoaim.base.errors import TracksError
+from geoaim.base.errors import TracksError, warn
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import World
 from geoaim.hdmap.drivable import sample_lane_directions
 from geoaim.hdmap.lanelet2 import HDMap
 from geoaim.mapping.video.detections import DetectedBoxes, DetectionSource, read_detections
 from geoaim.mapping.video.frames import Frame
-from geoaim.mapping.video.video import VideoSource, open_video
+from geoaim.mapping.video.video import Video, VideoSource, open_video
 from geoaim.tracking.association import associate
+from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.ground_detections import place_boxes
 from geoaim.tracking.noise import DEFAULT_NOISE_PX, estimate_noise
@@ -25,6 +28,7 @@ from geoaim.tracking.states import CUT_SIGMA_M, make_states
 from geoaim.tracks.tracks import Tracks
 
 ASSOCIATIONS = 2  # the second one knows the noise of the boxes
+MAX_DOUBLED = 0.05  # share of doubled boxes without a warning
 NOISE_MARGIN = 1.4  # by which boxes scatter more in jumps than they usually do
 
 
@@ -72,7 +76,31 @@ def track_video(
     known = [boxes.get(index) for index in poses.registration.index.tolist()]
     lanes = None if hdmap is None else Directions(*sample_lane_directions(hdmap))
     size = opened.height, opened.width
-    return track_boxes(known, poses.world_from_frame, poses.times, aim.world, size, lanes=lanes)
+    times = find_image_times(opened, poses.registration.index, poses.times)
+    return track_boxes(known, poses.world_from_frame, times, aim.world, size, lanes=lanes)
+
+
+def find_image_times(
+    video: Video, index: Int[Array, "T"], times: Float[Array, "T"]
+) -> Float[Array, "T"]:
+    """Find the times of images, by gaps in the numbers that they are named by."""
+    if video.names is None:
+        return times
+    if video.rate == 1.0:
+        warn(
+            f"{video.source}: images count as one a second; if they are not, give their rate "
+            "(--image-rate, or open_video(folder, rate=...))"
+        )
+    found = [re.fullmatch(r"(.*?)(\d+)", Path(name).stem) for name in video.names]
+    parts = [part for part in found if part is not None]
+    if len(parts) < len(found) or len({part[1] for part in parts}) > 1:
+        return times
+    numbers = np.array([int(part[2]) for part in parts], float)
+    gaps = np.diff(numbers)
+    if not len(gaps) or gaps.min() <= 0 or np.ptp(gaps) == 0:
+        return times
+    warn(f"{video.source}: the numbers of its images have gaps, which count as time")
+    return np.asarray((numbers - numbers[0]) / gaps.min() / video.rate)[index]
 
 
 def track_boxes(
@@ -100,7 +128,13 @@ def track_boxes(
     Raises:
         TracksError: no track is found.
     """
+    frames, doubled, empty = drop_doubled_boxes(frames)
+    if doubled > MAX_DOUBLED * sum(len(boxes.boxes) for boxes in frames if boxes is not None):
+        warn(f"{doubled} boxes lie on another one, or are a part of one, and are left out")
+    if empty:
+        warn(f"{empty} boxes without an area, or with values missing, are left out")
     detections = place_boxes(frames, world_from_frame, size)
+    check_sizes(detections)
     cut = detections.cut.any(axis=(1, 2))
     track, noise = np.full(len(detections.step), -1), DEFAULT_NOISE_PX
     for _ in range(ASSOCIATIONS):
@@ -113,4 +147,6 @@ def track_boxes(
             f"{len(track)} detections in {known} of {len(frames)} frames give no track; detections "
             "of the same agents in successive frames are needed"
         )
-    return make_states(detections, track, times, world, lanes)
+    tracks = make_states(detections, track, times, world, lanes)
+    check_tracks(tracks)
+    return tracks

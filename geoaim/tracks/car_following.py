@@ -3,8 +3,8 @@
     dv/dt = a [1 - (v / v0)^4 - (s* / s)^2],    s* = s0 + max(0, v T + v dv / (2 sqrt(a b)))
 
 v is the speed, v0 the desired one, s the gap to the leader and dv the speed at which it closes.
-This file computes s* / s, for numpy arrays and torch tensors alike; `simulation/idm.py` and
-`synthetic/traffic/driving.py` compute the acceleration from it.
+This file computes s* / s, for numpy arrays and torch tensors alike; `simulation/idm.py` computes
+the acceleration from it.
 """
 
 import math
@@ -19,9 +19,7 @@ ArrayOrTensor = Any  # numpy.ndarray or torch.Tensor; torch must not be imported
 class DriverParameters:
     """How a driver follows others.
 
-    The simulator's values are `DRIVER` in `simulation/idm.py`. Those of synthetic traffic are
-    in `synthetic/traffic`: `MAX_ACCELERATION` and `STANDSTILL_GAP_M` in `driving.py`,
-    `COMFORTABLE_BRAKING` in `vehicles.py`; `simulate.py` draws the headway of each driver.
+    The simulator's values are `DRIVER` in `simulation/idm.py`.
     """
 
     acceleration: float  # a, the maximum, m/s²

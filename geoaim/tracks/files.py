@@ -101,16 +101,7 @@ def write_tracks(tracks: Tracks, path: str | os.PathLike[str]) -> None:
 
 
 def read_plain_tracks(path: str | os.PathLike[str], *, world: World | None = None) -> Tracks:
-    """Read tracks in the plain format; `geoaim.read_tracks` reads every known format.
-
-    Args:
-        path: the file; also a GeoParquet of another program with the columns of the plain format.
-        world: the plane of a table that does not state its own.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        TracksError: the file is not in the plain format, or is damaged.
-    """
+    """Read tracks in the plain format; `geoaim.read_tracks` reads every known format."""
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
@@ -231,12 +222,7 @@ def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
 
 
 def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
-    """Open a Parquet file of which no table needs far more memory than its size explains.
-
-    Raises:
-        TracksError: `check_memory` refuses it. What pyarrow raises on a damaged file stays as it
-            is: call this in a block of `refuse_damaged`.
-    """
+    """Open a Parquet file of which no table needs far more memory than its size explains."""
     import pyarrow.parquet as parquet
 
     file = parquet.ParquetFile(path)
@@ -288,17 +274,7 @@ def choose_own_world(places: Float[Array, "m 2"], crs: str | None) -> World:
 def place_rows(
     rows: pd.DataFrame, places: Float[Array, "m 2"], crs: str | None, world: World | None
 ) -> pd.DataFrame:
-    """Add x and y to rows of tracks.
-
-    Args:
-        rows: a table of tracks.
-        places: (m, 2) their positions in the CRS.
-        crs: the CRS; None for a local plane.
-        world: the plane of x and y; None: `choose_own_world`.
-
-    Returns:
-        The table with x and y, metres of the world.
-    """
+    """Add x and y to rows of tracks."""
     world = world or choose_own_world(places, crs)
     metres = places - world.origin if crs is None else world_from_crs(world, places, crs)
     return rows.assign(x=metres[:, 0], y=metres[:, 1])

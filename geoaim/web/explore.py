@@ -20,8 +20,8 @@ from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.prediction.futures import Futures
+from geoaim.rendering.scene import Scene, make_scene
 from geoaim.simulation.road_rules import make_road_rules
-from geoaim.simulation.scene import Scene, make_scene
 from geoaim.tracks.changes import to_world
 from geoaim.tracks.formats.formats import read_tracks
 from geoaim.tracks.lights import Lights, read_lights

@@ -76,16 +76,7 @@ def tile_aim(aim: AIM) -> dict[str, TiledRaster]:
 
 
 def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaster]:
-    """Make the tiles of `tile_aim` from an open AIM file.
-
-    Args:
-        dataset: the open file; keep it open as long as the tiles are read.
-        grid: grid of its pixels, north up.
-        most: the coverage of the brightest colour.
-
-    Returns:
-        Tiles by the paths of the layers.
-    """
+    """Make the tiles of `tile_aim` from an open AIM file."""
     return {
         path: tile_dataset(dataset, grid, bands, colour)
         for path, (bands, colour) in list_aim_layers(most).items()

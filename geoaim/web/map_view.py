@@ -1,13 +1,32 @@
-"""What the viewer shows: a description, and the data that it names."""
+"""What the viewer shows: a description, and the data that it names, served or in one HTML file."""
 
 import json
+import os
+from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
 from typing import Any
 from urllib.parse import unquote
 
+from geoaim.base.files import atomic_write
 from geoaim.web.tiles import TiledRaster
 
+PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<link rel="icon" href="data:,">
+</head>
+<body>
+<main id="geoaim-page"></main>
+{scripts}
+</body>
+</html>
+"""
 MAX_EMBEDDED_PIXELS = 16e6  # pixels of a raster in an HTML file
 Reply = dict[str, Any]
 
@@ -51,11 +70,7 @@ class MapView:
 
 
 def read_embedded(view: MapView) -> dict[str, bytes]:
-    """Read all that an HTML file holds: without views of agents, and with coarser tiles.
-
-    Returns:
-        Bytes by path; the description names what is there alone.
-    """
+    """Read all that an HTML file holds: without views of agents, and with coarser tiles."""
     shown: dict[str, Any] = dict(view.description, agent_views=False)
     files = {path: make() for path, make in view.data.items()}
     shown["rasters"] = []
@@ -66,3 +81,26 @@ def read_embedded(view: MapView) -> dict[str, bytes]:
         paths = [f"{item['path']}/{level}/{column}/{row}" for level, column, row in tiles]
         files |= {path: view.read(path) for path in paths}
     return {"description.json": json.dumps(shown).encode(), **files}
+
+
+def read_module() -> str:
+    """Read the viewer's ES module: OpenLayers and `geoaim/web/src` in one file."""
+    return (files("geoaim.web") / "geoaim.js").read_text(encoding="utf-8")
+
+
+def make_page(title: str) -> str:
+    """Make the page that a server shows beside "geoaim.js"."""
+    script = '<script type="module" src="geoaim.js"></script>'
+    return PAGE.format(title=escape(title), scripts=script)
+
+
+def write_html(view: MapView, path: str | os.PathLike[str]) -> None:
+    """Write one HTML file that shows a view without a server or a network."""
+    data = {path: b64encode(content).decode() for path, content in read_embedded(view).items()}
+    scripts = (
+        f'<script type="application/json" id="geoaim-data">{json.dumps(data)}</script>\n'
+        f'<script type="module">{read_module()}</script>'
+    )
+    page = PAGE.format(title=escape(str(view.description["title"])), scripts=scripts)
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")

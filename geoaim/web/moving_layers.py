@@ -17,12 +17,12 @@ from geoaim.base.limits import refuse_damaged
 from geoaim.base.world import World
 from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.prediction.futures import Futures
-from geoaim.simulation.ground import View
-from geoaim.simulation.lines import LIGHT_COLOURS
-from geoaim.simulation.pictures import render_agent_video
-from geoaim.simulation.prefiltering import prefilter_ground
+from geoaim.rendering.ground import View
+from geoaim.rendering.lines import LIGHT_COLOURS
+from geoaim.rendering.pictures import render_agent_video
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene, find_agent, slice_scene, transform_stop_lines
 from geoaim.simulation.road_rules import RoadRules
-from geoaim.simulation.scene import Scene, find_agent, slice_scene, transform_stop_lines
 from geoaim.simulation.scene_infractions import detect_infractions
 from geoaim.tracks.agent_types import get_colour
 from geoaim.tracks.lights import Lights
@@ -86,10 +86,7 @@ def describe_lights(lights: Lights, world: World) -> Description:
 
 
 def describe_futures(futures: Futures) -> Description:
-    """Describe futures: the points of each sample of each predicted agent.
-
-    They say something of the times from "start", the last observed one, to "end".
-    """
+    """Describe futures: the points of each sample of each predicted agent."""
     positions = futures.states[..., :2].double().cpu().numpy().round(2)
     predicted = futures.mark_predicted()
     agents = [
@@ -105,13 +102,7 @@ def describe_futures(futures: Futures) -> Description:
 
 
 def describe_futures_file(path: str | os.PathLike[str]) -> Description:
-    """Describe the predicted agents in a file that `geoaim predict -o futures.csv` wrote.
-
-    These are the agents whose samples differ, as `Futures.mark_predicted` says.
-
-    Raises:
-        TracksError: it is not such a file.
-    """
+    """Describe the predicted agents in a file that `geoaim predict -o futures.csv` wrote."""
     with refuse_damaged(path, TracksError, "a .csv that `geoaim predict` wrote"):
         table = pd.read_csv(path, comment="#", dtype={"id": str})
         agents = [
@@ -167,19 +158,7 @@ def encode_infractions(scene: Callable[[], Scene], rules: RoadRules) -> Callable
 
 
 def render_model_view(scene: Scene, agent_id: str, step: int) -> bytes:
-    """Render an agent's surroundings in the extent and at the resolution that models see.
-
-    Args:
-        scene: the scene, with its map and lights.
-        agent_id: id of the agent in the centre, which heads up.
-        step: index of the time.
-
-    Returns:
-        A JPEG.
-
-    Raises:
-        KeyError: there is no such agent then.
-    """
+    """Render an agent's surroundings in the extent and at the resolution that models see."""
     agent = find_agent(scene, agent_id)
     if step >= len(scene.times) or not bool(scene.present[agent, step]):
         raise KeyError(f"agent {agent_id} is absent then")

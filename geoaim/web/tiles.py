@@ -52,19 +52,7 @@ class TiledRaster:
         }
 
     def encode_tile(self, level: int, column: int, row: int) -> bytes:
-        """Encode a tile: JPEG, or PNG where a part of it is transparent.
-
-        Args:
-            level: 0 is the coarsest.
-            column: column of tiles, from the left.
-            row: row of tiles, from the top.
-
-        Returns:
-            The file.
-
-        Raises:
-            KeyError: there is no such tile.
-        """
+        """Encode a tile: JPEG, or PNG where a part of it is transparent."""
         if not 0 <= level < self.levels or column < 0 or row < 0:
             raise KeyError(f"there is no level {level} or tile {column}, {row}")
         factor = 2 ** (self.levels - 1 - level)
@@ -129,17 +117,7 @@ def tile_array(pixels: Colours, grid: Grid) -> TiledRaster:
 def tile_dataset(
     dataset: Any, grid: Grid, bands: Sequence[int], colour: Callable[[Array], Colours]
 ) -> TiledRaster:
-    """Make tiles of an open rasterio dataset, north up, by its overviews.
-
-    Args:
-        dataset: the open dataset; keep it open as long as the tiles are read.
-        grid: grid of its pixels.
-        bands: bands that are read, from 1.
-        colour: converts a block (bands, h, w) to colours.
-
-    Returns:
-        The tiles.
-    """
+    """Make tiles of an open rasterio dataset, north up, by its overviews."""
 
     def read_block(
         rows: tuple[int, int], columns: tuple[int, int], size: tuple[int, int]

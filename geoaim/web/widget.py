@@ -17,8 +17,7 @@ from geoaim.web.explore import (
     make_map_view,
     read_contents,
 )
-from geoaim.web.html_file import read_module
-from geoaim.web.map_view import MapView
+from geoaim.web.map_view import MapView, read_module
 from geoaim.web.picking.page import make_picking_view
 from geoaim.web.picking.task import read_task
 
@@ -116,13 +115,7 @@ def make_widget(view: MapView, resources: object) -> Any:
 
 
 def answer_message(view: MapView, send: Any, message: dict[str, Any]) -> None:
-    """Answer a message of the widget: {id, path} with bytes, {id, action} with a reply.
-
-    Args:
-        view: what is shown.
-        send: takes a message and a list of buffers.
-        message: message of the widget's page.
-    """
+    """Answer a message of the widget: {id, path} with bytes, {id, action} with a reply."""
     number = message.get("id")
     try:
         if "path" in message:

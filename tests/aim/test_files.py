@@ -249,6 +249,7 @@ write_aim(aim, {out!r})
 """
 
 
+@pytest.mark.slow
 def test_full_disk_is_an_error_and_leaves_no_file(tmp_path):
     pytest.importorskip("resource", reason="needs POSIX limits to stand for a full disk")
     script = FULL_DISK.format(path=[str(Path(__file__).parents[2])], out=str(tmp_path / "aim.tif"))

@@ -62,6 +62,7 @@ def test_tracks_of_every_version_are_read(name):
     assert tracks.world.origin == (583000.0, 6062000.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHECKED)
 def test_no_flipped_bit_is_accepted(name, tmp_path):
     accepted, unnamed = flip_bits(FORMATS / name, READERS[name], tmp_path)
@@ -79,6 +80,7 @@ def test_every_version_that_is_written_has_a_file_here():
     assert newest <= set(READERS) == {path.name for path in FORMATS.iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHECKED)
 def test_a_file_that_was_cut_or_has_more_bytes_is_refused_by_name(name, tmp_path):
     whole = (FORMATS / name).read_bytes()

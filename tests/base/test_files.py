@@ -1,3 +1,4 @@
+import os
 import sys
 
 import pytest
@@ -89,3 +90,17 @@ def test_link_stays_and_the_file_that_it_names_is_replaced(tmp_path):
         temporary.write_text("new")
     assert link.is_symlink()
     assert file.read_text() == "new"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="permissions and pipes of POSIX")
+def test_permissions_stay_and_a_pipe_is_not_replaced(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    path.chmod(0o600)
+    with atomic_write(path) as temporary:
+        temporary.write_text("new")
+    assert path.stat().st_mode & 0o777 == 0o600
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="no ordinary file"), atomic_write(tmp_path / "pipe"):
+        pytest.fail("the block ran")
+    assert (tmp_path / "pipe").is_fifo()

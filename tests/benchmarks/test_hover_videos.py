@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from benchmarks import hover_videos
-from geoaim.synthetic import Hover, render_frame
-from geoaim.synthetic.scenery.texture import make_natural_noise
+from benchmarks.synthetic import Hover, render_frame
+from benchmarks.synthetic.scenery.texture import make_natural_noise
 
 
 @pytest.fixture(autouse=True)

@@ -10,13 +10,13 @@ from benchmarks.registration.settings import (
     measure_sizes,
     register_with,
 )
+from benchmarks.synthetic import Hover
+from benchmarks.synthetic.scenery.texture import make_natural_noise
 from geoaim.base.errors import RegistrationError
 from geoaim.base.progress import no_progress
 from geoaim.mapping.bench.own_video import SETTINGS, measure_own_video, measure_settings
 from geoaim.mapping.registration import patches
 from geoaim.mapping.video.video import open_video
-from geoaim.synthetic import Hover
-from geoaim.synthetic.scenery.texture import make_natural_noise
 
 pytestmark = pytest.mark.slow
 

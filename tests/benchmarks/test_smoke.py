@@ -12,18 +12,18 @@ from typer.testing import CliRunner
 
 import benchmarks
 from benchmarks import hover_videos, pipeline, short_clips
+from benchmarks.realism import benchmark as realism
+from benchmarks.realism import images as realism_images
+from benchmarks.realism import motion as realism_motion
 from benchmarks.registration import benchmark as registration
 from benchmarks.registration import methods as registration_methods
 from benchmarks.registration import real as registration_real
-from benchmarks.synthetic import benchmark as realism
-from benchmarks.synthetic import images as realism_images
-from benchmarks.synthetic import motion as realism_motion
+from benchmarks.synthetic import make_sample, reference_from_frames, tracks_of
+from benchmarks.synthetic.camera import render_background
+from benchmarks.synthetic.scenery.texture import make_natural_noise
 from geoaim.base.encode import write_video
 from geoaim.mapping.bench import report
 from geoaim.mapping.registration.register import register
-from geoaim.synthetic import make_sample, reference_from_frames, tracks_of
-from geoaim.synthetic.camera import render_background
-from geoaim.synthetic.scenery.texture import make_natural_noise
 
 FOLDER = Path(benchmarks.__file__).parent
 COMMANDS = [

@@ -1,8 +1,8 @@
 import pytest
 
+from benchmarks.realism.motion import VEHICLES
 from benchmarks.registration import transfer
-from benchmarks.synthetic.motion import VEHICLES
-from geoaim.synthetic import make_sample, tracks_of
+from benchmarks.synthetic import make_sample, tracks_of
 
 pytestmark = pytest.mark.slow
 

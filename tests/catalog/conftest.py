@@ -4,8 +4,8 @@ import pytest
 
 pytest.importorskip("distributed", reason="the extra catalog is not installed")
 
+from benchmarks.synthetic.camera import render_frames
 from geoaim.base.encode import write_video
-from geoaim.synthetic.camera import render_frames
 
 PLACES = [(40, 30), (600, 50), (580, 320), (60, 330), (300, 180)]
 

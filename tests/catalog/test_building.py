@@ -29,9 +29,8 @@ from geoaim.catalog import (
 )
 from geoaim.catalog import pipeline as catalog_pipeline
 from geoaim.catalog.building import build_recording, make_record, make_task
-from geoaim.catalog.inputs import list_inputs
-from geoaim.catalog.record_files import write_record
-from geoaim.catalog.recordings import Recording
+from geoaim.catalog.recordings import Recording, list_inputs
+from geoaim.catalog.records import write_record
 from geoaim.catalog.report import format_page
 from geoaim.cli import app
 from geoaim.mapping import build_map
@@ -79,6 +78,7 @@ def test_a_catalogue_has_maps_items_an_index_and_a_report(table, tmp_path, in_pr
     assert all(text in page for text in ("<svg", "not a video", "recordings/east/aim.png"))
 
 
+@pytest.mark.slow
 def test_maps_are_byte_for_byte_those_of_geoaim_build(table, tmp_path, in_process):
     build_catalog(table, tmp_path / "maps")
     output = tmp_path / "alone" / "map.tif"
@@ -115,12 +115,14 @@ def test_a_file_that_was_only_touched_is_read_and_not_built(table, tmp_path, in_
     assert build_catalog(table, tmp_path / "maps").built_now == ()
 
 
+@pytest.mark.slow
 def test_telemetry_beside_a_video_belongs_to_its_inputs(table, tmp_path, in_process):
     build_catalog(table, tmp_path / "maps")
     (table.parent / "east.SRT").write_text("no telemetry")
     assert build_catalog(table, tmp_path / "maps").built_now == ("east",)
 
 
+@pytest.mark.slow
 def test_verify_finds_what_is_missing_changed_or_foreign(table, tmp_path, in_process):
     catalog = tmp_path / "maps"
     build_catalog(table, catalog)
@@ -144,6 +146,7 @@ def test_verify_finds_what_is_missing_changed_or_foreign(table, tmp_path, in_pro
     assert "its checksum is another one" in result.output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["emptied", "altered", "removed"])
 def test_every_damaged_file_is_found_and_made_again(table, tmp_path, in_process, damage):
     table.write_text("video,gcps\neast.mp4,gcps.csv\n")
@@ -165,6 +168,7 @@ def test_every_damaged_file_is_found_and_made_again(table, tmp_path, in_process,
     assert verify_catalog(catalog) == []
 
 
+@pytest.mark.slow
 def test_an_altered_record_is_found_and_built_again(table, tmp_path, in_process):
     table.write_text("video,gcps\nbroken.mp4,gcps.csv\n")
     build_catalog(table, tmp_path / "maps")
@@ -176,6 +180,7 @@ def test_an_altered_record_is_found_and_built_again(table, tmp_path, in_process)
     assert verify_catalog(tmp_path / "maps") == []
 
 
+@pytest.mark.slow
 def test_index_and_report_list_the_records_of_other_and_stopped_runs(table, tmp_path, in_process):
     table.write_text("video,gcps\neast.mp4,gcps.csv\n")
     catalog = tmp_path / "maps"
@@ -191,6 +196,7 @@ def test_index_and_report_list_the_records_of_other_and_stopped_runs(table, tmp_
     assert not (catalog / "items.parquet").exists()
 
 
+@pytest.mark.slow
 def test_a_damaged_record_is_named_and_built_again(table, tmp_path, in_process):
     build_catalog(table, tmp_path / "maps")
     record = tmp_path / "maps/recordings/east/record.json"
@@ -209,6 +215,7 @@ def test_a_map_in_a_local_plane_has_an_item_without_geometry(table, tmp_path, in
     assert verify_catalog(tmp_path / "maps") == []
 
 
+@pytest.mark.slow
 def test_what_fails_outside_of_the_data_is_tried_again(table, tmp_path, in_process, monkeypatch):
     def fail(*_, **__):
         raise OSError("the store is full")
@@ -247,6 +254,7 @@ def test_errors_of_the_machine_are_failures_and_those_of_the_data_refusals(
     assert (record.status, record.reason) == (status, str(error))
 
 
+@pytest.mark.slow
 def test_a_store_that_cannot_be_listed_fails_its_recordings_alone(
     table, tmp_path, in_process, monkeypatch
 ):

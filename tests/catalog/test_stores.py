@@ -8,7 +8,7 @@ from geoaim.base.errors import CatalogError
 from geoaim.catalog import Recording, build_catalog, verify_catalog
 from geoaim.catalog import pipeline as catalog_pipeline
 from geoaim.catalog.building import build_recording
-from geoaim.catalog.inputs import list_inputs
+from geoaim.catalog.recordings import list_inputs
 from geoaim.catalog.storage import join_address, list_folder, make_address
 
 

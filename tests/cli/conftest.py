@@ -1,7 +1,7 @@
 import pytest
 from PIL import Image
 
-from geoaim.synthetic.camera import render_frame
+from benchmarks.synthetic.camera import render_frame
 
 
 @pytest.fixture(scope="session")

@@ -84,6 +84,7 @@ def test_json_has_the_files_and_the_table(frames_folder, tmp_path):
     assert content["summary"]["registered frames"] == "6 of 6"
 
 
+@pytest.mark.slow
 def test_texture_and_info_read_what_build_wrote(frames_folder, tmp_path):
     output = tmp_path / "aim.tif"
     run(app, ["build", str(frames_folder), "--frame-resolution", "0.05", "-o", str(output)])

@@ -16,8 +16,8 @@ from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.pictures import draw_panels
 from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
-from geoaim.simulation.scene import make_scene
-from geoaim.simulation.worlds import move_ground
+from geoaim.rendering.ground import move_ground
+from geoaim.rendering.scene import make_scene
 from geoaim.tracks.changes import resample_tracks
 from tests.prediction.tiny import TINY
 

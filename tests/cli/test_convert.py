@@ -7,7 +7,6 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim import read_tracks
 from geoaim.cli import app
-from tests.tracks.formats import waymo_records
 
 run = CliRunner().invoke
 SAMPLE = "samples/tracks.csv"
@@ -38,17 +37,6 @@ def test_geotrax_needs_to_be_named(tmp_path):
     assert "30 agents are left out" in words
     assert "34 agents at" in words
     assert path.read_text().startswith("Vehicle_ID,")
-
-
-def test_one_of_several_scenarios_is_chosen(tmp_path):
-    path = tmp_path / "a.tfrecord"
-    scenarios = [waymo_records.make_scenario(name) for name in ("ab12", "cd34")]
-    path.write_bytes(waymo_records.make_file(*scenarios))
-    given = ["convert", str(path), "-o", str(tmp_path / "a.csv")]
-    result = run(app, given)
-    assert result.exit_code == 1
-    assert "name one of them" in " ".join(result.output.split())
-    assert run(app, [*given, "--scenario", "cd34"]).exit_code == 0
 
 
 def test_tables_in_pixels_are_converted(tmp_path):

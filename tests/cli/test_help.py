@@ -28,6 +28,7 @@ def test_every_option_has_a_help_text(name):
     assert all(getattr(option, "help", None) for option in command.params if option.name != "help")
 
 
+@pytest.mark.slow
 def test_the_examples_in_the_help_run(tmp_path, monkeypatch):
     """Those that need no browser and few seconds; `make demo` runs build, render and predict."""
     (tmp_path / "samples").symlink_to(Path("samples").absolute())

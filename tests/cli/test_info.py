@@ -16,7 +16,7 @@ from geoaim.mapping.registration.register import register, write_registration
 from geoaim.prediction.checkpoints import PRETRAINED
 from geoaim.tracks.formats import write_geopackage
 from tests.aim.test_aim import make_aim
-from tests.tracks.formats import scenarionet_files, waymo_records
+from tests.tracks.formats import scenarionet_files
 
 run = CliRunner().invoke
 KINDS = {
@@ -75,17 +75,13 @@ def test_maps_textures_folders_and_tables_that_geoaim_writes_are_known(tmp_path)
 
 
 def test_scenarios_of_other_simulators_are_known(tmp_path):
-    scenarios = [waymo_records.make_scenario(name) for name in ("ab12", "cd34")]
-    (tmp_path / "a.tfrecord-0-of-1").write_bytes(waymo_records.make_file(*scenarios))
     scenarionet_files.write(tmp_path / "sd_0.pkl")
     write_geopackage(geoaim.read_tracks("samples/tracks.csv"), tmp_path / "a.gpkg")
-    kinds = {"a.tfrecord-0-of-1": "Waymo Open Motion", "sd_0.pkl": "ScenarioNet"}
-    for name, kind in {**kinds, "a.gpkg": "GeoPackage"}.items():
+    for name, kind in {"sd_0.pkl": "ScenarioNet", "a.gpkg": "GeoPackage"}.items():
         found, facts, commands = describe_file(str(tmp_path / name))
         assert found == f"tracks ({kind} format)"
         assert facts
         check_commands(commands, str(tmp_path / name))
-    assert describe_file(str(tmp_path / "a.tfrecord-0-of-1"))[1] == {"scenarios": "2: ab12, cd34"}
 
 
 def test_info_prints_facts_and_commands_or_json():

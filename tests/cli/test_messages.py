@@ -84,7 +84,6 @@ def _write_video(path: Path, picture: np.ndarray) -> None:
         ("convert geotrax.csv -o a.csv", {"--tracks-frame-rate"}),
         ("convert annotations.txt -o a.csv", {"--tracks-resolution"}),
         ("convert geotrax.csv --tracks-resolution 1 -o a.csv", {"--tracks-resolution"}),
-        ("convert annotations.txt --scenario 7 -o a.csv", {"--scenario"}),
     ],
 )
 def test_messages_name_options_that_exist_and_are_not_given(

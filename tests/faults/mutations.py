@@ -235,28 +235,6 @@ def mutate_parquet(content: bytes, generator: np.random.Generator) -> bytes:
     return sink.getvalue()
 
 
-def mutate_tfrecord(content: bytes, generator: np.random.Generator) -> bytes:
-    """Mutate the messages of a TFRecord file, with checksums that match them."""
-    from geoaim.tracks.formats.tfrecord import make_record
-
-    (length,) = struct.unpack("<Q", content[:8])
-    mutate = _choose([mutate_bytes, mutate_numbers, _mutate_messages], generator)
-    return make_record(mutate(content[12 : 12 + length], generator))
-
-
-def _mutate_messages(content: bytes, generator: np.random.Generator) -> bytes:
-    """Overwrite doubles and bytes anywhere in a message: most are numbers, keys or lengths."""
-    changed = bytearray(content)
-    for _ in range(generator.integers(1, 9)):
-        start = int(generator.integers(len(changed)))
-        special = _choose([float("nan"), float("inf"), 1e308, -1e15, 0.0, 1e-320], generator)
-        if generator.random() < 0.5:
-            changed[start] = int(generator.integers(256))
-        else:
-            changed[start : start + 8] = struct.pack("<d", special)
-    return bytes(changed)
-
-
 def mutate_pickle(content: bytes, generator: np.random.Generator) -> bytes:
     """Mutate values of a pickle, or the numbers, shape or type of one of its arrays."""
     root = [pickle.loads(content)]

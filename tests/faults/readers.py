@@ -21,8 +21,8 @@ from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.video import open_video
 from geoaim.prediction.checkpoints import read_model
 from geoaim.prediction.windows import WindowFiles, read_windows
-from geoaim.simulation.ground import View
-from geoaim.tracks.formats import read_scenarionet_lights, read_tracks, read_waymo_lights
+from geoaim.rendering.ground import View
+from geoaim.tracks.formats import read_scenarionet_lights, read_tracks
 from geoaim.tracks.lights import StopLine, read_lights, read_stop_lines
 from tests.faults import mutations as by
 from tests.faults.seeds import WORLD, resume_training
@@ -122,10 +122,6 @@ READERS = {
     "tracks: geo-trax": _tracks("geotrax.csv"),
     "tracks: geo-trax pixels": _tracks("geotrax.txt", resolution=0.05),
     "tracks: Argoverse 2": _tracks("argoverse.parquet", (*BINARY, by.mutate_parquet)),
-    "tracks: Waymo": _tracks("waymo.tfrecord", (by.mutate_numbers, by.mutate_tfrecord)),
-    "lights: Waymo": Reader(
-        "waymo.tfrecord", (by.mutate_tfrecord,), lambda f: read_waymo_lights(f / "waymo.tfrecord")
-    ),
     "tracks: GeoPackage": _tracks("tracks.gpkg", (*BINARY, by.mutate_geopackage)),
     "tracks: ScenarioNet": _tracks("scenario.pkl", PICKLE),
     "lights: ScenarioNet": Reader(

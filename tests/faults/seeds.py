@@ -24,7 +24,7 @@ from geoaim.tracks.files import write_tracks
 from geoaim.tracks.formats import write_geopackage
 from geoaim.tracks.tracks import Tracks
 from tests.prediction.tiny import TINY, drive, hill
-from tests.tracks.formats import scenarionet_files, test_argoverse, waymo_records
+from tests.tracks.formats import scenarionet_files, test_argoverse
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 ORIGIN = 583000.0, 6062000.0
@@ -160,7 +160,6 @@ def write_seeds(folder: Path) -> None:
     write_model(init_model(TINY), folder / "model.pt")
     resume_training(folder / "training")
     test_argoverse.make_table().to_parquet(folder / "argoverse.parquet")
-    (folder / "waymo.tfrecord").write_bytes(waymo_records.make_file(waymo_records.make_scenario()))
     write_geopackage(make_tracks(), folder / "tracks.gpkg")
     scenarionet_files.write(folder / "scenario.pkl")
     _write_images(folder)

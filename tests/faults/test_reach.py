@@ -116,6 +116,7 @@ def seeds(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("reader", READERS)
 def test_file_leads_to_no_other_file_and_no_request(seeds, tmp_path, canary, serve, reader):

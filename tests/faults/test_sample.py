@@ -1,11 +1,11 @@
 """A sample is there as a whole or not at all, whenever its writer is interrupted."""
 
+import shutil
 import sys
 from pathlib import Path
 
 import pytest
 
-from geoaim.synthetic import write_sample
 from tests.faults import small_sample
 from tests.faults.interruption import KILLED, How, Outcome, run_interrupted
 from tests.faults.kills import read_files, write_next
@@ -56,7 +56,7 @@ def test_leftovers_are_removed_although_their_removal_is_interrupted(complete, t
 def test_interrupted_sample_leaves_an_older_one_and_files_made_by_hand(complete, tmp_path, how):
     target = tmp_path / "sample"
     interrupt_sample(target)
-    for name in ("tracks_annotated_by_hand.csv", "boxes/mine.txt"):
+    for name in ("tracks_annotated_by_hand.csv", "19/mine.txt"):
         (target / name).write_text("a week of work")
     before = read_files(target)
     for step in (1, 2, 3, None):
@@ -67,12 +67,13 @@ def test_interrupted_sample_leaves_an_older_one_and_files_made_by_hand(complete,
 def test_second_of_two_runs_at_once_is_refused_and_mixes_nothing(complete, tmp_path, monkeypatch):
     target = tmp_path / "sample"
 
-    def write_other_meanwhile(*_) -> tuple[float, float]:
+    def write_other_meanwhile(*arguments) -> None:
+        monkeypatch.undo()
         assert interrupt_sample(target).exit_code == 0
-        return 1.0, 1.0
+        shutil.copyfile(*arguments)
 
-    monkeypatch.setattr("geoaim.synthetic.files.write_imagery", write_other_meanwhile)
+    monkeypatch.setattr(small_sample.command.shutil, "copyfile", write_other_meanwhile)
     with pytest.raises(ValueError, match="name a new folder"):
-        write_sample(small_sample.SMALL, target)
+        small_sample.write_small_sample(target)
     assert read_files(target) == complete[0]
     assert [path.name for path in tmp_path.iterdir()] == ["sample"]

@@ -36,7 +36,7 @@ from geoaim.mapping.video import video
 from geoaim.prediction import dataset, pictures, predict, report, training
 from geoaim.prediction.checkpoints import write_model
 from geoaim.prediction.metrics import Metric
-from geoaim.simulation import OrientedBoxes, View, birdview, episodes
+from geoaim.simulation import episodes
 from geoaim.tracks.files import write_tracks
 from tests.faults import seeds
 from tests.prediction.tiny import TINY, drive, hill
@@ -46,16 +46,6 @@ torch.set_num_threads(1)
 gc.freeze()  # forks share the memory of what is imported
 PRELOADED = torch._dynamo, encode, raster_files, texture, pictures, predict, report, episodes
 STEPS = 2  # of the training
-
-
-def compile_renderer() -> None:
-    """Compile the renderer here: in forks it would take long, and write files of its own."""
-    poses = torch.zeros(1, 1, 3).requires_grad_()
-    boxes = OrientedBoxes(poses, torch.ones(2), torch.ones(3))
-    birdview.render(View(4, 4, 1.0), torch.zeros(1, 3), hill(), [boxes]).sum().backward()
-
-
-compile_renderer()
 
 
 def write_inputs(folder: Path, version: int) -> None:

@@ -129,6 +129,7 @@ def test_road_map_without_lanelets_is_refused(tmp_path):
         read_hdmap(tmp_path / "none.osm")
 
 
+@pytest.mark.slow
 def test_memory_of_many_nodes_is_half_of_a_tree_of_the_xml(tmp_path):
     lines = [
         f"<node id='{k}' lon='{8 + k * 1e-6:.9f}' lat='49'/>" for k in range(100, 100 + MANY_NODES)

@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pytest
 import rasterio
@@ -71,10 +73,23 @@ def test_pam_comes_before_the_file_itself_and_prj_after_it(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["1 2 3", "1 2 3 4 5 x"])
-def test_damaged_side_files_are_named(picture, text):
+def test_damaged_world_file_is_none(picture, text):
     picture.with_suffix(".wld").write_text(text)
-    with pytest.raises(ImageryError, match=r"a\.wld does not hold six numbers"):
+    with pytest.raises(ImageryError, match=r"no transform .* put a world file .six numbers"):
         describe_raster(str(picture), crs="EPSG:32632")
-    (picture.parent / "a.png.aux.xml").write_text(PAM.format(crs="", transform=text))
-    with pytest.raises(ImageryError, match=r"a\.png\.aux\.xml does not hold six numbers"):
-        describe_raster(str(picture))
+
+
+def test_side_files_open_no_other_file(tmp_path, picture):
+    """GDAL opens overviews and masks whatever their format, and they may name any file."""
+    other = tmp_path / "secret.tif"
+    _write_world_file(picture)
+    vrt = (
+        "<VRTDataset rasterXSize='30' rasterYSize='20'><VRTRasterBand dataType='Byte' band='1'>"
+        f"<SimpleSource><SourceFilename>{other}</SourceFilename></SimpleSource></VRTRasterBand>"
+        "</VRTDataset>"
+    )
+    (tmp_path / "a.png.ovr").write_text(vrt)
+    pam = "<PAMDataset><Metadata domain='OVERVIEWS'><MDI key='OVERVIEW_FILE'>{}</MDI></Metadata>"
+    (tmp_path / "a.png.aux.xml").write_text(pam.format(other) + "</PAMDataset>")
+    os.mkfifo(other)  # opening it would wait for a writer
+    assert read_imagery(picture, crs="EPSG:32632").image.mean() > 0

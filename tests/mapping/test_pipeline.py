@@ -2,6 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.camera import reference_from_frames, render_background, render_frame
 from geoaim.base.encode import write_video
 from geoaim.base.errors import GeoaimWarning, GeoreferenceError, RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
@@ -9,7 +10,6 @@ from geoaim.base.progress import no_progress
 from geoaim.mapping import pipeline
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
-from geoaim.synthetic.camera import reference_from_frames, render_background, render_frame
 from tests.conftest import textured
 
 # a plane of its own: 5 cm a pixel, y up
@@ -132,6 +132,7 @@ def test_progress_is_ignored_by_default():
     assert no_progress("average", 3, None) is None
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the ground is uncertain")  # at the ends few frames see it
 def test_a_flight_past_the_reference_is_warned_of():
     ground = textured(np.random.default_rng(8), 360, 1400)
@@ -154,6 +155,7 @@ def test_photos_of_several_places_are_refused(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_a_survey_flight_is_recognised(tmp_path):
     ground = textured(np.random.default_rng(8), 360, 2000)
     photos = [ground[:, left : left + 500] for left in range(0, 1500, 220)]
@@ -225,6 +227,7 @@ def test_the_mean_of_all_frames_uses_them_all(frames):
     )
 
 
+@pytest.mark.slow
 def test_a_clip_with_one_keyframe_is_decoded_once(frames, tmp_path, decoded_packets):
     many = [frames[i % len(frames)] for i in range(40)]
     path = write_video(many, tmp_path / "clip.mp4", keyframe_interval=1000)

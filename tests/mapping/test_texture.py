@@ -1,4 +1,6 @@
 import json
+import os
+from contextlib import suppress
 
 import cv2
 import numpy as np
@@ -6,6 +8,8 @@ import pytest
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.rectification import rectify
+from geoaim.aim.texture_files import read_texture
+from geoaim.base.errors import AimError
 from geoaim.base.world import World
 from geoaim.mapping.texture import export_texture
 
@@ -77,3 +81,36 @@ def test_failed_export_leaves_the_old_files_and_no_litter(tmp_path, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         export_texture(make_aim(OBLIQUE), tmp_path, resolution=0.1)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old
+
+
+@pytest.mark.parametrize("kept", range(5))
+def test_a_kill_at_any_step_leaves_a_whole_texture(tmp_path, monkeypatch, kept):
+    export_texture(make_aim(PLACE), tmp_path)
+    old = read_texture(tmp_path)
+    replaced, replace = [], os.replace
+
+    def stop(source, target):
+        if len(replaced) == kept:
+            raise KeyboardInterrupt
+        replaced.append(target)
+        replace(source, target)
+
+    monkeypatch.setattr("geoaim.base.files.os.replace", stop)
+    with suppress(KeyboardInterrupt):
+        export_texture(make_aim(OBLIQUE), tmp_path, resolution=0.1)
+    assert len(replaced) == min(kept, 4)
+    found = read_texture(tmp_path)
+    assert np.array_equal(found.image, old.image) == (kept < 2)
+    if kept == 4:
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["texture.json", "texture.png"]
+
+
+def test_a_picture_that_would_start_another_program_is_refused(tmp_path):
+    export_texture(make_aim(PLACE), tmp_path)
+    document = json.loads((tmp_path / "texture.json").read_text())
+    for key in ("image_sha256", "checksum"):
+        document.pop(key)
+    (tmp_path / "texture.json").write_text(json.dumps(document))
+    (tmp_path / "texture.png").write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n")
+    with pytest.raises(AimError, match=r"texture\.png"):
+        read_texture(tmp_path)

@@ -1,7 +1,7 @@
 import torch
 
 from geoaim.prediction.augmentation import misplace_ground
-from geoaim.simulation.ground import world_from_pixels
+from geoaim.rendering.ground import world_from_pixels
 from tests.prediction.tiny import hill
 
 

@@ -17,7 +17,7 @@ from geoaim.prediction.observation import index_controlled
 from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
 from geoaim.prediction.windows import HISTORY_STEPS, WINDOW_STEPS, WindowFiles, read_windows
-from geoaim.simulation.scene import make_scene, slice_scene
+from geoaim.rendering.scene import make_scene, slice_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.formats import formats, read_tracks
 from tests.prediction.tiny import TINY
@@ -29,9 +29,7 @@ PAST = slice(FIRST, LAST + 1)
 HISTORY, HORIZON = LAST + 1 - FIRST, STEPS - LAST - 1
 
 
-@pytest.fixture(
-    params=keep_quick(FORMS, "plain, other rate", "Waymo Open Motion", "SDD, pedestrians")
-)
+@pytest.fixture(params=keep_quick(FORMS, "plain, other rate", "ScenarioNet", "SDD, pedestrians"))
 def form(request, monkeypatch):
     """A format of tracks; noise is read without the check that refuses what is implausible."""
     monkeypatch.setattr(formats, "check_plausibility", lambda *_: None)

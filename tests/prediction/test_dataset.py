@@ -5,7 +5,7 @@ import pytest
 from geoaim.base.errors import GeoaimWarning, TracksError
 from geoaim.prediction import dataset
 from geoaim.prediction.dataset import make_dataset
-from geoaim.simulation.scene import slice_scene
+from geoaim.rendering.scene import slice_scene
 from tests.prediction.test_segments import scene
 from tests.prediction.tiny import TINY, hill
 

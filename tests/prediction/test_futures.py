@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from geoaim.prediction.futures import MARGIN_M, Futures
-from geoaim.simulation.ground import make_ground
-from geoaim.simulation.scene import make_scene
+from geoaim.rendering.ground import make_ground
+from geoaim.rendering.scene import make_scene
 from tests.faults.seeds import make_aim, make_tracks
 
 

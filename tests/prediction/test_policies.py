@@ -7,7 +7,7 @@ import torch
 
 from geoaim.prediction import ITRAPolicy, cut_segments, read_pretrained
 from geoaim.prediction.segments import pick
-from geoaim.simulation.prefiltering import prefilter_ground
+from geoaim.rendering.prefiltering import prefilter_ground
 from geoaim.simulation.simulator import rollout
 from tests.prediction.test_itra import KINDS, model, noise
 from tests.prediction.test_predict import hdmap, scene  # noqa: F401 (fixtures)

@@ -19,8 +19,8 @@ from geoaim.prediction.networks import build_cnn
 from geoaim.prediction.pictures import draw_futures, film_futures, write_futures
 from geoaim.prediction.predict import predict
 from geoaim.prediction.training import init_model
-from geoaim.simulation.prefiltering import prefilter_ground
-from geoaim.simulation.scene import make_scene, slice_scene
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import make_scene, slice_scene
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.lights import read_lights
 from tests.prediction.tiny import TINY
@@ -151,6 +151,7 @@ def test_pictures_show_the_futures(scene, hdmap, tmp_path):
     assert len(rows) == int(torch.isfinite(futures.states[..., 0]).sum())
 
 
+@pytest.mark.slow
 def test_commands_predict_and_evaluate_the_sample(hdmap, tmp_path):
     geoaim.write_aim(draw_hdmap(hdmap, resolution=0.5), tmp_path / "m.tif")
     given = [str(tmp_path / "m.tif"), "--tracks", "samples/tracks.csv"]

@@ -17,9 +17,9 @@ from geoaim.prediction.likelihood import (
 from geoaim.prediction.realism import compute_realism, compute_realism_of_futures
 from geoaim.prediction.realism_features import compute_features, compute_kinematics
 from geoaim.prediction.segments import Segments
-from geoaim.simulation.box_distance import compute_box_distance
+from geoaim.rendering.scene import Scene
+from geoaim.simulation.overlap import compute_box_distance
 from geoaim.simulation.road_rules import RoadRules, make_drivable
-from geoaim.simulation.scene import Scene
 from tests.prediction.tiny import drive, hill
 
 HISTORY, STEPS, SAMPLES = 11, 91, 4

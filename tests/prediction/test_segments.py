@@ -15,9 +15,9 @@ from geoaim.prediction.observation import (
     render_observation,
 )
 from geoaim.prediction.segments import concat, repeat, scale
-from geoaim.simulation.ground import make_ground
-from geoaim.simulation.prefiltering import prefilter_ground
-from geoaim.simulation.scene import Scene
+from geoaim.rendering.ground import make_ground
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene
 from tests.prediction.tiny import drive, hill
 
 VIEW = ObservationView(24, 24, 1.0)

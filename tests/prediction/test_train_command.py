@@ -57,6 +57,7 @@ def test_command_fine_tunes_the_pretrained_model_and_plots_the_training(aim, tmp
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_a_training_that_makes_nothing_better_says_so_and_keeps_the_start(
     aim, tmp_path, monkeypatch
 ):
@@ -97,6 +98,7 @@ def write_windows(folder):
     return ["--windows", str(folder / "windows"), "--scenes", str(folder / "scenes.csv")]
 
 
+@pytest.mark.slow
 def test_command_trains_on_windows_what_evaluate_takes(tmp_path):
     files = write_windows(tmp_path / "data")
     few = ["--steps", "13", "--batch-size", "4"]
@@ -118,6 +120,7 @@ def test_command_trains_on_windows_what_evaluate_takes(tmp_path):
         assert message in " ".join(refused.output.split())
 
 
+@pytest.mark.slow
 def test_models_of_cyclists_are_trained_from_scratch(aim, tmp_path):
     given = [str(aim), "--tracks", "samples/tracks.csv", "--kind", "cyclists"]
     mine = ["-o", str(tmp_path / "mine"), "--steps", "1", "--batch-size", "2"]
@@ -135,6 +138,7 @@ def test_models_of_cyclists_are_trained_from_scratch(aim, tmp_path):
     assert "no model of cyclists comes with geoaim" in " ".join(refused.output.split())
 
 
+@pytest.mark.slow
 def test_command_trains_on_a_table_of_recordings(aim, tmp_path, monkeypatch):
     monkeypatch.setattr("geoaim.prediction.training.MAX_VAL_SEGMENTS", 4)
     tracks = geoaim.read_tracks("samples/tracks.csv")

@@ -47,6 +47,7 @@ def same(one, two):
     return all(torch.equal(a, b) for a, b in pairs)
 
 
+@pytest.mark.slow
 def test_interrupted_training_ends_with_the_same_weights(tmp_path):
     whole = train(init_model(TINY), TRAINING, dataset(), tmp_path / "whole")
     with pytest.raises(Killed):
@@ -77,6 +78,7 @@ def test_another_training_in_the_folder_is_rejected(tmp_path):
         train(init_model(TINY), TRAINING, dataset(), tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [

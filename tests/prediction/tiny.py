@@ -4,7 +4,7 @@ import torch
 
 from geoaim.prediction.config import Config
 from geoaim.prediction.segments import PEDESTRIAN, VEHICLE, Segments
-from geoaim.simulation.ground import make_ground
+from geoaim.rendering.ground import make_ground
 from geoaim.simulation.kinematics import bicycle
 from geoaim.tracks.lights import GREEN
 

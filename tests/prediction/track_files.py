@@ -12,8 +12,7 @@ from geoaim.base.world import World
 from geoaim.tracks.files import write_tracks
 from geoaim.tracks.formats import write_geopackage
 from geoaim.tracks.tables import make_tracks
-from tests.tracks.formats import scenarionet_files, waymo_records
-from tests.tracks.formats.waymo_records import double, integer, message, single
+from tests.tracks.formats import scenarionet_files
 
 AGENTS = 4
 MARGIN_M = 20.0  # of the positions from the origin: boxes in pixels are positive
@@ -100,24 +99,6 @@ def _write_argoverse(rows: pd.DataFrame, folder: Path) -> Path:
     return folder / "scenario_a.parquet"
 
 
-def _write_waymo(rows: pd.DataFrame, folder: Path) -> Path:
-    tracks = []
-    for agent, part in rows.groupby("id"):
-        states = [
-            message(
-                *(3, double(2, row.x), double(3, row.y), single(5, row.length)),
-                *(single(6, row.width), single(8, row.heading), single(9, row.vx)),
-                *(single(10, row.vy), integer(11, 1)),
-            )
-            for row in part.itertuples()
-        ]
-        tracks.append(waymo_records.make_track(int(agent), 1, states))
-    times = [double(1, time) for time in sorted(set(rows["time"]))]
-    scenario = b"".join([*times, *tracks, message(5, b"a")])
-    (folder / "a.tfrecord").write_bytes(waymo_records.make_file(scenario))
-    return folder / "a.tfrecord"
-
-
 def _write_scenarionet(rows: pd.DataFrame, folder: Path) -> Path:
     tracks = {}
     for agent, part in rows.groupby("id"):
@@ -200,7 +181,6 @@ FORMS = {  # names begin with that of their `TrackFormat`
     "plain, Parquet": Form(_write_plain("a.parquet"), rate=25.0),
     "GeoPackage": Form(_write_plain("a.gpkg", write_geopackage)),
     "Argoverse 2": Form(_write_argoverse),
-    "Waymo Open Motion": Form(_write_waymo),
     "ScenarioNet": Form(_write_scenarionet),
     "SDD": Form(_write_sdd("Car"), rate=30.0, options=SCALE),
     "SDD, pedestrians": Form(_write_sdd("Pedestrian"), 30.0, "pedestrian", SCALE),

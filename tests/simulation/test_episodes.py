@@ -7,10 +7,10 @@ from shapely import MultiPolygon, box
 from geoaim.base.errors import TracksError
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
+from geoaim.rendering.scene import make_scene, make_tracks
 from geoaim.simulation.episodes import HISTORY_STEPS, POLICY_NAMES, simulate_scene
 from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.road_rules import RoadRules, make_drivable, make_road_rules
-from geoaim.simulation.scene import make_scene, make_tracks
 from geoaim.simulation.scene_infractions import detect_infractions
 from geoaim.tracks.files import write_tracks
 from geoaim.tracks.formats import read_tracks
@@ -51,6 +51,7 @@ def test_rates_stand_beside_those_of_the_recording(scene, hdmap):
     assert straight.rates["wrong way"] > recorded["wrong way"] == 0
 
 
+@pytest.mark.slow
 def test_turned_vehicles_drive_the_wrong_way(scene, hdmap):
     rules, everyone = make_road_rules(hdmap), torch.ones(len(scene.ids)).bool()
     half = torch.tensor([0.0, 0.0, torch.pi])
@@ -172,6 +173,7 @@ def test_controlled_agents_are_present_in_simulated_steps(scene):
         simulate_scene(reversing, "replay")
 
 
+@pytest.mark.slow
 def test_idm_drives_vehicles_without_overlaps(scene):
     episode = simulate_scene(scene, "idm", duration=60.0)
     types = {scene.types[k] for k in episode.controlled.nonzero()[:, 0].tolist()}

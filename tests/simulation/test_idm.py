@@ -110,6 +110,7 @@ def test_drivers_that_merge_follow_each_other():
     assert not present[-1].any()
 
 
+@pytest.mark.slow
 def test_stopped_drivers_do_not_wait_for_each_other_where_they_merge():
     """The lorry has entered the merge and stands behind the car, which has not."""
     scenario = _drive(
@@ -129,6 +130,7 @@ def test_drivers_who_both_stand_at_a_crossing_do_not_wait_for_each_other(place):
     assert not present[-1].any()
 
 
+@pytest.mark.slow
 def test_ring_of_drivers_does_not_block_itself():
     corners = np.array([[-40, -1.6], [1.6, -40], [40, 1.6], [-1.6, 40]])
     headings = [0, np.pi / 2, np.pi, -np.pi / 2]
@@ -149,6 +151,7 @@ def test_driver_yields_to_a_pedestrian_who_replays():
     assert not present[-1, 0]
 
 
+@pytest.mark.slow
 def test_queue_keeps_the_crossing_clear():
     scenario = _drive([[0.0, 0, 0, 8], [44.0, 0, 0, 0], [35.0, -40, np.pi / 2, 6]], steps=300)
     routes = _follow([[0, 0], [90, 0]], [[44, 0], [90, 0]], [[35, -40], [35, 60]])

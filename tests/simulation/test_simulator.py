@@ -1,11 +1,20 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from geoaim.simulation import OrientedBoxes, Scene, View, make_ground, prefilter_ground, render
+from geoaim.rendering import OrientedBoxes, Scene, View, make_ground, prefilter_ground, render
 from geoaim.simulation.kinematics import bicycle, unicycle
 from geoaim.simulation.policies import constant_turn_rate, constant_velocity
-from geoaim.simulation.simulator import Scenario, apply_rollout, invert_step, rollout, step
+from geoaim.simulation.simulator import (
+    Scenario,
+    apply_rollout,
+    collate_scenarios,
+    invert_step,
+    rollout,
+    step,
+)
 
 DT = 0.1
 
@@ -161,3 +170,27 @@ def test_absent_agents_of_a_simulated_scene_are_nan():
     after = apply_rollout(scene, result[0].float(), 0)
     assert torch.equal(torch.isfinite(after.speeds), after.present)
     assert torch.equal(torch.isfinite(after.poses).all(dim=2), after.present)
+
+
+def test_collated_scenarios_move_as_each_of_them():
+    generator, scenarios = torch.Generator().manual_seed(2), []
+    for count, agents in ((1, 2), (2, 4)):
+        states = torch.rand(count, agents, 6, 4, generator=generator) * 5
+        present = torch.rand(count, agents, 6, generator=generator) > 0.1
+        sizes, walks = torch.full((count, agents, 2), 2.0), torch.zeros(count, agents).bool()
+        scenarios.append(Scenario(states, present, sizes, walks, 0.1))
+
+    def policy(scenario, path):
+        return torch.full_like(path[:, :, -1, :2], 0.3)
+
+    both = collate_scenarios(scenarios)
+    paths = [
+        rollout(one, policy, torch.ones_like(one.present[..., 0]), history=2)
+        for one in (both, *scenarios)
+    ]
+    torch.testing.assert_close(paths[0][:1, :2], paths[1])
+    torch.testing.assert_close(paths[0][1:], paths[2])
+    assert not both.present[0, 2:].any()
+    assert both.to(dtype=torch.float64).states.dtype == torch.float64
+    with pytest.raises(ValueError, match="with the same steps are needed"):
+        collate_scenarios([both, replace(both, dt=0.2)])

@@ -18,10 +18,10 @@ from geoaim.prediction.futures import Futures
 from geoaim.prediction.metrics import compute_metrics
 from geoaim.prediction.realism import compute_realism, compute_realism_of_futures
 from geoaim.prediction.segments import concat
+from geoaim.rendering.scene import make_scene, make_tracks
 from geoaim.simulation.episodes import simulate_scene
 from geoaim.simulation.infractions import Lanes
 from geoaim.simulation.road_rules import check_rules, make_road_rules, move_rules, stack_rules
-from geoaim.simulation.scene import make_scene, make_tracks
 from geoaim.simulation.scene_infractions import detect_infractions
 from geoaim.tracks.tracks import Tracks
 
@@ -140,7 +140,7 @@ def test_segments_of_two_worlds_have_no_rules_of_one(scene):
 
 
 def test_a_ground_of_another_origin_is_moved(scene):
-    from geoaim.simulation.worlds import move_ground
+    from geoaim.rendering.ground import move_ground
 
     there = move_ground(scene.ground, SHIFTED)
     low = (there.bounds[0, 0] - scene.ground.bounds[0, 0]).tolist()

@@ -1,18 +1,19 @@
 """Helpers that drive the viewer in a browser."""
 
-import threading
 from contextlib import contextmanager
 
 from geoaim.web.server import ViewServer
 from tests.waiting import wait_until
 
+SERVERS: set[str] = set()  # addresses that are served now
+
 
 @contextmanager
 def serve(view):
     with ViewServer(view) as server:
-        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        SERVERS.add(server.address)
         yield server.address
-        server.shutdown()
+        SERVERS.remove(server.address)
 
 
 def wait_for(page, condition):

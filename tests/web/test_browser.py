@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geoaim.web.html_file import write_html
+from geoaim.web.map_view import write_html
 from tests.waiting import wait_until
 from tests.web.browser import open_view, serve, wait_for
 

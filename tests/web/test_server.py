@@ -1,5 +1,7 @@
 import http.client
 import json
+import re
+import socket
 import threading
 import time
 from dataclasses import replace
@@ -24,13 +26,11 @@ def refuse(action):
 @pytest.fixture
 def server():
     with ViewServer(MapView(SECRET, call=refuse)) as started:
-        threading.Thread(target=started.serve_forever, args=(0.02,), daemon=True).start()
         yield started
-        started.shutdown()
 
 
 def ask(server, path, method="GET", body=None, **headers):
-    connection = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=LIMIT_S)
+    connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=LIMIT_S)
     connection.putrequest(method, path, skip_host="Host" in headers)
     names = {name.replace("_", "-"): value for name, value in headers.items()}
     if body is not None:
@@ -67,12 +67,12 @@ def test_without_the_token_nothing_is_told(server, path):
 
 def test_other_origins_and_hosts_are_refused(server):
     path = f"/{server.token}/description.json"
-    own = f"127.0.0.1:{server.server_port}"
+    own = f"127.0.0.1:{server.server_address[1]}"
     for headers in (
         {"Origin": "https://evil.example"},
         {"Origin": "null"},
         {"Host": "evil.example"},
-        {"Host": f"localhost.evil.example:{server.server_port}"},
+        {"Host": f"localhost.evil.example:{server.server_address[1]}"},
     ):
         assert ask(server, path, **headers)[0] == 403
     assert ask(server, path, Host=own, Origin=f"http://{own}")[0] == 200
@@ -91,7 +91,10 @@ def test_calls_are_answered_or_refused_by_one_line(server):
     assert (status, content) == (422, b"a point needs u and v")
     assert ask(server, path, "POST", b"{", **kind)[0] == 422
     assert ask(server, path, "POST", b"{}", Content_Type="text/plain")[0] == 415
-    assert ask(server, path, "POST", None, Content_Length="9999999999", **kind)[0] == 413
+    for length in ("9999999999", "9" * 5000, "-1", "x"):
+        assert ask(server, path, "POST", None, Content_Length=length, **kind)[0] == 400
+    for body in (b"[]", b"1", b"null", b"[" * 100_000):
+        assert ask(server, path, "POST", body, **kind)[0] == 422
     assert ask(server, "/wrong/call", "POST", b"{}", **kind)[0] == 403
     server.view = replace(server.view, call=None)
     assert ask(server, path, "POST", b"{}", **kind)[0] == 404
@@ -112,11 +115,11 @@ def test_it_stops_when_its_last_page_is_closed(monkeypatch):
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=sleep)
     monkeypatch.setattr(served, "time", clock)
     with ViewServer(MapView(SECRET)) as started:
-        waiting = threading.Thread(target=started.serve, daemon=True)
+        waiting = threading.Thread(target=started.wait, daemon=True)
         waiting.start()
         pass_seconds(1000.0)
         assert waiting.is_alive()  # the page was not opened yet
-        connection = http.client.HTTPConnection("127.0.0.1", started.server_port)
+        connection = http.client.HTTPConnection("127.0.0.1", started.server_address[1])
         connection.request("GET", f"/{started.token}/alive")
         answer = connection.getresponse()
         assert answer.read(3) == b":\n\n"
@@ -130,3 +133,22 @@ def test_it_stops_when_its_last_page_is_closed(monkeypatch):
         pass_seconds(served.CLOSED_S)
         waiting.join(LIMIT_S)
         assert not waiting.is_alive()
+
+
+def test_half_open_clients_take_no_threads_and_the_page_answers(server):
+    clients = [socket.create_connection(server.server_address) for _ in range(200)]
+    for client in clients:
+        client.sendall(b"GET / HTTP/1.1\r\nHost: ")
+    assert ask(server, f"/{server.token}/")[0] == 200
+    assert threading.active_count() < 50
+    for client in clients:
+        client.close()
+
+
+@pytest.mark.parametrize(
+    "request_line", [b"GET http://[::1 HTTP/1.1", b"GET  HTTP/1.1", b"\xff\xfe", b"BREW / HTTP/1.1"]
+)
+def test_an_odd_request_is_answered(server, request_line):
+    with socket.create_connection(server.server_address, timeout=LIMIT_S) as client:
+        client.sendall(request_line + b"\r\nHost: a\r\nConnection: close\r\n\r\n")
+        assert re.match(rb"HTTP/1.1 4\d\d ", client.recv(100))

@@ -18,8 +18,8 @@ from benchmarks.registration.stability.kinds import KINDS, Disturbance
 from benchmarks.registration.stability.motion import CameraMotion, draw_motion
 from benchmarks.registration.stability.splines import SplineScene
 from benchmarks.registration.stability.warped import WarpedScene
-from geoaim.synthetic import draw_place, make_place
-from geoaim.synthetic.roads.layouts import PlaceKind
+from benchmarks.synthetic import draw_place, make_place
+from benchmarks.synthetic.roads.layouts import PlaceKind
 
 FRAMES = 11
 SMALL, LARGE = (540, 960), (1080, 1920)  # height and width of the frames, px

@@ -70,7 +70,7 @@ def run_rivals(case: SweepCase, clip: Clip, methods: dict[str, Method]) -> list[
     return rows
 
 
-def main(
+def main(  # noqa: PLR0913  (its options)
     output: Annotated[Path, typer.Option("-o", help="folder to write")] = Path("build/stability"),
     split: Annotated[str, typer.Option(help="validation or test")] = "validation",
     kinds: Annotated[str, typer.Option(help="separated by semicolons; all by default")] = "",

@@ -5,7 +5,7 @@ given count; `mapping.sampling` chooses them.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,9 +13,14 @@ from jaxtyping import Bool, Float, UInt8
 from numpy import ndarray as Array
 
 from geoaim.base.errors import BackgroundError
-from geoaim.mapping.background import running_mean
-from geoaim.mapping.background.exposure import apply_gain, black_level, estimate_gain
-from geoaim.mapping.background.traffic_removal import MIN_FRAMES, Traffic, find_traffic
+from geoaim.mapping.background.exposure import (
+    apply_gain,
+    black_level,
+    estimate_gain,
+    start_exposure,
+)
+from geoaim.mapping.background.running_mean import Background, Registered, RunningMean, draw_outside
+from geoaim.mapping.background.traffic_removal import MIN_FRAMES, find_traffic
 from geoaim.mapping.background.warping import draw_footprint, enlarge_mask, warp
 from geoaim.mapping.video.detections import Detections
 from geoaim.mapping.video.frames import Frame
@@ -23,32 +28,84 @@ from geoaim.mapping.video.frames import Frame
 MAX_SMALL_SIDE_PX = 1024  # longest side of the small frames in which traffic is searched
 
 
-@dataclass(eq=False)
-class TrafficSearch(running_mean.Accumulation):
-    """Small copies of the frames that `add_to_search` has added so far, and the traffic in them."""
+class TrafficSearch:
+    """Small copies of the frames that are added, in which traffic is searched once, at the end.
 
-    detections: Detections | None = None  # known traffic, or None
-    # the small frames, warped to the image
-    stack: list[UInt8[Array, "h w 3"]] = field(init=False, default_factory=list)
-    # the pixels of the image that each small frame shows outside of boxes
-    seen: list[Bool[Array, "h w"]] = field(init=False, default_factory=list)
-    # their times, s
-    times: list[float] = field(init=False, default_factory=list)
-    # the traffic in these frames; None if it was not searched since the last one was added
-    traffic: Traffic | None = field(init=False, default=None)
+    Args:
+        size: (height, width) of the image, pixels.
+        detections: known traffic, or None.
+    """
+
+    def __init__(self, size: tuple[int, int], detections: Detections | None = None) -> None:
+        self.size, self.detections = size, detections
+        self._reduction = -(-max(size) // MAX_SMALL_SIDE_PX)
+        self._exposure = start_exposure(size)
+        self._stack: list[UInt8[Array, "h w 3"]] = []  # warped to the image
+        self._seen: list[Bool[Array, "h w"]] = []  # what each shows of the image outside of boxes
+        self._times: list[float] = []  # seconds
 
     @property
-    def reduction(self) -> int:
-        """Size of the image over that of the small frames."""
-        return -(-max(self.size) // MAX_SMALL_SIDE_PX)
+    def frame_count(self) -> int:
+        """Number of frames that were added."""
+        return len(self._times)
+
+    def add(self, frame: Frame, image_from_frame: Float[Array, "3 3"]) -> None:
+        """Add a registered frame; with detections, one without an entry in them is skipped.
+
+        Args:
+            frame: the frame.
+            image_from_frame: (3, 3) pixels of the frame to pixels of the background.
+        """
+        outside = None
+        if self.detections is not None:
+            outside = draw_outside(self.detections, frame, image_from_frame, self.size)
+            if outside is None:
+                return
+        small = -(-self.size[0] // self._reduction), -(-self.size[1] // self._reduction)
+        small_from_image = np.diag([small[1] / self.size[1], small[0] / self.size[0], 1.0])
+        gain = estimate_gain(self._exposure, frame, image_from_frame)
+        pixels, small_from_frame = _shrink_frame(frame, self._reduction, gain)
+        matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
+        seen = draw_footprint(pixels.shape, matrix, small)
+        if outside is not None:
+            seen *= np.asarray(cv2.resize(outside, small[::-1], interpolation=cv2.INTER_NEAREST))
+        self._stack.append(warp(pixels, matrix, small))
+        self._seen.append(seen.view(bool))
+        self._times.append(frame.time)
+
+    def average(self, frames: Iterable[Registered]) -> Background:
+        """Average the frames that were added, in the same order, without their traffic.
+
+        The small frames are dropped.
+
+        Raises:
+            BackgroundError: fewer than 4 frames.
+        """
+        if self.frame_count < MIN_FRAMES:
+            raise BackgroundError(
+                f"{self.frame_count} registered frames; at least {MIN_FRAMES} are needed to tell "
+                "traffic from ground: register more frames, give detections, or average the "
+                "frames as they are"
+            )
+        stack, seen = np.stack(self._stack), np.stack(self._seen)
+        self._stack.clear()
+        self._seen.clear()
+        traffic = find_traffic(stack, seen, np.argsort(self._times, kind="stable"))
+        del stack, seen
+        mean = RunningMean(self.size, self.detections)
+        if (known := self.detections) is not None:
+            frames = (pair for pair in frames if known(pair[0]) is not None)
+        # the masks first: when they run out, no further frame is read
+        for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
+            mean.add(frame, image_from_frame, enlarge_mask(~mask, self.size))
+        ground = mean.finish()
+        contested = enlarge_mask(traffic.contested, self.size).view(bool) & (ground.coverage > 0)
+        return replace(ground, contested=ground.contested | contested)
 
 
 def remove_traffic(
-    frames: Iterable[running_mean.Registered],
-    *,
-    size: tuple[int, int],
-    detections: Detections | None = None,
-) -> running_mean.Background:
+    frames: Iterable[Registered], *, size: tuple[int, int], detections: Detections | None = None
+) -> Background:
     """Average the pixels of registered frames that `traffic_removal` classifies as ground.
 
     Args:
@@ -69,80 +126,10 @@ def remove_traffic(
         raise TypeError(
             "the frames are read twice: give a list, or make __iter__ start again from the first"
         )
-    search = TrafficSearch(size, detections=detections)
+    search = TrafficSearch(size, detections)
     for frame, image_from_frame in frames:
-        add_to_search(search, frame, image_from_frame)
-    return average_ground(frames, search)
-
-
-def add_to_search(
-    search: TrafficSearch, frame: Frame, image_from_frame: Float[Array, "3 3"]
-) -> None:
-    """Add a registered frame to a search, in place, and search at 16, 32, 64 frames.
-
-    Args:
-        search: the search; if it has detections, a frame without an entry in them is skipped.
-        frame: the frame.
-        image_from_frame: (3, 3) pixels of the frame to pixels of the background.
-    """
-    outside = None
-    if search.detections is not None:
-        outside = running_mean.draw_outside(search.detections, frame, image_from_frame, search.size)
-        if outside is None:
-            return
-    small = -(-search.size[0] // search.reduction), -(-search.size[1] // search.reduction)
-    small_from_image = np.diag([small[1] / search.size[1], small[0] / search.size[0], 1.0])
-    gain = estimate_gain(search.exposure, frame, image_from_frame)
-    pixels, small_from_frame = _shrink_frame(frame, search.reduction, gain)
-    matrix = small_from_image @ image_from_frame @ np.linalg.inv(small_from_frame)
-    seen = draw_footprint(pixels.shape, matrix, small)
-    if outside is not None:
-        seen *= np.asarray(cv2.resize(outside, small[::-1], interpolation=cv2.INTER_NEAREST))
-    search.stack.append(warp(pixels, matrix, small))
-    search.seen.append(seen.view(bool))
-    search.times.append(frame.time)
-    search.traffic = None
-    if search.tolerance > 0 and running_mean.is_time_to_check(len(search.stack)):
-        search.traffic = _find_traffic(search)
-        ground = search.traffic.background.astype(np.float32)
-        running_mean.measure_change(search, running_mean.average_blocks(ground, search.reduction))
-
-
-def average_ground(
-    frames: Iterable[running_mean.Registered], search: TrafficSearch
-) -> running_mean.Background:
-    """Average frames without the traffic of a search; the search's small frames are dropped.
-
-    The frames are those that `add_to_search` got, in the same order.
-
-    Raises:
-        BackgroundError: fewer than 4 frames.
-    """
-    if len(search.stack) < MIN_FRAMES:
-        raise BackgroundError(
-            f"{len(search.stack)} registered frames; at least {MIN_FRAMES} are needed to tell "
-            "traffic from ground: register more frames, give detections, or average the frames as "
-            "they are"
-        )
-    traffic = search.traffic or _find_traffic(search)
-    search.stack.clear()
-    search.seen.clear()
-    mean = running_mean.RunningMean(search.size, detections=search.detections)
-    if (known := search.detections) is not None:
-        frames = (pair for pair in frames if known(pair[0]) is not None)
-    # the masks first: when they run out, no further frame is read
-    for mask, (frame, image_from_frame) in zip(traffic.masks, frames, strict=False):
-        running_mean.add_to_mean(mean, frame, image_from_frame, enlarge_mask(~mask, search.size))
-    ground = running_mean.finish_mean(mean)
-    contested = enlarge_mask(traffic.contested, search.size).view(bool) & (ground.coverage > 0)
-    return replace(ground, contested=ground.contested | contested, change=search.change)
-
-
-def _find_traffic(search: TrafficSearch) -> Traffic:
-    """Find traffic in the small frames, which become views of one array: nothing is held twice."""
-    stack, seen = np.stack(search.stack), np.stack(search.seen)
-    search.stack[:], search.seen[:] = stack, seen
-    return find_traffic(stack, seen, np.argsort(search.times, kind="stable"))
+        search.add(frame, image_from_frame)
+    return search.average(frames)
 
 
 def _shrink_frame(

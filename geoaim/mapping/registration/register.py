@@ -228,8 +228,8 @@ def choose_reference(
         detections: vehicles whose pixels are left out; None uses all pixels.
         model: the motion model; None chooses the simplest that the frames need.
         time: time of the reference, seconds; None chooses it.
-        probes: frames from the whole video, in order of time, that have been read already; five of
-            them are used. Without any, five are read, unless time and model are given.
+        probes: frames from the whole video, in order of time, that have been read already; five to
+            sixteen of them are used. Without any, five are read, unless time and model are given.
         prefer_first: whether the first frame is tried instead of the middle one.
 
     Returns:
@@ -242,8 +242,7 @@ def choose_reference(
         time = 0.0  # any frame serves
     is_given = time is not None and model is not None
     read = list(probes) or ([] if is_given else list(video.sample(PROBE_FRAMES)))
-    spread = np.linspace(0, len(read) - 1, min(PROBE_FRAMES, len(read))).round().astype(int)
-    probes = [read[i] for i in spread]
+    probes = _spread(read, PROBE_FRAMES)
     if time is None:
         frame = probes[0 if prefer_first else len(probes) // 2]
     else:
@@ -252,10 +251,8 @@ def choose_reference(
     reference = _make_reference(frame, detections, model)
     others = [probe for probe in probes if probe.index != frame.index]
     if model is None and may_stand(others, reference.keyframe):
-        spread_frames = (
-            read if len(read) >= EVIDENCE_FRAMES else list(video.sample(EVIDENCE_FRAMES))
-        )
-        if stands_still(spread_frames):
+        evidence = read if len(read) >= EVIDENCE_FRAMES else list(video.sample(EVIDENCE_FRAMES))
+        if stands_still(_spread(evidence, EVIDENCE_FRAMES)):
             return replace(reference, model="rest")
     placed = [] if is_given else _register_probes(reference, probes)
     if time is None and not all(result.valid for result, _ in placed):
@@ -273,6 +270,12 @@ def choose_reference(
             f"{MIN_INLIERS} are needed; pass the reference_time of a sharper frame"
         )
     return reference if model else _choose_model(reference, placed)
+
+
+def _spread(frames: Sequence[Frame], count: int) -> list[Frame]:
+    """Take up to a number of frames, spread over all."""
+    chosen = np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int)
+    return [frames[i] for i in chosen]
 
 
 def register_frames(

@@ -1,7 +1,7 @@
 """A table of the boxes of all frames, as files of detections hold them."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,27 +9,31 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from geoaim.base.errors import GeoaimError
 from geoaim.mapping.video.frame_numbers import find_first
 from geoaim.mapping.video.video import Video
 
 CORNERS = ("u0", "v0", "u1", "v1", "u2", "v2", "u3", "v3")
 BOX = ("left", "top", "right", "bottom")
-DEFAULTS: Mapping[str, float | str] = {"score": np.nan, "class": "", "id": ""}
 MAX_TIME_OFFSET_S = 0.5  # of a frame from the boxes that are nearest in time
+TIME_UNITS = {"s": 1.0, "ms": 1e3, "µs": 1e6, "ns": 1e9}  # in a second
+MIN_REGULAR = 5  # numbers of frames that tell their stride
+SLACK = 1.05  # by which times may exceed the video's duration
+MIN_COVERED = 0.6  # share of the video's frames before the last one with boxes; fewer are odd
 
 
 @dataclass(frozen=True, eq=False)
-class BoxTable:
-    """The boxes of all frames: a row for each, with `BOX`, score, class, id and maybe `CORNERS`."""
+class FrameRows:
+    """The rows of each frame: by the name of its image, by its number, or by its time."""
 
-    rows: pd.DataFrame
-    has_shares: bool  # whether positions are shares of the image's size, and not pixels
-    rows_of_name: Mapping[str, Int[Array, " _"]] | None = None  # by the name of the image
-    rows_of_number: Mapping[int, Int[Array, " _"]] | None = None  # by the index of the frame
-    times: Float[Array, " K"] | None = None  # of the frames that have rows, increasing, s
-    rows_of_time: Sequence[Int[Array, " _"]] = ()
+    of_name: Mapping[str, Int[Array, " _"]] | None = None
+    numbers: Float[Array, " K"] | None = None  # of frames with rows, increasing; or their times
+    rows: tuple[Int[Array, " _"], ...] = ()  # of each
+    stride: float = 1.0  # from one frame with boxes to the next; or seconds
+    by_time: bool = False
+    remarks: tuple[str, ...] = ()
 
-    def find_rows(self, name: str | None, index: int, time: float) -> Int[Array, " _"] | None:
+    def find(self, name: str | None, index: int, time: float) -> Int[Array, " _"] | None:
         """Find the rows of a frame.
 
         Args:
@@ -39,21 +43,31 @@ class BoxTable:
 
         Returns:
             Numbers of rows; None: the boxes of the frame are not known. Between the first and the
-            last frame with rows, one without rows has no boxes.
+            last frame with rows, one where rows are to be expected by the stride has no boxes.
         """
-        if self.rows_of_name is not None and name is not None:
-            return self.rows_of_name.get(strip_zeros(Path(name).stem))
-        if self.rows_of_number is not None:
-            return self.rows_of_number.get(index)
-        if self.times is None or not len(self.times):
+        if self.of_name is not None and name is not None:
+            return self.of_name.get(strip_zeros(Path(name).stem))
+        if self.numbers is None or not len(self.numbers):
             return None
-        nearest = int(np.abs(self.times - time).argmin())
-        gaps = np.diff(self.times)
-        usual = float(np.median(gaps)) if len(gaps) else MAX_TIME_OFFSET_S
-        if abs(self.times[nearest] - time) <= min(usual / 2 * (1 + 1e-6), MAX_TIME_OFFSET_S):
-            return self.rows_of_time[nearest]
-        inside = self.times[0] < time < self.times[-1]
-        return np.empty(0, int) if inside else None
+        place = time if self.by_time else float(index)
+        nearest = int(np.abs(self.numbers - place).argmin())
+        reach = min(self.stride / 2 * (1 + 1e-6), MAX_TIME_OFFSET_S) if self.by_time else 0.0
+        if abs(self.numbers[nearest] - place) <= reach:
+            return self.rows[nearest]
+        return np.empty(0, int) if self._is_expected(place) else None
+
+    def _is_expected(self, place: float) -> bool:
+        """Whether a frame without rows is one for which the detector was asked."""
+        assert self.numbers is not None
+        after = int(np.searchsorted(self.numbers, place))
+        if not 0 < after < len(self.numbers):
+            return False
+        if self.by_time:
+            return True
+        before, gap = self.numbers[after - 1], self.numbers[after] - self.numbers[after - 1]
+        count = max(round(gap / self.stride), 1)
+        expected = before + round((place - before) * count / gap) * gap / count
+        return bool(np.floor(expected + 0.5) == place)
 
 
 def strip_zeros(stem: str) -> str:
@@ -61,76 +75,161 @@ def strip_zeros(stem: str) -> str:
     return stem.lstrip("0") or "0"
 
 
-def make_named_table(
-    rows: pd.DataFrame,
-    names: Iterable[str],
-    numbers: Mapping[str, int] | None,
-    *,
-    has_shares: bool = False,
-) -> BoxTable:
-    """Make a table whose rows have the names of frames.
+def group_by_name(
+    names: "pd.Series[str]", listed: Collection[str], numbers: Mapping[str, int] | None
+) -> FrameRows:
+    """Group rows by the names of frames.
 
     Args:
-        rows: a row for each box, with the column `name`.
-        names: of all frames, with boxes or without.
+        names: of each row.
+        listed: of all frames, with boxes or without.
         numbers: the index of the frame of each name; None where names tell none.
-        has_shares: whether positions are shares of the image's size.
 
     Returns:
-        The table.
+        The rows of each frame.
     """
-    rows = _complete(rows)
-    known = {strip_zeros(name): np.empty(0, int) for name in names}
-    known |= _find_groups(rows["name"].map(strip_zeros))
-    by_number = {number: known[strip_zeros(name)] for name, number in (numbers or {}).items()}
-    return BoxTable(rows, has_shares, known, by_number or None)
+    indices = names.reset_index(drop=True).map(strip_zeros).to_numpy(str)
+    known = {strip_zeros(name): np.empty(0, int) for name in listed}
+    order = np.argsort(indices, kind="stable")
+    found, starts = np.unique(indices[order], return_index=True)
+    parts = np.split(order, starts[1:]) if len(found) else []
+    known |= dict(zip(found.tolist(), parts, strict=True))
+    if not numbers:
+        return FrameRows(known)
+    by_number = sorted((number, known[strip_zeros(name)]) for name, number in numbers.items())
+    return FrameRows(
+        known,
+        np.array([number for number, _ in by_number], float),
+        tuple(rows for _, rows in by_number),
+        stride=np.inf,  # only those that are listed are known
+    )
 
 
-def make_numbered_table(
-    rows: pd.DataFrame, rate: float | None, video: Video | None, source: Path, usual: int | None
-) -> BoxTable:
-    """Make a table of rows with a column `frame`.
+def place_numbers(
+    groups: FrameRows,
+    *,
+    rate: float | None,
+    first: int | None,
+    usual: int | None,
+    video: Video | None,
+    source: str | Path,
+) -> FrameRows:
+    """Place rows that are grouped by numbers of frames.
 
     Args:
-        rows: a row for each box.
+        groups: rows by numbers as they are written.
         rate: frames per second by which numbers count as times; None: they number the frames.
-        video: as in `find_first`.
-        source: as there.
+        first: number of the first frame; None: as `find_first` finds it.
         usual: as there.
+        video: as there.
+        source: as there.
 
     Returns:
-        The table.
+        The rows of each frame, by its index.
     """
-    rows = rows.assign(frame=rows["frame"].round().astype(int))
+    numbers = groups.numbers
+    if numbers is None or not len(numbers):
+        return groups
     if rate is not None:
-        first = usual if usual and rows["frame"].min() > 0 else 0
-        return make_timed_table(rows.assign(time=(rows["frame"] - first) / rate))
-    first = find_first(set(rows["frame"]), video, source, usual=usual)
-    rows = _complete(rows.assign(frame=rows["frame"] - first))
-    known = {number: np.empty(0, int) for number in range(rows["frame"].min(), rows["frame"].max())}
-    groups = {int(name): found for name, found in _find_groups(rows["frame"].map(str)).items()}
-    return BoxTable(rows, False, None, known | groups)
+        start = first if first is not None else usual if usual and numbers.min() > 0 else 0
+        timed = replace(groups, numbers=(numbers - start) / rate, stride=groups.stride / rate)
+        return place_times(timed, video=video, source=source, unit="s")
+    chosen = {int(number) for number in numbers.tolist()}
+    start = find_first(chosen, video, source, usual=usual) if first is None else first
+    stride = max(groups.stride, 1.0) if len(numbers) >= MIN_REGULAR else 1.0
+    groups = replace(groups, numbers=numbers - start, stride=stride)
+    count, last = None if video is None else video.count_frames(), float(numbers.max()) - start
+    step = stride if np.isfinite(stride) else 1.0
+    if video is None or not count or last + step >= MIN_COVERED * count:
+        return groups
+    usual_rate = (last + 1) / count * video.rate
+    remark = (
+        f"its frame numbers end at {last + start:.0f} and the video has {count} frames; if it has "
+        f"not all frames of the video, give their --rate in a second (such as {usual_rate:.3g})"
+    )
+    return replace(groups, remarks=(remark,))
 
 
-def make_timed_table(rows: pd.DataFrame) -> BoxTable:
-    """Make a table of rows with a column `time` (s); the boxes of a frame are the nearest ones."""
-    rows = _complete(rows)
-    times, place = np.unique(rows["time"].to_numpy(np.float64), return_inverse=True)
+def place_times(
+    groups: FrameRows, *, video: Video | None, source: str | Path, unit: str | None
+) -> FrameRows:
+    """Place rows that are grouped by time: those of each time belong to the nearest frame.
+
+    Args:
+        groups: rows by times as they are written.
+        video: whose frames they are; None: each frame takes the boxes of the nearest time.
+        source: the file that messages name.
+        unit: of the times, a key of `TIME_UNITS`; None: found by the video's duration.
+
+    Returns:
+        The rows of each frame, by its index, or by its time without a video.
+
+    Raises:
+        GeoaimError: no time is one of the video.
+    """
+    frames = None if video is None else _list_times(video)
+    times, remarks = groups.numbers, []
+    if times is None or not len(times):
+        return groups
+    if unit is None:
+        unit = "s" if frames is None else _find_unit(times, float(frames[-1]))
+        if unit != "s":
+            remarks.append(f"its times are taken to be in {unit}")
+    times, stride = times / TIME_UNITS[unit], groups.stride / TIME_UNITS[unit]
+    if frames is None or video is None:
+        return replace(groups, numbers=times, stride=stride, by_time=True)
+    nearest = np.searchsorted((frames[1:] + frames[:-1]) / 2, times)
+    distance = np.abs(frames[nearest] - times)
+    half = float(np.median(np.diff(frames))) / 2 if len(frames) > 1 else MAX_TIME_OFFSET_S
+    usable = distance <= max(half, min(stride / 2, MAX_TIME_OFFSET_S)) * (1 + 1e-6)
+    if not usable.any():
+        raise GeoaimError(
+            f"{source} has boxes of {times.min():g} to {times.max():g} s, and {video.source} lasts "
+            f"{frames[-1]:.1f} s: none is of a frame; give times since the first frame, or --rate"
+        )
+    chosen = np.lexsort((distance, nearest))
+    chosen = chosen[usable[chosen]]
+    chosen = chosen[np.unique(nearest[chosen], return_index=True)[1]]
+    rows = tuple(groups.rows[number] for number in chosen)
+    count = sum(map(len, groups.rows))
+    if unused := count - sum(map(len, rows)):
+        remarks.append(f"{unused} of {count} boxes are left out: another time is nearer to a frame")
+    numbers = nearest[chosen].astype(float)
+    stride = stride if np.isinf(stride) else max(find_stride(numbers), 1.0)
+    return FrameRows(None, numbers, rows, stride, remarks=tuple(remarks))
+
+
+def _list_times(video: Video) -> Float[Array, " n"] | None:
+    times, count = video.read_times(), video.count_frames()
+    if times is not None and len(times):
+        return times
+    return None if not count else np.arange(count) / video.rate
+
+
+def _find_unit(times: Float[Array, "m"], duration: float) -> str:
+    """Find the unit in which times fill the video; seconds where they do so."""
+    longest = float(times.max(initial=0.0))
+    if longest <= SLACK * duration + MAX_TIME_OFFSET_S:
+        return "s"
+    limit = SLACK * duration
+    fitting = [u for u, n in TIME_UNITS.items() if limit / 20 < longest / n <= limit]
+    return fitting[0] if fitting else "s"
+
+
+def group_by_value(values: Float[Array, "m"]) -> FrameRows:
+    """Group rows by their numbers of frames, or by their times."""
+    if not len(values):
+        return FrameRows(None, values)
+    numbers, place = np.unique(values, return_inverse=True)
     order = np.argsort(place, kind="stable")
-    parts = np.split(order, np.searchsorted(place[order], np.arange(1, len(times))))
-    return BoxTable(rows, False, times=times, rows_of_time=parts)
+    parts = np.split(order, np.searchsorted(place[order], np.arange(1, len(numbers))))
+    return FrameRows(None, numbers, tuple(parts), find_stride(numbers))
 
 
-def _find_groups(names: "pd.Series[str]") -> dict[str, Int[Array, " _"]]:
-    """Find the rows of each name."""
-    indices = names.reset_index(drop=True).groupby(names.to_numpy()).indices
-    return {str(name): np.asarray(rows, int) for name, rows in indices.items()}
-
-
-def _complete(rows: pd.DataFrame) -> pd.DataFrame:
-    """Complete columns that a format lacks."""
-    rows = rows.reset_index(drop=True)
-    for name, value in DEFAULTS.items():
-        if name not in rows:
-            rows[name] = value
-    return rows
+def find_stride(numbers: Float[Array, " n"]) -> float:
+    """Find the usual distance of successive numbers; gaps where nothing was detected aside."""
+    gaps = np.diff(numbers)
+    if not len(gaps):
+        return 1.0
+    least = float(np.quantile(gaps, 0.1))
+    return float(gaps[gaps <= 1.5 * least + 1e-9].mean())

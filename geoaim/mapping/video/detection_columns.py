@@ -2,30 +2,41 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from geoaim.base.errors import GeoaimError
-from geoaim.mapping.video.box_tables import BOX
+from geoaim.mapping.video.box_tables import BOX, TIME_UNITS
+from geoaim.mapping.video.detection_checks import RawBoxes
 
 # what a column holds: names that it has in common tables, in lower case
 KNOWN_NAMES: Mapping[str, tuple[str, ...]] = {
-    "time": ("time", "time_s", "timestamp", "t", "seconds"),
-    "frame": ("frame", "frame_id", "frame_index", "frame_number", "image_id"),
+    "time": (
+        *("time", "time_s", "timestamp", "t", "seconds", "datetime"),
+        *("time_ms", "timestamp_ms", "milliseconds", "time_us", "timestamp_us", "timestamp_ns"),
+    ),
+    "frame": ("frame", "frame_id", "frame_index", "frame_number", "image_id", "frame_no"),
+    "name": ("image", "image_name", "filename", "file_name", "file"),
     "id": ("id", "track", "track_id", "tracker_id", "trackid", "vehicle_id", "object_id"),
-    "class": ("class_name", "class", "type", "label", "category", "name", "class_id"),
+    "class": ("class_name", "class", "type", "label", "category", "name", "class_id", "cls"),
     "score": ("score", "confidence", "conf"),
     "left": ("left", "x_min", "xmin", "x1", "bb_left", "bbox_left"),
     "top": ("top", "y_min", "ymin", "y1", "bb_top", "bbox_top"),
-    "right": ("right", "x_max", "xmax", "x2"),
-    "bottom": ("bottom", "y_max", "ymax", "y2"),
-    "x": ("x", "x_c", "cx", "xc", "u", "u_px", "x_center", "xcenter", "x_px"),
-    "y": ("y", "y_c", "cy", "yc", "v", "v_px", "y_center", "ycenter", "y_px"),
+    "right": ("right", "x_max", "xmax", "x2", "bb_right", "bbox_right"),
+    "bottom": ("bottom", "y_max", "ymax", "y2", "bb_bottom", "bbox_bottom"),
+    "x": ("x_c", "cx", "xc", "u", "u_px", "x_center", "xcenter", "center_x", "x", "x_px"),
+    "y": ("y_c", "cy", "yc", "v", "v_px", "y_center", "ycenter", "center_y", "y", "y_px"),
     "width": ("width", "w", "bb_width", "bbox_width"),
     "height": ("height", "h", "bb_height", "bbox_height"),
 }
-NUMBERS = ("time", "frame", "score", *BOX, "x", "y", "width", "height")
+UNCLEAR = ("x", "x_px", "y", "y_px")  # the middle of a box, or its corner
+NUMBERS = ("score", *BOX, "x", "y", "width", "height")
+CLOCKS = ("time", "frame", "name")
+MAX_TIME_S = 1e8  # a greater time is one of day, since 1970
+FROM_FIRST = "its times are taken to count from its first box"
+UNITS = {"ms": "ms", "milliseconds": "ms", "us": "µs", "ns": "ns"}  # by the end of a name
 EXAMPLE = "--columns frame=frame,id=track,x=u_px,y=v_px,class=label"
 
 
@@ -48,44 +59,76 @@ def parse_columns(text: str) -> dict[str, str]:
     return columns
 
 
-def name_columns(path: Path, table: pd.DataFrame, columns: Mapping[str, str]) -> pd.DataFrame:
-    """Name the columns of a table by what they hold, and compute the ends of boxes.
+def name_columns(
+    path: Path, table: pd.DataFrame, columns: Mapping[str, str], *, has_clock: bool = True
+) -> RawBoxes:
+    """Name the columns of a table by what they hold.
 
     Args:
         path: the file that messages name.
         table: as read.
         columns: names of columns by what they hold; others are found by `KNOWN_NAMES`.
+        has_clock: whether rows tell their frame.
 
     Returns:
-        A table with time or frame, `BOX`, and, where they are known, id, class and score. A point
-        without width and height is a box without extent.
+        The boxes. A point without width and height is a box without extent.
 
     Raises:
         GeoaimError: a column is missing, or a value is not a number.
     """
     found = _find_columns(path, table, columns)
-    rows = pd.DataFrame({key: table[name] for key, name in found.items()})
-    clock = [key for key in ("time", "frame") if key in rows]
-    has_ends, has_middle = set(BOX) <= set(rows), {"x", "y"} <= set(rows)
-    if not clock or not (has_ends or has_middle):
-        lacking = [] if clock else ["frame or time"]
-        lacking += [] if has_ends or has_middle else ["x and y, or left, top, right, bottom"]
+    values = {key: table[name].reset_index(drop=True) for key, name in found.items()}
+    for key in NUMBERS:
+        if key in values:
+            values[key] = _to_numbers(path, values[key], found[key])
+    kinds = {
+        "ltrb": BOX,
+        "ltwh": ("left", "top", "width", "height"),
+        "xywh": ("x", "y", "width", "height"),
+        "point": ("x", "y"),
+    }
+    form = next((form for form, keys in kinds.items() if set(keys) <= values.keys()), "")
+    clock, unit = _find_clock(path, values, found) if has_clock else ("", None)
+    if (has_clock and not clock) or not form:
+        lacking = [] if clock or not has_clock else ["frame or time"]
+        lacking += [] if form else ["x and y, or left, top, right, bottom"]
         raise GeoaimError(
             f"{path} has the columns {', '.join(map(str, table.columns[:20]))}; "
             f"{' and '.join(lacking)} is needed: say which hold what, such as {EXAMPLE}"
         )
-    for key in NUMBERS:
-        if key in rows:
-            rows[key] = _to_numbers(path, rows[key], found[key])
-    if not has_ends:
-        width, height = (rows.get(key, 0.0) for key in ("width", "height"))
-        rows["left"], rows["right"] = rows["x"] - width / 2, rows["x"] + width / 2
-        rows["top"], rows["bottom"] = rows["y"] - height / 2, rows["y"] + height / 2
+    numbers = np.column_stack([values[key] for key in kinds[form]])
+    corners = [f"{axis}{corner}" for corner in range(1, 5) for axis in "xy"]  # of ultralytics
+    by_lower = {str(name).lower(): name for name in table.columns}
+    if set(corners) <= by_lower.keys():
+        numbers = table[[by_lower[name] for name in corners]].to_numpy(np.float64)
+    if form == "point":
+        numbers, form = np.column_stack([numbers, np.zeros_like(numbers)]), "xywh"
+    is_named = form != "xywh" or found["x"].lower() not in UNCLEAR or "x" in columns
+    is_dated = clock == "time" and not values["time"].equals(
+        table[found["time"]].reset_index(drop=True)
+    )
+    rows: dict[str, Any] = {key: values[key] for key in (clock, "score") if key in values}
     for key in ("id", "class"):
-        values = rows[key] if key in rows else pd.Series("", rows.index)
-        rows[key] = ["" if pd.isna(value) else str(value) for value in values]
-    kept = [key for key in (clock[0], "id", "class", "score", *BOX) if key in rows]
-    return rows[kept]
+        rows[key] = [_to_name(value) for value in values.get(key, [""] * len(numbers))]
+    return RawBoxes(
+        "table",
+        pd.DataFrame(rows),
+        numbers,
+        ("xywh", "ltwh") if form == "xywh" and numbers[:, 2:].any() else (form,),
+        is_named=is_named,
+        shares=None,
+        usual_class=None,
+        time_unit=unit,
+        listed=tuple(dict.fromkeys(rows["name"])) if clock == "name" else (),
+        remarks=(FROM_FIRST,) if is_dated else (),
+    )
+
+
+def _to_name(value: object) -> str:
+    """Name an id or class; whole numbers without a decimal point, nothing as ""."""
+    if value is None or value != value:
+        return ""
+    return f"{value:.0f}" if isinstance(value, float) and value % 1 == 0 else str(value)
 
 
 def _find_columns(path: Path, table: pd.DataFrame, columns: Mapping[str, str]) -> dict[str, str]:
@@ -98,16 +141,53 @@ def _find_columns(path: Path, table: pd.DataFrame, columns: Mapping[str, str]) -
     by_lower = {str(name).lower(): name for name in reversed(table.columns)}
     found = dict(columns)
     for key, names in KNOWN_NAMES.items():
-        is_clock = key in ("time", "frame") and {"time", "frame"} & columns.keys()
-        known = next((by_lower[name] for name in names if name in by_lower), None)
-        if key not in found and known is not None and known not in found.values() and not is_clock:
-            found[key] = known
+        is_clock = key in CLOCKS and set(CLOCKS) & columns.keys()
+        known = [by_lower[name] for name in names if name in by_lower]
+        if key == "class":  # a name beside a number
+            known.sort(key=lambda name: pd.api.types.is_numeric_dtype(table[name]))
+        free = [name for name in known if name not in found.values()]
+        if key not in found and free and not is_clock:
+            found[key] = free[0]
     return found
+
+
+def _find_clock(
+    path: Path, values: "dict[str, pd.Series[float]]", found: Mapping[str, str]
+) -> tuple[str, str | None]:
+    """Find the column that tells frames, make it numbers, and find the unit of times."""
+    if "time" in values:
+        name = found["time"].lower()
+        unit = next((u for end, u in UNITS.items() if name.endswith(end)), None)
+        if pd.api.types.is_numeric_dtype(values["time"]):
+            start = float(values["time"].min())
+            if start > MAX_TIME_S:
+                values["time"] = values["time"] - start
+            return "time", unit
+        if "frame" not in values and "name" not in values:
+            try:
+                stamps = pd.to_datetime(values["time"], utc=True)
+            except (ValueError, TypeError):
+                _to_numbers(path, values["time"], found["time"])
+                raise
+            values["time"] = (stamps - stamps.min()).dt.total_seconds()
+            return "time", next(iter(TIME_UNITS))
+    if "frame" in values:
+        if values["frame"].map(lambda value: isinstance(value, str)).all():
+            numbers = pd.to_numeric(values["frame"], errors="coerce")
+            if numbers.isna().all():
+                values["name"] = values["frame"].map(lambda value: Path(value).stem)
+                return "name", None
+        values["frame"] = _to_numbers(path, values["frame"], found["frame"])
+        return "frame", None
+    if "name" in values:
+        values["name"] = values["name"].map(lambda value: Path(str(value)).stem)
+        return "name", None
+    return "", None
 
 
 def _to_numbers(path: Path, values: "pd.Series[float]", name: str) -> "pd.Series[float]":
     numbers = pd.to_numeric(values, errors="coerce").astype(np.float64)
-    wrong = ~np.isfinite(numbers) if name != "score" else numbers.isna() & values.notna()
+    wrong = ~np.isfinite(numbers) & (values.notna() | (name not in ("score", "confidence", "conf")))
     if wrong.any():
         row = int(np.argmax(wrong))
         raise GeoaimError(

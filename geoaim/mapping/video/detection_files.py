@@ -1,9 +1,11 @@
-"""Files of detections: YOLO, VisDrone, MOT, geo-trax, COCO, and tables with a header."""
+"""Files of detections: a registry of formats, and what each says of its boxes."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -12,71 +14,84 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError
 from geoaim.base.limits import refuse_damaged
-from geoaim.mapping.video.box_tables import (
-    BOX,
-    CORNERS,
-    BoxTable,
-    make_named_table,
-    make_numbered_table,
-    make_timed_table,
-    strip_zeros,
-)
+from geoaim.mapping.video.detection_checks import MAX_SHARE, RawBoxes
 from geoaim.mapping.video.detection_columns import name_columns
-from geoaim.mapping.video.frame_numbers import number_names, refuse_other_names
-from geoaim.mapping.video.video import Video
-from geoaim.tracks.formats.geotrax import VEHICLE_CLASSES
-from geoaim.tracks.formats.geotrax_pixels import BOX as GEOTRAX_BOX
-from geoaim.tracks.formats.geotrax_pixels import PIXEL_COLUMNS
+from geoaim.tracks.formats.geotrax import BOX as GEOTRAX_BOX
+from geoaim.tracks.formats.geotrax import PIXEL_COLUMNS, VEHICLE_CLASSES
 
 VISDRONE_CLASSES = (
     *("ignored", "pedestrian", "pedestrian", "cyclist", "car", "van", "truck"),
     *("tricycle", "tricycle", "bus", "motorcycle", "other"),
 )
+UAVDT_CLASSES = ("", "car", "truck", "bus")
 IGNORED = "ignored"  # regions that VisDrone does not label
 YOLO_FIELDS = {5: False, 6: False, 7: False, 9: True, 10: True, 11: True}  # whether oriented
 CLASS_NAMES = "classes.txt"  # a file with a class name in each line, beside the boxes
-MAX_SHARE = 1.5  # boxes may end outside the image
+DOTA_FIELDS = (9, 10)
+LETTERS_OF_NUMBERS = "eE"
+Kind = str  # "folder", "json", "xml", "numbers" or "table"
 
 
-def read_box_table(
-    path: Path,
-    *,
-    columns: Mapping[str, str] | None = None,
-    rate: float | None = None,
-    classes: Sequence[str] = (),
-    video: Video | None = None,
-) -> BoxTable:
-    """Read a folder or a file of detections.
+@dataclass(frozen=True, eq=False)
+class Content:
+    """The content of a file or folder, of which formats say whether it is theirs."""
+
+    path: Path
+    kind: Kind
+    data: Any  # texts by file; what JSON holds; an XML element; an array of numbers; a table
+    columns: Mapping[str, str]  # names of columns that the user gave
+    class_names: tuple[str, ...] = ()  # of a `classes.txt`
+
+
+@dataclass(frozen=True)
+class DetectionFormat:
+    """A format of detections, as `read_raw_boxes` needs it."""
+
+    name: str
+    kind: Kind
+    matches: Callable[[Any], bool]  # whether data of the kind have this format
+    read: Callable[[Content], RawBoxes]
+
+
+def read_raw_boxes(source: Path | pd.DataFrame, columns: Mapping[str, str] | None) -> RawBoxes:
+    """Read a folder, a file or a table of detections in a format of `FORMATS`.
 
     Args:
-        path: the folder or file.
+        source: the folder or file, or a table.
         columns: as in `read_detections`.
-        rate: as there, frames per second.
-        classes: names of class numbers.
-        video: the video that the boxes are of, by which names and numbers are checked.
 
     Returns:
-        The boxes of all frames.
+        The boxes as they are written.
 
     Raises:
         GeoaimError: it holds no detections in a known format.
         FileNotFoundError: there is no such file or folder.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file or folder")
-    if path.is_dir():
-        return _read_folder(path, classes, video)
-    with refuse_damaged(path, GeoaimError, "a table of detections"):
-        if path.suffix.lower() == ".json":
-            return _read_coco(path, rate, video)
-        with open(path, encoding="utf-8-sig", errors="replace") as file:
-            head = file.readline()
-        if any(character.isalpha() and character not in "eE" for character in head):
-            return _read_table(path, columns, rate, classes, video)
-        return _read_numbers(path, rate, classes, video)
+    if isinstance(source, pd.DataFrame):
+        return _read_table(Content(Path("the table"), "table", source, columns or {}))
+    if not source.exists():
+        raise FileNotFoundError(f"{source}: no such file or folder")
+    if source.is_dir():
+        return _read_content(_load_folder(source))
+    with refuse_damaged(source, GeoaimError, "a table of detections"):
+        return _read_content(_load_file(source, columns or {}))
 
 
-def _read_folder(folder: Path, classes: Sequence[str], video: Video | None) -> BoxTable:
+def _read_content(content: Content) -> RawBoxes:
+    for known in FORMATS:
+        if known.kind == content.kind and known.matches(content.data):
+            return known.read(content)
+    shape = (
+        f" has {content.data.shape[1]} columns and no header;" if content.kind == "numbers" else ":"
+    )
+    names = ", ".join(known.name for known in FORMATS if known.kind == content.kind)
+    raise GeoaimError(
+        f"{content.path}{shape} its boxes are in no known format ({names}); a .csv with a header "
+        "such as frame,left,top,width,height is read too"
+    )
+
+
+def _load_folder(folder: Path) -> Content:
     files = sorted(folder.glob("*.txt"))
     texts = {file: _read_text(file) for file in files if file.name != CLASS_NAMES}
     if not texts:
@@ -85,35 +100,9 @@ def _read_folder(folder: Path, classes: Sequence[str], video: Video | None) -> B
             "one file for all frames"
         )
     named = folder / CLASS_NAMES
-    if not classes and named.exists():
-        classes = [line.strip() for line in _read_text(named).splitlines() if line.strip()]
-    first = next((text for text in texts.values() if text.strip()), "")
-    is_visdrone = "," in first.splitlines()[0] if first else False
-    read = _read_visdrone_file if is_visdrone else _read_yolo_file
-    tables = [read(file, text) for file, text in texts.items()]
-    rows = pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
-    if not is_visdrone and len(rows):
-        rows = _separate_ids(rows)
-    rows["class"] = _name_classes(rows["class"], VISDRONE_CLASSES if is_visdrone else classes)
-    if CORNERS[0] in rows and rows[list(CORNERS)].isna().to_numpy().any():
-        raise GeoaimError(f"{folder} mixes upright and oriented boxes; give one kind")
-    names = [file.stem for file in texts]
-    numbers = _match_names(names, video, folder)
-    kept = rows[rows["class"] != IGNORED]
-    return make_named_table(kept, names, numbers, has_shares=not is_visdrone)
-
-
-def _match_names(names: Sequence[str], video: Video | None, source: Path) -> dict[str, int] | None:
-    """Number the names of frames of a video; refuse those of which none is that of a frame."""
-    if video is not None and video.names is not None:
-        images = {strip_zeros(Path(name).stem) for name in video.names}
-        if not images & {strip_zeros(name) for name in names}:
-            refuse_other_names(names, [Path(name).stem for name in video.names], video, source)
-        return None
-    numbers = number_names(names, video, source)
-    if numbers is None and video is not None:
-        refuse_other_names(names, (), video, source)
-    return numbers
+    lines = _read_text(named).splitlines() if named.exists() else []
+    names = tuple(line.strip() for line in lines if line.strip())
+    return Content(folder, "folder", texts, {}, names)
 
 
 def _read_text(file: Path) -> str:
@@ -121,122 +110,227 @@ def _read_text(file: Path) -> str:
         return file.read_text("utf-8-sig")
 
 
-def _read_yolo_file(file: Path, text: str) -> pd.DataFrame:
+def _load_file(path: Path, columns: Mapping[str, str]) -> Content:
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        return Content(path, "json", json.loads(path.read_text("utf-8-sig")), columns)
+    if suffix == ".xml":
+        text = path.read_text("utf-8-sig")
+        if "<!ENTITY" in text:
+            raise GeoaimError(f"{path} defines entities, which are not read")
+        return Content(path, "xml", ElementTree.fromstring(text), columns)
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        lines = [line for line in (file.readline() for _ in range(5)) if line.strip()]
+    head = next((line for line in lines if not line.startswith("#")), "")
+    separator = next((sign for sign in (";", "\t", ",") if sign in head), r"\s+")
+    decimal = "," if separator == ";" and "," in "".join(lines) else "."
+    words = head.lower().replace("nan", "").replace("inf", "")
+    is_table = any(sign.isalpha() and sign not in LETTERS_OF_NUMBERS for sign in words)
+    table = pd.read_csv(
+        path, header=0 if is_table else None, sep=separator, decimal=decimal, comment="#"
+    )
+    if is_table:
+        table.columns = table.columns.str.strip()
+        return Content(path, "table", table, columns)
+    return Content(path, "numbers", table.to_numpy(np.float64), columns)
+
+
+def _get_first_row(texts: Mapping[Path, str]) -> str:
+    lines = (line for text in texts.values() for line in text.splitlines())
+    return next((line for line in lines if line.strip() and ":" not in line), "")
+
+
+def _is_dota(texts: Mapping[Path, str]) -> bool:
+    fields = _get_first_row(texts).split()
+    return len(fields) in DOTA_FIELDS and any(map(str.isalpha, fields[8]))
+
+
+def _read_dota(content: Content) -> RawBoxes:
+    """Read rows x1 y1 ... x4 y4 category difficult, in pixels, under two lines of a header."""
+    rows, corners = [], []
+    for file, text in content.data.items():
+        for line in text.splitlines():
+            fields = line.split()
+            if len(fields) in DOTA_FIELDS and ":" not in fields[0]:
+                corners.append([float(value) for value in fields[:8]])
+                rows.append({"name": file.stem, "class": fields[8].replace("-", " ")})
+    numbers = np.array(corners).reshape(-1, 8)
+    return RawBoxes("DOTA", _complete(rows), numbers, listed=_list_stems(content.data))
+
+
+def _list_stems(texts: Mapping[Path, str]) -> tuple[str, ...]:
+    return tuple(file.stem for file in texts)
+
+
+def _read_yolo(content: Content) -> RawBoxes:
     """Read rows `class x y width height` or `class x1 y1 ... x4 y4`, then confidence and id."""
+    rows: list[dict[str, Any]] = []
+    numbers: list[list[float]] = []
+    for file, text in content.data.items():
+        for values in _parse_yolo(file, text):
+            count = 8 if YOLO_FIELDS[len(values)] else 4
+            numbers.append(values[1 : 1 + count])
+            rest = values[1 + count :]
+            row = {
+                "name": file.stem,
+                "class": f"{values[0]:g}",
+                "extra": rest[0] if rest else np.nan,
+            }
+            rows.append(row | {"id": f"{rest[1]:.0f}" if len(rest) > 1 else ""})
+    if len({len(values) for values in numbers}) > 1:
+        raise GeoaimError(f"{content.path} mixes upright and oriented boxes; give one kind")
+    table = pd.DataFrame(rows, columns=["name", "class", "extra", "id"])
+    width = len(numbers[0]) if numbers else 4
+    return RawBoxes(
+        "YOLO" if width == 4 else "YOLO, oriented boxes",
+        _complete(_separate_ids(table)),
+        np.array(numbers, float).reshape(-1, width),
+        ("xywh", "ltwh", "ltrb"),
+        shares=True,
+        class_names=content.class_names,
+        listed=_list_stems(content.data),
+    )
+
+
+def _parse_yolo(file: Path, text: str) -> list[list[float]]:
     try:
-        rows = [line.split() for line in text.splitlines() if line.strip()]
-        if not all(len(row) in YOLO_FIELDS for row in rows):
+        fields = [line.split() for line in text.splitlines() if line.strip()]
+        if not all(len(row) in YOLO_FIELDS for row in fields):
             raise ValueError("5 or 9 fields are needed, a confidence and an id may follow")
-        numbers = [[float(value) for value in row] for row in rows]
-        if any(len(row) in (7, 11) and row[-1] % 1 for row in numbers):
+        rows = [[float(value) for value in row] for row in fields]
+        if any(len(row) in (7, 11) and row[-1] % 1 for row in rows):
             raise ValueError("its last field is no id, a whole number: are these polygons?")
     except ValueError as error:
         raise GeoaimError(f"{file}: a row is not `class x y width height`: {error}") from error
-    table = pd.DataFrame([_describe_yolo_row(row) for row in numbers])
-    if not len(table):
-        return pd.DataFrame(columns=[*BOX, "class", "extra", "id", "name"])
-    shares = table[[name for name in (*BOX, *CORNERS) if name in table]].to_numpy()
-    if not (np.abs(shares) <= MAX_SHARE).all():
-        largest = np.abs(shares).max()
-        raise GeoaimError(f"{file}: values reach {float(largest)!r}; shares of the size are needed")
-    return table.assign(name=file.stem)
-
-
-def _describe_yolo_row(row: list[float]) -> dict[str, Any]:
-    box, rest = (row[1:9], row[9:]) if YOLO_FIELDS[len(row)] else (row[1:5], row[5:])
-    described: dict[str, Any] = {"class": f"{row[0]:g}"}
-    if len(box) == 8:
-        described |= dict(zip(CORNERS, box, strict=True))
-        ends = [min(box[::2]), min(box[1::2]), max(box[::2]), max(box[1::2])]
-    else:
-        x, y, width, height = box
-        ends = [x - width / 2, y - height / 2, x + width / 2, y + height / 2]
-    described |= dict(zip(BOX, ends, strict=True))
-    described["extra"] = rest[0] if rest else np.nan
-    described["id"] = f"{rest[1]:.0f}" if len(rest) > 1 else ""
-    return described
+    largest = max((abs(v) for row in rows for v in row[1 : 9 if len(row) > 8 else 5]), default=0.0)
+    if not largest <= MAX_SHARE:
+        raise GeoaimError(f"{file}: values reach {largest!r}; shares of the size are needed")
+    return rows
 
 
 def _separate_ids(rows: pd.DataFrame) -> pd.DataFrame:
     """Take the only further field of YOLO's rows for ids where it is whole and exceeds 1."""
-    extra, rows = rows["extra"], rows.drop(columns="extra")
+    extra, rows = rows["extra"].astype(float), rows.drop(columns="extra")
     is_id = (rows["id"] == "").all() and bool((extra > 1).any())
     if is_id and bool((extra.dropna() % 1 == 0).all()):
         return rows.assign(id=["" if np.isnan(value) else f"{value:.0f}" for value in extra])
     return rows.assign(score=extra)
 
 
-def _read_visdrone_file(file: Path, text: str) -> pd.DataFrame:
-    """Read rows left, top, width, height, score, class, truncation, occlusion of one image."""
-    try:
-        lines = [line.strip().rstrip(",") for line in text.splitlines() if line.strip()]
-        values = np.array([[float(value) for value in line.split(",")] for line in lines])
-        values = values.reshape(-1, 8)
-    except ValueError as error:
-        raise GeoaimError(f"{file}: a row has not the 8 numbers of VisDrone: {error}") from error
-    table = _make_rows(values[:, :4], values[:, 4], values[:, 5])
-    return table.assign(id="", name=file.stem)
+def _read_visdrone_images(content: Content) -> RawBoxes:
+    """Read rows left, top, width, height, score, class, truncation, occlusion of each image."""
+    parts, names = [], []
+    for file, text in content.data.items():
+        try:
+            lines = [line.strip().rstrip(",") for line in text.splitlines() if line.strip()]
+            values = np.array([[float(value) for value in line.split(",")] for line in lines])
+            parts.append(values.reshape(-1, 8))
+        except ValueError as error:
+            raise GeoaimError(
+                f"{file}: a row has not the 8 numbers of VisDrone: {error}"
+            ) from error
+        names += [file.stem] * len(parts[-1])
+    values = np.concatenate(parts)
+    rows = pd.DataFrame({"name": names, "score": values[:, 4], "class": _to_names(values[:, 5])})
+    return RawBoxes(
+        "VisDrone, images",
+        _complete(rows),
+        values[:, :4],
+        ("ltwh",),
+        class_names=VISDRONE_CLASSES,
+        listed=_list_stems(content.data),
+    )
 
 
-def _make_rows(
-    box: Float[Array, "m 4"], score: Float[Array, "m"], number: Float[Array, "m"]
-) -> pd.DataFrame:
-    """Make rows of left, top, width, height, score and class number."""
-    ends = np.concatenate([box[:, :2], box[:, :2] + box[:, 2:]], axis=1)
-    table = pd.DataFrame(ends, columns=list(BOX))
-    return table.assign(score=score, **{"class": [f"{value:g}" for value in number]})
+def _to_names(numbers: Float[Array, "m"]) -> list[str]:
+    """Names of whole numbers; "" for negative ones."""
+    return ["" if value < 0 or np.isnan(value) else f"{value:g}" for value in numbers]
 
 
-def _name_classes(numbers: "pd.Series[Any]", names: Sequence[str]) -> list[str]:
-    """Name classes that are numbers, where there is a name; the others stay as they are."""
-    known = {str(number): name for number, name in enumerate(names)}
-    return [known.get(str(number), str(number)) for number in numbers]
+def _complete(rows: Any) -> pd.DataFrame:
+    """Complete columns that a format lacks."""
+    table = pd.DataFrame(rows).reset_index(drop=True)
+    defaults: dict[str, Any] = {"name": "", "score": np.nan, "class": "", "id": ""}
+    for name, value in defaults.items():
+        if name not in table and (name != "name" or not {"frame", "time"} & set(table)):
+            table[name] = value
+    return table
 
 
-def _read_numbers(
-    path: Path, rate: float | None, classes: Sequence[str], video: Video | None
-) -> BoxTable:
-    """Read a file without a header: geo-trax (14 columns or 15), VisDrone or MOT (7 to 10)."""
-    with open(path, encoding="utf-8-sig") as file:
-        delimiter = "," if "," in file.readline() else r"\s+"
-    table = pd.read_csv(path, header=None, sep=delimiter)
-    values = table.to_numpy(np.float64)
-    count = values.shape[1]
-    if count in (len(PIXEL_COLUMNS), len(PIXEL_COLUMNS) + 1):
-        return _make_geotrax(values, rate, video, path)
-    if not 6 <= count <= 10:
-        raise GeoaimError(
-            f"{path} has {count} columns and no header; MOT and VisDrone have 6 to 10, geo-trax 14"
-        )
-    ones, missing = np.ones(len(values)), np.full(len(values), -1.0)
-    score = values[:, 6] if count > 6 else ones
-    is_visdrone = count == 10 and bool((values[:, 7:] >= 0).all())
-    number = values[:, 7] if count > 7 and (is_visdrone or count == 9) else missing
-    rows = _make_rows(values[:, 2:6], np.where((score < 0) | (score > 1), np.nan, score), number)
-    rows["class"] = _name_classes(rows["class"], VISDRONE_CLASSES if is_visdrone else classes)
-    ids = ["" if value < 0 else f"{value:.0f}" for value in values[:, 1]]
-    rows = rows.assign(frame=values[:, 0], id=ids)
-    # both formats count frames from 1
-    return make_numbered_table(rows[rows["class"] != IGNORED], rate, video, path, 1)
+def _is_geotrax(values: Float[Array, "m c"]) -> bool:
+    return values.shape[1] in (len(PIXEL_COLUMNS), len(PIXEL_COLUMNS) + 1)
 
 
-def _make_geotrax(
-    values: Float[Array, "m c"], rate: float | None, video: Video | None, path: Path
-) -> BoxTable:
-    column = {name: values[:, number] for number, name in enumerate(PIXEL_COLUMNS)}
-    box = np.column_stack([column[name] for name in GEOTRAX_BOX])
-    box[:, :2] -= box[:, 2:] / 2
-    rows = _make_rows(box, column["confidence"], column["class"])
+def _read_geotrax(content: Content) -> RawBoxes:
+    column = {name: content.data[:, number] for number, name in enumerate(PIXEL_COLUMNS)}
+    rows = {
+        "frame": column["frame"],
+        "id": _to_names(column["track"]),
+        "class": _to_names(column["class"]),
+        "score": column["confidence"],
+    }
     names = [VEHICLE_CLASSES.get(number, "") for number in range(max(VEHICLE_CLASSES) + 1)]
-    rows["class"] = _name_classes(rows["class"], names)
-    ids = [f"{value:.0f}" for value in column["track"]]
-    return make_numbered_table(rows.assign(frame=column["frame"], id=ids), rate, video, path, 0)
+    box = np.column_stack([column[name] for name in GEOTRAX_BOX])
+    return RawBoxes(
+        "geo-trax", _complete(rows), box, ("xywh",), usual_frame=0, class_names=tuple(names)
+    )
 
 
-def _read_coco(path: Path, rate: float | None, video: Video | None) -> BoxTable:
+def _is_visdrone_video(values: Float[Array, "m c"]) -> bool:
+    """Ten columns whose last three are no tail of MOT's: the class is positive, and varies."""
+    if values.shape[1] != 10:
+        return False
+    tail = values[:, 7:]
+    return bool((tail[:, 0] >= 0).all() and (tail.min(axis=1) < tail.max(axis=1)).any())
+
+
+def _is_uavdt(values: Float[Array, "m c"]) -> bool:
+    """Nine columns: out of view (1 to 3), occlusion (1 to 4) and class (1 to 3)."""
+    if values.shape[1] != 9:
+        return False
+    view, _, kind = values[:, 6:].T
+    whole = bool((values[:, 6:] % 1 == 0).all() and (values[:, 6:] >= 1).all())
+    return whole and bool(view.max() <= 3 and kind.max() <= 3 and max(view.max(), kind.max()) > 1)
+
+
+def _read_mot(content: Content) -> RawBoxes:
+    """Read `frame,id,left,top,width,height`, then confidence and class."""
+    values = content.data
+    count = values.shape[1]
+    if not (values[:, :2] % 1 == 0).all():
+        raise GeoaimError(
+            f"{content.path} has {count} columns, of which the first two are not whole numbers of "
+            "frames and ids as in MOT; give its columns a header, such as "
+            "frame,left,top,right,bottom,score"
+        )
+    minus = np.full(len(values), -1.0)
+    score = values[:, 6] if count > 6 else minus
+    names: tuple[str, ...] = ()
+    name, number = "MOT", values[:, 7] if count in (8, 9) else minus
+    if _is_visdrone_video(values):
+        name, number, names = "VisDrone, video", values[:, 7], VISDRONE_CLASSES
+    elif _is_uavdt(values):
+        name, number, names, score = "UAVDT", values[:, 8], UAVDT_CLASSES, minus
+    rows = {"frame": values[:, 0], "id": _to_names(values[:, 1]), "class": _to_names(number)}
+    return RawBoxes(
+        name,
+        _complete(rows | {"score": score}),
+        values[:, 2:6],
+        ("ltwh", "ltrb"),
+        usual_frame=1,  # all of these count frames from 1
+        class_names=names,
+        usual_class=1,
+    )
+
+
+def _is_coco(data: Any) -> bool:
+    return isinstance(data, dict) or not data or (isinstance(data[0], dict) and "bbox" in data[0])
+
+
+def _read_coco(content: Content) -> RawBoxes:
     """Read COCO's annotations, or its list of results, whose image_id numbers or names frames."""
-    content = json.loads(path.read_text("utf-8-sig"))
-    found = content if isinstance(content, list) else content["annotations"]
+    path, data = content.path, content.data
+    found = data if isinstance(data, list) else data["annotations"]
     if not found:
         raise GeoaimError(f"{path} has no annotations")
     if any(entry.get("attributes", {}).get("rotation", 0) for entry in found):
@@ -244,56 +338,115 @@ def _read_coco(path: Path, rate: float | None, video: Video | None) -> BoxTable:
             f"{path} has boxes with a rotation, which COCO's boxes do not hold; export them as "
             "oriented boxes of YOLO"
         )
-    box = np.array([entry["bbox"] for entry in found], np.float64)
-    score = np.array([entry.get("score", np.nan) for entry in found], np.float64)
-    rows = _make_rows(box, score, np.zeros(len(found)))
-    known = [] if isinstance(content, list) else content.get("categories", [])
+    known = [] if isinstance(data, list) else data.get("categories", [])
     names = {entry["id"]: entry["name"] for entry in known}
-    rows["class"] = [str(names.get(entry.get("category_id"), "")) for entry in found]
-    rows["id"] = [
-        str(entry.get("track_id", entry.get("attributes", {}).get("track_id", "")))
-        for entry in found
-    ]
-    if not isinstance(content, list):
-        if video is not None:
-            _check_image_sizes(path, content["images"], video)
-        stems = {image["id"]: Path(image["file_name"]).stem for image in content["images"]}
-    elif all(str(entry["image_id"]).isdecimal() for entry in found):
-        numbers = [int(entry["image_id"]) for entry in found]
-        return make_numbered_table(rows.assign(frame=numbers), rate, video, path, None)
+    kinds = [entry.get("category_id") for entry in found]
+    rows: dict[str, Any] = {
+        "score": [entry.get("score", np.nan) for entry in found],
+        "class": [str(names.get(kind, "" if known or kind is None else kind)) for kind in kinds],
+        "id": [
+            str(entry.get("track_id", entry.get("attributes", {}).get("track_id", "")))
+            for entry in found
+        ],
+    }
+    images = [entry["image_id"] for entry in found]
+    listed, size = list(dict.fromkeys(map(str, images))), None
+    if not isinstance(data, list):
+        stems = {image["id"]: Path(image["file_name"]).stem for image in data["images"]}
+        rows["name"], listed = [stems[image] for image in images], list(stems.values())
+        sizes = {(image.get("width"), image.get("height")) for image in data["images"]}
+        if len(sizes) > 1:
+            raise GeoaimError(f"{path} has images of several sizes; frames of one size are needed")
+        size = next(iter(sizes), None)
+    elif all(str(image).isdecimal() for image in images):
+        rows["frame"] = [float(image) for image in images]
     else:
-        stems = {entry["image_id"]: str(entry["image_id"]) for entry in found}
-    rows["name"] = [stems[entry["image_id"]] for entry in found]
-    names_of_frames = list(dict.fromkeys(stems.values()))
-    return make_named_table(rows, names_of_frames, _match_names(names_of_frames, video, path))
-
-
-def _check_image_sizes(path: Path, images: Sequence[Mapping[str, Any]], video: Video) -> None:
-    """Refuse boxes of images of another size than the frames."""
-    for image in images:
-        size = image.get("width", video.width), image.get("height", video.height)
-        if size != (video.width, video.height):
-            raise GeoaimError(
-                f"{path} has boxes of images of {size[0]} x {size[1]} pixels, and the frames of "
-                f"{video.source} have {video.width} x {video.height}; give boxes of that size"
-            )
-
-
-def _read_table(
-    path: Path,
-    columns: Mapping[str, str] | None,
-    rate: float | None,
-    classes: Sequence[str],
-    video: Video | None,
-) -> BoxTable:
-    """Read a CSV with a header."""
-    delimiter = None if path.suffix.lower() != ".csv" else ","
-    table = pd.read_csv(
-        path, sep=delimiter, engine="python" if delimiter is None else "c", comment="#"
+        rows["name"] = [str(image) for image in images]
+    box = np.array([entry["bbox"] for entry in found], np.float64)
+    return RawBoxes(
+        "COCO",
+        _complete(rows),
+        box,
+        ("ltwh", "ltrb"),
+        size=size if size and all(size) else None,
+        usual_class=1,
+        listed=tuple(dict.fromkeys(listed)),
     )
-    table.columns = table.columns.str.strip()
-    rows = name_columns(path, table, columns or {})
-    rows["class"] = _name_classes(rows["class"], classes)
-    if "time" in rows:
-        return make_timed_table(rows)
-    return make_numbered_table(rows, rate, video, path, None)
+
+
+def _read_records(content: Content) -> RawBoxes:
+    """Read a list of objects with a box each, as supervision's JSONSink writes them."""
+    if not isinstance(content.data[0], dict):
+        raise GeoaimError(f"{content.path} is a list of no objects; boxes are needed")
+    table = pd.json_normalize(content.data)
+    table.columns = [name.split(".")[-1] for name in table.columns]
+    return _read_table(Content(content.path, "table", table, content.columns))
+
+
+def _read_table(content: Content) -> RawBoxes:
+    """Read a table with a header."""
+    raw = name_columns(content.path, content.data, content.columns)
+    return replace(raw, rows=_complete(raw.rows))
+
+
+def _read_cvat(content: Content) -> RawBoxes:
+    """Read CVAT's XML, of a video (tracks) or of images, with turned boxes too."""
+    root = content.data
+    rows: list[dict[str, Any]] = []
+    corners: list[Array] = []
+    for parent in [*root.iter("track"), *root.iter("image")]:
+        for box in parent.iter("box"):
+            if box.get("outside", "0") == "1":
+                continue
+            label = parent.get("label") or box.get("label", "")
+            row: dict[str, Any] = {"class": label}
+            if parent.tag == "track":
+                row |= {"frame": float(box.attrib["frame"]), "id": parent.get("id", "")}
+            else:
+                row |= {"name": Path(parent.attrib["name"]).stem}
+            rows.append(row)
+            left, top, right, bottom = (float(box.attrib[n]) for n in ("xtl", "ytl", "xbr", "ybr"))
+            angle = np.radians(float(box.get("rotation", "0")))
+            along = (right - left) / 2 * np.array([np.cos(angle), np.sin(angle)])
+            across = (bottom - top) / 2 * np.array([-np.sin(angle), np.cos(angle)])
+            middle = np.array([left + right, top + bottom]) / 2
+            corners.append(
+                middle + np.outer((-1, 1, 1, -1), along) + np.outer((-1, -1, 1, 1), across)
+            )
+    if not rows:
+        raise GeoaimError(f"{content.path} has no boxes; export CVAT's boxes, not polygons")
+    images = list(root.iter("image"))
+    sizes = {(image.get("width"), image.get("height")) for image in images}
+    sizes |= {
+        (node.findtext("width"), node.findtext("height")) for node in root.iter("original_size")
+    }
+    given = [(int(w), int(h)) for w, h in sizes if w and h]
+    points = np.array(corners).reshape(-1, 8)
+    turned = any(float(box.get("rotation", "0")) for box in root.iter("box"))
+    numbers = points if turned else points[:, [0, 1, 4, 5]]
+    return RawBoxes(
+        "CVAT",
+        _complete(rows),
+        numbers,
+        ("ltrb",),
+        size=given[0] if len(given) == 1 else None,
+        usual_frame=0,
+        listed=tuple(Path(image.attrib["name"]).stem for image in images),
+    )
+
+
+FORMATS: tuple[DetectionFormat, ...] = (
+    DetectionFormat("DOTA", "folder", _is_dota, _read_dota),
+    DetectionFormat(
+        "VisDrone, images", "folder", lambda d: "," in _get_first_row(d), _read_visdrone_images
+    ),
+    DetectionFormat("YOLO", "folder", lambda d: True, _read_yolo),
+    DetectionFormat("COCO", "json", _is_coco, _read_coco),
+    DetectionFormat("supervision", "json", lambda d: isinstance(d, list), _read_records),
+    DetectionFormat("CVAT", "xml", lambda d: d.tag == "annotations", _read_cvat),
+    DetectionFormat("geo-trax", "numbers", _is_geotrax, _read_geotrax),
+    DetectionFormat("VisDrone, video", "numbers", _is_visdrone_video, _read_mot),
+    DetectionFormat("UAVDT", "numbers", _is_uavdt, _read_mot),
+    DetectionFormat("MOT", "numbers", lambda d: 6 <= d.shape[1] <= 10, _read_mot),
+    DetectionFormat("table", "table", lambda d: True, _read_table),
+)

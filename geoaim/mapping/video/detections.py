@@ -1,16 +1,37 @@
 """Detections: boxes of agents in frames, from files, arrays or a detector's results."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from jaxtyping import Bool, Float, Shaped
 from numpy import ndarray as Array
 
-from geoaim.mapping.video.box_tables import CORNERS, BoxTable
-from geoaim.mapping.video.detection_files import read_box_table
+from geoaim.base.errors import GeoaimError, warn
+from geoaim.mapping.video.box_tables import (
+    FrameRows,
+    group_by_name,
+    group_by_value,
+    place_numbers,
+    place_times,
+)
+from geoaim.mapping.video.detection_checks import (
+    FORMS,
+    BoxOptions,
+    RawBoxes,
+    convert_form,
+    find_oriented,
+    get_bounds,
+    judge_boxes,
+    judge_scores,
+    name_classes,
+)
+from geoaim.mapping.video.detection_entries import convert_entry, to_table
+from geoaim.mapping.video.detection_files import IGNORED, read_raw_boxes
+from geoaim.mapping.video.frame_numbers import match_names
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
 from geoaim.tracks.formats.shared import AGENT_TYPES
@@ -22,6 +43,7 @@ CLASS_TYPES = AGENT_TYPES | {
     "people": "pedestrian",
     "person": "pedestrian",
 }
+MIN_ORIENTED = 0.5  # share of boxes of four corners that are rectangles, if they are oriented boxes
 BOX_SCALE = 1.12  # detectors' boxes leave out shadows and mirrors
 
 
@@ -59,34 +81,150 @@ class DetectedBoxes:
 
 # Boxes of a frame; None for a frame without labels.
 Detections = Callable[[Frame], DetectedBoxes | None]
-DetectionSource = str | Path | Sequence[Any] | Callable[[Frame], Any]
+DetectionSource = str | Path | pd.DataFrame | Iterable[Any] | Callable[[Frame], Any]
 
 
-def read_detections(
+class BoxReader:
+    """Boxes that are read and judged: a function from a `Frame` to its boxes.
+
+    What the numbers mean is judged by the size of the first frame, and by the video where it is
+    known; `summary` says in a line what was found and assumed.
+    """
+
+    def __init__(
+        self, raw: RawBoxes, source: str, options: BoxOptions, video: Video | None = None
+    ) -> None:
+        self._raw, self._source, self._options, self._video = raw, source, options, video
+        self._frames = _find_frames(raw, source, options, video)
+        self._picture: tuple[int, int] | None = None
+        self.summary = raw.format
+        if video is not None:
+            self._judge((video.width, video.height))
+
+    def bind(self, video: Video | None) -> "BoxReader":
+        """Read the same boxes as those of a video, by which they are judged.
+
+        Boxes that were read without it may be those of a longer one, of which it is a part.
+        """
+        if video is None or self._video is video:
+            return self
+        try:
+            return BoxReader(self._raw, self._source, self._options, video)
+        except GeoaimError as error:
+            if self._video is None and "has boxes of" in str(error):
+                self.summary += f"; {error}"
+                return self
+            raise
+
+    def __call__(self, frame: Frame) -> DetectedBoxes | None:
+        """Get the boxes of a frame; None where they are not known."""
+        rows = self._frames.find(frame.name, frame.index, frame.time)
+        if rows is None:
+            return None
+        if self._video is None or self._picture is None:
+            height, width = frame.grey.shape
+            if self._picture != (width, height):
+                self._judge((width, height))
+        rows = rows[self._usable[rows]]
+        corners = None if self._corners is None else self._corners[rows]
+        return DetectedBoxes(
+            self._boxes[rows],
+            corners,
+            self._scores[rows],
+            tuple(self._types[rows]),
+            tuple(self._ids[rows]),
+        )
+
+    def _judge(self, picture: tuple[int, int]) -> None:
+        raw, options = self._raw, self._options
+        numbers, usable, remarks = judge_boxes(raw, picture, options, self._source)
+        self._scores, remark = judge_scores(raw.rows["score"].to_numpy(np.float64))
+        names = options.classes or raw.class_names
+        is_builtin = not options.classes and bool(raw.class_names)
+        written = raw.rows["class"].tolist()
+        classes, other = name_classes(written, names, raw.usual_class, is_builtin=is_builtin)
+        self._types = np.array(map_classes(classes), object)
+        self._ids = raw.rows["id"].to_numpy(object)
+        self._usable = usable & (np.array(classes, object) != IGNORED)
+        self._boxes, self._corners = get_bounds(numbers), None
+        if numbers.shape[1] == 8:
+            oriented = find_oriented(numbers[usable])
+            if oriented.mean() > MIN_ORIENTED:
+                self._corners = order_corners(numbers.reshape(-1, 4, 2))
+            else:
+                remarks.append("its four corners are no rectangles: their upright bounds are taken")
+        remarks = [*raw.remarks, *self._frames.remarks, *remarks, *filter(None, (remark, other))]
+        is_first, self._picture = self._picture is None, picture
+        self.summary = (
+            f"{raw.format}, {self._usable.sum()} boxes{''.join('; ' + r for r in remarks)}"
+        )
+        if remarks and is_first:
+            warn(f"{self._source}: {'; '.join(remarks)}")
+
+
+def _find_frames(raw: RawBoxes, source: str, options: BoxOptions, video: Video | None) -> FrameRows:
+    """Find which rows are of which frame."""
+    rows = raw.rows
+    if "time" in rows:
+        groups = group_by_value(rows["time"].to_numpy(np.float64))
+        return place_times(groups, video=video, source=source, unit=raw.time_unit)
+    if "frame" in rows:
+        groups = group_by_value(np.round(rows["frame"].to_numpy(np.float64)))
+        if raw.all_frames is not None:
+            by_number = dict(zip(groups.numbers, groups.rows, strict=True))  # type: ignore[arg-type]
+            parts = tuple(by_number.get(n, np.empty(0, int)) for n in raw.all_frames)
+            groups = FrameRows(None, np.array(raw.all_frames, float), parts, np.inf)
+        return place_numbers(
+            groups,
+            rate=options.rate,
+            first=options.first,
+            usual=raw.usual_frame,
+            video=video,
+            source=source,
+        )
+    numbers = match_names(raw.listed, video, source, options.first)
+    return group_by_name(rows["name"], raw.listed, numbers)
+
+
+def read_detections(  # noqa: PLR0913  (its options)
     source: DetectionSource,
     *,
     columns: Mapping[str, str] | None = None,
     rate: float | None = None,
     classes: Sequence[str] = (),
+    form: str | None = None,
+    size: tuple[int, int] | None = None,
+    first: int | None = None,
     video: Video | None = None,
 ) -> Detections:
     """Read boxes of agents from files, arrays or a detector's results.
 
+    What a source does not say is judged by the boxes themselves: which four numbers they are, of a
+    picture of which size, in pixels or in shares of it, and how frames and classes are counted.
+    What was assumed is said in one warning that names the option which says otherwise.
+
     Args:
-        source: a folder of text files in YOLO's format or VisDrone's, named like the frames'
-            images or by the frames' indices (`000123.txt`, `123.txt`, or `hover_124.txt` as
-            ultralytics names them, from 1); a file of all frames (MOT, VisDrone, geo-trax, COCO's
-            JSON, or a CSV with a header); a sequence with an entry for each frame, or a function
-            of a `Frame`. An entry is an array of rows left, top, right, bottom in pixels, an
-            object with `xyxy` as those of supervision and ultralytics, a `DetectedBoxes`, or None
-            for a frame without labels.
+        source: a folder of text files in YOLO's format, DOTA's or VisDrone's, named like the
+            frames' images or by the frames' indices (`000123.txt`, `123.txt`, or `hover_124.txt`
+            as ultralytics names them, from 1); a file of all frames (MOT, VisDrone, UAVDT,
+            geo-trax, JSON of COCO or of supervision, CVAT's XML, or a CSV with a header); a
+            table of pandas with the columns of such a CSV; an iterable with an entry for each
+            frame, or a function of a `Frame`. An entry is an array of rows left, top, right, bottom
+            in pixels, after which score and class, or an id, may follow; an object with `xyxy` as
+            those of supervision and ultralytics; a table; a `DetectedBoxes`; or None for a frame
+            without labels.
         columns: names of a CSV's columns by what they hold: frame or time (s), id, class, score,
             and left, top, right, bottom or x, y, width, height (of the box's middle), pixels.
-        rate: frames per second by which frame numbers of a file count; None: they number the
-            frames of the video.
-        classes: names of class numbers; those of a `classes.txt` in the folder if empty.
-        video: the video that the boxes are of. With it the names of files are checked, and
-            numbers that count from 1 are found; None: names tell nothing of that.
+        rate: frames per second by which frame numbers of a file, or entries, count; None: they
+            number the frames of the video.
+        classes: names of class numbers from 0 on, or pairs such as `3=car`; those of a
+            `classes.txt` in the folder if empty.
+        form: the four numbers of a box: "ltrb", "ltwh" or "xywh" (the middle); None: found.
+        size: (width, height) of the pictures that boxes are of, pixels; None: found.
+        first: number of the first frame; None: found.
+        video: the video that the boxes are of. With it the names of files are checked, numbers
+            that count from 1 are found, and times belong to their nearest frames; None: names tell
+            nothing of that, and a frame takes the boxes of the nearest time.
 
     Returns:
         A function from a `Frame` to its boxes, or to None for a frame without any known.
@@ -95,45 +233,81 @@ def read_detections(
         GeoaimError: the file or folder holds no detections in a known format, or none of the
             frames of the video.
     """
+    if isinstance(source, BoxReader):
+        return source.bind(video)
+    if form is not None and form not in FORMS:
+        raise ValueError(f"form is {form!r}; one of {', '.join(FORMS)} is needed")
     if callable(source):
-        return lambda frame: convert_boxes(source(frame))
-    if not isinstance(source, str | Path):
-        entries = source
-        return lambda f: convert_boxes(entries[f.index]) if f.index < len(entries) else None
-    table = read_box_table(Path(source), columns=columns, rate=rate, classes=classes, video=video)
-    return lambda frame: _select_frame(table, frame)
+        return lambda frame: convert_boxes(source(frame), form)
+    options = BoxOptions(rate, first, form, size, tuple(classes))
+    if isinstance(source, str | Path):
+        return BoxReader(read_raw_boxes(Path(source), columns), str(source), options, video)
+    if hasattr(source, "columns"):
+        return BoxReader(read_raw_boxes(to_table(source), columns), "the table", options, video)
+    return BoxReader(_join_entries(source), "the boxes", options, video)
 
 
-def convert_boxes(value: Any) -> DetectedBoxes | None:
+def _join_entries(entries: Iterable[Any]) -> RawBoxes:
+    """Join the entries of all frames."""
+    known: list[int] = []
+    parts: list[RawBoxes] = []
+    for number, entry in enumerate(entries):
+        if entry is not None:
+            raw = convert_entry(entry)
+            known.append(number)
+            parts.append(replace(raw, rows=raw.rows.assign(frame=float(number))))
+    filled = [part for part in parts if len(part.rows)]
+    if not filled:
+        filled = parts[:1] or [convert_entry(np.empty((0, 4)))]
+        filled = [replace(filled[0], rows=filled[0].rows.assign(frame=0.0))]
+    if len({part.numbers.shape[1] for part in filled}) > 1:
+        filled = [replace(part, numbers=get_bounds(part.numbers)) for part in filled]
+    plain = next((part for part in filled if len(part.forms) > 1), filled[0])
+    return replace(
+        plain,
+        rows=pd.concat([part.rows for part in filled], ignore_index=True),
+        numbers=np.concatenate([part.numbers for part in filled]),
+        all_frames=tuple(known),
+        usual_frame=0,
+    )
+
+
+def convert_boxes(value: Any, form: str | None = None) -> DetectedBoxes | None:
     """Convert an array of boxes, or the result of a detector, by its attributes alone.
 
     Results of ultralytics have `boxes` or `obb`, with xyxy (or xyxyxyxy), conf, cls and id; those
     of supervision xyxy, confidence, class_id, tracker_id and names in `data`.
+
+    Args:
+        value: the boxes of one frame.
+        form: what the four numbers of a plain array are; None: left, top, right, bottom.
+
+    Returns:
+        The boxes; None for None.
+
+    Raises:
+        GeoaimError: boxes end before they begin, so that their numbers are others.
     """
     if value is None or isinstance(value, DetectedBoxes):
         return value
-    names = getattr(value, "names", None) or {}
-    for part in ("obb", "boxes"):
-        if getattr(value, part, None) is not None:
-            value = getattr(value, part)
-            break
-    if not hasattr(value, "xyxy"):
-        return DetectedBoxes(np.asarray(value, np.float64).reshape(-1, 4))
-    boxes = _to_array(value.xyxy).astype(np.float64).reshape(-1, 4)
-    corners, data = getattr(value, "xyxyxyxy", None), getattr(value, "data", None)
-    numbers = _get_first(value, "cls", "class_id")
-    ids = _get_first(value, "id", "tracker_id")
-    types = tuple(str(names.get(int(n), int(n))) for n in numbers) if numbers is not None else ()
-    if isinstance(data, dict):
-        types = tuple(map(str, data.get("class_name", types)))
-        corners = data.get("xyxyxyxy", corners)
-    scores = _get_first(value, "conf", "confidence")
+    raw = convert_entry(value)
+    numbers = raw.numbers
+    if numbers.shape[1] == 4 and len(raw.forms) > 1:
+        numbers = convert_form(numbers, form or raw.forms[0])
+    ends = get_bounds(numbers)
+    if (ends[:, 2:] < ends[:, :2]).any():
+        raise GeoaimError(
+            "a box ends before it begins, so that its numbers are not left, top, right and bottom; "
+            f"say what they are by form, one of {', '.join(FORMS)}"
+        )
+    scores = raw.rows["score"].to_numpy(np.float64)
+    has_types, has_ids = (raw.rows[key].astype(bool).any() for key in ("class", "id"))
     return DetectedBoxes(
-        boxes,
-        None if corners is None else order_corners(_to_array(corners).reshape(-1, 4, 2)),
-        None if scores is None else scores.astype(np.float64),
-        map_classes(types),
-        () if ids is None else tuple(str(int(number)) for number in ids),
+        ends,
+        order_corners(numbers.reshape(-1, 4, 2)) if numbers.shape[1] == 8 else None,
+        None if np.isnan(scores).all() else scores,
+        map_classes(raw.rows["class"].tolist()) if has_types else (),
+        tuple(raw.rows["id"]) if has_ids else (),
     )
 
 
@@ -169,34 +343,3 @@ def mask_boxes(boxes: Float[Array, "N 4"], size: tuple[int, int]) -> Bool[Array,
     for (left, top), (right, bottom) in zip(low, high, strict=True):
         mask[top:bottom, left:right] = True
     return mask
-
-
-def _to_array(value: Any) -> Array:
-    """Make an array of one, or of a tensor on any device."""
-    return np.asarray(value.cpu() if hasattr(value, "cpu") else value)
-
-
-def _get_first(value: Any, *names: str) -> Array | None:
-    found = [getattr(value, name) for name in names if getattr(value, name, None) is not None]
-    return _to_array(found[0]).reshape(-1) if found else None
-
-
-def _select_frame(table: BoxTable, frame: Frame) -> DetectedBoxes | None:
-    """Select the rows of a frame: by the name of its image, by its number, or by its time."""
-    rows = table.find_rows(frame.name, frame.index, frame.time)
-    if rows is None:
-        return None
-    height, width = frame.grey.shape
-    part = table.rows.iloc[rows]
-    scale = np.array([width, height] if table.has_shares else [1.0, 1.0])
-    boxes = part[["left", "top", "right", "bottom"]].to_numpy(np.float64) * np.tile(scale, 2)
-    corners = None
-    if CORNERS[0] in part:
-        corners = order_corners(part[list(CORNERS)].to_numpy(np.float64).reshape(-1, 4, 2) * scale)
-    return DetectedBoxes(
-        boxes,
-        corners,
-        part["score"].to_numpy(np.float64),
-        map_classes(part["class"].tolist()),
-        tuple(part["id"]),
-    )

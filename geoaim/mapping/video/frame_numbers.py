@@ -12,7 +12,7 @@ MAX_LISTED = 3  # names that a message lists
 
 
 def number_names(
-    stems: Sequence[str], video: Video | None, source: str | Path
+    stems: Sequence[str], video: Video | None, source: str | Path, first: int | None = None
 ) -> dict[str, int] | None:
     """Find the frames that files are named by: `000012`, or `hover_13` as ultralytics names them.
 
@@ -22,6 +22,7 @@ def number_names(
         stems: names of the files without their suffixes.
         video: the video that they are of, where it is known.
         source: the folder or file that messages name.
+        first: number of the first frame; None: found.
 
     Returns:
         The index of the frame of each name; None where the names have no numbers in common.
@@ -38,8 +39,24 @@ def number_names(
     prefix = found[0][1].removesuffix("_")
     is_of_video = video is None or prefix == Path(video.source).stem
     by_ultralytics = found[0][1] != prefix and is_of_video and not is_padded
-    first = find_first(numbers, video, source, usual=1 if by_ultralytics else None)
+    if first is None:
+        first = find_first(numbers, video, source, usual=1 if by_ultralytics else None)
     return {stem: number - first for stem, number in zip(stems, numbers, strict=True)}
+
+
+def match_names(
+    names: Sequence[str], video: Video | None, source: str | Path, first: int | None = None
+) -> dict[str, int] | None:
+    """Number the names of frames of a video; refuse those of which none is that of a frame."""
+    if video is not None and video.names is not None:
+        images = [Path(name).stem for name in video.names]
+        if not {name.lstrip("0") for name in images} & {name.lstrip("0") for name in names}:
+            refuse_other_names(names, images, video, source)
+        return None
+    numbers = number_names(names, video, source, first)
+    if numbers is None and video is not None:
+        refuse_other_names(names, (), video, source)
+    return numbers
 
 
 def find_first(

@@ -3,29 +3,22 @@
 import gzip
 import os
 import zlib
+from functools import cache
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 from geoaim.base.errors import TracksError, name_option
 from geoaim.base.limits import check_regular, name_file
 from geoaim.base.world import World
+from geoaim.tracks import formats as package
 from geoaim.tracks.files import read_plain_tracks
-from geoaim.tracks.formats.argoverse import ARGOVERSE
-from geoaim.tracks.formats.geopackage import GEOPACKAGE
-from geoaim.tracks.formats.geotrax import GEOTRAX
-from geoaim.tracks.formats.geotrax_pixels import GEOTRAX_PIXELS
-from geoaim.tracks.formats.interaction import INTERACTION, SIND
-from geoaim.tracks.formats.levelx import HIGHD, IND
-from geoaim.tracks.formats.pixels import PIXELS
 from geoaim.tracks.formats.plausibility import check_plausibility
-from geoaim.tracks.formats.scenarionet import SCENARIONET
 from geoaim.tracks.formats.shared import TrackFormat, check_resolution, has_columns
-from geoaim.tracks.formats.stanford import SDD, TRAJNET
-from geoaim.tracks.formats.waymo import WAYMO
 from geoaim.tracks.tracks import Tracks
 
 MAX_LINE_CHARS = 100_000
-BINARY = (".parquet", ".pkl", ".gpkg")  # suffixes of files that have no first line
 _has_plain_columns = has_columns("id", "type", "time", "heading")
 
 
@@ -34,24 +27,17 @@ def _is_plain(path: Path, line: str) -> bool:
     return is_parquet or line.startswith(("#", '"#')) or _has_plain_columns(path, line)
 
 
-PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks, options=("world",))
-# the first format that matches a file is used
-FORMATS = (
-    ARGOVERSE,
-    WAYMO,
-    SCENARIONET,
-    GEOPACKAGE,
-    PLAIN,
-    SDD,
-    SIND,
-    INTERACTION,
-    IND,
-    HIGHD,
-    GEOTRAX,
-    GEOTRAX_PIXELS,
-    TRAJNET,
-    PIXELS,
-)
+PLAIN = TrackFormat("plain", _is_plain, read_plain_tracks, options=("world",), rank=1)
+
+
+@cache
+def list_formats() -> tuple[TrackFormat, ...]:
+    """List the formats of all modules of this package, by rank."""
+    found: dict[str, TrackFormat] = {}
+    for module in iter_modules(package.__path__):
+        values = vars(import_module(f"{package.__name__}.{module.name}")).values()
+        found |= {one.name: one for one in values if isinstance(one, TrackFormat)}
+    return tuple(sorted(found.values(), key=lambda one: one.rank))
 
 
 def read_tracks(
@@ -60,9 +46,8 @@ def read_tracks(
     world: World | None = None,
     resolution: float | None = None,
     frame_rate: float | None = None,
-    scenario: str | None = None,
 ) -> Tracks:
-    """Read tracks from a file in any format of `FORMATS`, and warn of implausible ones.
+    """Read tracks from a file in any format of `list_formats`, and warn of implausible ones.
 
     The readers of `geoaim.tracks.formats`, one for each format, do not check plausibility.
 
@@ -76,8 +61,6 @@ def read_tracks(
             options; without it SDD raises, and TrajNet needs a `scenes.csv` that has it.
         frame_rate: frames per second, for tables that have frames and no times; geo-trax in
             pixels has 29.97 without it.
-        scenario: id of a scenario, for formats with several in a file (Waymo); None where the file
-            has one only.
 
     Returns:
         The tracks.
@@ -90,18 +73,12 @@ def read_tracks(
             the resolution is not positive.
     """
     track_format = detect_format(path)
-    options = {
-        "world": world,
-        "resolution": resolution,
-        "frame_rate": frame_rate,
-        "scenario": scenario,
-    }
+    options = {"world": world, "resolution": resolution, "frame_rate": frame_rate}
     given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     for name in given:
         if name not in track_format.options:
             words = name.replace("_", " ")
-            prefix = "" if name == "scenario" else "tracks-"
-            option = name_option(f"--{prefix}{name.replace('_', '-')}", f"{name}=")
+            option = name_option(f"--tracks-{name.replace('_', '-')}", f"{name}=")
             raise ValueError(
                 f"{path} is in the {track_format.name} format, which takes no {words}; omit "
                 f"{option}"
@@ -129,15 +106,14 @@ def detect_format(path: str | os.PathLike[str]) -> TrackFormat:
     path = Path(path)
     if not path.exists():
         raise FileNotFoundError(f"{path}: no such file")
-    binary = path.is_dir() or path.suffix.lower() in BINARY or ".tfrecord" in path.name
-    line = "" if binary else _read_first_line(path)
-    for track_format in FORMATS:
+    line = "" if path.is_dir() else _read_first_line(path)
+    for track_format in list_formats():
         if track_format.matches(path, line):
             return track_format
     raise TracksError(
         f"{path} is not a table of tracks in a known format: its first line is {line[:120]!r}. "
-        f"Known formats: {', '.join(known.name for known in FORMATS)}; rename the columns to "
-        "those of one of them, and separate them with commas"
+        f"Known formats: {', '.join(known.name for known in list_formats())}; rename the columns "
+        "to those of one of them, separate them with commas, and save it as UTF-8"
     )
 
 
@@ -145,11 +121,7 @@ def _read_first_line(path: Path) -> str:
     check_regular(path, TracksError)
     try:
         opened = gzip.open if path.suffix.lower() == ".gz" else open
-        with opened(path, "rt", encoding="utf-8-sig") as file:
+        with opened(path, "rt", encoding="utf-8-sig", errors="replace") as file:
             return str(file.readline(MAX_LINE_CHARS)).strip()
-    except UnicodeDecodeError as error:
-        raise TracksError(
-            f"{path} is not a table of tracks in UTF-8 ({error}); save it as UTF-8"
-        ) from error
     except (OSError, EOFError, zlib.error) as error:
         raise TracksError(f"{path} is not a table of tracks: {error}") from error

@@ -139,6 +139,7 @@ INTERACTION = shared.TrackFormat(
     shared.has_columns("track_id", "timestamp_ms", "x", "vx"),
     read_interaction,
     options=("world",),
+    rank=1,
 )
 _has_vehicle_columns = shared.has_columns("track_id", "timestamp_ms", "x", "yaw_rad")
 _has_pedestrian_columns = shared.has_columns("track_id", "timestamp_ms", "x", "ax", "ay")

@@ -81,5 +81,10 @@ def _matches(path: Path, line: str) -> bool:
 
 
 PIXELS = shared.TrackFormat(
-    "pixel", _matches, read_pixels, options=("resolution", "frame_rate"), required=("resolution",)
+    "pixel",
+    _matches,
+    read_pixels,
+    options=("resolution", "frame_rate"),
+    required=("resolution",),
+    rank=2,
 )

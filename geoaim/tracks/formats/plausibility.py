@@ -49,14 +49,7 @@ class _Check:
 
 
 def check_plausibility(path: str | os.PathLike[str], tracks: Tracks) -> None:
-    """Warn of agents whose size, speed, heading or acceleration is implausible, with their number.
-
-    Noise in up to 5 % of the agents or states gives no `GeoaimWarning`.
-
-    Raises:
-        TracksError: at least 90 % of the agents or states that a check applies to are implausible;
-            the message names `path`.
-    """
+    """Warn of implausible sizes, speeds, headings and accelerations; raise if most are."""
     found = []
     for check in (*_check_sizes(tracks), *_check_motion(tracks)):
         share = check.wrong.sum() / max(check.checked.sum(), 1)

@@ -6,22 +6,20 @@ UniTraj share. `geoaim.hdmap.scenarionet` writes such files.
 
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
+from jaxtyping import Float, Int8
 from numpy import ndarray as Array
 
-from geoaim.base.errors import TracksError
-from geoaim.base.limits import MAX_POSITION_M, MAX_TIME_S, check_memory, refuse_damaged
+from geoaim.base.errors import TracksError, warn
+from geoaim.base.limits import MAX_POSITION_M, MAX_TIME_S, refuse_damaged
+from geoaim.base.pickles import read_pickle
 from geoaim.base.world import World
 from geoaim.tracks.formats import shared
-from geoaim.tracks.formats.lane_signals import LaneSignals, make_lights
 from geoaim.tracks.formats.motion import compute_signed_speed
-from geoaim.tracks.formats.pickles import read_pickle
 from geoaim.tracks.lights import GREEN, RED, UNKNOWN, YELLOW, Lights
 from geoaim.tracks.tables import make_tracks
 from geoaim.tracks.tracks import Tracks
@@ -38,7 +36,7 @@ SIGNALS = {
 WORLD_KEY = "geoaim_world"  # of the metadata in files that geoaim wrote: CRS and origin
 TYPE_KEY = "geoaim_type"  # of a track's metadata there
 FILES = "sd_*.pkl"  # of scenarios in a folder
-BYTES_PER_BYTE = 30  # in memory, of a pickle while it is read
+LANE_WIDTH_M = 3.5  # which the files do not state
 
 
 def read_scenarionet(path: str | os.PathLike[str]) -> Tracks:
@@ -68,7 +66,9 @@ def read_scenarionet(path: str | os.PathLike[str]) -> Tracks:
 def read_scenarionet_lights(path: str | os.PathLike[str]) -> Lights | None:
     """Read the traffic lights of a scenario, one for each lane that has a signal.
 
-    Lights are made as in `read_waymo_lights`, in the world of `read_scenarionet`.
+    A stop line crosses the middle of its lane at the file's stop point, `LANE_WIDTH_M` wide. Arrows
+    count as full signals; a flashing light, and one that is not seen at a step, is unknown. The
+    world is that of `read_scenarionet`.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -77,28 +77,25 @@ def read_scenarionet_lights(path: str | os.PathLike[str]) -> Lights | None:
     path = _find_file(Path(path))
     scenario = read_scenario_description(path)
     with refuse_damaged(path, TracksError, NEEDED):
-        middles = {
-            str(name): _read_points(feature["polyline"])
-            for name, feature in scenario["map_features"].items()
-            if str(feature.get("type", "")).startswith("LANE_") and len(feature["polyline"]) > 1
-        }
-        world = _find_world(scenario)
-        x, y = _find_offset(scenario, world).tolist()
-        lights = make_lights(path, _list_signals(scenario), middles, World(None, (x, y)))
-    return None if lights is None else replace(lights, world=world)
+        world, times = _find_world(scenario), _read_times(scenario)
+        middles, signals = _list_middles(scenario), _list_signals(scenario, len(times))
+        lanes = [lane for lane in signals if lane in middles]
+        if missing := len(signals) - len(lanes):
+            warn(f"{path}: {missing} signals are left out, whose lanes the map does not have")
+        if not lanes:
+            return None
+        lines = np.array([_cross_lane(signals[lane][1], middles[lane]) for lane in lanes])
+        lines -= _find_offset(scenario, world)
+        if not (np.abs(lines) <= MAX_POSITION_M).all():
+            raise ValueError(f"a light lies {np.abs(lines).max():g} m from the tracks")
+        states = np.column_stack([signals[lane][0] for lane in lanes])
+        return Lights(tuple(lanes), lines, times, states, world)
 
 
 def read_scenario_description(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read a scenario description, of which tracks, map and metadata are dicts.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        TracksError: it is no such scenario, or holds what is not plain data.
-    """
+    """Read a scenario description, of which tracks, map and metadata are dicts."""
     path = Path(path)
     with refuse_damaged(path, TracksError, NEEDED):
-        size = path.stat().st_size
-        check_memory(path, BYTES_PER_BYTE * size, size, TracksError, f"{size} bytes of pickle")
         scenario = read_pickle(path.read_bytes())
         parts = ("tracks", "map_features", "dynamic_map_states", "metadata")
         if not isinstance(scenario, dict):
@@ -179,16 +176,37 @@ def _find_offset(scenario: Mapping[str, Any], world: World) -> Float[Array, "2"]
     return np.zeros(2) if is_relative else np.array(world.origin)
 
 
-def _list_signals(scenario: Mapping[str, Any]) -> LaneSignals:
-    """List the states of the lights that have states by name."""
-    rows = []
+def _list_middles(scenario: Mapping[str, Any]) -> dict[str, Float[Array, "n 2"]]:
+    """List the points along the middle of each lane, in the file's plane."""
+    return {
+        str(name): _read_points(feature["polyline"])
+        for name, feature in scenario["map_features"].items()
+        if str(feature.get("type", "")).startswith("LANE_") and len(feature["polyline"]) > 1
+    }
+
+
+def _list_signals(
+    scenario: Mapping[str, Any], count: int
+) -> dict[str, tuple[Int8[Array, "T"], Float[Array, "2"]]]:
+    """List the states of each lane's light at each of `count` times, and its stop point."""
+    signals: dict[str, tuple[Int8[Array, T], Float[Array, 2]]] = {}
     for name, light in scenario["dynamic_map_states"].items():
-        x, y = _read_points([light["stop_point"]])[0].tolist()
-        lane = str(light.get("lane") or name)
-        for step, state in enumerate(light["state"]["object_state"]):
-            rows.append((step, lane, SIGNALS.get(str(state), UNKNOWN), x, y))
-    table = pd.DataFrame(rows, columns=["step", "lane", "state", "x", "y"])
-    return LaneSignals(_read_times(scenario), table)
+        states = light["state"]["object_state"]
+        if len(states) > count:
+            raise ValueError(f"a light has {len(states)} states for {count} times")
+        lane, point = str(light.get("lane") or name), _read_points([light["stop_point"]])[0]
+        shown = signals.setdefault(lane, (np.full(count, UNKNOWN, np.int8), point))[0]
+        shown[: len(states)] = [SIGNALS.get(str(state), UNKNOWN) for state in states]
+    return signals
+
+
+def _cross_lane(point: Float[Array, "2"], middle: Float[Array, "n 2"]) -> Float[Array, "2 2"]:
+    """Make the line across a lane at a point: from its right to its left."""
+    nearest = int(np.linalg.norm(middle - point, axis=1).argmin())
+    start = min(nearest, len(middle) - 2)
+    along = middle[start + 1] - middle[start]
+    left = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
+    return np.stack([point - LANE_WIDTH_M / 2 * left, point + LANE_WIDTH_M / 2 * left])
 
 
 def _read_points(points: Any) -> Float[Array, "n 2"]:

@@ -44,6 +44,7 @@ class TrackFormat:
     read: Callable[..., Tracks]  # takes a path, and `options` as keywords
     options: tuple[str, ...] = ()  # keywords that `read` takes, of those of `read_tracks`
     required: tuple[str, ...] = ()  # the options without which it cannot read
+    rank: int = 0  # of the formats that match a file, the lowest: general ones have higher ranks
 
 
 def has_columns(*names: str, delimiter: str = ",") -> Matcher:
@@ -109,18 +110,7 @@ def choose_origin(points: Float[Array, "n 2"]) -> tuple[float, float]:
 def name_vehicles(
     types: "pd.Series[Any]", lengths: "pd.Series[float]", *, vehicle: str
 ) -> "pd.Series[Any]":
-    """Replace the type `vehicle` by car, or by truck where a length (m) is over `MAX_CAR_LENGTH_M`.
-
-    For files that do not tell trucks and buses from cars.
-
-    Args:
-        types: types of the agents.
-        lengths: metres.
-        vehicle: the type to replace.
-
-    Returns:
-        The types.
-    """
+    """Replace the type `vehicle` by car, or by truck where longer than `MAX_CAR_LENGTH_M`."""
     kinds = np.where(lengths > MAX_CAR_LENGTH_M, "truck", "car")
     return types.where(types != vehicle, kinds)
 

@@ -7,7 +7,7 @@ An action is {"action": NAME, ...}:
   and v are a pixel of the imagery), and a name; "move" is the same with the id of a point;
 - "rename" (id, name), "delete" (id), "undo", "redo";
 - "snap" (u, v, side "frame" or "imagery", radius) tells the corner beside a click in "snapped";
-- "accept" (candidate: its index) makes a proposed pair a point; `search` proposes them;
+- "accept" (candidate: its index) makes a proposed pair a point; `PairSearch` proposes them;
 - "export" (format "csv", "txt" or "points") gives the "text" of a file to save.
 
 Every reply has the whole state (`describe_session`) and "notes", warnings of the action; one to a
@@ -17,17 +17,22 @@ bad action has only "error", in one line. Warnings are caught: handle one action
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
+from geoaim.aim.aim import AIM
 from geoaim.base.errors import GeoaimError, GeoaimWarning
-from geoaim.base.world import crs_from_world
+from geoaim.base.geometry import transform_points
+from geoaim.base.world import LONLAT, crs_from_world, transform_crs
+from geoaim.mapping.georeference.control_points import ControlPoints
+from geoaim.mapping.georeference.point_checks import check_coordinates
 from geoaim.mapping.georeference.point_export import format_points
-from geoaim.web.picking.positions import read_pair, read_position, require_imagery
+from geoaim.mapping.georeference.point_files import MAX_NUMBER
 from geoaim.web.picking.session import (
     PickedPoint,
     PickingSession,
+    Vector,
     change_points,
     choose_name,
     collect_points,
@@ -36,9 +41,70 @@ from geoaim.web.picking.session import (
 )
 from geoaim.web.picking.snap import SNAP_RADIUS_PX, snap_to_corner
 from geoaim.web.picking.state import describe_session
+from geoaim.web.picking.task import PickingTask
 
 Action = Mapping[str, Any]
 Outcome = tuple[PickingSession, dict[str, Any]]
+
+
+class Position(TypedDict, total=False):
+    """A pixel of the frame, a place in the task's CRS, or both."""
+
+    pixel: Vector
+    place: Vector
+
+
+def read_position(task: PickingTask, action: Mapping[str, Any]) -> Position:
+    """Read the pixel and the place that an action states; either may be missing."""
+    position: Position = {}
+    if "u" in action and action.get("side") == "imagery":
+        imagery = require_imagery(task)
+        pixel = _check_inside(read_pair(action, "u", "v"), imagery.image.shape[:2])
+        metres = transform_points(imagery.world_from_image, np.array([pixel]))
+        position["place"] = _first(crs_from_world(imagery.world, metres, task.crs))
+    elif "u" in action:
+        position["pixel"] = _check_inside(read_pair(action, "u", "v"), task.frame.shape[:2])
+    if "x" in action:
+        position["place"] = read_pair(action, "x", "y")
+    elif "lon" in action:
+        if task.crs is None:
+            raise ValueError("these control points lie in a local plane: give x and y, in metres")
+        lonlat = np.array([read_pair(action, "lon", "lat")])
+        position["place"] = _first(transform_crs(LONLAT, task.crs, lonlat))
+    if not position:
+        raise ValueError("no position: u and v, x and y, or lon and lat are needed")
+    if "place" in position:
+        place = np.array([position["place"]])
+        check_coordinates(ControlPoints(np.zeros((1, 2)), place, task.crs, ("not saved",), (None,)))
+    return position
+
+
+def read_pair(action: Mapping[str, Any], first: str, second: str) -> Vector:
+    """Read two finite numbers of an action."""
+    for key in (first, second):
+        number: Any = action.get(key)
+        if type(number) not in (int, float) or not abs(number) < MAX_NUMBER:
+            raise ValueError(f"{key} is {str(number)[:40]!r}; a finite number is needed")
+    return float(action[first]), float(action[second])
+
+
+def require_imagery(task: PickingTask) -> AIM:
+    """Return the imagery of a task."""
+    if task.imagery is None:
+        raise ValueError("no imagery was given: type coordinates, or name imagery at the start")
+    return task.imagery
+
+
+def _check_inside(pixel: Vector, size: tuple[int, ...]) -> Vector:
+    height, width = size
+    if not (0 <= pixel[0] <= width and 0 <= pixel[1] <= height):
+        raise ValueError(f"({pixel[0]:g}, {pixel[1]:g}) lies outside {width} x {height} pixels")
+    return pixel
+
+
+def _first(points: np.ndarray) -> Vector:
+    x, y = points[0].tolist()
+    return x, y
 
 
 def handle(session: PickingSession, action: Any) -> Outcome:

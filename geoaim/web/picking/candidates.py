@@ -37,22 +37,7 @@ def propose_pairs(
     *,
     progress: Progress = no_progress,
 ) -> tuple[PairCandidate, ...]:
-    """Propose pairs that agree with each other and are spread over the frame.
-
-    Args:
-        frame: a frame of the video, as the georeference's pixels count it.
-        imagery: imagery of the same ground, from any day.
-        georeference: rough georeference of the frame in the imagery's world; the imagery is
-            searched within its uncertainty at the frame's corners.
-        progress: takes stage, done and total.
-
-    Returns:
-        At most 12 pairs.
-
-    Raises:
-        AlignmentError: the frame is not found in the imagery, or in two places.
-        ValueError: the georeference and the imagery lie in different worlds.
-    """
+    """Propose pairs that agree with each other and are spread over the frame."""
     rough = AIM.from_image(frame, georeference.world_from_image, georeference.world, "frame")
     prior = _choose_prior(georeference, max(rough.resolution, imagery.resolution))
     matched = match_image(rough, imagery, prior=prior, progress=progress)
@@ -72,16 +57,7 @@ def propose_pairs(
 def measure_disagreement(
     pairs: Sequence[PairCandidate], pixels: Float[Array, "m 2"], places: Float[Array, "m 2"]
 ) -> Float[Array, "m"]:
-    """Measure how far points lie from where an affine map through proposed pairs puts them.
-
-    Args:
-        pairs: three pairs or more.
-        pixels: (M, 2) pixels of the points in the frame.
-        places: (M, 2) places of the points, metres in the imagery's world.
-
-    Returns:
-        (M,) distances, metres.
-    """
+    """Measure how far points lie from where an affine map through proposed pairs puts them."""
     proposed = np.array([(*pair.pixel, 1.0) for pair in pairs])
     affine = np.linalg.lstsq(proposed, np.array([pair.place for pair in pairs]))[0]
     fitted = np.column_stack([pixels, np.ones(len(pixels))]) @ affine

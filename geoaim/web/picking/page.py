@@ -4,9 +4,11 @@ Beside the actions of `handle` it knows "overlay"; "propose", which starts a sea
 "proposed". The last two reply with "search", how far it is, or with the state when it has ended.
 """
 
+import threading
+import time
 from base64 import b64encode
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import Any
 
@@ -15,17 +17,77 @@ from jaxtyping import UInt8
 from numpy import ndarray as Array
 
 from geoaim.aim.rectification import sample_nearest
+from geoaim.base.errors import AlignmentError, GeoaimError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.grid import Grid
+from geoaim.base.progress import Progress, no_progress
 from geoaim.web.map_view import MapView
-from geoaim.web.picking.actions import handle
-from geoaim.web.picking.search import PairSearch
+from geoaim.web.picking.actions import handle, require_imagery
+from geoaim.web.picking.candidates import PairCandidate, propose_pairs
 from geoaim.web.picking.session import PickingSession, open_session
-from geoaim.web.picking.state import describe_session
+from geoaim.web.picking.state import assess_session, describe_session
 from geoaim.web.picking.task import PickingTask
 from geoaim.web.tiles import TiledRaster, encode_picture, tile_array
 
 MAX_OVERLAY_PX = 1600  # longer side of the overlay
+STAGES = ("search", "refine", "verify")  # of `match_image`
+
+
+def find_pairs(
+    session: PickingSession, progress: Progress = no_progress
+) -> tuple[PairCandidate, ...]:
+    """Find pairs by matching a session's frame with its imagery."""
+    imagery = require_imagery(session.task)
+    georeference = assess_session(session).georeference or session.task.rough
+    if georeference is None:
+        raise ValueError("pairs are proposed from the second point on; pick two first")
+    try:
+        return propose_pairs(session.task.frame, imagery, georeference, progress=progress)
+    except AlignmentError as error:
+        raise AlignmentError(
+            f"no pairs: the imagery does not show the frame where the points place it ({error})"
+        ) from error
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """What a search ended with: pairs, or the reason why there are none."""
+
+    pairs: tuple[PairCandidate, ...] = ()
+    error: str = ""
+
+
+class PairSearch:
+    """One search for pairs in a thread; it ends when the main thread does."""
+
+    def __init__(self, session: PickingSession) -> None:
+        """Start the search of a session's frame in its imagery."""
+        self._began, self._done = time.monotonic(), 0.0
+        self._result: SearchResult | None = None
+        self._thread = threading.Thread(target=self._run, args=(session,))
+        self._thread.start()
+
+    def get_result(self) -> SearchResult | None:
+        """Return the result; None as long as the search goes on."""
+        if not self._thread.is_alive() and self._result is None:
+            return SearchResult(error="the search for pairs failed; the terminal says why")
+        return self._result
+
+    def describe(self) -> dict[str, Any]:
+        """Describe how far it is: "done" of "total", and its "seconds" so far."""
+        seconds = time.monotonic() - self._began
+        return {"done": self._done, "total": len(STAGES), "seconds": seconds}
+
+    def _run(self, session: PickingSession) -> None:
+        try:
+            self._result = SearchResult(find_pairs(session, self._progress))
+        except (GeoaimError, ValueError) as error:
+            self._result = SearchResult(error=" ".join(str(error).split()))
+
+    def _progress(self, stage: str, done: float, total: float | None) -> None:
+        if not threading.main_thread().is_alive():
+            raise SystemExit  # the page was closed, and the program waits for its threads
+        self._done = STAGES.index(stage) + done / (total or 1)
 
 
 def make_picking_view(task: PickingTask, title: str) -> MapView:
@@ -77,12 +139,7 @@ def _follow_search(
 
 
 def draw_overlay(session: PickingSession) -> dict[str, Any]:
-    """Draw the frame as it lies on the imagery by the points picked so far.
-
-    Returns:
-        A data URL of the picture, and its extent (left, top, right, bottom) in pixels of the
-        imagery; empty where the points do not determine the position.
-    """
+    """Draw the frame as it lies on the imagery by the points picked so far."""
     matrix, imagery = describe_session(session)["imagery_from_frame"], session.task.imagery
     if matrix is None or imagery is None:
         return {}

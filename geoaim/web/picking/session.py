@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.base.errors import warn
+from geoaim.base.files import lock_folder
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import world_from_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, read_control_points
@@ -41,15 +42,11 @@ class PickingSession:
     past: tuple[tuple[PickedPoint, ...], ...] = ()  # earlier points, the last ones at the end
     future: tuple[tuple[PickedPoint, ...], ...] = ()  # points that were undone, the next at the end
     candidates: tuple[PairCandidate, ...] = ()  # proposed, and not accepted yet
+    saved: tuple[PickedPoint, ...] = ()  # the points in the task's file, as last read or written
 
 
 def open_session(task: PickingTask) -> PickingSession:
-    """Start a session; where the task's file exists, with its points and in its CRS.
-
-    Raises:
-        GeoreferenceError: the file cannot be read.
-        ValueError: its name does not end in .csv.
-    """
+    """Start a session; where the task's file exists, with its points and in its CRS."""
     if task.path is None or not task.path.exists():
         if task.path is not None and task.path.suffix != ".csv":
             raise ValueError(f"{task.path}: points are saved as .csv; other formats are exported")
@@ -57,12 +54,8 @@ def open_session(task: PickingTask) -> PickingSession:
     if task.path.suffix == ".csv" and not read_point_file(task.path):
         return PickingSession(task)
     saved = read_control_points(task.path, keep_incomplete=True)
-    rows = zip(saved.names, saved.pixels, saved.coordinates, saved.frames, strict=True)
-    points = tuple(
-        PickedPoint(i, name, _read_pair(pixel), _read_pair(place), frame)
-        for i, (name, pixel, place, frame) in enumerate(rows, 1)
-    )
-    session = PickingSession(replace(task, crs=saved.crs), points)
+    points = _list_points(saved)
+    session = PickingSession(replace(task, crs=saved.crs), points, saved=points)
     _warn_of_other_place(session)
     return session
 
@@ -111,12 +104,72 @@ def redo(session: PickingSession) -> PickingSession:
 def save_points(session: PickingSession) -> PickingSession:
     """Write all points to the task's file, whole or not at all; incomplete ones have empty fields.
 
-    Raises:
-        OSError: it cannot be written.
+    What another session or program changed in the file meanwhile is merged first, by name; a point
+    that was changed here as well stays as it is here, with a warning.
     """
-    if session.task.path is not None:
-        write_control_points(collect_points(session), session.task.path)
-    return session
+    path = session.task.path
+    if path is None:
+        return session
+    with lock_folder(path.parent, wait=True):
+        if path.exists() and (path.suffix != ".csv" or read_point_file(path)):
+            other = read_control_points(path, keep_incomplete=True)
+            if other.crs != session.task.crs and session.saved:
+                raise ValueError(
+                    f"{path} was saved in {other.crs} meanwhile, and these points are in "
+                    f"{session.task.crs}; start picking again to go on from that file"
+                )
+            session = _merge(session, _list_points(other))
+        write_control_points(collect_points(session), path)
+    return replace(session, saved=session.points)
+
+
+def _merge(session: PickingSession, other: tuple[PickedPoint, ...]) -> PickingSession:
+    """Merge what differs in the file from what was saved last, into all states of the session."""
+    before, now, here = _index(session.saved), _index(other), _index(session.points)
+    if before == now:
+        return session
+    states = (session.points, *session.past, *session.future)
+    number = 1 + max((point.id for points in states for point in points), default=0)
+    new = [p for name, p in now.items() if name not in before and p != here.get(name)]
+    added = tuple(replace(point, id=number + i) for i, point in enumerate(new))
+    names: dict[int, str] = {}  # of points of this session whose names were taken meanwhile
+    for point in session.points:
+        if point.name in {p.name for p in new}:
+            called = (*session.points, *added, *(PickedPoint(0, name) for name in names.values()))
+            names[point.id] = choose_name(called)
+            warn(f"another {point.name!r} was saved meanwhile; this one is {names[point.id]!r} now")
+        elif point.name in before and before[point.name] not in (
+            here[point.name],
+            now.get(point.name),
+        ):
+            warn(f"{point.name!r} was changed elsewhere as well; it stays as it is here")
+
+    def merge(points: tuple[PickedPoint, ...]) -> tuple[PickedPoint, ...]:
+        renamed = [replace(point, name=names.get(point.id, point.name)) for point in points]
+        is_changed = {p.name: before.get(p.name) != replace(p, id=0) for p in renamed}
+        kept = [p for p in renamed if is_changed[p.name] or p.name in now]
+        merged = [p if is_changed[p.name] else replace(now[p.name], id=p.id) for p in kept]
+        return (*merged, *added)
+
+    return replace(
+        session,
+        points=merge(session.points),
+        past=tuple(map(merge, session.past)),
+        future=tuple(map(merge, session.future)),
+    )
+
+
+def _index(points: Sequence[PickedPoint]) -> dict[str, PickedPoint]:
+    """Map names to points without their numbers, which are of a session."""
+    return {point.name: replace(point, id=0) for point in points}
+
+
+def _list_points(saved: ControlPoints) -> tuple[PickedPoint, ...]:
+    rows = zip(saved.names, saved.pixels, saved.coordinates, saved.frames, strict=True)
+    return tuple(
+        PickedPoint(i, name, _read_pair(pixel), _read_pair(place), frame)
+        for i, (name, pixel, place, frame) in enumerate(rows, 1)
+    )
 
 
 def collect_points(session: PickingSession) -> ControlPoints:
@@ -135,11 +188,7 @@ def collect_points(session: PickingSession) -> ControlPoints:
 
 
 def choose_name(points: Sequence[PickedPoint], name: str = "") -> str:
-    """Choose a name of one line that no point has: the given one, or "point 1", "point 2", ...
-
-    Raises:
-        ValueError: another point has the given name.
-    """
+    """Choose a name of one line that no point has: the given one, or "point 1", "point 2", ..."""
     names = {point.name for point in points}
     if (name := clean_text(name)) in names:
         raise ValueError(f"another point is called {name!r}; choose another name")

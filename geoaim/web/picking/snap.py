@@ -24,18 +24,7 @@ def snap_to_corner(
 
     Corners are where the weaker eigenvalue of the gradients' covariance is high (Shi and Tomasi
     1994), refined to the point that all gradients around it are orthogonal to (Förstner and
-    Gülch 1987).
-
-    Args:
-        image: (H, W) or (H, W, 3), 8 bits.
-        pixel: u, v with the origin at the image's corner.
-        radius: radius in which the corner must lie, pixels.
-
-    Returns:
-        u, v of the corner; None where there is none: only an edge, texture of noise, or nothing.
-
-    Raises:
-        ValueError: the pixel lies outside the image, or the radius is not positive.
+    Gülch 1987). None where there is none: only an edge, texture of noise, or nothing.
     """
     height, width = image.shape[:2]
     if not (0 <= pixel[0] <= width and 0 <= pixel[1] <= height and radius > 0):

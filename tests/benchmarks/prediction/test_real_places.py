@@ -11,8 +11,8 @@ from benchmarks.prediction.places import read_map, read_recordings
 from benchmarks.prediction.real_places import RealRecording, read_karlsruhe, read_stanford
 from benchmarks.prediction.results import Workspace
 from geoaim.prediction.baselines import BASELINES
+from geoaim.rendering.scene import slice_scene
 from geoaim.simulation.road_rules import NO_ROAD_RULES
-from geoaim.simulation.scene import slice_scene
 from geoaim.tracks.changes import cut_tracks
 
 

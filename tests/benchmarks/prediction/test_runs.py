@@ -33,7 +33,7 @@ from geoaim.prediction.dataset import split_scene
 from geoaim.prediction.familiarity import KnownViews
 from geoaim.prediction.training import init_model
 from geoaim.prediction.windows import WINDOW_STEPS, make_path_segments
-from geoaim.simulation.scene import slice_scene
+from geoaim.rendering.scene import slice_scene
 from tests.prediction.tiny import hill
 
 SMALL = {"view_size": 16, "view_stride": 50, "hidden_size": 16, "feature_size": 12}

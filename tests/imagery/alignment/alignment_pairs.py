@@ -3,11 +3,11 @@
 from dataclasses import replace
 from functools import cache
 
+from benchmarks.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
+from benchmarks.synthetic.imagery import make_other_day, photograph
 from geoaim.aim.aim import AIM
 from geoaim.base.geometry import make_similarity
 from geoaim.base.world import World
-from geoaim.synthetic import draw_place, make_place, make_sample, tracks_of, world_from_image
-from geoaim.synthetic.imagery import make_other_day, photograph
 
 GROUND, PHOTO = 0.2, 0.5  # m a pixel
 

@@ -20,6 +20,7 @@ def _error(found, matrix, aim):
     )
 
 
+@pytest.mark.slow
 def test_picture_of_another_day_is_aligned_within_half_a_pixel():
     aim, photo, _ = made()
     stated, matrix = misplaced(photo, shift=(9.0, -7.0), turn=np.radians(4), zoom=1.04)

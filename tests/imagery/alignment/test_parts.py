@@ -53,6 +53,7 @@ def test_halves_of_two_files_are_placed_each_for_itself():
     assert figure.axes[2].get_title("left").endswith("2 parts")
 
 
+@pytest.mark.slow
 def test_halves_within_one_file_are_found():
     aim, photo, labels = halves()
     with pytest.warns(GeoaimWarning, match="displaced each for itself"):
@@ -175,6 +176,7 @@ def _state(aim, covariance, off=(0.0, 0.0)):
     return replace(moved, report={"position": state_position("a test", np.array(covariance))})
 
 
+@pytest.mark.slow
 def test_chain_of_three_passes_the_uncertainty_on():
     """A map that is 5 m off along its road, within what it states, and two pictures after it."""
     aim, photo, _ = made()

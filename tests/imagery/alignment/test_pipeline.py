@@ -49,6 +49,7 @@ def test_aim_corrects_the_position_of_the_sample_orthophoto(aim):
     assert "position" not in found.summarize()
 
 
+@pytest.mark.slow
 def test_tracks_check_an_alignment_by_an_aim(aim):
     tracks = geoaim.read_tracks(TRACKS)
     found = align_tiles("samples/ortho.tif", aim=aim, tracks=tracks, resolution=0.3)
@@ -149,6 +150,7 @@ def test_without_evidence_imagery_keeps_its_georeference():
     assert found.summarize()["position"].startswith("not aligned")
 
 
+@pytest.mark.slow
 def test_imagery_is_not_misplaced_by_a_drawn_hd_map(aim):
     """Drawn lines have little in common with a picture: refused, or right, but never wrong."""
     world = aim.world

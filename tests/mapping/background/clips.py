@@ -54,5 +54,6 @@ def boxes_of_queue(*, count=30, standing=0.6, missing=0.0, scale=1.0, seed=2):
         boxes = np.array([[left, CAR[1], left + 40, CAR[3]], [other, 80, other + 40, 100.0]])
         middle, half = (boxes[:, :2] + boxes[:, 2:]) / 2, (boxes[:, 2:] - boxes[:, :2]) / 2
         boxes = np.hstack([middle - scale * half, middle + scale * half])
-        entries.append(boxes[generator.random(2) >= missing])
+        is_found = generator.random(2) >= missing
+        entries.append(boxes[is_found & (middle[:, 0] < SIZE[1])])  # what has left has no box
     return entries

@@ -3,12 +3,7 @@ import numpy as np
 import pytest
 
 from geoaim.base.errors import BackgroundError
-from geoaim.mapping.background.running_mean import (
-    RunningMean,
-    add_to_mean,
-    average_frames,
-    finish_mean,
-)
+from geoaim.mapping.background.running_mean import average_frames
 from geoaim.mapping.background.traffic_search import remove_traffic
 from geoaim.mapping.video.video import open_video
 from tests.mapping.background.clips import CAR, SIZE, frames_of, queue, shift
@@ -100,16 +95,6 @@ def test_each_pixel_of_a_mean_in_three_bands_averages_every_third_frame(ground):
     result = average_frames(frames_of([ground] * 6), size=SIZE, bands=3)
     assert (result.coverage[5:-5, 5:-5] == 2).all()
     np.testing.assert_allclose(result.image[5:-5, 5:-5].astype(int), ground[5:-5, 5:-5], atol=1)
-
-
-def test_averaging_stops_when_the_image_no_longer_changes(ground):
-    mean = RunningMean(SIZE, tolerance=0.5)
-    for frame, image_from_frame in frames_of([ground] * 100):
-        if not mean.converged:
-            add_to_mean(mean, frame, image_from_frame)
-    result = finish_mean(mean)
-    assert result.frames_used == 32
-    assert result.change <= 0.5
 
 
 def test_sharpness_of_a_subpixel_mean_is_kept(ground):

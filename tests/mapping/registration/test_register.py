@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.camera import reference_from_frames, render_frame
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, predict_uncertainty
 from geoaim.mapping.registration.register import choose_reference, register, register_frames
 from geoaim.mapping.video.video import open_video
-from geoaim.synthetic.camera import reference_from_frames, render_frame
 from tests.conftest import textured
 
 
@@ -149,6 +149,7 @@ def test_one_frame_that_jumps_is_rejected(frames):
     assert "neighbours" in registration.reason[4]
 
 
+@pytest.mark.slow
 def test_a_view_that_swings_back_and_forth_makes_few_keyframes(frames):
     ground = textured(np.random.default_rng(4), 400, 1000)
     lefts = [0, 230, 20, 260] * 5

@@ -3,11 +3,11 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from geoaim.base.errors import GeoaimError
-from geoaim.mapping.video.detection_columns import name_columns, parse_columns
-from geoaim.mapping.video.detection_files import read_box_table
+from geoaim.mapping.video.detection_columns import parse_columns
 from geoaim.mapping.video.detections import read_detections
 from geoaim.mapping.video.frames import Frame
 
@@ -113,46 +113,27 @@ def test_times_find_the_nearest_frame_of_a_variable_rate(tmp_path):
 def test_unknown_columns_are_named_with_what_is_needed(tmp_path):
     path = write(tmp_path / "a.csv", "frame,foo,bar\n0,1,2\n")
     with pytest.raises(GeoaimError, match=r"foo, bar; x and y, .* is needed: .*--columns"):
-        read_box_table(path)
+        read_detections(path)
     with pytest.raises(GeoaimError, match="lacks the columns nope"):
-        read_box_table(path, columns={"x": "nope"})
+        read_detections(path, columns={"x": "nope"})
     with pytest.raises(GeoaimError, match="x is 'a' in row 1; a number is needed"):
-        read_box_table(write(tmp_path / "b.csv", "frame,x,y\n0,a,2\n"))
+        read_detections(write(tmp_path / "b.csv", "frame,x,y\n0,a,2\n"))
     with pytest.raises(ValueError, match="columns 'x' are not of the form"):
         parse_columns("x")
 
 
 def test_other_files_are_refused(tmp_path):
     with pytest.raises(GeoaimError, match="11 columns and no header"):
-        read_box_table(write(tmp_path / "a.txt", ",".join("1" * 11)))
+        read_detections(write(tmp_path / "a.txt", ",".join("1" * 11)))
     with pytest.raises(FileNotFoundError, match="no such file"):
-        read_box_table(tmp_path / "none")
+        read_detections(tmp_path / "none")
     with pytest.raises(GeoaimError, match="has no annotations"):
-        read_box_table(write(tmp_path / "a.json", "[]"))
+        read_detections(write(tmp_path / "a.json", "[]"))
 
 
-def test_names_of_supervisions_sink_are_known(tmp_path):
-    import pandas as pd
-
-    names = [
-        "x_min",
-        "y_min",
-        "x_max",
-        "y_max",
-        "class_id",
-        "confidence",
-        "tracker_id",
-        "frame_index",
-    ]
-    table = pd.DataFrame([[90, 40, 110, 60, 2, 0.5, 7, 0]], columns=names)
-    rows = name_columns(tmp_path, table, {})
-    assert rows.iloc[0].to_dict() | {"score": 0.5} == {
-        "frame": 0,
-        "id": "7",
-        "class": "2",
-        "score": 0.5,
-        "left": 90,
-        "top": 40,
-        "right": 110,
-        "bottom": 60,
-    }
+def test_names_of_supervisions_sink_are_known():
+    values = {"x_min": 90, "y_min": 40, "x_max": 110, "y_max": 60, "class_id": 2}
+    values |= {"confidence": 0.5, "tracker_id": 7, "class_name": "person", "frame_index": 0}
+    found = read_frame(pd.DataFrame([values]))
+    np.testing.assert_allclose(found.boxes, [BOX])
+    assert (found.types, found.ids, found.scores.tolist()) == (("pedestrian",), ("7",), [0.5])

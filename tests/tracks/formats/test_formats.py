@@ -81,7 +81,7 @@ def test_a_file_in_no_known_format_is_refused(tmp_path, name, content):
 
 def test_columns_of_a_format_with_another_delimiter_need_commas(tmp_path):
     (tmp_path / "a.csv").write_text(COLUMNS.replace(",", ";"))
-    with pytest.raises(TracksError, match="and separate them with commas"):
+    with pytest.raises(TracksError, match="separate them with commas"):
         read_tracks(tmp_path / "a.csv")
 
 

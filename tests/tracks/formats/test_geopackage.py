@@ -2,12 +2,13 @@
 
 import shutil
 import sqlite3
-import struct
+import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyogrio
 import pytest
 import shapely
 
@@ -58,16 +59,16 @@ def test_file_has_what_every_geopackage_has(written):
 
 
 def test_paths_are_lines_in_the_crs(written):
-    rows = ask(written, "SELECT geom, id, start FROM paths")
-    assert len(rows) == (SAMPLE.present.sum(axis=1) > 1).sum()
-    geometry, name, start = rows[0]
-    assert geometry[:4] == b"GP\0\x01"
-    assert struct.unpack("<i", geometry[4:8]) == (32635,)
-    agent = SAMPLE.ids.index(name)
+    info, _, lines, (names, starts) = pyogrio.raw.read(
+        written, layer="paths", columns=["id", "start"]
+    )
+    assert info["crs"] == "EPSG:32635"
+    assert len(lines) == (SAMPLE.present.sum(axis=1) > 1).sum()
+    agent = SAMPLE.ids.index(names[0])
     steps = np.flatnonzero(SAMPLE.present[agent])
     wanted = SAMPLE.states[agent, steps, :2] + SAMPLE.world.origin
-    np.testing.assert_allclose(shapely.get_coordinates(shapely.from_wkb(geometry[8:])), wanted)
-    assert start == SAMPLE.times[steps[0]]
+    np.testing.assert_allclose(shapely.get_coordinates(shapely.from_wkb(lines[0])), wanted)
+    assert starts[0] == SAMPLE.times[steps[0]]
 
 
 @pytest.mark.parametrize(
@@ -78,8 +79,8 @@ def test_paths_are_lines_in_the_crs(written):
             "ALTER TABLE states DROP COLUMN speed",
             "the layer states has .* and lacks speed: rename or add",
         ),
-        ("UPDATE states SET geom = x'00'", "a geometry is no GeoPackage binary"),
-        ("UPDATE states SET geom = NULL", "a geometry is no GeoPackage binary"),
+        ("UPDATE states SET geom = x'00'", "a row without a point"),
+        ("UPDATE states SET geom = NULL", "a row without a point"),
         ("UPDATE states SET heading = 'north'", "heading 'north' is not a number"),
         ("DELETE FROM states", "has no rows"),
         ("DELETE FROM gpkg_contents", "a GeoPackage of tracks, or is damaged"),
@@ -103,6 +104,51 @@ def test_layer_that_another_program_describes_is_read(tmp_path, written):
     assert found.world.crs == SAMPLE.world.crs
     one, other = (x.states[x.present][:, :2] + x.world.origin for x in (found, SAMPLE))
     np.testing.assert_allclose(one, other, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            "ALTER TABLE states RENAME TO old; CREATE VIEW states AS WITH RECURSIVE n(i) AS "
+            "(SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT old.* FROM old, n",
+            "has a layer states of points",
+        ),
+        (
+            "ALTER TABLE gpkg_contents RENAME TO old; CREATE VIEW gpkg_contents AS WITH RECURSIVE "
+            "n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT old.* FROM old, n",
+            "computed when they are read",
+        ),
+        (
+            "ALTER TABLE states DROP COLUMN id; ALTER TABLE states ADD id TEXT AS "
+            "(hex(zeroblob(400000000)))",
+            "computed when they are read",
+        ),
+    ],
+)
+def test_file_that_computes_its_rows_without_end_is_refused(tmp_path, written, change, message):
+    path = Path(shutil.copy(written, tmp_path / "a.gpkg"))
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(change)
+    with pytest.raises(TracksError, match=message):
+        read_tracks(path)
+
+
+def test_other_format_under_the_name_is_not_opened(tmp_path, written):
+    path = tmp_path / "a.gpkg"
+    path.write_text(
+        f"<OGRVRTDataSource><OGRVRTLayer name='states'><SrcDataSource>{written}</SrcDataSource>"
+        "</OGRVRTLayer></OGRVRTDataSource>"
+    )
+    with pytest.raises(TracksError, match="first bytes are those of another format"):
+        read_tracks(path)
+
+
+def test_missing_package_is_named(tmp_path, written, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyogrio", None)
+    for act in (read_tracks, lambda path: write_geopackage(SAMPLE, path)):
+        with pytest.raises(ImportError, match="extra gis: pip install pyogrio"):
+            act(written)
 
 
 def test_other_files_and_empty_tracks_are_refused(tmp_path):

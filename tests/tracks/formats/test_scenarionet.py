@@ -11,7 +11,7 @@ from geoaim.tracks.lights import GREEN, RED, UNKNOWN
 from tests.tracks.formats import scenarionet_files as made
 
 
-@pytest.mark.parametrize("protocol", [3, 4, 5])
+@pytest.mark.parametrize("protocol", [2, 4, 5])
 def test_scenario_of_another_converter_is_read(tmp_path, protocol):
     tracks = read_tracks(made.write(tmp_path / "sd_waymo_v0.1_0.pkl", protocol))
     assert (tracks.ids, tracks.types) == (("7", "8", "9"), ("car", "truck", "traffic_cone"))

@@ -9,8 +9,7 @@ from geoaim.mapping.georeference.control_points import ControlPoints, select_poi
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
-from geoaim.web.picking.feedback import assess_points, describe_feedback
-from geoaim.web.picking.point_residuals import pixels_from_world
+from geoaim.web.picking.feedback import assess_points, describe_feedback, pixels_from_world
 from tests.mapping.georeference.points import GRID, HEIGHT, SIZE, TILTED, WIDTH, make_points
 
 IMAGE = (HEIGHT, WIDTH)

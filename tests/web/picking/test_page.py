@@ -16,8 +16,7 @@ from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
 from geoaim.mapping.video.video import open_video, read_frame
 from geoaim.web.picking.actions import handle
-from geoaim.web.picking.page import draw_overlay, make_picking_view
-from geoaim.web.picking.search import find_pairs
+from geoaim.web.picking.page import draw_overlay, find_pairs, make_picking_view
 from geoaim.web.picking.session import open_session
 from geoaim.web.picking.task import PickingTask
 from tests.web.browser import open_view, serve, wait_for

@@ -8,10 +8,9 @@ import pytest
 
 from geoaim.imagery.mosaic import read_imagery
 from geoaim.mapping.video.video import open_video, read_frame
-from geoaim.web.picking import search as searched
+from geoaim.web.picking import page as searched
 from geoaim.web.picking.candidates import PairCandidate
-from geoaim.web.picking.page import make_picking_view
-from geoaim.web.picking.search import STAGES, find_pairs
+from geoaim.web.picking.page import STAGES, find_pairs, make_picking_view
 from geoaim.web.picking.session import open_session
 from geoaim.web.picking.task import PickingTask
 from tests.web.browser import open_view, serve, wait_for

@@ -1,0 +1,313 @@
+"""Whether drivers react: to a leader on their own path, and to each other over twenty seconds.
+
+    python -m benchmarks.prediction reaction
+
+A follower is a recorded vehicle. Its leader is put on the follower's own path, and both are alone.
+The sample is seed 1. Places of `VAL` are for choices, those of `TEST` for the one test; no model is
+trained on either.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from numpy import ndarray as Array
+from torch import Tensor
+
+from benchmarks.prediction.places import Places, make_drawn_scene
+from benchmarks.prediction.results import Workspace
+from geoaim.base.files import atomic_files
+from geoaim.mapping.bench.report import describe_machine, write_json
+from geoaim.prediction.checkpoints import read_pretrained
+from geoaim.prediction.config import MAX_HISTORY_STEPS
+from geoaim.prediction.cutting import cut_scene, cut_segments
+from geoaim.prediction.itra import ITRA
+from geoaim.prediction.policies import ITRAPolicy
+from geoaim.prediction.segments import VEHICLE, Segments, make_segment_scenario, pick
+from geoaim.rendering.ground import Ground
+from geoaim.rendering.prefiltering import prefilter_ground
+from geoaim.rendering.scene import Scene, slice_scene
+from geoaim.simulation.episodes import simulate_scene
+from geoaim.simulation.idm import make_idm_policy
+from geoaim.simulation.overlap import compute_box_distance
+from geoaim.simulation.road_rules import RoadRules
+from geoaim.simulation.routes import extract_routes
+from geoaim.simulation.scene_infractions import detect_infractions
+from geoaim.simulation.simulator import apply_rollout, rollout
+
+SAMPLE: Places = ((1, "junction"),)
+VAL: Places = ((811, "junction"), (812, "t"), (813, "street"), (814, "roundabout"))
+TEST: Places = ((831, "junction"), (832, "t"), (833, "street"), (834, "roundabout"))
+HISTORY, PREDICTED, FUTURES = MAX_HISTORY_STEPS, 60, 6  # steps of 0.1 s; futures of each case
+MAX_CASES = 24  # followers of each place
+MIN_SPEED_MPS, MIN_WAY = 5.0, 0.7  # of followers; their recorded way, as a share of speed x time
+LEADER_SIZE_M = (4.5, 1.9)
+CLOSED_STEPS = 200  # for which all vehicles are driven
+HARD_MPS2 = 4.0  # harder braking is counted
+Driver = Callable[[Segments], Float[Tensor, "B K N T 4"]]
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Situation:
+    """Where a leader is at the start, and what it does."""
+
+    headway: float | None  # s, from bumper to bumper; None: a stop needs `STOP_MPS2`
+    speed: float = 1.0  # as a share of the follower's
+    braking: float = 0.0  # m/s²
+    aside: float = 0.0  # m to the left, from where it moves onto the path within `CUT_IN_S`
+
+
+STOP_MPS2, CUT_IN_S = 3.0, 1.5
+FREE = "no leader"
+SITUATIONS = {
+    "brakes, headway 1.5 s": Situation(1.5, braking=4.0),
+    "brakes, headway 2.5 s": Situation(2.5, braking=4.0),
+    "stands": Situation(None, speed=0.0),
+    "cuts in": Situation(1.0, speed=0.7, aside=3.2),
+}
+
+
+def run(workspace: Workspace) -> list[Path]:
+    """Measure whether the pretrained vehicle model reacts to others; return the files."""
+    parts = measure_places(read_pretrained("vehicle"), {"sample": SAMPLE, "test": TEST}, workspace)
+    command = "python -m benchmarks.prediction reaction"
+    paths = [workspace.results / f"reaction{suffix}" for suffix in (".json", ".md")]
+    with atomic_files(*paths) as written:
+        write_json({"command": command, "machine": describe_machine(), **parts}, written[0])
+        tables = [f"{title}\n\n{_format(rows)}" for title, rows in parts.items()]
+        written[1].write_text("\n".join([f"`{command}`\n", *tables]), encoding="utf-8")
+    return paths
+
+
+def measure_places(
+    model: ITRA, places: Mapping[str, Places], workspace: Workspace
+) -> dict[str, list[Row]]:
+    """Measure a model among leaders and in closed loop; IDM and the recording stand beside it."""
+    leaders, closed = [], []
+    for name, some in places.items():
+        cases, loops = [], []
+        for seed, kind in some:
+            workspace.progress(f"reaction, {kind} {seed}", 0, None)
+            scene, rules = make_drawn_scene(kind, seed)
+            ground = prefilter_ground(scene.ground, model.config.resolution)
+            cases.append((model, find_followers(scene), ground))
+            loops += measure_closed_loop(model, scene, ground, rules)
+        leaders += measure_leaders(name, cases)
+        closed += _sum_rows(name, loops)
+    return {"leaders": leaders, "closed loop": closed}
+
+
+def find_followers(scene: Scene) -> Segments:
+    """Find recorded vehicles that drive on, each alone in a segment."""
+    steps = HISTORY + PREDICTED
+    segments = cut_segments(scene, "vehicle", steps=steps, stride=steps // 3)
+    alone = segments.controlled.float().argmax(dim=1)
+    rows = torch.arange(len(segments))
+    states = segments.states[rows, alone]
+    way = states[:, HISTORY - 1 :, :2].diff(dim=1).norm(dim=2).sum(dim=1)
+    speed = states[:, HISTORY - 1, 3]
+    drives = (speed > MIN_SPEED_MPS) & (way > MIN_WAY * speed * PREDICTED * segments.dt)
+    chosen = drives.nonzero()[:, 0]
+    chosen = chosen[torch.randperm(len(chosen), generator=torch.Generator().manual_seed(0))]
+    chosen = chosen[:MAX_CASES]
+    columns = alone[chosen, None]
+    some = pick(segments, chosen)
+    names = ("states", "present", "sizes", "layers", "controlled")
+    taken: dict[str, Any] = {name: _take(getattr(some, name), columns) for name in names}
+    return replace(some, **taken, ids=())
+
+
+def add_leader(followers: Segments, situation: Situation) -> Segments:
+    """Put a leader on the recorded path of each follower, which goes straight on beyond its end."""
+    states, dt = followers.states[:, 0].numpy(), followers.dt
+    leaders = []
+    for states_, size in zip(states, followers.sizes[:, 0].numpy(), strict=True):
+        speed = float(states_[HISTORY - 1, 3])
+        if situation.headway is None:
+            gap = speed**2 / (2 * STOP_MPS2)
+        else:
+            gap = situation.headway * speed
+        gap += (size[0] + LEADER_SIZE_M[0]) / 2
+        leaders.append(_drive_along(states_, gap, speed * situation.speed, situation, dt))
+    leader = torch.tensor(np.array(leaders)).to(followers.states)[:, None]
+    count = len(followers)
+    return replace(
+        followers,
+        states=torch.cat([followers.states, leader], dim=1),
+        present=torch.ones(count, 2, followers.steps, dtype=torch.bool),
+        sizes=torch.cat([followers.sizes, torch.tensor(LEADER_SIZE_M).expand(count, 1, 2)], dim=1),
+        layers=torch.full((count, 2), VEHICLE),
+        controlled=torch.tensor([[True, False]]).expand(count, 2),
+    )
+
+
+def _drive_along(
+    states: Float[Array, "T 4"], gap: float, speed: float, situation: Situation, dt: float
+) -> Float[Array, "T 4"]:
+    """Drive along a path, from a gap at the last observed step on; before that at even speed."""
+    arc = np.concatenate([[0.0], np.hypot(*np.diff(states[:, :2], axis=0).T).cumsum()])
+    time = (np.arange(len(states)) - (HISTORY - 1)) * dt
+    after = np.maximum(time, 0.0)
+    if situation.braking:
+        after = np.minimum(after, speed / situation.braking)
+    way = arc[HISTORY - 1] + gap + speed * (np.minimum(time, 0.0) + after)
+    way -= situation.braking * after**2 / 2
+    beyond = np.maximum(way - arc[-1], 0.0)
+    x, y, heading = (
+        np.interp(way, arc, column) for column in (*states[:, :2].T, np.unwrap(states[:, 2]))
+    )
+    aside = situation.aside * np.clip(1 - time / CUT_IN_S, 0.0, 1.0)
+    x = x + beyond * np.cos(heading) - aside * np.sin(heading)
+    y = y + beyond * np.sin(heading) + aside * np.cos(heading)
+    speeds = np.where(time <= 0, speed, speed - situation.braking * after)
+    return np.stack([x, y, heading, speeds], axis=1)
+
+
+def measure_leaders(name: str, cases: Sequence[tuple[ITRA, Segments, Ground]]) -> list[Row]:
+    """Measure followers behind each kind of leader, and without any, at all places of a group."""
+    rows = []
+    for driver in ("model", "IDM"):
+        free = [_drive(driver, *case) for case in cases]
+        for title in (FREE, *SITUATIONS):
+            parts = []
+            for case, alone in zip(cases, free, strict=True):
+                model, followers, ground = case
+                if title == FREE:
+                    parts.append(_compare(alone, alone, followers))
+                    continue
+                led = add_leader(followers, SITUATIONS[title])
+                parts.append(_compare(_drive(driver, model, led, ground), alone, led))
+            values = {key: torch.cat([part[key].flatten() for part in parts]) for key in parts[0]}
+            means = {key: round(float(value.float().nanmean()), 3) for key, value in values.items()}
+            recorded = float(torch.cat([f.states[:, 0, -1, 3] for _, f, _ in cases]).mean())
+            kept = {"places": name, "driver": driver, "leader": title, **means}
+            rows.append({**kept, "recorded m/s after 6 s": round(recorded, 2)})
+    return rows
+
+
+def _drive(
+    driver: str, model: ITRA, segments: Segments, ground: Ground
+) -> Float[Tensor, "B K N T 4"]:
+    """Drive the followers by the model or, on their recorded paths, as intelligent drivers."""
+    if driver == "model":
+        generator = torch.Generator().manual_seed(0)
+        return model.sample(segments, ground, history=HISTORY, samples=FUTURES, generator=generator)
+    scenario = make_segment_scenario(segments)
+    desired = segments.states[..., 3].amax(dim=2)
+    policy = make_idm_policy(extract_routes(scenario), desired, segments.sizes, segments.controlled)
+    return rollout(scenario, policy, segments.controlled, history=HISTORY)[:, None]
+
+
+def _compare(
+    states: Float[Tensor, "B K n T 4"], free: Float[Tensor, "B K m T 4"], segments: Segments
+) -> dict[str, Tensor]:
+    """Compare futures with those without a leader."""
+    future, alone = states[:, :, 0, HISTORY - 1 :], free[:, :, 0, HISTORY - 1 :]
+    way, free_way = (x[..., :2].diff(dim=2).norm(dim=3).cumsum(dim=2) for x in (future, alone))
+    braking = -future[..., 3].diff(dim=2) / segments.dt
+    found = {
+        "m less in 3 s": (free_way - way)[..., round(3 / segments.dt) - 1],
+        "m/s after 6 s": future[..., -1, 3],
+        f"braking over {HARD_MPS2:g} m/s²": (braking > HARD_MPS2).any(dim=2),
+    }
+    if states.shape[2] == 1:
+        return found
+    poses, sizes = states[..., HISTORY:, :3], segments.sizes[:, None, :, None]
+    gap = compute_box_distance(poses[:, :, 0], sizes[:, :, 0], poses[:, :, 1], sizes[:, :, 1])
+    closing = -gap.diff(dim=2) / segments.dt
+    time = torch.where(closing > 0, gap[..., 1:] / closing.clamp_min(0.01), torch.inf)
+    hits = (gap < 0).any(dim=2)
+    least = time.amin(dim=2).clamp(0, 10)
+    return {
+        "hits": hits,
+        "least gap, m": gap.amin(dim=2),
+        "least time to collision, s": least,
+    } | found
+
+
+def measure_closed_loop(
+    model: ITRA, scene: Scene, ground: Ground, rules: RoadRules
+) -> list[dict[str, tuple[str, float, float]]]:
+    """Drive all vehicles of a scene by the model, by IDM and as recorded, `CLOSED_STEPS` each time.
+
+    Returns:
+        For each piece of the scene and each driver, the sums and counts of each quantity.
+    """
+    found = []
+    length = HISTORY + CLOSED_STEPS
+    for start in range(0, len(scene.times) - length + 1, CLOSED_STEPS):
+        piece = slice_scene(scene, slice(start, start + length))
+        segment = cut_scene(piece, "vehicle")
+        policy = ITRAPolicy(
+            model, segment, ground, history=HISTORY, generator=torch.Generator().manual_seed(start)
+        )
+        with torch.no_grad():
+            states = rollout(policy.scenario, policy, segment.controlled, history=HISTORY)[0]
+        index = torch.tensor([scene.ids.index(name) for name in segment.ids[0]])
+        controlled = torch.zeros(len(scene.ids), dtype=torch.bool)
+        controlled[index] = segment.controlled[0]
+        poses = torch.full((len(scene.ids), length, 4), torch.nan)
+        poses[index] = states
+        known = torch.isfinite(piece.observed).all(dim=2)
+        piece = replace(piece, present=piece.present & known)
+        driven = apply_rollout(piece, poses, 0)
+        idm = simulate_scene(
+            scene,
+            "idm",
+            start=float(piece.times[0]),
+            duration=float(piece.times[-1] - piece.times[0]),
+        )
+        for name, one, some in (
+            ("model", driven, controlled),
+            ("IDM", idm.scene, idm.controlled),
+            ("recording", piece, controlled),
+        ):
+            found.append({"driver": name, **_count(one, some, rules)})
+    return found
+
+
+def _count(scene: Scene, agents: Bool[Tensor, "A"], rules: RoadRules) -> dict[str, Any]:
+    """Count agents that ever collide, infractions, the steps that are judged, and metres."""
+    found = detect_infractions(scene, agents, rules, first=HISTORY)
+    wrong, _ = found["collision"]
+    there = scene.present[:, HISTORY:].any(dim=1) & agents
+    counts = {"ever collide, %": (float(wrong.any(dim=1).sum()), float(there.sum()))}
+    for name in ("off road", "red light"):
+        if name in found:
+            marked, judged = found[name]
+            counts[f"{name}, % of steps"] = float((marked & judged).sum()), float(judged.sum())
+    metres = scene.speeds[agents].nan_to_num()[:, HISTORY:].abs().sum() * scene.dt
+    return {**counts, "metres": (float(metres) / 100, 1.0)}
+
+
+def _sum_rows(name: str, found: Sequence[Mapping[str, Any]]) -> list[Row]:
+    """Sum the counts of all pieces, driver by driver."""
+    rows = []
+    for driver in dict.fromkeys(one["driver"] for one in found):
+        row: Row = {"places": name, "driver": driver}
+        some = [one for one in found if one["driver"] == driver]
+        for key in [
+            key for key in dict.fromkeys(k for one in some for k in one) if key != "driver"
+        ]:
+            sums, counts = np.sum([one[key] for one in some if key in one], axis=0)
+            row[key] = round(100 * float(sums) / (1.0 if key == "metres" else float(counts)), 2)
+        row["vehicles"] = int(sum(one["ever collide, %"][1] for one in some))
+        rows.append(row)
+    return rows
+
+
+def _take(values: Tensor, columns: Tensor) -> Tensor:
+    """Take one agent of each segment."""
+    return values[torch.arange(len(values))[:, None], columns]
+
+
+def _format(rows: Sequence[Row]) -> str:
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    lines = [f"| {' | '.join(names)} |", f"|{' --- |' * len(names)}"]
+    lines += [f"| {' | '.join(str(row.get(name, '')) for name in names)} |" for row in rows]
+    return "\n".join(lines) + "\n"

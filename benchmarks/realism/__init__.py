@@ -1,0 +1,1 @@
+"""Synthetic places compared with real imagery and motion."""

@@ -1,0 +1,155 @@
+"""Braking for others: how fast an agent may go on its arc so that it can still stop.
+
+Every agent is continued on the arc of its curvature, without routes or lanes. Behind somebody on
+that arc, an agent keeps the speed from which it can stop if the one ahead brakes (Gipps 1981).
+Where somebody crosses the arc at the time when it would be there, the later one stops before it.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from geoaim.simulation.kinematics import WHEELBASE_PER_LENGTH, agent_from_world, wrap_angle
+
+NEAREST = 10  # others for which an agent brakes
+REACTION_S, BRAKING_MPS2, MAX_BRAKING_MPS2 = 0.3, 4.0, 8.0
+STANDSTILL_GAP_M, SIDE_MARGIN_M = 1.5, 0.2
+MIN_CURVATURE = 1e-4  # 1/m; less is straight
+CROSSING_TIMES_S = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0)
+CROSSING_MARGIN_S = 0.4  # between one that leaves the place of a crossing and the next one
+ALONG_COSINE = 0.7  # of the angle between those who drive along each other
+MIN_SPEED_MPS = 0.3
+
+
+def limit_acceleration(  # noqa: PLR0913  (agents and others, field by field)
+    pose: Float[Tensor, "E 4"],
+    size: Float[Tensor, "E 2"],
+    curvature: Float[Tensor, "E"],
+    others: Float[Tensor, "E n 4"],
+    sizes: Float[Tensor, "E n 2"],
+    turns: Float[Tensor, "E n"],
+    there: Bool[Tensor, "E n"],
+    dt: float,
+) -> Float[Tensor, "E"]:
+    """Compute the highest acceleration with which agents can still stop for others.
+
+    Args:
+        pose: x, y, heading, speed of E agents.
+        size: their lengths and widths.
+        curvature: of their arcs, 1/m; positive to the left.
+        others: states of n others of each.
+        sizes: their lengths and widths.
+        turns: curvatures of their arcs; 0 where it is not known.
+        there: which of them count; not the agent itself.
+        dt: time between steps, s.
+
+    Returns:
+        m/s², down to -`MAX_BRAKING_MPS2`; infinite where nobody is in the way.
+    """
+    away = (others[..., :2] - pose[:, None, :2]).norm(dim=2).masked_fill(~there, torch.inf)
+    away, index = away.topk(min(NEAREST, others.shape[1]), dim=1, largest=False)
+    row = torch.arange(len(pose), device=pose.device)[:, None]
+    others, sizes, turns = others[row, index], sizes[row, index], turns[row, index]
+    there = torch.isfinite(away)
+    speed = pose[:, 3].clamp_min(0)
+    gap, pace = _find_leaders(pose, size, curvature, others, sizes, there)
+    safe = _compute_safe_speed(gap, pace)
+    crossing = _find_crossings(pose, size, curvature, others, sizes, turns, there)
+    safe = torch.minimum(safe, _compute_safe_speed(crossing, torch.zeros_like(crossing)))
+    slowest = safe.amin(dim=1)
+    return ((slowest - speed) / dt).clamp_min(-MAX_BRAKING_MPS2)
+
+
+def compute_curvature(
+    steering: Float[Tensor, "..."], length: Float[Tensor, "..."]
+) -> Float[Tensor, "..."]:
+    """Curvature, 1/m, of the centre's arc by the bicycle model's steering angle."""
+    slip = torch.atan(torch.tan(steering) / 2)
+    return torch.sin(slip) / (WHEELBASE_PER_LENGTH / 2 * length)
+
+
+def _compute_safe_speed(gap: Float[Tensor, "E n"], pace: Float[Tensor, "E n"]) -> Tensor:
+    """The speed from which one stops behind a leader that brakes as hard (Gipps 1981)."""
+    lost = BRAKING_MPS2 * REACTION_S
+    room = (gap - STANDSTILL_GAP_M).clamp_min(0)
+    return (lost**2 + 2 * BRAKING_MPS2 * room + pace.square()).sqrt() - lost
+
+
+def _project(
+    pose: Float[Tensor, "E 4"], curvature: Float[Tensor, "E"], points: Float[Tensor, "E m 2"]
+) -> tuple[Float[Tensor, "E m"], Float[Tensor, "E m"]]:
+    """How far along each agent's arc points are, and how far to its left."""
+    x, y = agent_from_world(pose[:, None], points).unbind(-1)
+    bent = curvature.abs() > MIN_CURVATURE
+    radius = torch.where(bent, 1 / torch.where(bent, curvature, 1.0).abs(), 1.0)[:, None]
+    left = curvature.sign()[:, None]  # points are mirrored so that the arc bends to the left
+    inward = radius - y * left
+    along = torch.atan2(x, inward) * radius
+    aside = (radius - (x.square() + inward.square()).sqrt()) * left
+    return torch.where(bent[:, None], along, x), torch.where(bent[:, None], aside, y)
+
+
+def _measure_extents(
+    turn: Float[Tensor, "E m"], sizes: Float[Tensor, "E m 2"]
+) -> tuple[Tensor, Tensor]:
+    """Lengths of boxes along and across a path that they are turned against."""
+    cosine, sine = turn.cos().abs(), turn.sin().abs()
+    length, width = sizes.unbind(-1)
+    return length * cosine + width * sine, length * sine + width * cosine
+
+
+def _find_leaders(
+    pose: Float[Tensor, "E 4"],
+    size: Float[Tensor, "E 2"],
+    curvature: Float[Tensor, "E"],
+    others: Float[Tensor, "E n 4"],
+    sizes: Float[Tensor, "E n 2"],
+    there: Bool[Tensor, "E n"],
+) -> tuple[Tensor, Tensor]:
+    """Gaps to those who are on the arc ahead, infinite for others; and their speeds along it."""
+    along, aside = _project(pose, curvature, others[..., :2])
+    turn = others[..., 2] - pose[:, None, 2] - curvature[:, None] * along
+    length, width = _measure_extents(turn, sizes)
+    gap = along - (size[:, None, 0] + length) / 2
+    pace = others[..., 3] * turn.cos()
+    touches = aside.abs() < (size[:, None, 1] + width) / 2 + SIDE_MARGIN_M
+    oncoming = pace < -MIN_SPEED_MPS
+    ahead = there & touches & (along > 0) & ~oncoming
+    return torch.where(ahead, gap, torch.inf), pace.clamp_min(0)
+
+
+def _find_crossings(  # noqa: PLR0913  (as above)
+    pose: Float[Tensor, "E 4"],
+    size: Float[Tensor, "E 2"],
+    curvature: Float[Tensor, "E"],
+    others: Float[Tensor, "E n 4"],
+    sizes: Float[Tensor, "E n 2"],
+    turns: Float[Tensor, "E n"],
+    there: Bool[Tensor, "E n"],
+) -> Float[Tensor, "E n"]:
+    """Gaps to where others cross the arc first and at that time; infinite for those who do not."""
+    times = others.new_tensor(CROSSING_TIMES_S)
+    way = others[..., 3:] * times  # (E, n, k)
+    bend = turns[..., None] * way
+    heading = others[..., 2:3] + bend
+    course = others[..., 2:3] + bend / 2
+    chord = way * torch.sinc(bend / (2 * torch.pi))
+    direction = torch.stack([course.cos(), course.sin()], dim=-1)
+    points = others[..., None, :2] + chord[..., None] * direction  # (E, n, k, 2)
+    along, aside = (part.view_as(way) for part in _project(pose, curvature, points.flatten(1, 2)))
+    turn = heading - pose[:, None, 2:3] - curvature[:, None, None] * along
+    box = sizes[:, :, None].expand(*way.shape, 2)
+    length, width = _measure_extents(turn, box)
+    reach, side = (size[:, 0, None, None] + length) / 2, (size[:, 1, None, None] + width) / 2
+    inside = (aside.abs() < side + SIDE_MARGIN_M) & (along + reach > 0)
+    speed = pose[:, 3].clamp_min(MIN_SPEED_MPS)[:, None, None]
+    arrival, leaving = (along - reach) / speed, (along + reach) / speed
+    meets = inside & (times > arrival - CROSSING_MARGIN_S) & (times < leaving + CROSSING_MARGIN_S)
+    entry = torch.where(inside, times, torch.inf).amin(dim=2)  # when the other one gets there
+    own = torch.where(inside, arrival, torch.inf).amin(dim=2)
+    across = wrap_angle(others[..., 2] - pose[:, None, 2]).cos().abs() < ALONG_COSINE
+    across |= turn.cos().amin(dim=2) < ALONG_COSINE
+    moves = others[..., 3].abs() > MIN_SPEED_MPS
+    yields = there & moves & across & meets.any(dim=2) & (entry < own) & (own > 0)
+    gap = torch.where(inside, along - reach, torch.inf).amin(dim=2)
+    return torch.where(yields, gap, torch.inf)

@@ -1,0 +1,130 @@
+"""Boxes and tracks that cannot be: doubled boxes, sizes on the map, and speeds."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Int
+from numpy import ndarray as Array
+
+from geoaim.base.errors import TracksError, warn
+from geoaim.mapping.video.detections import DetectedBoxes
+from geoaim.tracking.ground_detections import GroundDetections
+from geoaim.tracks.agent_types import TYPICAL_SIZES
+from geoaim.tracks.formats.plausibility import check_plausibility
+from geoaim.tracks.tracks import Tracks
+
+MAX_IOU = 0.5  # of the boxes of two agents; those that overlap more are of one
+MAX_CONTAINED = 0.9  # share of a box in another one of its class: a part of it, cut by a slice
+MAX_OFFSET = 0.5  # of the middles of two agents, in their sides
+MIN_PART = 0.25  # of the area of the other one; a smaller one may be an agent beside it
+MIN_JUDGED = 20  # boxes that tell sizes
+USUAL_SIZES = (0.7, 1.8)  # of the square root of boxes' areas, over what is typical of their type
+POSSIBLE_SIZES = (0.35, 3.5)  # beyond which boxes are refused
+EXTENTS_M = (0.15, 30.0)  # of agents of unknown type
+HELP = (
+    "are the boxes of pictures of another size (--size), of another form (--form), of other "
+    "frames (--rate), or is the map's scale wrong?"
+)
+
+
+def drop_doubled_boxes(
+    frames: Sequence[DetectedBoxes | None],
+) -> tuple[list[DetectedBoxes | None], int, int]:
+    """Drop boxes that lie on another one of any class, and those that are a part of one.
+
+    Of two, that with the greater score stays; without scores the larger one.
+
+    Args:
+        frames: boxes of each frame.
+
+    Returns:
+        The others, how many were doubled, and how many had no area or values missing.
+    """
+    cleaned: list[DetectedBoxes | None] = []
+    doubled = empty = 0
+    for boxes in frames:
+        if boxes is None or not len(boxes.boxes):
+            cleaned.append(boxes)
+            continue
+        ends = np.asarray(boxes.boxes, np.float64)
+        sides = ends[:, 2:] - ends[:, :2]
+        usable = np.isfinite(ends).all(axis=1) & ((sides > 0).all(axis=1) | ~sides.any())
+        kept = np.flatnonzero(usable)
+        kept = kept[_find_single(boxes, kept)]
+        empty += int((~usable).sum())
+        doubled += int(usable.sum()) - len(kept)
+        cleaned.append(boxes if len(kept) == len(ends) else _select(boxes, kept))
+    return cleaned, doubled, empty
+
+
+def _select(boxes: DetectedBoxes, kept: Int[Array, " n"]) -> DetectedBoxes:
+    return DetectedBoxes(
+        boxes.boxes[kept],
+        None if boxes.corners is None else boxes.corners[kept],
+        None if boxes.scores is None else boxes.scores[kept],
+        tuple(boxes.types[row] for row in kept) if boxes.types else (),
+        tuple(boxes.ids[row] for row in kept) if boxes.ids else (),
+    )
+
+
+def _find_single(boxes: DetectedBoxes, rows: Int[Array, " n"]) -> Int[Array, " m"]:
+    """Find which of these boxes lie on no better one."""
+    ends = np.asarray(boxes.boxes, np.float64)[rows]
+    low = np.maximum(ends[:, None, :2], ends[None, :, :2])
+    shared = (np.minimum(ends[:, None, 2:], ends[None, :, 2:]) - low).clip(0).prod(axis=2)
+    area = (ends[:, 2:] - ends[:, :2]).prod(axis=1)
+    types = boxes.get_types()[rows]
+    least = np.minimum(area[:, None], area)
+    alike = least > MIN_PART * np.maximum(area[:, None], area)
+    part = (shared > MAX_CONTAINED * least) & alike
+    part &= types[:, None] == types[None, :]
+    middle, sides = (ends[:, :2] + ends[:, 2:]) / 2, ends[:, 2:] - ends[:, :2]
+    offset = np.abs(middle[:, None] - middle[None])
+    reach = MAX_OFFSET * np.minimum(sides[:, None], sides[None])
+    close = (offset < reach).all(axis=2) & alike
+    over = (shared > MAX_IOU * (area[:, None] + area - shared)) | part | close
+    np.fill_diagonal(over, False)
+    if not over.any():
+        return np.arange(len(rows))
+    scores = np.nan_to_num(boxes.get_scores()[rows])
+    kept: list[int] = []
+    for row in np.lexsort((-area, -scores)).tolist():
+        if not over[row, kept].any():
+            kept.append(row)
+    return np.sort(np.array(kept, int))
+
+
+def check_sizes(detections: GroundDetections) -> None:
+    """Check sizes of boxes on the map by their types.
+
+    Raises:
+        TracksError: they cannot be sizes of such agents.
+    """
+    whole = ~detections.cut.any(axis=(1, 2)) & (detections.extent.min(axis=1) > 0)
+    for kind in np.unique(detections.types[whole].astype(str)).tolist():
+        extent = detections.extent[whole & (detections.types == kind)]
+        if len(extent) < MIN_JUDGED:
+            continue
+        middle = np.median(extent, axis=0)
+        text = f"boxes of {kind or 'agents'} are {middle[0]:.2g} x {middle[1]:.2g} m on the map"
+        if kind in TYPICAL_SIZES:
+            usual = float(np.sqrt(np.prod(TYPICAL_SIZES[kind])))
+            ratio = float(np.median(np.sqrt(extent.prod(axis=1)))) / usual
+            if not POSSIBLE_SIZES[0] < ratio < POSSIBLE_SIZES[1]:
+                raise TracksError(f"{text}, which cannot be: {HELP}")
+            if not USUAL_SIZES[0] < ratio < USUAL_SIZES[1] and kind == "car":
+                warn(f"{text}, which is unusual: {HELP}")
+        elif not EXTENTS_M[0] < middle.max() < EXTENTS_M[1]:
+            raise TracksError(f"{text}, which cannot be: {HELP}")
+
+
+def check_tracks(tracks: Tracks) -> None:
+    """Check speeds, accelerations and sizes of tracks, as those of files are checked.
+
+    Raises:
+        TracksError: nearly all are implausible.
+    """
+    try:
+        check_plausibility("the tracks", tracks)
+    except TracksError as error:
+        raise TracksError(f"{error}; {HELP}") from error

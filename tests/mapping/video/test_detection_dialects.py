@@ -1,0 +1,362 @@
+"""Boxes in dialects and with slips: read rightly, or one line names the option that helps."""
+
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from geoaim.base.errors import GeoaimError, GeoaimWarning
+from geoaim.mapping.video.detection_files import FORMATS
+from geoaim.mapping.video.detections import read_detections
+from geoaim.mapping.video.video import open_video
+
+WIDTH, HEIGHT, FRAMES, RATE = 1280, 720, 30, 10.0
+
+
+@pytest.fixture(scope="module")
+def video():
+    return open_video(np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8), rate=RATE)
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Cars that drive across the frame, and are cut off by its border: left, top, right, bottom."""
+    frames = []
+    for step in range(FRAMES):
+        x = np.linspace(0, WIDTH, 12) + 9.0 * step - 100
+        y = np.linspace(5, HEIGHT - 5, 12)
+        boxes = np.column_stack([x - 30, y - 12, x + 30, y + 12]).clip(0, [WIDTH, HEIGHT] * 2)
+        frames.append(boxes[(boxes[:, 2:] - boxes[:, :2]).min(axis=1) > 3])
+    return frames
+
+
+def number(truth, first=0, stride=1):
+    """Rows of frame, id and four numbers."""
+    return np.array(
+        [
+            [step * stride + first, row + 1, *box]
+            for step, boxes in enumerate(truth)
+            for row, box in enumerate(boxes)
+        ]
+    )
+
+
+def to_ltwh(boxes):
+    return np.column_stack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]])
+
+
+def to_xywh(boxes):
+    return np.column_stack([(boxes[:, :2] + boxes[:, 2:]) / 2, boxes[:, 2:] - boxes[:, :2]])
+
+
+def read(source, video, **options):
+    """Boxes of all frames, and what was said."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        found = read_detections(source, video=video, **options)
+        frames = [found(frame) for frame in video]
+    return frames, " ".join(str(w.message) for w in said if w.category is GeoaimWarning)
+
+
+def check(frames, truth, atol=1.0):
+    for found, boxes in zip(frames, truth, strict=True):
+        np.testing.assert_allclose(found.boxes, boxes, atol=atol)
+
+
+def write_rows(path, rows, header="", separator=","):
+    lines = [separator.join(f"{value:g}" for value in row) for row in rows]
+    path.write_text("\n".join([header] * bool(header) + lines) + "\n")
+    return path
+
+
+def write_csv(path, truth, names, convert=lambda boxes: boxes, clock=lambda step: step):
+    rows = [
+        [clock(step), *box] for step, boxes in enumerate(truth) for box in convert(boxes).tolist()
+    ]
+    return write_rows(path, rows, f"frame,{names}" if "frame" not in names else names)
+
+
+@pytest.mark.parametrize("convert", [to_ltwh, to_xywh, lambda boxes: boxes])
+def test_arrays_of_four_numbers_are_told_apart(truth, video, convert):
+    frames, said = read([convert(boxes) for boxes in truth], video)
+    check(frames, truth)
+    assert bool(said) == (convert in (to_ltwh, to_xywh))
+
+
+@pytest.mark.parametrize("extra", ["id", "score", "score class", "id score class"])
+def test_arrays_with_further_columns_are_not_shuffled(truth, video, extra):
+    values = {"id": lambda n: np.arange(n) + 3, "score": lambda n: np.full(n, 0.7)}
+    values["class"] = lambda n: np.full(n, 2.0)
+    entries = [
+        np.column_stack([boxes, *[values[name](len(boxes)) for name in extra.split()]])
+        for boxes in truth
+    ]
+    frames, _ = read(entries, video)
+    check(frames, truth)
+    assert (frames[3].ids[0] == "3") == ("id" in extra)
+    assert (frames[3].scores[0] == 0.7) == ("score" in extra)
+
+
+def test_columns_of_no_plain_meaning_are_refused(truth, video):
+    entries = [np.column_stack([boxes, np.full(len(boxes), -0.4)]) for boxes in truth]
+    with pytest.raises(GeoaimError, match="5 columns whose meaning is not plain"):
+        read(entries, video)
+
+
+def test_results_in_a_stream_and_in_tables_are_read(truth, video):
+    part = [SimpleNamespace(xyxy=boxes, conf=np.full(len(boxes), 0.5)) for boxes in truth]
+    frames, _ = read((SimpleNamespace(boxes=boxes, names={}) for boxes in part), video)
+    check(frames, truth)
+    names = ["xmin", "ymin", "xmax", "ymax"]
+    tables = [pd.DataFrame(boxes, columns=names).assign(confidence=0.5) for boxes in truth]
+    frames, _ = read(tables, video)
+    check(frames, truth)
+    records = [
+        [{"name": "car", "class": 2, "box": dict(zip(["x1", "y1", "x2", "y2"], box, strict=True))}
+         for box in boxes.tolist()]
+        for boxes in truth
+    ]  # fmt: skip
+    frames, _ = read(records, video)
+    check(frames, truth)
+    assert frames[0].types[0] == "car"
+
+
+def test_oriented_boxes_of_ultralytics_tables_keep_their_corners(video):
+    corners = {
+        "x1": 100,
+        "y1": 100,
+        "x2": 180,
+        "y2": 110,
+        "x3": 175,
+        "y3": 150,
+        "x4": 95,
+        "y4": 140,
+    }
+    frames, _ = read([[{"name": "car", "class": 2, "box": corners}]], video)
+    np.testing.assert_allclose(frames[0].corners[0, 0], [100, 100])
+
+
+@pytest.mark.parametrize(
+    ("names", "convert"),
+    [
+        ("left,top,width,height", to_ltwh),
+        ("x,y,w,h", to_xywh),
+        ("x,y,w,h", to_ltwh),
+        ("x1,y1,x2,y2", lambda boxes: boxes),
+        ("x1,y1,x2,y2", lambda boxes: boxes / [WIDTH, HEIGHT, WIDTH, HEIGHT]),
+        ("cx,cy,w,h", lambda boxes: to_xywh(boxes) / [WIDTH, HEIGHT, WIDTH, HEIGHT]),
+        ("x1,y1,x2,y2", lambda boxes: boxes / 2),
+    ],
+)
+def test_tables_in_any_form_unit_and_scale(tmp_path, truth, video, names, convert):
+    frames, said = read(write_csv(tmp_path / "a.csv", truth, names, convert), video)
+    check(frames, truth)
+    plain = names in ("left,top,width,height",) or (names == "x,y,w,h" and convert is to_xywh)
+    assert plain or names == "x1,y1,x2,y2" or said
+
+
+def test_sizes_that_do_not_fit_are_refused(tmp_path, truth, video):
+    path = write_csv(tmp_path / "a.csv", truth, "x1,y1,x2,y2", lambda boxes: 2 * boxes)
+    with pytest.raises(GeoaimError, match=r"do not lie in the picture of 1280 x 720.*--size"):
+        read(path, video)
+    check(read(path, video, size=(2 * WIDTH, 2 * HEIGHT))[0], truth)
+
+
+def test_other_separators_decimals_and_clocks(tmp_path, truth, video):
+    rows = number(truth)
+    text = "\n".join(";".join(f"{v:.2f}".replace(".", ",") for v in row) for row in rows)
+    path = tmp_path / "a.csv"
+    path.write_text("frame;id;x1;y1;x2;y2\n" + text + "\n")
+    check(read(path, video)[0], truth)
+    seconds = [[step / RATE, *box] for step, boxes in enumerate(truth) for box in boxes]
+    for factor, name in ((1, "time"), (1e3, "time"), (1e3, "time_ms"), (1e6, "timestamp")):
+        scaled = [[factor * row[0], *row[1:]] for row in seconds]
+        frames, said = read(write_rows(path, scaled, f"{name},x1,y1,x2,y2"), video)
+        check(frames, truth)
+        assert ("taken to be in" in said) == (factor > 1 and name != "time_ms")
+    stamps = pd.Timestamp("2026-05-01T12:00:00Z") + pd.to_timedelta(np.array(seconds)[:, 0], "s")
+    table = pd.DataFrame(np.array(seconds)[:, 1:], columns=["x1", "y1", "x2", "y2"])
+    frames, said = read(table.assign(time=stamps.astype(str)), video)
+    check(frames, truth)
+    assert "count from its first box" in said
+    check(read(table.assign(time=stamps.astype(str), frame=rows[:, 0]), video)[0], truth)
+
+
+@pytest.mark.parametrize("clock", ["rate", "time", "stride"])
+def test_boxes_of_some_frames_belong_to_their_nearest_one(tmp_path, truth, video, clock):
+    kept = truth[::5]
+    options = {"rate": RATE / 5} if clock == "rate" else {}
+    factor = {"rate": 1, "time": 5 / RATE, "stride": 5}[clock]
+    rows = [[factor * step, *box] for step, boxes in enumerate(kept) for box in boxes]
+    name = "time" if clock == "time" else "frame"
+    path = write_rows(tmp_path / "a.csv", rows, f"{name},x1,y1,x2,y2")
+    frames, _ = read(path, video, **options)
+    for step, found in enumerate(frames):
+        assert (found is not None) == (step % 5 == 0)
+    check(frames[::5], kept)
+
+
+def test_boxes_of_some_frames_without_a_rate_are_said(tmp_path, truth, video):
+    path = write_csv(tmp_path / "a.csv", truth[::5], "x1,y1,x2,y2")
+    _, said = read(path, video)
+    assert "end at 5 and the video has 30 frames" in said
+    assert "--rate" in said
+
+
+def test_a_wrong_frame_number_does_not_fill_memory(tmp_path):
+    path = write_rows(tmp_path / "a.csv", [[0, 1, 1, 5, 5], [2e9, 1, 1, 5, 5]], "frame,x1,y1,x2,y2")
+    assert read_detections(path) is not None
+
+
+@pytest.mark.parametrize("tail", [(1, 1, 1), (0, 0, 0), (-1, -1, -1)])
+def test_the_tail_of_mot_is_no_class(tmp_path, truth, video, tail):
+    rows = number(truth, first=1)
+    values = np.column_stack([rows[:, :2], to_ltwh(rows[:, 2:]), np.full(len(rows), 0.9)])
+    values = np.column_stack([values, np.tile(tail, (len(rows), 1))])
+    frames, _ = read(write_rows(tmp_path / "det.txt", values), video)
+    check(frames, truth)
+    assert set(frames[0].types) == {""}
+
+
+def test_classes_of_mot_and_uavdt(tmp_path, truth, video):
+    rows = number(truth, first=1)
+    box = np.column_stack([rows[:, :2], to_ltwh(rows[:, 2:])])
+    kinds = 1 + rows[:, 1:2] % 3
+    ones = np.ones((len(rows), 1))
+    names = ("car", "van", "bus")
+    for values in ([box, ones, kinds], [box, ones, kinds, 0.5 * ones]):  # 8 and 9 columns
+        frames, said = read(
+            write_rows(tmp_path / "gt.txt", np.hstack(values)), video, classes=names
+        )
+        assert frames[0].types == tuple(names[int(kind) - 1] for kind in kinds[: len(truth[0]), 0])
+        assert "count from 1" in said
+    uavdt = np.hstack([box, ones, kinds, 1 + kinds % 3])
+    frames, _ = read(write_rows(tmp_path / "gt_whole.txt", uavdt), video)
+    assert set(frames[0].types) == {"car", "truck", "bus"}
+
+
+def test_classes_may_be_given_by_number(tmp_path, truth, video):
+    table = pd.DataFrame(
+        number(truth)[:, [0, 2, 3, 4, 5]], columns=["frame", "x1", "y1", "x2", "y2"]
+    )
+    frames, _ = read(table.assign(class_id=7), video, classes=["7=bus"])
+    assert frames[0].types[0] == "bus"
+    _, said = read(table.assign(class_id=7), video, classes=["car"])
+    assert "7 have no name" in said
+
+
+def make_coco(truth, convert, **fields):
+    return [
+        {"image_id": step, "category_id": 2, "bbox": box, "score": 0.5, **fields}
+        for step, boxes in enumerate(truth)
+        for box in convert(boxes).tolist()
+    ]
+
+
+@pytest.mark.parametrize("convert", [to_ltwh, lambda boxes: boxes])
+def test_coco_results_have_classes_and_either_form(tmp_path, truth, video, convert):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(make_coco(truth, convert)))
+    frames, said = read(path, video, classes=["car", "bus"])
+    check(frames, truth)
+    assert frames[0].types[0] == "bus"
+    assert ("--form ltwh" in said) == (convert is not to_ltwh)
+
+
+def test_coco_of_resized_pictures_is_scaled(tmp_path, truth, video):
+    content = {
+        "images": [
+            {"id": step, "file_name": f"{step}.jpg", "width": WIDTH // 2, "height": HEIGHT // 2}
+            for step in range(FRAMES)
+        ],
+        "annotations": make_coco(truth, lambda boxes: to_ltwh(boxes / 2)),
+    }
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    frames, said = read(tmp_path / "a.json", video)
+    check(frames, truth)
+    assert "640 x 360" in said
+
+
+def test_supervisions_sink_is_read(tmp_path, truth, video):
+    names = ["x_min", "y_min", "x_max", "y_max"]
+    rows = [
+        dict(zip(names, box, strict=True)) | {"class_id": 2, "frame_index": step}
+        for step, boxes in enumerate(truth)
+        for box in boxes.tolist()
+    ]
+    (tmp_path / "a.json").write_text(json.dumps(rows))
+    check(read(tmp_path / "a.json", video)[0], truth)
+
+
+def test_cvat_of_a_video_has_tracks_and_turned_boxes(tmp_path, video):
+    def write(rotation):
+        box = f'xtl="600" ytl="300" xbr="680" ybr="340" {rotation}'
+        (tmp_path / "a.xml").write_text(
+            "<annotations><meta><original_size><width>1280</width><height>720</height>"
+            f'</original_size></meta><track id="4" label="car"><box frame="0" outside="0" {box}/>'
+            f'<box frame="1" outside="1" {box}/></track></annotations>'
+        )
+        return read(tmp_path / "a.xml", video)[0]
+
+    [upright, outside, *_] = write("")
+    np.testing.assert_allclose(upright.boxes, [[600, 300, 680, 340]])
+    assert (upright.ids, upright.types) == (("4",), ("car",))
+    assert outside is None
+    corners = write('rotation="90"')[0].corners
+    np.testing.assert_allclose(np.sort(np.ptp(corners[0], axis=0)), [40, 80], atol=1e-6)
+
+
+def test_dota_has_oriented_boxes_in_pixels(tmp_path, video):
+    row = "100.0 100.0 180.0 100.0 180.0 140.0 100.0 140.0 small-vehicle 0\n"
+    (tmp_path / "0.txt").write_text("imagesource:GoogleEarth\ngsd:0.1\n" + row)
+    frames, _ = read(tmp_path, video)
+    np.testing.assert_allclose(frames[0].boxes, [[100, 100, 180, 140]])
+    assert frames[0].corners is not None
+
+
+def test_polygons_of_four_points_are_no_oriented_boxes(tmp_path, video):
+    (tmp_path / "0.txt").write_text("0 0.10 0.10 0.20 0.14 0.17 0.30 0.12 0.28\n" * 3)
+    frames, said = read(tmp_path, video)
+    assert frames[0].corners is None
+    assert "no rectangles" in said
+
+
+def test_scores_and_areas_that_cannot_be_are_said(truth, video):
+    def change(boxes):
+        return np.column_stack([boxes, np.full(len(boxes), 85.0), np.zeros(len(boxes))])
+
+    table = pd.DataFrame(number(truth), columns=["frame", "id", "x1", "y1", "x2", "y2"])
+    frames, said = read(table.assign(score=85.0), video)
+    assert "percent" in said
+    assert frames[0].scores[0] == 0.85
+    _, said = read(table.assign(score=-3.5), video)
+    assert "scores are not used" in said
+    table.loc[0, "x2"] = table.loc[0, "x1"]
+    frames, said = read(table, video)
+    assert "1 boxes without an area" in said
+    assert len(frames[0].boxes) == len(truth[0]) - 1
+    broken = [boxes.copy() for boxes in truth]
+    broken[0][0, 0] = np.nan
+    frames, said = read(broken, video)
+    assert "values missing" in said
+    assert len(frames[0].boxes) == len(truth[0]) - 1
+
+
+def test_images_of_a_folder_may_be_named_in_a_table(tmp_path, truth, video):
+    named = replace(video, names=tuple(f"img_{step:03d}.jpg" for step in range(FRAMES)))
+    frames = [replace(frame, name=name) for frame, name in zip(video, named.names, strict=True)]
+    rows = [[f"img_{int(row[0]):03d}.jpg", *row[2:]] for row in number(truth)]
+    table = pd.DataFrame(rows, columns=["image", "x1", "y1", "x2", "y2"])
+    found = read_detections(table, video=named)
+    check([found(frame) for frame in frames], truth)
+
+
+def test_the_docs_have_a_row_for_each_format():
+    page = (Path(__file__).parents[3] / "docs/formats/detections.md").read_text()
+    for known in FORMATS:
+        assert f"\n| {known.name} |" in page
