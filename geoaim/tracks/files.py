@@ -15,7 +15,6 @@ metadata `geoaim_world`, and a checksum. They are GeoParquet too: the column geo
 positions in the CRS.
 """
 
-import gzip
 import json
 import os
 import warnings
@@ -41,7 +40,7 @@ from geoaim.base.checksums import (
 from geoaim.base.csv_rows import trim_comment
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
-from geoaim.base.limits import check_memory, refuse_damaged
+from geoaim.base.limits import check_memory, open_text, refuse_damaged
 from geoaim.base.world import (
     LONLAT,
     World,
@@ -66,8 +65,6 @@ METADATA_KEY = b"geoaim_world"
 GEOMETRY = "geometry"  # column of points in Parquet, which other programs show on a map
 CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
-UNPACKED_AT_ONCE = 2**20  # bytes
-BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
 BYTES_PER_VALUE = 40  # memory for a value of Parquet
 MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
@@ -153,39 +150,28 @@ def read_table(
         "sep": delimiter,
         "header": 0 if header else None,
         "skiprows": skip_rows,
-        "compression": "gzip" if Path(path).suffix.lower() == ".gz" else None,
     }
     with warnings.catch_warnings(), refuse_damaged(path, TracksError, "a table of tracks"):
         warnings.simplefilter("error", pd.errors.ParserWarning)
-        if options["compression"]:
-            _check_unpacked_size(Path(path))
         try:
-            top = pd.read_csv(Path(path), nrows=1, **options)
-            texts = {name for name in top.columns if (name.strip() if header else name) in text}
-            table = pd.read_csv(
-                Path(path),
-                dtype=dict.fromkeys(texts, str),
-                keep_default_na=False,
-                na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
-                low_memory=False,
-                **options,
-            )
+            with open_text(path, TracksError) as file:
+                top = pd.read_csv(file, nrows=1, **options)
+                texts = {name for name in top.columns if (name.strip() if header else name) in text}
+                file.seek(0)
+                table = pd.read_csv(
+                    file,
+                    dtype=dict.fromkeys(texts, str),
+                    keep_default_na=False,
+                    na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
+                    low_memory=False,
+                    **options,
+                )
         except pd.errors.ParserWarning as error:
             raise ValueError("a row has more fields than there are columns") from error
     if header:
         table.columns = table.columns.str.strip()
     table.index += skip_rows + header + 1
     return table
-
-
-def _check_unpacked_size(path: Path) -> None:
-    """Refuse a gzipped table that is far larger than its size explains."""
-    size, unpacked = path.stat().st_size, 0
-    with gzip.open(path) as file:
-        while part := file.read(UNPACKED_AT_ONCE):
-            unpacked += len(part)
-            needed = unpacked * BYTES_PER_CHARACTER
-            check_memory(path, needed, size, TracksError, f"over {unpacked / 1e6:.0f} MB of text")
 
 
 def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
