@@ -71,9 +71,7 @@ COLUMNS = tuple(
 )
 
 
-def read_recordings(
-    source: str | PathLike[str], *, stores: Sequence[str] = ()
-) -> list[Recording]:
+def read_recordings(source: str | PathLike[str], *, stores: Sequence[str] = ()) -> list[Recording]:
     """Read a table of recordings.
 
     Args:
