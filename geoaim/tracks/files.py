@@ -15,6 +15,7 @@ metadata `geoaim_world`, and a checksum. They are GeoParquet too: the column geo
 positions in the CRS.
 """
 
+import csv
 import json
 import os
 import warnings
@@ -30,6 +31,7 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray as Array
 from pyproj import CRS
 
+from geoaim.base.texts import mark_formulas, unmark_formulas
 from geoaim.base.checksums import (
     PLACEHOLDER,
     FileFormat,
@@ -191,6 +193,8 @@ def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
     if len(origin) != 2:
         raise ValueError(f"its origin {fields['origin']!r} is not two numbers")
     frame = read_table(path, text=("id", "type"), skip_rows=len(lines))
+    for name in {"id", "type"} & set(frame.columns):
+        frame[name] = unmark_formulas(frame[name].astype(str))
     if "crs" in fields:
         _refuse_other_world(world, stated := _make_world(fields["crs"], origin))
         return frame, stated
@@ -201,10 +205,13 @@ def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
 def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{format_world(world)}# format: {CSV.newest}\n")
+        frame = frame.assign(id=mark_formulas(frame["id"]), type=mark_formulas(frame["type"]))
         for name, decimals in CSV_DECIMALS.items():
             if name in frame:
                 frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
-        frame.to_csv(file, index=False, lineterminator="\n")
+        has_breaks = frame[["id", "type"]].stack().str.contains("\r").any()
+        quoting = csv.QUOTE_NONNUMERIC if has_breaks else csv.QUOTE_MINIMAL
+        frame.to_csv(file, index=False, lineterminator="\n", quoting=quoting)
 
 
 def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
