@@ -53,7 +53,9 @@ def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) 
 
 
 def _write_name(axes: Axes, name: str, point: Float[Array, "2"]) -> Annotation:
-    text = axes.annotate(plot_text(name), (point[0], point[1]), xytext=(0, 0), textcoords="offset points")
+    text = axes.annotate(
+        plot_text(name), (point[0], point[1]), xytext=(0, 0), textcoords="offset points"
+    )
     text.set(fontsize=8)
     text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})
     return text

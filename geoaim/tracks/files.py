@@ -19,6 +19,7 @@ import csv
 import json
 import os
 import warnings
+from collections.abc import Iterable
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -31,7 +32,6 @@ from jaxtyping import Float, Shaped
 from numpy import ndarray as Array
 from pyproj import CRS
 
-from geoaim.base.texts import mark_formulas, unmark_formulas
 from geoaim.base.checksums import (
     PLACEHOLDER,
     FileFormat,
@@ -43,6 +43,7 @@ from geoaim.base.csv_rows import trim_comment
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import check_memory, open_text, refuse_damaged
+from geoaim.base.texts import mark_formulas, unmark_formulas
 from geoaim.base.world import (
     LONLAT,
     World,
@@ -53,14 +54,23 @@ from geoaim.base.world import (
     world_from_crs,
 )
 from geoaim.tracks.tables import make_tracks
-from geoaim.tracks.tracks import COLUMNS, OBSERVED_COLUMNS, TICKS_PER_S, UNCERTAINTY_COLUMNS, Tracks
+from geoaim.tracks.tracks import (
+    COLUMNS,
+    OBSERVED_COLUMNS,
+    SEEN_COLUMN,
+    TICKS_PER_S,
+    UNCERTAINTY_COLUMNS,
+    Tracks,
+)
 
 if TYPE_CHECKING:
+    from pyarrow import DataType
     from pyarrow.parquet import ParquetFile
 
 CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
 CSV_DECIMALS |= dict(zip(OBSERVED_COLUMNS, (3, 3, 4, 3), strict=True))
 CSV_DECIMALS |= dict(zip(UNCERTAINTY_COLUMNS, (3, 3), strict=True))
+KNOWN_COLUMNS = (*COLUMNS, *OBSERVED_COLUMNS, SEEN_COLUMN, *UNCERTAINTY_COLUMNS)
 MIN_CSV_DT_S = 1e-3
 LOCAL_CRS = "local"
 METADATA_KEY = b"geoaim_world"
@@ -219,10 +229,50 @@ def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
     import pyarrow.parquet as parquet
 
     file = parquet.ParquetFile(path)
+    texts = [field.name for field in file.schema_arrow if _is_text(field.type)]
+    file = parquet.ParquetFile(path, read_dictionary=texts)  # a text once, however often it is told
+    unpacked = sum(
+        file.metadata.row_group(i).total_byte_size for i in range(file.metadata.num_row_groups)
+    )
+    check_memory(path, unpacked, os.path.getsize(path), TracksError, f"{unpacked / 1e6:.0f} MB")
     rows, columns = file.metadata.num_rows, file.metadata.num_columns
     needed, size = rows * columns * BYTES_PER_VALUE, os.path.getsize(path)
     check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
     return file
+
+
+def read_columns(
+    file: "ParquetFile", path: str | os.PathLike[str], names: Iterable[str]
+) -> pd.DataFrame:
+    """Read the columns of numbers and texts that a file has of the names, and no others.
+
+    A text is kept once in the file however often a column tells it, so that a small file may need
+    any memory: that is counted before.
+    """
+    import pyarrow
+    import pyarrow.compute as compute
+
+    schema = file.schema_arrow
+    named = [schema.field(name) for name in names if name in schema.names]
+    if nested := [field.name for field in named if pyarrow.types.is_nested(field.type)]:
+        raise ValueError(f"its column {nested[0]} holds lists or structures")
+    table, needed = file.read([field.name for field in named]), 0
+    for index, field in enumerate(named):
+        column = table.column(index)
+        if pyarrow.types.is_dictionary(column.type):
+            for chunk in column.chunks:
+                sizes = compute.binary_length(chunk.dictionary)
+                needed += compute.sum(sizes.take(chunk.indices)).as_py() or 0
+            check_memory(path, needed, os.path.getsize(path), TracksError, "texts")
+            values = column.cast(column.type.value_type)
+            table = table.set_column(index, field.name, values)
+    return table.to_pandas()
+
+
+def _is_text(kind: "DataType") -> bool:
+    from pyarrow import types
+
+    return types.is_string(kind) or types.is_binary(kind)
 
 
 def _refuse_other_world(given: World | None, stated: World) -> None:
@@ -233,7 +283,9 @@ def _refuse_other_world(given: World | None, stated: World) -> None:
         )
 
 
-def _read_geoparquet(file: "ParquetFile", world: World | None) -> tuple[pd.DataFrame, World]:
+def _read_geoparquet(
+    file: "ParquetFile", path: Path, world: World | None
+) -> tuple[pd.DataFrame, World]:
     """Read a GeoParquet of another program: points in its CRS, and the other columns."""
     metadata = file.schema_arrow.metadata or {}
     if b"geo" not in metadata:
@@ -242,12 +294,12 @@ def _read_geoparquet(file: "ParquetFile", world: World | None) -> tuple[pd.DataF
                 f"it has no metadata {METADATA_KEY.decode()} or geo, and no world was given "
                 "(--tracks-world 'EPSG:n EAST NORTH')"
             )
-        return file.read().to_pandas(), world
+        return read_columns(file, path, KNOWN_COLUMNS), world
     stated = json.loads(metadata[b"geo"])
     name = stated["primary_column"]
     crs = stated["columns"][name].get("crs", LONLAT)  # the default of GeoParquet
     crs = crs if crs is None or isinstance(crs, str) else CRS.from_json_dict(crs).to_string()
-    table = file.read().to_pandas()
+    table = read_columns(file, path, (*KNOWN_COLUMNS, name))
     points = shapely.from_wkb(table.pop(name).to_numpy(object))
     if {shape.geom_type for shape in points} != {"Point"}:
         raise ValueError(f"its column {name} does not hold points only")
@@ -277,13 +329,13 @@ def _read_parquet(path: Path, world: World | None) -> tuple[pd.DataFrame, World]
     has_checksum = verify_checksum(path, PARQUET)
     file = open_parquet(path)
     if METADATA_KEY not in (file.schema_arrow.metadata or {}):
-        return _read_geoparquet(file, world)
-    table = file.read([name for name in file.schema_arrow.names if name != GEOMETRY])
-    stated = json.loads(table.schema.metadata[METADATA_KEY])
+        return _read_geoparquet(file, path, world)
+    table = read_columns(file, path, KNOWN_COLUMNS)
+    stated = json.loads(file.schema_arrow.metadata[METADATA_KEY])
     check_version(path, stated.get("format", 1), PARQUET, has_checksum=has_checksum)
     own = _make_world(stated["crs"], stated["origin"])
     _refuse_other_world(world, own)
-    return table.to_pandas(), own
+    return table, own
 
 
 def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:

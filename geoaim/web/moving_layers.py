@@ -106,6 +106,8 @@ def describe_futures_file(path: str | os.PathLike[str]) -> Description:
     with refuse_damaged(path, TracksError, "a .csv that `geoaim predict` wrote"):
         with open_text(path, TracksError) as file:
             table = pd.read_csv(file, comment="#", dtype={"id": str})
+        if table.empty or not np.isfinite(table[["time", "x", "y"]].to_numpy(float)).all():
+            raise ValueError("it has no rows, or a time, x or y that is not a finite number")
         agents = [
             {
                 "id": str(name),

@@ -23,6 +23,7 @@ QGIS_HEADER = "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual"
 
 MAX_NAME_CHARS = 200
 
+
 def write_control_points(points: ControlPoints, path: str | Path) -> None:
     """Write control points to a file, whole or not at all; the format follows from its name.
 
