@@ -272,7 +272,8 @@ def read_columns(
 def _is_text(kind: "DataType") -> bool:
     from pyarrow import types
 
-    return types.is_string(kind) or types.is_binary(kind)
+    tests = (types.is_string, types.is_large_string, types.is_binary, types.is_large_binary)
+    return any(test(kind) for test in tests)
 
 
 def _refuse_other_world(given: World | None, stated: World) -> None:
