@@ -130,6 +130,10 @@ def check_new_folder(folder: Path) -> None:
 
 def write_figure(figure: "Figure", path: str | os.PathLike[str]) -> None:
     """Write a figure as a PNG of 100 pixels per inch, by `atomic_write`."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):  # a name from a file may hold dollar signs
+        text.set_parse_math(False)
     with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=100, format="png")
 

@@ -11,6 +11,8 @@ from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 from numpy import ndarray as Array
 
+from geoaim.base.texts import plot_text
+
 DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
 LABEL_PX = (7.0, 14.0, 28.0)  # tried between a mark and its label
 ROUNDS = 3  # times that each name is placed
@@ -51,7 +53,9 @@ def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) 
 
 
 def _write_name(axes: Axes, name: str, point: Float[Array, "2"]) -> Annotation:
-    text = axes.annotate(name, (point[0], point[1]), xytext=(0, 0), textcoords="offset points")
+    text = axes.annotate(
+        plot_text(name), (point[0], point[1]), xytext=(0, 0), textcoords="offset points"
+    )
     text.set(fontsize=8)
     text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5, "alpha": 0.8})
     return text

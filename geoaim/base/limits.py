@@ -1,8 +1,10 @@
 """Refuse files that are damaged or would need too much memory, with a one-line error."""
 
+import gzip
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TextIO, cast
 
 from geoaim.base.errors import GeoaimError
 
@@ -11,6 +13,8 @@ DEFAULT_MAX_GB = 1.0
 # bytes in memory per byte of the file at most; images of one colour compress this well
 MAX_RATIO = 300
 MAX_REASON_CHARS = 300
+UNPACKED_AT_ONCE = 2**20  # bytes
+BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
 MAX_POSITION_M = 1e8  # distance from the origin; the Earth's circumference is 4e7 m
 MAX_TIME_S = 1e11  # a greater number is not a time in seconds
 MAX_RECORDING_S = 864_000.0  # ten days; a video whose frames are further apart is damaged
@@ -54,6 +58,31 @@ def check_memory(
             f"{path} has {size / 1e3:.0f} KB and claims {content}, which need {needed / 1e9:.1f} "
             f"GB of memory; if that is right, set the variable {MAX_GB_VARIABLE} to more"
         )
+
+
+@contextmanager
+def open_text(path: str | os.PathLike[str], error_type: type[GeoaimError]) -> Iterator[TextIO]:
+    """Open a table of text, unpacked if its name ends in .gz.
+
+    Libraries that are given a path take it for an address, and unpack without a limit.
+
+    Raises:
+        GeoaimError: unpacked it is far larger than its size explains; the type is `error_type`.
+    """
+    if str(path).lower().endswith(".gz"):
+        size, unpacked = os.path.getsize(path), 0
+        with gzip.open(path) as packed:
+            while part := packed.read(UNPACKED_AT_ONCE):
+                unpacked += len(part)
+                needed = unpacked * BYTES_PER_CHARACTER
+                check_memory(
+                    path, needed, size, error_type, f"over {unpacked / 1e6:.0f} MB of text"
+                )
+        with gzip.open(path, "rt", encoding="utf-8-sig", newline="") as file:
+            yield cast(TextIO, file)
+    else:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            yield file
 
 
 def check_regular(path: str | os.PathLike[str], error_type: type[GeoaimError]) -> None:

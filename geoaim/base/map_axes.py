@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import transform_points
 from geoaim.base.grid import Grid, make_north_up_grid
+from geoaim.base.texts import plot_text
 from geoaim.base.world import World, change_world
 
 LONGER_SIDE_PX = 1200  # longer side of an image as it is drawn
@@ -98,7 +99,9 @@ def draw_lines(
         label: name in the legend; empty: none.
         outlined: whether a dark outline makes pale lines visible on pale ground.
     """
-    drawn = LineCollection(list(lines), colors=[colour], linewidths=width, label=label or None)
+    drawn = LineCollection(
+        list(lines), colors=[colour], linewidths=width, label=plot_text(label) or None
+    )
     if outlined:
         outline = withStroke(linewidth=width + 2 * OUTLINE_POINTS, foreground="black")
         drawn.set_path_effects([outline])
@@ -115,7 +118,9 @@ def label_place(axes: Axes, name: str, place: Float[Array, "2"]) -> None:
         place: (2,) metres of the axes' world.
     """
     shade = {"facecolor": "black", "alpha": 0.55, "pad": 1, "linewidth": 0}
-    text = axes.annotate(name, place.tolist(), (4, 4), textcoords="offset points", fontsize=7)
+    text = axes.annotate(
+        plot_text(name), place.tolist(), (4, 4), textcoords="offset points", fontsize=7
+    )
     text.set(color="white", bbox=shade, clip_on=True)
 
 

@@ -16,13 +16,15 @@ from typing import Any
 import fsspec
 
 from geoaim.base.csv_rows import parse_number, read_rows
-from geoaim.base.errors import CatalogError
+from geoaim.base.errors import CatalogError, name_option
 from geoaim.catalog.storage import (
     StoredFile,
     download,
     get_local_path,
     get_name,
+    get_store,
     hash_bytes,
+    hide_credentials,
     is_local,
     join_address,
     list_folder,
@@ -69,13 +71,15 @@ COLUMNS = tuple(
 )
 
 
-def read_recordings(source: str | PathLike[str]) -> list[Recording]:
+def read_recordings(source: str | PathLike[str], *, stores: Sequence[str] = ()) -> list[Recording]:
     """Read a table of recordings.
 
     Args:
         source: path or address of a CSV with the column `video` and, where needed, `name` (unique;
             the video's name if missing), `gcps`, `detections`, `datetime` and the options of
             `MapSettings`. Paths are relative to the table's folder. An empty cell is as no column.
+        stores: beginnings of addresses that cells may have, such as "s3://bucket/". A table in a
+            store may name files of that store; others send no request.
 
     Returns:
         The recordings, in the table's order.
@@ -96,17 +100,18 @@ def read_recordings(source: str | PathLike[str]) -> list[Recording]:
             f"allowed are {', '.join(COLUMNS)}, each once"
         )
     folder, _ = split_address(address)
+    allowed = (*(f"{get_store(folder)}/",) * ("://" in folder), *stores)
     recordings = []
     for number, cells in rows:
         try:
-            recordings.append(_parse_row(cells, folder))
+            recordings.append(_parse_row(cells, folder, allowed))
         except ValueError as error:
             raise CatalogError(f"{address}, line {number}: {error}") from error
     _check_names(recordings, address)
     return recordings
 
 
-def _parse_row(cells: Mapping[str, str], folder: str) -> Recording:
+def _parse_row(cells: Mapping[str, str], folder: str, stores: Sequence[str]) -> Recording:
     if "video" not in cells:
         raise ValueError("it names no video")
     addresses = {
@@ -114,6 +119,13 @@ def _parse_row(cells: Mapping[str, str], folder: str) -> Recording:
         for column in ("video", "gcps", "detections")
         if column in cells
     }
+    for cell in addresses.values():
+        if "::" in cell or ("://" in cell and not cell.startswith(tuple(stores))):
+            raise ValueError(
+                f"{hide_credentials(cell)} is in a store that you did not name; "
+                + name_option(f"--store {get_store(cell)}/", f'stores=["{get_store(cell)}/"]')
+                + " allows requests to it"
+            )
     name = cells.get("name") or get_name(addresses["video"]).rsplit(".", 1)[0]
     if not NAME.fullmatch(name):
         raise ValueError(

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from geoaim.aim.summary import summarize_report
+from geoaim.base.texts import plot_text
 from geoaim.catalog.recordings import VERSION
 from geoaim.catalog.records import FOLDER, LOOK, MAP, Record, Status
 
@@ -95,7 +96,9 @@ def _draw_places(records: Sequence[Record]) -> str:
     axes.plot(*places.T, "o", color=COLOURS["built"], markersize=5, alpha=0.7)
     if len(placed) <= MAX_NAMED_PLACES:
         for record, place in zip(placed, places, strict=True):
-            axes.annotate(record.name, place, xytext=(4, 4), textcoords="offset points", fontsize=7)
+            axes.annotate(
+                plot_text(record.name), place, xytext=(4, 4), textcoords="offset points", fontsize=7
+            )
     axes.set_aspect(1 / np.cos(np.radians(places[:, 1].mean())), adjustable="datalim")
     axes.set(xlabel="longitude, degrees", ylabel="latitude, degrees")
     axes.ticklabel_format(useOffset=False)

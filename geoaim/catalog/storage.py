@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -47,6 +48,17 @@ def split_address(address: str) -> tuple[str, str]:
     """Split an address into its folder and its last part."""
     name = get_name(address)
     return address.rstrip("/")[: -len(name)].rstrip("/") or "/", name
+
+
+def get_store(address: str) -> str:
+    """Get the part of an address that names its store: protocol and host, without credentials."""
+    protocol, _, rest = hide_credentials(address).partition("://")
+    return f"{protocol}://{rest.split('/', 1)[0]}"
+
+
+def hide_credentials(text: str) -> str:
+    """Leave user names and passwords out of the addresses in a text."""
+    return re.sub(r"(?<=://)[^/\s@]*@", "", text)
 
 
 def get_name(address: str) -> str:

@@ -40,6 +40,10 @@ def build(
     memory: Annotated[
         str, typer.Option(help="memory limit of each worker on this machine, such as 4GB")
     ] = "auto",
+    store: Annotated[
+        list[str] | None,
+        typer.Option(help="addresses that the table may name, such as s3://bucket/"),
+    ] = None,
 ) -> None:
     """Build the maps of many recordings: those that are new or changed since the last run.
 
@@ -54,7 +58,7 @@ def build(
             raise ValueError(
                 "--workers and --memory are of workers on this machine; a scheduler has its own"
             )
-        rows = read_recordings(recordings)
+        rows = read_recordings(recordings, stores=store or ())
         with _show_recordings(len(rows)) as (progress, finish):
             result = build_catalog(
                 rows,

@@ -13,17 +13,31 @@ from typing import Any
 
 import rich.progress
 import typer
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
 from geoaim.base.errors import IN_COMMAND, GeoaimError, GeoaimWarning
 from geoaim.base.progress import Progress
+from geoaim.base.texts import show_text
 
 # line length where the output is no terminal, so that each message stays on one line
 LINE_CHARS = 10_000
 # markup is off, as file names may have brackets
-console = Console(stderr=True, markup=False, width=None if sys.stderr.isatty() else LINE_CHARS)
+
+
+class _Console(Console):
+    """A console on which no text of a file acts."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        for part in super().render(renderable, options):
+            yield part if part.control else Segment(show_text(part.text), part.style)
+
+
+console = _Console(stderr=True, markup=False, width=None if sys.stderr.isatty() else LINE_CHARS)
 TERMINATED = 143  # exit code
 stopping = Event()  # set once SIGTERM has arrived
 DEBUG = ContextVar("DEBUG", default=False)  # whether errors keep their traceback

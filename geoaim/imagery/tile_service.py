@@ -116,7 +116,7 @@ def _request(service: Service, url: str) -> bytes:
     for attempt in range(RETRIES + 1):
         try:
             with opener.open(request, timeout=TIMEOUT_S) as response:
-                return bytes(response.read(MAX_TILE_BYTES))
+                return _read_in_time(response)
         except (OSError, HTTPException, ImageryError) as error:  # URLError is an OSError
             code = 0
             if isinstance(error, HTTPError):
@@ -125,10 +125,20 @@ def _request(service: Service, url: str) -> bytes:
             if code in MISSING_CODES:
                 return b""
             if attempt == RETRIES or isinstance(error, ImageryError):
-                reason = re.sub(r"\?\S*", "?...", str(error))
+                reason = re.sub(r"\?\S*", "?...", re.sub(r"//[^/\s@]*@", "//", str(error)))
                 raise ImageryError(f"{service.name} cannot be read: {reason}") from error
         time.sleep(0.2 * 2**attempt)
     raise AssertionError
+
+
+def _read_in_time(response: Any) -> bytes:
+    """Read an answer, whose parts may each come in time and yet take for ever."""
+    parts, end = [], time.monotonic() + TIMEOUT_S
+    while part := response.read1(MAX_TILE_BYTES):
+        parts.append(part)
+        if time.monotonic() > end or sum(map(len, parts)) > MAX_TILE_BYTES:
+            raise TimeoutError(f"a tile takes over {TIMEOUT_S} s or {MAX_TILE_BYTES / 1e6:.0f} MB")
+    return b"".join(parts)
 
 
 def _check_size(service: Service, path: Path) -> None:

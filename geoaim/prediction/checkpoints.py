@@ -4,6 +4,7 @@ import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_STORED, ZipFile
 
 import torch
 
@@ -22,6 +23,7 @@ from geoaim.prediction.familiarity import KnownViews
 from geoaim.prediction.itra import ITRA
 
 FORMAT = FileFormat("model", 2, 3, first_checked=3, error=ModelError)
+MAX_NUMBERS = {"dt": 10, "resolution": 100, "view_size": 1024, "view_stride": 1000}
 PRETRAINED = Path(__file__).parent / "models"
 
 
@@ -47,7 +49,8 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
         raise ModelError(f"{path} is a training checkpoint; give the model.pt beside it")
     with refuse_damaged(path, ModelError, "a model of this version"):
         with torch.device("meta"):  # the file's weights are the only memory that is needed
-            model = ITRA(Config(**state["config"]))
+            model = ITRA(_make_config(state["config"]))
+        _check_weights(state["weights"], model)
         weights = {name: value.float() for name, value in state["weights"].items()}
         model.load_state_dict(weights, assign=True)
         if "known_views" in state:
@@ -58,6 +61,26 @@ def read_model(path: str | os.PathLike[str]) -> ITRA:
             f"{path}: weights of {', '.join(infinite[:3])} are not finite numbers; train it again"
         )
     return model.eval()
+
+
+def _make_config(stated: dict[str, Any]) -> Config:
+    """The config of a file, whose numbers would otherwise fail in a simulation, far from it."""
+    config = Config(**stated)
+    for name, limit in MAX_NUMBERS.items():
+        value = stated.get(name, limit)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= limit:
+            raise ValueError(f"its {name} is {value!r}; a number up to {limit:g} is needed")
+    return config
+
+
+def _check_weights(weights: dict[str, torch.Tensor], model: ITRA) -> None:
+    """Refuse weights that need more memory than the file has, before they need it."""
+    for name, wanted in model.state_dict().items():
+        value = weights[name]
+        if value.layout != torch.strided or value.device.type != "cpu":
+            raise ValueError(f"its {name} is no tensor of numbers")
+        if value.shape != wanted.shape or value.untyped_storage().nbytes() < value.nbytes:
+            raise ValueError(f"its {name} has another size than its config says")
 
 
 def read_pretrained(kind: str) -> ITRA:
@@ -92,6 +115,9 @@ def read_state(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise FileNotFoundError(f"{path}: no such file")
     has_checksum = verify_checksum(path, FORMAT)
     try:
+        with ZipFile(path) as archive:  # packed, a small file could need any memory
+            if any(record.compress_type != ZIP_STORED for record in archive.infolist()):
+                raise ValueError
         state = torch.load(path, map_location="cpu", weights_only=True)
     except Exception:  # pickle, zip and torch raise errors of their own
         raise ModelError(f"{path} is not a model that geoaim wrote; give a model.pt") from None

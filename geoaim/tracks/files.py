@@ -15,10 +15,11 @@ metadata `geoaim_world`, and a checksum. They are GeoParquet too: the column geo
 positions in the CRS.
 """
 
-import gzip
+import csv
 import json
 import os
 import warnings
+from collections.abc import Iterable
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -41,7 +42,8 @@ from geoaim.base.checksums import (
 from geoaim.base.csv_rows import trim_comment
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
-from geoaim.base.limits import check_memory, refuse_damaged
+from geoaim.base.limits import check_memory, open_text, refuse_damaged
+from geoaim.base.texts import mark_formulas, unmark_formulas
 from geoaim.base.world import (
     LONLAT,
     World,
@@ -52,22 +54,29 @@ from geoaim.base.world import (
     world_from_crs,
 )
 from geoaim.tracks.tables import make_tracks
-from geoaim.tracks.tracks import COLUMNS, OBSERVED_COLUMNS, TICKS_PER_S, UNCERTAINTY_COLUMNS, Tracks
+from geoaim.tracks.tracks import (
+    COLUMNS,
+    OBSERVED_COLUMNS,
+    SEEN_COLUMN,
+    TICKS_PER_S,
+    UNCERTAINTY_COLUMNS,
+    Tracks,
+)
 
 if TYPE_CHECKING:
+    from pyarrow import DataType
     from pyarrow.parquet import ParquetFile
 
 CSV_DECIMALS = dict(zip(COLUMNS[2:], (3, 3, 3, 4, 3, 2, 2), strict=True))
 CSV_DECIMALS |= dict(zip(OBSERVED_COLUMNS, (3, 3, 4, 3), strict=True))
 CSV_DECIMALS |= dict(zip(UNCERTAINTY_COLUMNS, (3, 3), strict=True))
+KNOWN_COLUMNS = (*COLUMNS, *OBSERVED_COLUMNS, SEEN_COLUMN, *UNCERTAINTY_COLUMNS)
 MIN_CSV_DT_S = 1e-3
 LOCAL_CRS = "local"
 METADATA_KEY = b"geoaim_world"
 GEOMETRY = "geometry"  # column of points in Parquet, which other programs show on a map
 CSV = FileFormat("tracks", 1, 1, first_checked=2, error=TracksError)
 PARQUET = FileFormat("tracks", 1, 2, first_checked=2, error=TracksError)
-UNPACKED_AT_ONCE = 2**20  # bytes
-BYTES_PER_CHARACTER = 5  # memory for a character in a table of text
 BYTES_PER_VALUE = 40  # memory for a value of Parquet
 MISSING_VALUES = ["", "nan", "NaN", "NA", "null"]
 
@@ -153,39 +162,28 @@ def read_table(
         "sep": delimiter,
         "header": 0 if header else None,
         "skiprows": skip_rows,
-        "compression": "gzip" if Path(path).suffix.lower() == ".gz" else None,
     }
     with warnings.catch_warnings(), refuse_damaged(path, TracksError, "a table of tracks"):
         warnings.simplefilter("error", pd.errors.ParserWarning)
-        if options["compression"]:
-            _check_unpacked_size(Path(path))
         try:
-            top = pd.read_csv(Path(path), nrows=1, **options)
-            texts = {name for name in top.columns if (name.strip() if header else name) in text}
-            table = pd.read_csv(
-                Path(path),
-                dtype=dict.fromkeys(texts, str),
-                keep_default_na=False,
-                na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
-                low_memory=False,
-                **options,
-            )
+            with open_text(path, TracksError) as file:
+                top = pd.read_csv(file, nrows=1, **options)
+                texts = {name for name in top.columns if (name.strip() if header else name) in text}
+                file.seek(0)
+                table = pd.read_csv(
+                    file,
+                    dtype=dict.fromkeys(texts, str),
+                    keep_default_na=False,
+                    na_values={name: MISSING_VALUES for name in top.columns if name not in texts},
+                    low_memory=False,
+                    **options,
+                )
         except pd.errors.ParserWarning as error:
             raise ValueError("a row has more fields than there are columns") from error
     if header:
         table.columns = table.columns.str.strip()
     table.index += skip_rows + header + 1
     return table
-
-
-def _check_unpacked_size(path: Path) -> None:
-    """Refuse a gzipped table that is far larger than its size explains."""
-    size, unpacked = path.stat().st_size, 0
-    with gzip.open(path) as file:
-        while part := file.read(UNPACKED_AT_ONCE):
-            unpacked += len(part)
-            needed = unpacked * BYTES_PER_CHARACTER
-            check_memory(path, needed, size, TracksError, f"over {unpacked / 1e6:.0f} MB of text")
 
 
 def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
@@ -205,6 +203,8 @@ def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
     if len(origin) != 2:
         raise ValueError(f"its origin {fields['origin']!r} is not two numbers")
     frame = read_table(path, text=("id", "type"), skip_rows=len(lines))
+    for name in {"id", "type"} & set(frame.columns):
+        frame[name] = unmark_formulas(frame[name].astype(str))
     if "crs" in fields:
         _refuse_other_world(world, stated := _make_world(fields["crs"], origin))
         return frame, stated
@@ -215,10 +215,13 @@ def _read_csv(path: Path, world: World | None) -> tuple[pd.DataFrame, World]:
 def _write_csv(frame: pd.DataFrame, world: World, path: Path) -> None:
     with open(path, "w", encoding="utf-8", newline="") as file:
         file.write(f"{format_world(world)}# format: {CSV.newest}\n")
+        frame = frame.assign(id=mark_formulas(frame["id"]), type=mark_formulas(frame["type"]))
         for name, decimals in CSV_DECIMALS.items():
             if name in frame:
                 frame[name] = frame[name].round(decimals) + 0.0  # turns -0.0 into 0.0
-        frame.to_csv(file, index=False, lineterminator="\n")
+        has_breaks = frame[["id", "type"]].stack().str.contains("\r").any()
+        quoting = csv.QUOTE_NONNUMERIC if has_breaks else csv.QUOTE_MINIMAL
+        frame.to_csv(file, index=False, lineterminator="\n", quoting=quoting)
 
 
 def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
@@ -226,10 +229,51 @@ def open_parquet(path: str | os.PathLike[str]) -> "ParquetFile":
     import pyarrow.parquet as parquet
 
     file = parquet.ParquetFile(path)
+    texts = [field.name for field in file.schema_arrow if _is_text(field.type)]
+    file = parquet.ParquetFile(path, read_dictionary=texts)  # a text once, however often it is told
+    unpacked = sum(
+        file.metadata.row_group(i).total_byte_size for i in range(file.metadata.num_row_groups)
+    )
+    check_memory(path, unpacked, os.path.getsize(path), TracksError, f"{unpacked / 1e6:.0f} MB")
     rows, columns = file.metadata.num_rows, file.metadata.num_columns
     needed, size = rows * columns * BYTES_PER_VALUE, os.path.getsize(path)
     check_memory(path, needed, size, TracksError, f"{rows} rows of {columns} columns")
     return file
+
+
+def read_columns(
+    file: "ParquetFile", path: str | os.PathLike[str], names: Iterable[str]
+) -> pd.DataFrame:
+    """Read the columns of numbers and texts that a file has of the names, and no others.
+
+    A text is kept once in the file however often a column tells it, so that a small file may need
+    any memory: that is counted before.
+    """
+    import pyarrow
+    import pyarrow.compute as compute
+
+    schema = file.schema_arrow
+    named = [schema.field(name) for name in names if name in schema.names]
+    if nested := [field.name for field in named if pyarrow.types.is_nested(field.type)]:
+        raise ValueError(f"its column {nested[0]} holds lists or structures")
+    table, needed = file.read([field.name for field in named]), 0
+    for index, field in enumerate(named):
+        column = table.column(index)
+        if pyarrow.types.is_dictionary(column.type):
+            for chunk in column.chunks:
+                sizes = compute.binary_length(chunk.dictionary)
+                needed += compute.sum(sizes.take(chunk.indices)).as_py() or 0
+            check_memory(path, needed, os.path.getsize(path), TracksError, "texts")
+            values = column.cast(column.type.value_type)
+            table = table.set_column(index, field.name, values)
+    return table.to_pandas()
+
+
+def _is_text(kind: "DataType") -> bool:
+    from pyarrow import types
+
+    tests = (types.is_string, types.is_large_string, types.is_binary, types.is_large_binary)
+    return any(test(kind) for test in tests)
 
 
 def _refuse_other_world(given: World | None, stated: World) -> None:
@@ -240,7 +284,9 @@ def _refuse_other_world(given: World | None, stated: World) -> None:
         )
 
 
-def _read_geoparquet(file: "ParquetFile", world: World | None) -> tuple[pd.DataFrame, World]:
+def _read_geoparquet(
+    file: "ParquetFile", path: Path, world: World | None
+) -> tuple[pd.DataFrame, World]:
     """Read a GeoParquet of another program: points in its CRS, and the other columns."""
     metadata = file.schema_arrow.metadata or {}
     if b"geo" not in metadata:
@@ -249,12 +295,12 @@ def _read_geoparquet(file: "ParquetFile", world: World | None) -> tuple[pd.DataF
                 f"it has no metadata {METADATA_KEY.decode()} or geo, and no world was given "
                 "(--tracks-world 'EPSG:n EAST NORTH')"
             )
-        return file.read().to_pandas(), world
+        return read_columns(file, path, KNOWN_COLUMNS), world
     stated = json.loads(metadata[b"geo"])
     name = stated["primary_column"]
     crs = stated["columns"][name].get("crs", LONLAT)  # the default of GeoParquet
     crs = crs if crs is None or isinstance(crs, str) else CRS.from_json_dict(crs).to_string()
-    table = file.read().to_pandas()
+    table = read_columns(file, path, (*KNOWN_COLUMNS, name))
     points = shapely.from_wkb(table.pop(name).to_numpy(object))
     if {shape.geom_type for shape in points} != {"Point"}:
         raise ValueError(f"its column {name} does not hold points only")
@@ -284,13 +330,13 @@ def _read_parquet(path: Path, world: World | None) -> tuple[pd.DataFrame, World]
     has_checksum = verify_checksum(path, PARQUET)
     file = open_parquet(path)
     if METADATA_KEY not in (file.schema_arrow.metadata or {}):
-        return _read_geoparquet(file, world)
-    table = file.read([name for name in file.schema_arrow.names if name != GEOMETRY])
-    stated = json.loads(table.schema.metadata[METADATA_KEY])
+        return _read_geoparquet(file, path, world)
+    table = read_columns(file, path, KNOWN_COLUMNS)
+    stated = json.loads(file.schema_arrow.metadata[METADATA_KEY])
     check_version(path, stated.get("format", 1), PARQUET, has_checksum=has_checksum)
     own = _make_world(stated["crs"], stated["origin"])
     _refuse_other_world(world, own)
-    return table.to_pandas(), own
+    return table, own
 
 
 def _write_parquet(frame: pd.DataFrame, world: World, path: Path) -> None:

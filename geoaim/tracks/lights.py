@@ -26,7 +26,7 @@ from numpy import ndarray as Array
 from geoaim.base.displays import Display
 from geoaim.base.errors import MapError, TracksError
 from geoaim.base.geojson import read_features
-from geoaim.base.limits import MAX_TIME_S, name_file
+from geoaim.base.limits import MAX_TIME_S, name_file, open_text
 from geoaim.base.world import World, describe_world
 
 if TYPE_CHECKING:
@@ -226,9 +226,10 @@ def _read_rows(path: Path) -> pd.DataFrame:
     try:
         with warnings.catch_warnings():  # a row may end in a comma, but not in an extra field
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            rows = pd.read_csv(  # a signal may be called NA
-                path, dtype=str, index_col=False, keep_default_na=False, na_values=[""]
-            )
+            with open_text(path, TracksError) as file:
+                rows = pd.read_csv(  # a signal may be called NA
+                    file, dtype=str, index_col=False, keep_default_na=False, na_values=[""]
+                )
     except (ValueError, pd.errors.ParserWarning, IsADirectoryError) as error:
         raise TracksError(f"{path} is not a table of traffic lights: {error}") from error
     lights = [name for name in rows.columns if SIND_LIGHT in name.lower()]

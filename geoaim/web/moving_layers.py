@@ -13,7 +13,7 @@ import torch
 from matplotlib.colors import to_hex
 
 from geoaim.base.errors import TracksError
-from geoaim.base.limits import refuse_damaged
+from geoaim.base.limits import open_text, refuse_damaged
 from geoaim.base.world import World
 from geoaim.prediction.config import DEFAULT_CONFIGS
 from geoaim.prediction.futures import Futures
@@ -104,7 +104,10 @@ def describe_futures(futures: Futures) -> Description:
 def describe_futures_file(path: str | os.PathLike[str]) -> Description:
     """Describe the predicted agents in a file that `geoaim predict -o futures.csv` wrote."""
     with refuse_damaged(path, TracksError, "a .csv that `geoaim predict` wrote"):
-        table = pd.read_csv(path, comment="#", dtype={"id": str})
+        with open_text(path, TracksError) as file:
+            table = pd.read_csv(file, comment="#", dtype={"id": str})
+        if table.empty or not np.isfinite(table[["time", "x", "y"]].to_numpy(float)).all():
+            raise ValueError("it has no rows, or a time, x or y that is not a finite number")
         agents = [
             {
                 "id": str(name),

@@ -268,7 +268,7 @@ def test_a_store_that_cannot_be_listed_fails_its_recordings_alone(
     monkeypatch.setattr("fsspec.implementations.memory.MemoryFileSystem.ls", ls)
     rows = "name,video\neast,memory://in/east.mp4\nb,memory://in/b.mp4\nhere,broken.mp4\n"
     table.write_text(rows)
-    catalog = build_catalog(table, tmp_path / "maps")
+    catalog = build_catalog(read_recordings(table, stores=["memory://in"]), tmp_path / "maps")
     status = {name: catalog.records[name].status for name in ("east", "b", "here")}
     assert status == {"east": "failed", "b": "failed", "here": "refused"}
     reason = catalog.records["b"].reason

@@ -18,7 +18,7 @@ def test_rows_have_addresses_relative_to_the_table_and_settings(tmp_path):
         "first,clips/a.mp4,gcps.csv,boxes,2026-01-02T03:04:05Z,16,\n"
         ",s3://bucket/b.mp4,,,,,0.05\n",
     )
-    first, second = read_recordings(table)
+    first, second = read_recordings(table, stores=["s3://bucket/"])
     assert first.video == f"{tmp_path}/clips/a.mp4"
     assert (first.gcps, first.detections) == (f"{tmp_path}/gcps.csv", f"{tmp_path}/boxes")
     assert first.settings == MapSettings(frames=16)

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.base.errors import GeoaimError
-from geoaim.base.limits import refuse_damaged
+from geoaim.base.limits import open_text, refuse_damaged
 from geoaim.mapping.video.detection_checks import MAX_SHARE, RawBoxes
 from geoaim.mapping.video.detection_columns import name_columns
 from geoaim.tracks.formats.geotrax import BOX as GEOTRAX_BOX
@@ -119,16 +119,17 @@ def _load_file(path: Path, columns: Mapping[str, str]) -> Content:
         if "<!ENTITY" in text:
             raise GeoaimError(f"{path} defines entities, which are not read")
         return Content(path, "xml", ElementTree.fromstring(text), columns)
-    with open(path, encoding="utf-8-sig", errors="replace") as file:
+    with open_text(path, GeoaimError) as file:
         lines = [line for line in (file.readline() for _ in range(5)) if line.strip()]
     head = next((line for line in lines if not line.startswith("#")), "")
     separator = next((sign for sign in (";", "\t", ",") if sign in head), r"\s+")
     decimal = "," if separator == ";" and "," in "".join(lines) else "."
     words = head.lower().replace("nan", "").replace("inf", "")
     is_table = any(sign.isalpha() and sign not in LETTERS_OF_NUMBERS for sign in words)
-    table = pd.read_csv(
-        path, header=0 if is_table else None, sep=separator, decimal=decimal, comment="#"
-    )
+    with open_text(path, GeoaimError) as file:
+        table = pd.read_csv(
+            file, header=0 if is_table else None, sep=separator, decimal=decimal, comment="#"
+        )
     if is_table:
         table.columns = table.columns.str.strip()
         return Content(path, "table", table, columns)

@@ -12,7 +12,7 @@ import pandas as pd
 from geoaim.base.errors import TracksError
 from geoaim.base.limits import MAX_TIME_S, refuse_damaged
 from geoaim.base.world import LONLAT, World, transform_crs
-from geoaim.tracks.files import open_parquet
+from geoaim.tracks.files import open_parquet, read_columns
 from geoaim.tracks.formats import shared
 from geoaim.tracks.formats.motion import compute_signed_speed
 from geoaim.tracks.tables import make_tracks
@@ -58,7 +58,7 @@ def read_argoverse(path: str | os.PathLike[str], *, world: World | None = None) 
     with refuse_damaged(path, TracksError, "an Argoverse 2 scenario"):
         file = open_parquet(path)
         known = [*NAMES, *STATES, *TIMES]
-        table = file.read([name for name in known if name in file.schema_arrow.names]).to_pandas()
+        table = read_columns(file, path, known)
         table.index += 1
         shared.check_columns(path, table, numbers=(*STATES, *TIMES), others=NAMES)
         world = world or _find_world(path, str(table["city"].iloc[0]))
