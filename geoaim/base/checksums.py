@@ -113,10 +113,7 @@ def check_version(
 
 
 def _crc_of_start(data: mmap, start: int, size: int) -> int:
-    """CRC-32 of what comes before the checksum and of an eighth of what follows it.
-
-    In a GeoTIFF these hold the offsets of the pixels, which change when it is rewritten.
-    """
+    """CRC-32 of what comes before the checksum and of an eighth of what follows it."""
     after = start + len(PLACEHOLDER)
     with memoryview(data) as view:
         return zlib.crc32(view[after : after + (size - start) // 8], zlib.crc32(view[:start]))

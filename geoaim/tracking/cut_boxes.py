@@ -14,20 +14,7 @@ def complete_cut_boxes(
     headings: Float[Array, "N T"],
     sizes: Float[Array, "N 2"],
 ) -> Float[Array, "M 2"]:
-    """Move the middles of cut boxes to where those of the whole boxes are.
-
-    The end that lies inside the frame stays; the other one is as far from it as the agent's size
-    and heading tell. A box that is larger than they tell stays as it is.
-
-    Args:
-        detections: detections in the world.
-        track: number of each detection's agent.
-        headings: of the agents, rad.
-        sizes: of the agents, m.
-
-    Returns:
-        Positions, m.
-    """
+    """Move the middles of cut boxes to where those of the whole boxes are."""
     position = detections.position.copy()
     for row in np.flatnonzero(detections.cut.any(axis=(1, 2))):
         agent, axis = track[row], detections.axis[row]

@@ -26,19 +26,7 @@ SLACK_M = 0.3  # by which the middle may come nearer to the rear axle
 def follow_rear_axle(
     path: Float[Array, "T 2"], heading: float, distance: float
 ) -> Float[Array, "T"]:
-    """Compute headings along a path of the box's middle, by the rear axle that follows it.
-
-    The axle is pulled as by a rope, which may be slack by `SLACK_M`, so that the noise of a
-    standing vehicle does not turn it; where the path goes back further, the heading stays.
-
-    Args:
-        path: the middle, m.
-        heading: heading at the first point, rad.
-        distance: of the rear axle behind the middle, m.
-
-    Returns:
-        Headings, rad.
-    """
+    """Compute headings along a path of the box's middle, by the rear axle that follows it."""
     headings = np.empty(len(path))
     points = path.tolist()
     slack = max(distance - SLACK_M, distance / 2)
@@ -62,20 +50,7 @@ def compute_headings(
     length: float,
     facing: float | None = None,
 ) -> Float[Array, "T"] | None:
-    """Compute headings of a vehicle from its smoothed path, in reverse too.
-
-    Where it turns back at a stop, it changes into or out of reverse. In which pieces of its path it
-    is in reverse follows from its first heading; if that is not known, the shorter ones.
-
-    Args:
-        path: positions of the middle of its box, m.
-        velocity: m/s.
-        length: of the vehicle, m.
-        facing: its heading before it moves, rad; None: not known.
-
-    Returns:
-        Headings, rad; None for a vehicle that does not move.
-    """
+    """Compute headings of a vehicle from its smoothed path, in reverse too."""
     pieces = _find_moving_pieces(path, velocity)
     if not pieces:
         return None
@@ -102,16 +77,7 @@ def compute_headings(
 def observe_headings(
     path: Float[Array, "T 2"], length: float, standing: float | None
 ) -> Float[Array, "T"]:
-    """Compute headings of a vehicle from its path until each time.
-
-    Args:
-        path: positions of the middle of its box as known at each time, m.
-        length: of the vehicle, m.
-        standing: its heading before it moves, rad; None: not known.
-
-    Returns:
-        Headings, rad; NaN until it has moved, if none is known before.
-    """
+    """Compute headings of a vehicle from its path until each time."""
     distance = REAR_AXLE_SHARE * length
     if standing is not None:
         return follow_rear_axle(path, standing, distance)

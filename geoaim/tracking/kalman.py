@@ -94,18 +94,7 @@ def filter_tracks(
     *,
     speed_sigma: float,
 ) -> TrackMotion:
-    """Filter tracks forward in time: each state knows the measurements until then.
-
-    Args:
-        times: seconds, increasing.
-        positions: measured positions, m; NaN where there is none.
-        sigmas: their standard deviations in each coordinate, m.
-        acceleration_noise: spectral density of the acceleration, m²/s³.
-        speed_sigma: standard deviation of each velocity component at the start, m/s.
-
-    Returns:
-        The motion from each track's first measurement to its last.
-    """
+    """Filter tracks forward in time: each state knows the measurements until then."""
     count, steps = positions.shape[:2]
     mean, covariance = (np.full((count, steps, 2, 2), np.nan) for _ in range(2))
     seen = np.isfinite(positions[..., 0])
@@ -133,16 +122,7 @@ def filter_tracks(
 def smooth_tracks(
     times: Float[Array, "T"], filtered: TrackMotion, acceleration_noise: Float[Array, "N"]
 ) -> TrackMotion:
-    """Smooth filtered tracks backward in time, so that each state knows all measurements.
-
-    Args:
-        times: seconds, increasing.
-        filtered: what `filter_tracks` gave.
-        acceleration_noise: the same as in the filter, m²/s³.
-
-    Returns:
-        The smoothed motion (Rauch, Tung, Striebel 1965).
-    """
+    """Smooth filtered tracks backward in time, so that each state knows all measurements."""
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
     known = np.isfinite(mean[:, :, 0, 0])
     for step in range(len(times) - 2, -1, -1):

@@ -25,13 +25,6 @@ def get_typical_size(kind: str) -> tuple[float, float]:
 def predict_extents(size: Float[Array, "2"], turn: Float[Array, "m"]) -> Float[Array, "m 2"]:
     """Predict the sides of the upright boxes about an agent that is turned in them.
 
-    Args:
-        size: length and width, m.
-        turn: heading relative to the box's first side, rad.
-
-    Returns:
-        Extents along the first side and across it, m.
-
     >>> predict_extents(np.array([4.0, 2.0]), np.array([0.0, np.pi / 2])).round(6)
     array([[4., 2.],
            [2., 4.]])
@@ -43,20 +36,7 @@ def predict_extents(size: Float[Array, "2"], turn: Float[Array, "m"]) -> Float[A
 def estimate_size(
     extent: Float[Array, "m 2"], turn: Float[Array, "m"], sigma: float, kind: str
 ) -> Float[Array, "2"]:
-    """Estimate length and width from the extents of many boxes, by robust least squares.
-
-    Upright boxes about a turned agent are larger than it (`predict_extents`); at 45° they only tell
-    the sum of length and width, which the typical size of the type then divides.
-
-    Args:
-        extent: sides of the boxes, m.
-        turn: headings relative to the boxes' first sides, rad.
-        sigma: standard deviation of a side, m.
-        kind: agent type, whose typical size counts where boxes do not tell.
-
-    Returns:
-        Length and width, m.
-    """
+    """Estimate length and width from the extents of many boxes, by robust least squares."""
     prior = np.array(get_typical_size(kind))
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     rows = np.concatenate([np.column_stack([cosine, sine]), np.column_stack([sine, cosine])])

@@ -44,22 +44,7 @@ def make_states(
     world: World,
     lanes: Directions | None = None,
 ) -> Tracks:
-    """Make the states of agents from their detections, smoothed and as observed at each time.
-
-    The middle of each agent moves at constant velocity but for white noise in its acceleration;
-    a first pass gives headings, by these sizes, and by these the middles of boxes that the frame's
-    border cuts off, which a second pass uses.
-
-    Args:
-        detections: detections of all frames.
-        track: number of each detection's agent, from 0; -1 for none.
-        times: of the frames, s.
-        world: the plane of the positions.
-        lanes: directions of lanes, for vehicles that never move; None: not known.
-
-    Returns:
-        The tracks, from each agent's first detection to its last.
-    """
+    """Make the states of agents from their detections, smoothed and as observed at each time."""
     kept = np.flatnonzero(track >= 0)
     detections, track = select_detections(detections, kept), track[kept]
     row = np.full((track.max(initial=-1) + 1, len(times)), -1)

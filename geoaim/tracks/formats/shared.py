@@ -77,10 +77,7 @@ def has_parquet_columns(*names: str) -> Matcher:
 
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map names of agent types to ours by `AGENT_TYPES`; keep others in lower case, with a warning.
-
-    `path` is the file that the warning names.
-    """
+    """Map names of agent types to ours by `AGENT_TYPES`; keep others in lower case, with a warning."""
     types = names.str.lower().replace(AGENT_TYPES)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
     if unknown:
@@ -165,11 +162,7 @@ def check_resolution(resolution: float) -> None:
 
 
 def fill_sizes(rows: pd.DataFrame) -> Float[Array, "m 2"]:
-    """Complete the columns length and width (m) of rows by `TYPICAL_SIZES` of the column type.
-
-    Returns:
-        (m, 2) length and width; a side that is 0 or NaN is the typical one.
-    """
+    """Complete the columns length and width (m) of rows by `TYPICAL_SIZES` of the column type."""
     typical = np.array([TYPICAL_SIZES.get(name, OTHER_SIZE) for name in rows["type"]])
     sizes = rows[["length", "width"]].to_numpy(np.float64)
     return np.where(np.isnan(sizes) | (sizes == 0), typical.reshape(-1, 2), sizes)
