@@ -8,8 +8,7 @@ import rich.progress
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import console, print_table, report_errors
-from geoaim.cli.help import Command, CommandGroup
+from geoaim.cli.console import Command, CommandGroup, console, print_table, report_errors
 
 if TYPE_CHECKING:
     from geoaim.catalog import Record

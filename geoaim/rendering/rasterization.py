@@ -66,6 +66,8 @@ class _Coverage(torch.autograd.Function):
         return forbid_second_derivatives((grad_corners,), (corners, grads[0]))[0]
 
 
+# By Green's theorem: the integral of x dy along the polygon, with both clamped to the square.
+# Its gradient by an end of an edge is how far each point of the edge in the square moves with it.
 def _compute_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     """Integrate x dy around each polygon, with both clamped to [0, 1]."""
     x, y = corners.unbind(-1)

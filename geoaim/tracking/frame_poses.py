@@ -51,7 +51,7 @@ def locate_frames(
 def place_reference(
     frame: Frame, aim: AIM, detections: Detections | None
 ) -> tuple[Float[Array, "3 3"], FrameRegistration]:
-    """Place a frame in the image of an AIM: by features, then by patches of the AIM as it sees it."""
+    """Place a frame in the image of an AIM: by features, then by patches of the AIM."""
     size = frame.grey.shape
     grey = np.asarray(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY), np.uint8)
     hidden = aim.coverage == 0

@@ -77,7 +77,7 @@ def has_parquet_columns(*names: str) -> Matcher:
 
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map names of agent types to ours by `AGENT_TYPES`; keep others in lower case, with a warning."""
+    """Map names of agent types to ours by `AGENT_TYPES`; warn of others and keep them."""
     types = names.str.lower().replace(AGENT_TYPES)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
     if unknown:
