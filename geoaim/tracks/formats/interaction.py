@@ -149,4 +149,4 @@ def _matches_sind(path: Path, line: str) -> bool:
     return path.is_dir() or _has_vehicle_columns(path, line) or _has_pedestrian_columns(path, line)
 
 
-SIND = shared.TrackFormat("SinD", _matches_sind, read_sind, options=("world",), rank=2)
+SIND = shared.TrackFormat("SinD", _matches_sind, read_sind, options=("world",))
