@@ -51,17 +51,7 @@ def update(
     position: Float[Array, "n 2"],
     sigma: Float[Array, "n"],
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Update tracks by measured positions.
-
-    Args:
-        mean: predicted positions (m) and velocities (m/s).
-        covariance: of position and velocity, in one coordinate.
-        position: measured, m.
-        sigma: standard deviation of each of its coordinates, m.
-
-    Returns:
-        Mean and covariance.
-    """
+    """Update means and covariances of tracks by measured positions and their deviations, m."""
     gain = covariance[:, :, 0] / (covariance[:, 0, 0] + sigma**2)[:, None]
     mean = mean + gain[:, :, None] * (position - mean[:, 0])[:, None, :]
     return mean, covariance - gain[:, :, None] * covariance[:, None, 0, :]
@@ -70,16 +60,7 @@ def update(
 def start(
     position: Float[Array, "n 2"], sigma: Float[Array, "n"], speed_sigma: float
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Start tracks at measured positions.
-
-    Args:
-        position: measured, m.
-        sigma: standard deviation of each of its coordinates, m.
-        speed_sigma: of each component of the velocity about 0, m/s.
-
-    Returns:
-        Mean and covariance.
-    """
+    """Start tracks at measured positions; each component of their velocity varies about 0."""
     mean = np.stack([position, np.zeros_like(position)], axis=1)
     covariance = np.zeros((len(position), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = sigma**2, speed_sigma**2

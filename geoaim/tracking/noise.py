@@ -17,13 +17,6 @@ def estimate_noise(detections: GroundDetections, track: Int[Array, "M"]) -> floa
 
     From one frame to the next but one a track is nearly straight, so that its second differences
     are noise alone, of six times the variance of a position.
-
-    Args:
-        detections: detections in order of time.
-        track: number of each detection's agent; -1 for none.
-
-    Returns:
-        Pixels.
     """
     order = np.lexsort((detections.step, track))
     order = order[(track[order] >= 0) & ~detections.cut[order].any(axis=(1, 2))]

@@ -121,12 +121,6 @@ def check_columns(
 ) -> None:
     """Check that a table from `read_table` has rows and columns; missing values pass.
 
-    Args:
-        path: the file that the message names.
-        table: the table as read.
-        numbers: required columns of numbers.
-        others: required columns of any type.
-
     Raises:
         TracksError: columns or all rows are missing, or a value is not a number.
     """
