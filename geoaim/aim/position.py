@@ -36,8 +36,8 @@ def state_position(
 ) -> dict[str, Any]:
     """Make the entry "position" of a report: what placed the map, and how surely.
 
-    Covariances are of a point of the map (square metres east and north): in the world, and relative to
-    the reference that the map was aligned to; None where they are unknown.
+    Covariances are of a point of the map (square metres east and north): in the world, and relative
+    to the reference that the map was aligned to; None where they are unknown.
     """
     entry = {"source": source, "covariance_m2": _to_list(covariance)}
     if relative_to is not None:

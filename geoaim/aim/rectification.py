@@ -111,7 +111,7 @@ def _measure_pixels(aim: AIM) -> Float[Array, "m 2"]:
 def sample_nearest(
     raster: Array, image_from_grid: Float[Array, "3 3"], shape: tuple[int, int]
 ) -> Array:
-    """Sample the nearest pixels of a raster (uint8, uint16 or float) on a grid; 0 outside the raster."""
+    """Sample the nearest pixels of a raster (uint8, uint16 or float) on a grid; 0 outside."""
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)
 

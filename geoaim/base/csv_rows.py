@@ -36,7 +36,7 @@ def trim_comment(line: str) -> str:
 
 
 def read_rows(lines: Iterable[str]) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Read the names of columns, and each row's line number and cells, of a CSV table with a header.
+    """Read a CSV table: the names of its columns, and the line number and cells of each row.
 
     Commas at the end of a line are no cells, and empty lines no rows.
 

@@ -25,8 +25,8 @@ def write_video(
 ) -> Path:
     """Encode RGB frames of one size with even sides as H.264 (yuv420p); returns `path`.
 
-    The quality is a constant rate factor (`crf`, 0 to 51, lower is better) or a bit rate (`megabits`,
-    Mbit/s); None for `keyframe_interval` are the frames of one second.
+    The quality is a constant rate factor (`crf`, 0 to 51, lower is better) or a bit rate
+    (`megabits`, Mbit/s); None for `keyframe_interval` are the frames of one second.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
     with atomic_write(path) as temporary, av.open(str(temporary), "w") as container:

@@ -54,7 +54,7 @@ class Grid:
 def make_north_up_grid(
     points: Float[Array, "n 2"], resolution: float, world: World | None = None
 ) -> Grid:
-    """Make the smallest north-up grid over points (m), with lines at multiples of its resolution (m).
+    """Make the smallest north-up grid over points, with lines at multiples of its resolution.
 
     Raises:
         AimError: the grid would have more than 30,000 pixels a side.

@@ -72,7 +72,7 @@ def draw_lines(
     label: str = "",
     outlined: bool = False,
 ) -> None:
-    """Draw lines in metres of the axes' world, with one entry in the legend unless `label` is empty.
+    """Draw lines in the axes' world, with one entry in the legend unless `label` is empty.
 
     An outline makes pale lines visible on pale ground.
     """

@@ -40,7 +40,7 @@ def open_raster_file(
     *,
     options: Mapping[str, int] | None = None,
 ) -> Iterator[Any]:
-    """Open a raster file by one of GDAL's drivers that read a single file, with GDAL's open options.
+    """Open a raster file by one of GDAL's drivers that read a single file.
 
     The driver is chosen by the file's first bytes (`SIGNATURES`).
 

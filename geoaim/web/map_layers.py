@@ -84,7 +84,7 @@ def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaste
 
 
 def describe_raster(name: str, path: str, raster: TiledRaster, **options: object) -> Description:
-    """Describe tiles for the viewer; options are those of its panel of layers (`colour`, `legend`)."""
+    """Describe tiles for the viewer, with options of its panel of layers (`colour`, `legend`)."""
     shown: Description = {"name": name, "path": path, "visible": True, "opacity": 1.0}
     return shown | raster.describe() | options
 

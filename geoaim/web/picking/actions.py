@@ -108,7 +108,7 @@ def _first(points: np.ndarray) -> Vector:
 
 
 def handle(session: PickingSession, action: Any) -> Outcome:
-    """Carry out an action of a page, as the module's description lists it; returns the reply too."""
+    """Carry out an action of a page; returns the session after it and the reply."""
     try:
         if not isinstance(action, Mapping) or str(action.get("action")) not in ACTIONS:
             raise ValueError(
