@@ -1,4 +1,9 @@
-"""The command that says what a file is: how each kind is recognised, described and used."""
+"""The command that says what a file is: how each kind is recognised, described and used.
+
+A describer takes a path and gives the kind, facts (value by name) and commands, in which FILE
+stands for the path. `describe_file` chooses it by the suffix or the columns of a table, never by
+trying to read a large file whole.
+"""
 
 import json
 import re

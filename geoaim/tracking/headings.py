@@ -1,4 +1,4 @@
-"""Headings of vehicles from their paths: the rear axle follows the middle as a trailer does.
+"""Headings of vehicles by their paths; where they never move, by their lane or their boxes.
 
 A wheel does not slip sideways, so that a vehicle's rear axle moves along its heading, and not the
 middle of its box. With the distance c between them, the heading is that of a trailer whose hitch is
@@ -8,12 +8,14 @@ the end backwards in time.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
+from geoaim.tracking.sizes import predict_extents
 
 REAR_AXLE_SHARE = 0.3  # distance of the rear axle from the middle of the box, in lengths
 MOVING_SPEED = 0.7  # m/s, above which a vehicle certainly moves
@@ -134,3 +136,46 @@ def _group_by_sign(signs: Int[Array, " n"]) -> list[tuple[int, int]]:
     """Group successive pieces of one sign, as first and last number."""
     starts = np.flatnonzero(np.diff(signs, prepend=0))
     return list(zip(starts.tolist(), [*(starts[1:] - 1).tolist(), len(signs) - 1], strict=True))
+
+
+UNKNOWN_SIGMA_RAD = np.pi  # of a heading that may be any, or its opposite
+LANE_SIGMA_RAD = 0.1  # of a heading by a lane
+MAX_NEIGHBOURS = 9  # directions that are averaged
+MIN_AGREEMENT = 0.8  # length of the mean of their unit vectors; short where lanes cross
+TURNS = np.radians(np.arange(0.0, 180.0, 1.0))  # headings that are compared with a box's extents
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Places where the direction of travel is known."""
+
+    points: Float[Array, "m 2"]  # m
+    headings: Float[Array, "m"]  # rad
+    reach: Float[Array, "m"]  # radius about each point in which its direction holds, m
+
+
+def find_standing_heading(
+    position: Float[Array, "2"],
+    axis: float,
+    extent: Float[Array, "2"],
+    size: tuple[float, float],
+    lanes: Directions | None,
+) -> tuple[float, float]:
+    """Find the heading of a vehicle that stands all the time."""
+    here = None if lanes is None else _average_directions(lanes, position)
+    if here is not None:
+        return here, LANE_SIGMA_RAD
+    misfit = ((predict_extents(np.array(size), TURNS) - extent) ** 2).sum(axis=1)
+    heading = float(wrap_angle(np.array(axis + TURNS[np.argmin(misfit)])))
+    return heading, UNKNOWN_SIGMA_RAD
+
+
+def _average_directions(lanes: Directions, position: Float[Array, "2"]) -> float | None:
+    """Average the directions of lanes at a place, rad; None where none is, or they differ."""
+    distance = np.hypot(*(lanes.points - position).T)
+    near = np.flatnonzero(distance < lanes.reach)
+    if not len(near):
+        return None
+    nearest = near[np.argsort(distance[near])[:MAX_NEIGHBOURS]]
+    mean = np.exp(1j * lanes.headings[nearest]).mean()
+    return float(np.angle(mean)) if np.abs(mean) > MIN_AGREEMENT else None

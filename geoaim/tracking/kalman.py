@@ -1,4 +1,4 @@
-"""Kalman filter and Rauch-Tung-Striebel smoother of many tracks at once.
+"""Kalman filter and Rauch-Tung-Striebel smoother of many tracks at once, and the noise of boxes.
 
 Each track is a point that moves at constant velocity but for white noise in its acceleration (Bar-
 Shalom, Li, Kirubarajan 2001, chapter 6.2). Noise is the same in x and y and independent between
@@ -8,8 +8,10 @@ them, so that one covariance of position and velocity (2, 2) holds for both coor
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
+
+from geoaim.tracking.ground_detections import GroundDetections
 
 START_SPEED_SIGMA = 8.0  # m/s, of each component of a velocity that is not known yet
 
@@ -119,3 +121,27 @@ def smooth_tracks(
         change = covariance[running, step + 1] - spread
         covariance[running, step] = before + gain @ change @ np.swapaxes(gain, 1, 2)
     return TrackMotion(mean, covariance)
+
+
+DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detections tell
+MIN_NOISE_PX = 0.3
+MIN_TRIPLES = 30  # detections in three successive frames that tell the noise
+NORMAL_SCALE = 1.4826  # standard deviation of a normal distribution over its median distance
+
+
+def estimate_noise(detections: GroundDetections, track: Int[Array, "M"]) -> float:
+    """Estimate the standard deviation of a coordinate of boxes' middles, in pixels of the frame.
+
+    From one frame to the next but one a track is nearly straight, so that its second differences
+    are noise alone, of six times the variance of a position.
+    """
+    order = np.lexsort((detections.step, track))
+    order = order[(track[order] >= 0) & ~detections.cut[order].any(axis=(1, 2))]
+    step, agent = detections.step[order], track[order]
+    pixels = detections.position[order] / detections.resolution[order, None]
+    triple = (agent[2:] == agent[:-2]) & (step[2:] - step[:-2] == 2)
+    second = (pixels[2:] - 2 * pixels[1:-1] + pixels[:-2])[triple]
+    if len(second) < MIN_TRIPLES:
+        return DEFAULT_NOISE_PX
+    spread = NORMAL_SCALE * float(np.median(np.abs(second))) / np.sqrt(6)
+    return max(spread, MIN_NOISE_PX)

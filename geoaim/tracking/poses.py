@@ -8,10 +8,16 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
-from geoaim.tracking.headings import REAR_AXLE_SHARE, compute_headings, observe_headings
+from geoaim.tracking.headings import (
+    REAR_AXLE_SHARE,
+    UNKNOWN_SIGMA_RAD,
+    Directions,
+    compute_headings,
+    find_standing_heading,
+    observe_headings,
+)
 from geoaim.tracking.kalman import TrackMotion
 from geoaim.tracking.sizes import get_typical_size
-from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD, Directions, find_standing_heading
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 

@@ -1,12 +1,13 @@
-"""Sizes of agents from many boxes, and types from the detector or by size."""
+"""Sizes and types of agents from many boxes; middles of boxes that the frame's border cuts off."""
 
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
+from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES
 
 SIZE_SIGMA = 0.25  # of the logarithms of sizes about those that are typical of their type
@@ -69,3 +70,24 @@ def _choose_type(size: Float[Array, "2"]) -> str:
     kinds = {"pedestrian": OTHER_SIZE, **TYPICAL_SIZES}
     del kinds["motorcycle"]  # as large as a bicycle with its rider
     return min(kinds, key=lambda kind: float(((np.log(kinds[kind]) - given) ** 2).sum()))
+
+
+def complete_cut_boxes(
+    detections: GroundDetections,
+    track: Int[Array, "M"],
+    headings: Float[Array, "N T"],
+    sizes: Float[Array, "N 2"],
+) -> Float[Array, "M 2"]:
+    """Move the middles of cut boxes to where those of the whole boxes are."""
+    position = detections.position.copy()
+    for row in np.flatnonzero(detections.cut.any(axis=(1, 2))):
+        agent, axis = track[row], detections.axis[row]
+        turn = headings[agent, detections.step[row]] - axis
+        whole = predict_extents(sizes[agent], np.array([turn]))[0]
+        missing = np.maximum(whole - detections.extent[row], 0.0)
+        # the start of a side cut off: the middle moves against the side; its end: along it
+        along = missing / 2 * (detections.cut[row, :, 1] * 1.0 - detections.cut[row, :, 0])
+        right = np.array([np.cos(axis), np.sin(axis)])
+        down = detections.down[row]
+        position[row] += along[0] * right + along[1] * down
+    return position

@@ -7,13 +7,17 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.world import World
-from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
-from geoaim.tracking.kalman import START_SPEED_SIGMA, TrackMotion, filter_tracks, smooth_tracks
-from geoaim.tracking.noise import estimate_noise
+from geoaim.tracking.headings import Directions
+from geoaim.tracking.kalman import (
+    START_SPEED_SIGMA,
+    TrackMotion,
+    estimate_noise,
+    filter_tracks,
+    smooth_tracks,
+)
 from geoaim.tracking.poses import Poses, compute_poses, observe_states
-from geoaim.tracking.sizes import estimate_size, vote_type
-from geoaim.tracking.standing import Directions
+from geoaim.tracking.sizes import complete_cut_boxes, estimate_size, vote_type
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import Tracks
 
