@@ -26,8 +26,8 @@ from benchmarks.synthetic.roads.layouts import PlaceKind
 from benchmarks.synthetic.sample import HOVER, MARGIN, VIDEOS, make_sample
 from benchmarks.synthetic.traffic.interpolation import interpolate_tracks
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, detect_boxes, project_boxes
-from benchmarks.tracking.peers import list_peers
-from benchmarks.tracking.scores import make_view, score_tracks
+from benchmarks.tracking.peers import PeerTracks, list_peers
+from benchmarks.tracking.scores import BoxView, make_view, score_tracks
 from geoaim.aim.aim import AIM
 from geoaim.base.encode import write_video
 from geoaim.base.progress import no_progress
@@ -103,20 +103,25 @@ def _locate(
         return locate_frames(open_video(path), aim, None, no_progress).world_from_frame
 
 
-def measure_case(case: TrackingCase, track: Callable[..., Tracks]) -> Iterator[dict[str, Any]]:
+def measure_case(
+    case: TrackingCase, track: Callable[..., Tracks | PeerTracks]
+) -> Iterator[dict[str, Any]]:
     """Measure a tracker on a case: a row for vehicles, and one for people."""
     given = case.boxes, case.world_from_frame, case.truth.times, case.truth.world, case.size
-    found = track(*given)
+    result = track(*given)
+    found, own = (result, None) if isinstance(result, Tracks) else (result.tracks, result.boxes)
     for name, groups in GROUPS.items():
-        views = [
-            make_view(
-                tracks,
-                case.frame_from_world,
-                case.size,
-                np.array([find_group(kind) in groups for kind in tracks.types], bool),
-            )
+        kept = [
+            np.array([find_group(kind) in groups for kind in tracks.types], bool)
             for tracks in (case.truth, found)
         ]
+        views = [
+            make_view(tracks, case.frame_from_world, case.size, chosen)
+            for tracks, chosen in zip((case.truth, found), kept, strict=True)
+        ]
+        if own is not None:
+            shown = np.isfinite(own).all(axis=2) & kept[1][:, None]
+            views[1] = BoxView(found, own, shown)
         if views[0].visible.any():
             yield {"video": case.name, "agents of": name} | score_tracks(*views)
 
@@ -134,7 +139,7 @@ def measure_tracking(
     Returns:
         A row for each tracker, video and group of agents.
     """
-    trackers = {"geoaim": track_boxes, **list_peers()}
+    trackers: dict[str, Callable[..., Any]] = {"geoaim": track_boxes, **list_peers()}
     rows = []
     for size in sizes:
         for number, kind in enumerate(kinds):
