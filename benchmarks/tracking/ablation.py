@@ -22,7 +22,7 @@ from benchmarks.tracking.benchmark import (
 )
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, make_drawn_case
 from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
-from geoaim.tracking.kalman import DEFAULT_NOISE_PX
+from geoaim.tracking.noise import DEFAULT_NOISE_PX
 from geoaim.tracking.pipeline import track_boxes
 from geoaim.tracking.states import ACCELERATION_NOISE
 

@@ -21,7 +21,7 @@ from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.mapping.video.detections import read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.tracking import track_boxes
-from geoaim.tracking.pipeline import find_unknown_headings
+from geoaim.tracking.report import find_unknown_headings
 from geoaim.tracks.formats import read_geotrax
 from geoaim.tracks.formats.geotrax import FRAME_RATE
 from geoaim.tracks.tracks import Tracks

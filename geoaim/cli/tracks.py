@@ -63,7 +63,8 @@ def track(
     from geoaim.mapping.video.detection_columns import parse_columns
     from geoaim.mapping.video.detections import read_detections
     from geoaim.mapping.video.video import open_video
-    from geoaim.tracking.pipeline import summarize_tracking, track_video
+    from geoaim.tracking.pipeline import track_video
+    from geoaim.tracking.report import summarize_tracking
     from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():

@@ -36,7 +36,19 @@ class _Candidates:
 def associate(
     detections: GroundDetections, times: Float[Array, "T"], sigma: Float[Array, "M"]
 ) -> Int[Array, "M"]:
-    """Associate detections to tracks by optimal assignment to predicted positions."""
+    """Associate detections to tracks by optimal assignment to predicted positions.
+
+    Tracks are predicted at constant velocity. The cost of a pair is minus twice its log likelihood:
+    the squared distance in standard deviations, and the logarithm of the covariance's determinant.
+
+    Args:
+        detections: detections of all frames.
+        times: of the frames, s.
+        sigma: standard deviation of each coordinate of the positions, m.
+
+    Returns:
+        The number of each detection's track, from 0; -1 for one that belongs to none.
+    """
     track, count = np.full(len(detections.step), -1), 0
     scores = detections.score[np.isfinite(detections.score)]
     least_score = min(MIN_START_SCORE, float(np.median(scores))) if len(scores) else 0.0

@@ -30,7 +30,16 @@ HELP = (
 def drop_doubled_boxes(
     frames: Sequence[DetectedBoxes | None],
 ) -> tuple[list[DetectedBoxes | None], int, int]:
-    """Drop boxes that lie on another one of any class, and those that are a part of one."""
+    """Drop boxes that lie on another one of any class, and those that are a part of one.
+
+    Of two, that with the greater score stays; without scores the larger one.
+
+    Args:
+        frames: boxes of each frame.
+
+    Returns:
+        The others, how many were doubled, and how many had no area or values missing.
+    """
     cleaned: list[DetectedBoxes | None] = []
     doubled = empty = 0
     for boxes in frames:
@@ -86,7 +95,11 @@ def _find_single(boxes: DetectedBoxes, rows: Int[Array, " n"]) -> Int[Array, " m
 
 
 def check_sizes(detections: GroundDetections) -> None:
-    """Check sizes of boxes on the map by their types."""
+    """Check sizes of boxes on the map by their types.
+
+    Raises:
+        TracksError: they cannot be sizes of such agents.
+    """
     whole = ~detections.cut.any(axis=(1, 2)) & (detections.extent.min(axis=1) > 0)
     for kind in np.unique(detections.types[whole].astype(str)).tolist():
         extent = detections.extent[whole & (detections.types == kind)]
@@ -106,7 +119,11 @@ def check_sizes(detections: GroundDetections) -> None:
 
 
 def check_tracks(tracks: Tracks) -> None:
-    """Check speeds, accelerations and sizes of tracks, as those of files are checked."""
+    """Check speeds, accelerations and sizes of tracks, as those of files are checked.
+
+    Raises:
+        TracksError: nearly all are implausible.
+    """
     try:
         check_plausibility("the tracks", tracks)
     except TracksError as error:

@@ -39,7 +39,20 @@ class FramePoses:
 def locate_frames(
     video: Video, aim: AIM, detections: Detections | None, progress: Progress
 ) -> FramePoses:
-    """Locate the frames of a video in the world of an AIM."""
+    """Locate the frames of a video in the world of an AIM.
+
+    Args:
+        video: the video.
+        aim: an AIM of the same ground, made of this video or of another one.
+        detections: agents to leave out of the registration.
+        progress: called with the stage, the frames done and the frames in all.
+
+    Returns:
+        The poses of all frames.
+
+    Raises:
+        RegistrationError: the frames cannot be registered to each other, or not to the AIM.
+    """
     registration = register(video, detections=detections, progress=progress)
     frame = next(video.frames_at([registration.reference.time]))
     aim_from_reference, placement = place_reference(frame, aim, detections)
@@ -51,7 +64,19 @@ def locate_frames(
 def place_reference(
     frame: Frame, aim: AIM, detections: Detections | None
 ) -> tuple[Float[Array, "3 3"], FrameRegistration]:
-    """Place a frame in the image of an AIM: by features, then by patches of the AIM."""
+    """Place a frame in the image of an AIM: by features, then by patches of the AIM as it sees it.
+
+    Args:
+        frame: the frame.
+        aim: an AIM of the same ground.
+        detections: agents to leave out.
+
+    Returns:
+        The transform from the frame's pixels to those of the AIM, and the registration by patches.
+
+    Raises:
+        RegistrationError: the frame and the AIM do not match.
+    """
     size = frame.grey.shape
     grey = np.asarray(cv2.cvtColor(aim.image, cv2.COLOR_RGB2GRAY), np.uint8)
     hidden = aim.coverage == 0
@@ -85,7 +110,17 @@ def view_aim(
     aim_from_frame: Float[Array, "3 3"],
     size: tuple[int, int],
 ) -> tuple[UInt8[Array, "H W *c"], Array]:
-    """View an AIM as a frame sees it."""
+    """View an AIM as a frame sees it.
+
+    Args:
+        image: of the AIM, grey or RGB.
+        covered: (h, w) which of its pixels are known.
+        aim_from_frame: transform of pixels.
+        size: (height, width) of the frame.
+
+    Returns:
+        The view, and which of its pixels are known.
+    """
     matrix = to_opencv(np.linalg.inv(aim_from_frame))
     view = cv2.warpPerspective(image, matrix, size[::-1], flags=cv2.INTER_LINEAR)
     known = cv2.warpPerspective(

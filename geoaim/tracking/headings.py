@@ -1,4 +1,4 @@
-"""Headings of vehicles by their paths; where they never move, by their lane or their boxes.
+"""Headings of vehicles from their paths: the rear axle follows the middle as a trailer does.
 
 A wheel does not slip sideways, so that a vehicle's rear axle moves along its heading, and not the
 middle of its box. With the distance c between them, the heading is that of a trailer whose hitch is
@@ -8,14 +8,12 @@ the end backwards in time.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
-from geoaim.tracking.sizes import predict_extents
 
 REAR_AXLE_SHARE = 0.3  # distance of the rear axle from the middle of the box, in lengths
 MOVING_SPEED = 0.7  # m/s, above which a vehicle certainly moves
@@ -28,7 +26,19 @@ SLACK_M = 0.3  # by which the middle may come nearer to the rear axle
 def follow_rear_axle(
     path: Float[Array, "T 2"], heading: float, distance: float
 ) -> Float[Array, "T"]:
-    """Compute headings along a path of the box's middle, by the rear axle that follows it."""
+    """Compute headings along a path of the box's middle, by the rear axle that follows it.
+
+    The axle is pulled as by a rope, which may be slack by `SLACK_M`, so that the noise of a
+    standing vehicle does not turn it; where the path goes back further, the heading stays.
+
+    Args:
+        path: the middle, m.
+        heading: heading at the first point, rad.
+        distance: of the rear axle behind the middle, m.
+
+    Returns:
+        Headings, rad.
+    """
     headings = np.empty(len(path))
     points = path.tolist()
     slack = max(distance - SLACK_M, distance / 2)
@@ -52,7 +62,20 @@ def compute_headings(
     length: float,
     facing: float | None = None,
 ) -> Float[Array, "T"] | None:
-    """Compute headings of a vehicle from its smoothed path, in reverse too."""
+    """Compute headings of a vehicle from its smoothed path, in reverse too.
+
+    Where it turns back at a stop, it changes into or out of reverse. In which pieces of its path it
+    is in reverse follows from its first heading; if that is not known, the shorter ones.
+
+    Args:
+        path: positions of the middle of its box, m.
+        velocity: m/s.
+        length: of the vehicle, m.
+        facing: its heading before it moves, rad; None: not known.
+
+    Returns:
+        Headings, rad; None for a vehicle that does not move.
+    """
     pieces = _find_moving_pieces(path, velocity)
     if not pieces:
         return None
@@ -79,7 +102,16 @@ def compute_headings(
 def observe_headings(
     path: Float[Array, "T 2"], length: float, standing: float | None
 ) -> Float[Array, "T"]:
-    """Compute headings of a vehicle from its path until each time."""
+    """Compute headings of a vehicle from its path until each time.
+
+    Args:
+        path: positions of the middle of its box as known at each time, m.
+        length: of the vehicle, m.
+        standing: its heading before it moves, rad; None: not known.
+
+    Returns:
+        Headings, rad; NaN until it has moved, if none is known before.
+    """
     distance = REAR_AXLE_SHARE * length
     if standing is not None:
         return follow_rear_axle(path, standing, distance)
@@ -136,46 +168,3 @@ def _group_by_sign(signs: Int[Array, " n"]) -> list[tuple[int, int]]:
     """Group successive pieces of one sign, as first and last number."""
     starts = np.flatnonzero(np.diff(signs, prepend=0))
     return list(zip(starts.tolist(), [*(starts[1:] - 1).tolist(), len(signs) - 1], strict=True))
-
-
-UNKNOWN_SIGMA_RAD = np.pi  # of a heading that may be any, or its opposite
-LANE_SIGMA_RAD = 0.1  # of a heading by a lane
-MAX_NEIGHBOURS = 9  # directions that are averaged
-MIN_AGREEMENT = 0.8  # length of the mean of their unit vectors; short where lanes cross
-TURNS = np.radians(np.arange(0.0, 180.0, 1.0))  # headings that are compared with a box's extents
-
-
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Places where the direction of travel is known."""
-
-    points: Float[Array, "m 2"]  # m
-    headings: Float[Array, "m"]  # rad
-    reach: Float[Array, "m"]  # radius about each point in which its direction holds, m
-
-
-def find_standing_heading(
-    position: Float[Array, "2"],
-    axis: float,
-    extent: Float[Array, "2"],
-    size: tuple[float, float],
-    lanes: Directions | None,
-) -> tuple[float, float]:
-    """Find the heading of a vehicle that stands all the time."""
-    here = None if lanes is None else _average_directions(lanes, position)
-    if here is not None:
-        return here, LANE_SIGMA_RAD
-    misfit = ((predict_extents(np.array(size), TURNS) - extent) ** 2).sum(axis=1)
-    heading = float(wrap_angle(np.array(axis + TURNS[np.argmin(misfit)])))
-    return heading, UNKNOWN_SIGMA_RAD
-
-
-def _average_directions(lanes: Directions, position: Float[Array, "2"]) -> float | None:
-    """Average the directions of lanes at a place, rad; None where none is, or they differ."""
-    distance = np.hypot(*(lanes.points - position).T)
-    near = np.flatnonzero(distance < lanes.reach)
-    if not len(near):
-        return None
-    nearest = near[np.argsort(distance[near])[:MAX_NEIGHBOURS]]
-    mean = np.exp(1j * lanes.headings[nearest]).mean()
-    return float(np.angle(mean)) if np.abs(mean) > MIN_AGREEMENT else None

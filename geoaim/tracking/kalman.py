@@ -1,4 +1,4 @@
-"""Kalman filter and Rauch-Tung-Striebel smoother of many tracks at once, and the noise of boxes.
+"""Kalman filter and Rauch-Tung-Striebel smoother of many tracks at once.
 
 Each track is a point that moves at constant velocity but for white noise in its acceleration (Bar-
 Shalom, Li, Kirubarajan 2001, chapter 6.2). Noise is the same in x and y and independent between
@@ -8,10 +8,8 @@ them, so that one covariance of position and velocity (2, 2) holds for both coor
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
-
-from geoaim.tracking.ground_detections import GroundDetections
 
 START_SPEED_SIGMA = 8.0  # m/s, of each component of a velocity that is not known yet
 
@@ -53,7 +51,17 @@ def update(
     position: Float[Array, "n 2"],
     sigma: Float[Array, "n"],
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Update means and covariances of tracks by measured positions and their deviations, m."""
+    """Update tracks by measured positions.
+
+    Args:
+        mean: predicted positions (m) and velocities (m/s).
+        covariance: of position and velocity, in one coordinate.
+        position: measured, m.
+        sigma: standard deviation of each of its coordinates, m.
+
+    Returns:
+        Mean and covariance.
+    """
     gain = covariance[:, :, 0] / (covariance[:, 0, 0] + sigma**2)[:, None]
     mean = mean + gain[:, :, None] * (position - mean[:, 0])[:, None, :]
     return mean, covariance - gain[:, :, None] * covariance[:, None, 0, :]
@@ -62,7 +70,16 @@ def update(
 def start(
     position: Float[Array, "n 2"], sigma: Float[Array, "n"], speed_sigma: float
 ) -> tuple[Float[Array, "n 2 2"], Float[Array, "n 2 2"]]:
-    """Start tracks at measured positions; each component of their velocity varies about 0."""
+    """Start tracks at measured positions.
+
+    Args:
+        position: measured, m.
+        sigma: standard deviation of each of its coordinates, m.
+        speed_sigma: of each component of the velocity about 0, m/s.
+
+    Returns:
+        Mean and covariance.
+    """
     mean = np.stack([position, np.zeros_like(position)], axis=1)
     covariance = np.zeros((len(position), 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = sigma**2, speed_sigma**2
@@ -77,7 +94,18 @@ def filter_tracks(
     *,
     speed_sigma: float,
 ) -> TrackMotion:
-    """Filter tracks forward in time: each state knows the measurements until then."""
+    """Filter tracks forward in time: each state knows the measurements until then.
+
+    Args:
+        times: seconds, increasing.
+        positions: measured positions, m; NaN where there is none.
+        sigmas: their standard deviations in each coordinate, m.
+        acceleration_noise: spectral density of the acceleration, m²/s³.
+        speed_sigma: standard deviation of each velocity component at the start, m/s.
+
+    Returns:
+        The motion from each track's first measurement to its last.
+    """
     count, steps = positions.shape[:2]
     mean, covariance = (np.full((count, steps, 2, 2), np.nan) for _ in range(2))
     seen = np.isfinite(positions[..., 0])
@@ -105,7 +133,16 @@ def filter_tracks(
 def smooth_tracks(
     times: Float[Array, "T"], filtered: TrackMotion, acceleration_noise: Float[Array, "N"]
 ) -> TrackMotion:
-    """Smooth filtered tracks backward in time, so that each state knows all measurements."""
+    """Smooth filtered tracks backward in time, so that each state knows all measurements.
+
+    Args:
+        times: seconds, increasing.
+        filtered: what `filter_tracks` gave.
+        acceleration_noise: the same as in the filter, m²/s³.
+
+    Returns:
+        The smoothed motion (Rauch, Tung, Striebel 1965).
+    """
     mean, covariance = filtered.mean.copy(), filtered.covariance.copy()
     known = np.isfinite(mean[:, :, 0, 0])
     for step in range(len(times) - 2, -1, -1):
@@ -121,27 +158,3 @@ def smooth_tracks(
         change = covariance[running, step + 1] - spread
         covariance[running, step] = before + gain @ change @ np.swapaxes(gain, 1, 2)
     return TrackMotion(mean, covariance)
-
-
-DEFAULT_NOISE_PX = 2.0  # of a coordinate of a box's middle, where too few detections tell
-MIN_NOISE_PX = 0.3
-MIN_TRIPLES = 30  # detections in three successive frames that tell the noise
-NORMAL_SCALE = 1.4826  # standard deviation of a normal distribution over its median distance
-
-
-def estimate_noise(detections: GroundDetections, track: Int[Array, "M"]) -> float:
-    """Estimate the standard deviation of a coordinate of boxes' middles, in pixels of the frame.
-
-    From one frame to the next but one a track is nearly straight, so that its second differences
-    are noise alone, of six times the variance of a position.
-    """
-    order = np.lexsort((detections.step, track))
-    order = order[(track[order] >= 0) & ~detections.cut[order].any(axis=(1, 2))]
-    step, agent = detections.step[order], track[order]
-    pixels = detections.position[order] / detections.resolution[order, None]
-    triple = (agent[2:] == agent[:-2]) & (step[2:] - step[:-2] == 2)
-    second = (pixels[2:] - 2 * pixels[1:-1] + pixels[:-2])[triple]
-    if len(second) < MIN_TRIPLES:
-        return DEFAULT_NOISE_PX
-    spread = NORMAL_SCALE * float(np.median(np.abs(second))) / np.sqrt(6)
-    return max(spread, MIN_NOISE_PX)

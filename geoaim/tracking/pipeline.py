@@ -1,4 +1,4 @@
-"""Tracking: a video and detections in its frames -> tracks in the world, and their summary."""
+"""Track the agents of a video: frames and detections -> tracks in the world of an AIM."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import TracksError, warn
-from geoaim.base.geometry import transform_points
 from geoaim.base.progress import Progress, notebook_progress
 from geoaim.base.world import World
 from geoaim.hdmap.drivable import sample_lane_directions
@@ -23,8 +22,8 @@ from geoaim.tracking.association import associate
 from geoaim.tracking.box_checks import check_sizes, check_tracks, drop_doubled_boxes
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.ground_detections import place_boxes
-from geoaim.tracking.headings import UNKNOWN_SIGMA_RAD, Directions
-from geoaim.tracking.kalman import DEFAULT_NOISE_PX, estimate_noise
+from geoaim.tracking.noise import DEFAULT_NOISE_PX, estimate_noise
+from geoaim.tracking.standing import Directions
 from geoaim.tracking.states import CUT_SIGMA_M, make_states
 from geoaim.tracks.tracks import Tracks
 
@@ -151,27 +150,3 @@ def track_boxes(
     tracks = make_states(detections, track, times, world, lanes)
     check_tracks(tracks)
     return tracks
-
-
-def summarize_tracking(tracks: Tracks, aim: AIM) -> dict[str, str]:
-    """Summarize tracks of `track_video`, and how many of their states lie on the AIM."""
-    lines = tracks.summarize()
-    present = tracks.present
-    if tracks.seen is not None and present.any():
-        bridged = 1 - tracks.seen[present].mean()
-        lines["bridged states"] = f"{bridged:.1%}"
-    if tracks.uncertainty is not None and present.any():
-        sigma = np.median(tracks.uncertainty[present][:, 0])
-        lines["position noise"] = f"{sigma:.2g} m (1 sigma of the smoothed states, median)"
-        lines["headings unknown"] = f"{find_unknown_headings(tracks).sum()} agents"
-    height, width = aim.coverage.shape
-    pixels = transform_points(np.linalg.inv(aim.world_from_image), tracks.states[present][:, :2])
-    inside = ((pixels >= 0) & (pixels < [width, height])).all(axis=1)
-    return lines | {"on the map": f"{inside.mean():.0%} of the states"}
-
-
-def find_unknown_headings(tracks: Tracks) -> Bool[Array, " N"]:
-    """Find agents whose heading may at some time be any, or its opposite."""
-    if tracks.uncertainty is None:
-        return np.zeros(len(tracks.ids), bool)
-    return np.nan_to_num(tracks.uncertainty[..., 1]).max(axis=1) >= UNKNOWN_SIGMA_RAD

@@ -8,16 +8,10 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import wrap_angle
 from geoaim.tracking.ground_detections import GroundDetections
-from geoaim.tracking.headings import (
-    REAR_AXLE_SHARE,
-    UNKNOWN_SIGMA_RAD,
-    Directions,
-    compute_headings,
-    find_standing_heading,
-    observe_headings,
-)
+from geoaim.tracking.headings import REAR_AXLE_SHARE, compute_headings, observe_headings
 from geoaim.tracking.kalman import TrackMotion
 from geoaim.tracking.sizes import get_typical_size
+from geoaim.tracking.standing import UNKNOWN_SIGMA_RAD, Directions, find_standing_heading
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import estimate_heading
 
@@ -48,7 +42,19 @@ def compute_poses(
     row: Int[Array, "N T"],
     lanes: Directions | None,
 ) -> Poses:
-    """Compute headings and speeds from smoothed motion."""
+    """Compute headings and speeds from smoothed motion.
+
+    Args:
+        smoothed: the motion of the agents.
+        types: their types.
+        sizes: their lengths and widths, m.
+        detections: all detections.
+        row: number of each agent's detection at each time; -1 for none.
+        lanes: directions of lanes, for vehicles that stand; None: not known.
+
+    Returns:
+        The poses.
+    """
     mean = smoothed.mean
     heading, sigma = (np.full(row.shape, np.nan) for _ in range(2))
     turning = np.array([turns_on_spot(kind) for kind in types], bool)
@@ -81,7 +87,17 @@ def turns_on_spot(kind: str) -> bool:
 def observe_states(
     filtered: TrackMotion, types: tuple[str, ...], sizes: Float[Array, "N 2"], poses: Poses
 ) -> Float[Array, "N T 4"]:
-    """Compute the states that are known at each time."""
+    """Compute the states that are known at each time.
+
+    Args:
+        filtered: motion that knows the detections until each time.
+        types: of the agents.
+        sizes: lengths and widths, m.
+        poses: which hold the heading of a vehicle before it moves.
+
+    Returns:
+        The states; NaN where the heading or the speed is not known yet.
+    """
     observed = np.full(poses.states.shape, np.nan)
     for agent, kind in enumerate(types):
         here = np.flatnonzero(np.isfinite(filtered.mean[agent, :, 0, 0]))
@@ -120,7 +136,11 @@ def _compute_directions(
 def _compute_vehicle_headings(
     motion: TrackMotion, length: float, standing: Float[Array, "2"] | None
 ) -> tuple[Float[Array, "T"], Float[Array, "T"]]:
-    """Headings of a vehicle and their standard deviations, rad."""
+    """Headings of a vehicle and their standard deviations, rad.
+
+    `standing` has both for the vehicle before it moves. Without it, or where it is uncertain, a
+    vehicle drives forward; NaN for one that does not move.
+    """
     steps = len(motion.mean)
     given, given_sigma = (np.nan, 0.0) if standing is None else standing.tolist()
     facing = given if given_sigma < UNKNOWN_SIGMA_RAD and standing is not None else None

@@ -1,13 +1,12 @@
-"""Sizes and types of agents from many boxes; middles of boxes that the frame's border cuts off."""
+"""Sizes of agents from many boxes, and types from the detector or by size."""
 
 from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from numpy import ndarray as Array
 
-from geoaim.tracking.ground_detections import GroundDetections
 from geoaim.tracks.agent_types import OTHER_SIZE, TYPICAL_SIZES
 
 SIZE_SIGMA = 0.25  # of the logarithms of sizes about those that are typical of their type
@@ -26,6 +25,13 @@ def get_typical_size(kind: str) -> tuple[float, float]:
 def predict_extents(size: Float[Array, "2"], turn: Float[Array, "m"]) -> Float[Array, "m 2"]:
     """Predict the sides of the upright boxes about an agent that is turned in them.
 
+    Args:
+        size: length and width, m.
+        turn: heading relative to the box's first side, rad.
+
+    Returns:
+        Extents along the first side and across it, m.
+
     >>> predict_extents(np.array([4.0, 2.0]), np.array([0.0, np.pi / 2])).round(6)
     array([[4., 2.],
            [2., 4.]])
@@ -37,7 +43,20 @@ def predict_extents(size: Float[Array, "2"], turn: Float[Array, "m"]) -> Float[A
 def estimate_size(
     extent: Float[Array, "m 2"], turn: Float[Array, "m"], sigma: float, kind: str
 ) -> Float[Array, "2"]:
-    """Estimate length and width from the extents of many boxes, by robust least squares."""
+    """Estimate length and width from the extents of many boxes, by robust least squares.
+
+    Upright boxes about a turned agent are larger than it (`predict_extents`); at 45° they only tell
+    the sum of length and width, which the typical size of the type then divides.
+
+    Args:
+        extent: sides of the boxes, m.
+        turn: headings relative to the boxes' first sides, rad.
+        sigma: standard deviation of a side, m.
+        kind: agent type, whose typical size counts where boxes do not tell.
+
+    Returns:
+        Length and width, m.
+    """
     prior = np.array(get_typical_size(kind))
     cosine, sine = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     rows = np.concatenate([np.column_stack([cosine, sine]), np.column_stack([sine, cosine])])
@@ -70,24 +89,3 @@ def _choose_type(size: Float[Array, "2"]) -> str:
     kinds = {"pedestrian": OTHER_SIZE, **TYPICAL_SIZES}
     del kinds["motorcycle"]  # as large as a bicycle with its rider
     return min(kinds, key=lambda kind: float(((np.log(kinds[kind]) - given) ** 2).sum()))
-
-
-def complete_cut_boxes(
-    detections: GroundDetections,
-    track: Int[Array, "M"],
-    headings: Float[Array, "N T"],
-    sizes: Float[Array, "N 2"],
-) -> Float[Array, "M 2"]:
-    """Move the middles of cut boxes to where those of the whole boxes are."""
-    position = detections.position.copy()
-    for row in np.flatnonzero(detections.cut.any(axis=(1, 2))):
-        agent, axis = track[row], detections.axis[row]
-        turn = headings[agent, detections.step[row]] - axis
-        whole = predict_extents(sizes[agent], np.array([turn]))[0]
-        missing = np.maximum(whole - detections.extent[row], 0.0)
-        # the start of a side cut off: the middle moves against the side; its end: along it
-        along = missing / 2 * (detections.cut[row, :, 1] * 1.0 - detections.cut[row, :, 0])
-        right = np.array([np.cos(axis), np.sin(axis)])
-        down = detections.down[row]
-        position[row] += along[0] * right + along[1] * down
-    return position

@@ -7,17 +7,13 @@ from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
 from geoaim.base.world import World
+from geoaim.tracking.cut_boxes import complete_cut_boxes
 from geoaim.tracking.ground_detections import GroundDetections, select_detections
-from geoaim.tracking.headings import Directions
-from geoaim.tracking.kalman import (
-    START_SPEED_SIGMA,
-    TrackMotion,
-    estimate_noise,
-    filter_tracks,
-    smooth_tracks,
-)
+from geoaim.tracking.kalman import START_SPEED_SIGMA, TrackMotion, filter_tracks, smooth_tracks
+from geoaim.tracking.noise import estimate_noise
 from geoaim.tracking.poses import Poses, compute_poses, observe_states
-from geoaim.tracking.sizes import complete_cut_boxes, estimate_size, vote_type
+from geoaim.tracking.sizes import estimate_size, vote_type
+from geoaim.tracking.standing import Directions
 from geoaim.tracks.agent_types import find_group
 from geoaim.tracks.tracks import Tracks
 
@@ -48,7 +44,22 @@ def make_states(
     world: World,
     lanes: Directions | None = None,
 ) -> Tracks:
-    """Make the states of agents from their detections, smoothed and as observed at each time."""
+    """Make the states of agents from their detections, smoothed and as observed at each time.
+
+    The middle of each agent moves at constant velocity but for white noise in its acceleration;
+    a first pass gives headings, by these sizes, and by these the middles of boxes that the frame's
+    border cuts off, which a second pass uses.
+
+    Args:
+        detections: detections of all frames.
+        track: number of each detection's agent, from 0; -1 for none.
+        times: of the frames, s.
+        world: the plane of the positions.
+        lanes: directions of lanes, for vehicles that never move; None: not known.
+
+    Returns:
+        The tracks, from each agent's first detection to its last.
+    """
     kept = np.flatnonzero(track >= 0)
     detections, track = select_detections(detections, kept), track[kept]
     row = np.full((track.max(initial=-1) + 1, len(times)), -1)

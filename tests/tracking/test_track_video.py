@@ -17,7 +17,7 @@ from geoaim.cli import app
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking import track_video
 from geoaim.tracking.frame_poses import place_reference
-from geoaim.tracking.pipeline import summarize_tracking
+from geoaim.tracking.report import summarize_tracking
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 FRAMES = 30

@@ -12,8 +12,8 @@ from geoaim.base.world import World
 from geoaim.mapping.video.detections import DetectedBoxes
 from geoaim.tracking import track_boxes
 from geoaim.tracking.ground_detections import place_boxes
-from geoaim.tracking.headings import Directions
-from geoaim.tracking.kalman import estimate_noise
+from geoaim.tracking.noise import estimate_noise
+from geoaim.tracking.standing import Directions
 from tests.tracking.paths import (
     ERRORS,
     SIZE,
