@@ -64,16 +64,7 @@ class AIM(Display):
         object.__setattr__(self, "report", bind_report(plain, self.grid))
 
     def to_xarray(self) -> "DataArray":
-        """Make an array of xarray in the CRS of the world, which rioxarray (`.rio`) knows.
-
-        Returns:
-            (band, y, x) red, green, blue and alpha, uint8; x and y are absolute coordinates of the
-            pixels' centres, and "spatial_ref" holds the CRS and the transform. A map that is not
-            north-up is rectified first.
-
-        Raises:
-            ImportError: rioxarray is missing; `pip install rioxarray` installs it.
-        """
+        """Make an array of xarray in the CRS of the world, which rioxarray (`.rio`) knows."""
         import rioxarray  # noqa: F401, which adds .rio to arrays
         from rasterio import Affine
         from xarray import DataArray

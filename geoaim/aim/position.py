@@ -34,17 +34,10 @@ def state_position(
     relative_to: str | None = None,
     relative: Float[Array, "2 2"] | None = None,
 ) -> dict[str, Any]:
-    """Make the entry "position" of a report.
+    """Make the entry "position" of a report: what placed the map, and how surely.
 
-    Args:
-        source: what placed the map, such as "control points" or "aim".
-        covariance: (2, 2) covariance of a point of the map in the world, square metres east and
-            north; None where it is unknown.
-        relative_to: name of the reference that the map was aligned to, if any.
-        relative: (2, 2) covariance relative to that reference.
-
-    Returns:
-        The entry.
+    Covariances are of a point of the map (square metres east and north): in the world, and relative
+    to the reference that the map was aligned to; None where they are unknown.
     """
     entry = {"source": source, "covariance_m2": _to_list(covariance)}
     if relative_to is not None:

@@ -111,16 +111,7 @@ def _measure_pixels(aim: AIM) -> Float[Array, "m 2"]:
 def sample_nearest(
     raster: Array, image_from_grid: Float[Array, "3 3"], shape: tuple[int, int]
 ) -> Array:
-    """Sample the nearest pixels of a raster on a grid; 0 outside the raster.
-
-    Args:
-        raster: (H, W) or (H, W, C), of a type that OpenCV warps: uint8, uint16 or float.
-        image_from_grid: (3, 3) pixels of the grid to pixels of the raster (corner origin).
-        shape: (height, width) of the grid, pixels.
-
-    Returns:
-        (height, width) or (height, width, C) pixels of the grid.
-    """
+    """Sample the nearest pixels of a raster (uint8, uint16 or float) on a grid; 0 outside."""
     flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(raster, to_opencv(image_from_grid), shape[::-1], flags=flags)
 

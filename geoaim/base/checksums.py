@@ -83,15 +83,8 @@ def check_version(
 ) -> None:
     """Check a file's version; warn of one that is older than checksums.
 
-    Args:
-        path: the file, for messages.
-        stated: its version, as the file states it.
-        file_format: the format.
-        has_checksum: whether `verify_checksum` found one.
-
     Raises:
-        GeoaimError: this version cannot be read, or its files have checksums and this one has none;
-            the type is `file_format.error`.
+        GeoaimError: this version cannot be read, or its files have checksums and this one has none.
     """
     name, oldest, newest = file_format.name, file_format.oldest, file_format.newest
     if not isinstance(stated, int) or not oldest <= stated <= newest:
@@ -113,10 +106,7 @@ def check_version(
 
 
 def _crc_of_start(data: mmap, start: int, size: int) -> int:
-    """CRC-32 of what comes before the checksum and of an eighth of what follows it.
-
-    In a GeoTIFF these hold the offsets of the pixels, which change when it is rewritten.
-    """
+    """CRC-32 of what comes before the checksum and of an eighth of what follows it."""
     after = start + len(PLACEHOLDER)
     with memoryview(data) as view:
         return zlib.crc32(view[after : after + (size - start) // 8], zlib.crc32(view[:start]))

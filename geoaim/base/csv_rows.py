@@ -36,15 +36,9 @@ def trim_comment(line: str) -> str:
 
 
 def read_rows(lines: Iterable[str]) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """Read the rows of a CSV table with a header.
+    """Read a CSV table: the names of its columns, and the line number and cells of each row.
 
     Commas at the end of a line are no cells, and empty lines no rows.
-
-    Args:
-        lines: of the file.
-
-    Returns:
-        The names of the columns; and the line number and the cells of each row, without empty ones.
 
     Raises:
         ValueError: there is no header, or a line has more cells than it.

@@ -9,14 +9,7 @@ from numpy import ndarray as Array
 def draw_drift(
     axes: Axes, times: Float[Array, " T"], offsets: Float[Array, "T 2"], origin: str
 ) -> None:
-    """Draw where the middles of frames lie, seen from the middle of one of them.
-
-    Args:
-        axes: the axes to draw in.
-        times: (T,) seconds.
-        offsets: (T, 2) pixels to the right and down.
-        origin: name of the frame at (0, 0).
-    """
+    """Draw where the middles of frames lie, in pixels from that of the frame `origin`."""
     axes.plot(*offsets.T, "-", color="0.7", linewidth=0.8)
     drawn = axes.scatter(offsets[:, 0], offsets[:, 1], c=times, s=12, cmap="viridis", zorder=2)
     axes.plot(0, 0, "+", color="#c1121f", markersize=10, label=origin)

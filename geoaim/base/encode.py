@@ -23,18 +23,10 @@ def write_video(
     megabits: float | None = None,
     keyframe_interval: int | None = None,
 ) -> Path:
-    """Encode frames as H.264 (yuv420p).
+    """Encode RGB frames of one size with even sides as H.264 (yuv420p); returns `path`.
 
-    Args:
-        frames: (H, W, 3) RGB images of one size with even sides.
-        path: the video file to write; its suffix, such as .mp4, chooses the container.
-        frame_rate: frames per second.
-        crf: constant rate factor of x264, 0 to 51; lower is better.
-        megabits: bit rate in Mbit/s instead of `crf`.
-        keyframe_interval: frames from one keyframe to the next; None: those of one second.
-
-    Returns:
-        `path`.
+    The quality is a constant rate factor (`crf`, 0 to 51, lower is better) or a bit rate
+    (`megabits`, Mbit/s); None for `keyframe_interval` are the frames of one second.
     """
     rate = Fraction(frame_rate).limit_denominator(1001)
     with atomic_write(path) as temporary, av.open(str(temporary), "w") as container:

@@ -110,12 +110,7 @@ def check_writable(path: Path) -> None:
 
 
 def check_new_folder(folder: Path) -> None:
-    """Check that a folder can be written as a whole: it is missing or empty.
-
-    Raises:
-        ValueError: the folder holds files, is a file, is the working folder or is mounted, or lies
-            in one that may not be written to.
-    """
+    """Check that a folder can be written as a whole: it is missing or empty."""
     check_writable(folder)
     if not folder.exists():
         return
@@ -172,13 +167,7 @@ def _remove_leftovers(parent: Path) -> None:
 
 @contextmanager
 def _lock(folder: Path, *, wait: bool) -> Iterator[bool]:
-    """Lock a folder until the block or the process ends; yield whether that was possible.
-
-    Folders cannot be locked on Windows and on some network drives; leftovers stay there.
-
-    Raises:
-        BlockingIOError: another process has locked it, and this one should not wait.
-    """
+    """Lock a folder until the block or the process ends; yield whether that was possible."""
     with ExitStack() as stack:
         is_locked = False
         if sys.platform != "win32":

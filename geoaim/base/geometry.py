@@ -66,16 +66,7 @@ def translation(x: float, y: float) -> Float[Array, "3 3"]:
 
 
 def make_similarity(centre: Float[Array, "2"], angle: float, scale: float) -> Float[Array, "3 3"]:
-    """Make the matrix of a rotation and scaling about a point.
-
-    Args:
-        centre: (2,) the point that stays where it is.
-        angle: radians, counter-clockwise where y points up.
-        scale: factor of all distances.
-
-    Returns:
-        (3, 3) matrix from the old to the new place of a point.
-    """
+    """Make the matrix of a rotation (rad, counter-clockwise, y up) and scaling about a point."""
     cosine, sine = scale * np.cos(angle), scale * np.sin(angle)
     linear = np.array([[cosine, -sine], [sine, cosine]])
     return np.vstack([np.column_stack([linear, centre - linear @ centre]), [0.0, 0.0, 1.0]])

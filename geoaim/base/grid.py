@@ -56,14 +56,6 @@ def make_north_up_grid(
 ) -> Grid:
     """Make the smallest north-up grid over points, with lines at multiples of its resolution.
 
-    Args:
-        points: (N, 2) metres.
-        resolution: metres per pixel.
-        world: the plane of the points.
-
-    Returns:
-        The grid.
-
     Raises:
         AimError: the grid would have more than 30,000 pixels a side.
         ValueError: the resolution is not positive.
@@ -92,12 +84,7 @@ def pad_grid(grid: Grid, pixels: int) -> Grid:
 
 
 def fit_affine(grid: Grid, world: World, crs: str) -> tuple[Float[Array, "3 3"], float]:
-    """Fit an affine map from the pixels of a grid to a CRS.
-
-    Args:
-        grid: a grid whose coordinates are metres of the world.
-        world: a world with a CRS.
-        crs: CRS of the map's coordinates.
+    """Fit an affine map from the pixels of a grid in a world to a CRS.
 
     Returns:
         (3, 3) least-squares fit at 5 x 5 places of the grid, and its largest error there in pixels.

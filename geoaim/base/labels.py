@@ -19,16 +19,7 @@ ROUNDS = 3  # times that each name is placed
 
 
 def label_points(axes: Axes, points: Float[Array, "n 2"], names: Sequence[str]) -> list[Annotation]:
-    """Write each point's name beside it, where it covers no point and no other name.
-
-    Args:
-        axes: axes of a figure whose layout is done.
-        points: (M, 2) points in the data coordinates of the axes.
-        names: the names to write beside the points.
-
-    Returns:
-        The texts; none of points that are not finite.
-    """
+    """Write the name of each finite point beside it, where it covers no point and no other name."""
     shown, frame = np.isfinite(points).all(1), axes.bbox.frozen()
     places = axes.transData.transform(points[shown])
     marks = [Bbox.from_extents(*(place - 4), *(place + 4)) for place in places]

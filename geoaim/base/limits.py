@@ -40,18 +40,12 @@ def check_memory(
     error_type: type[GeoaimError],
     content: str,
 ) -> None:
-    """Check that a file does not need far more memory than its size explains.
+    """Check that a file of a size (bytes) does not need far more memory (bytes) than that explains.
 
-    Args:
-        path: the file.
-        needed: bytes of memory that the file's header implies.
-        size: size of the file, bytes.
-        error_type: type of the error that is raised.
-        content: what the header states, such as "60000 x 60000 pixels".
+    `content` is what its header states, such as "60000 x 60000 pixels".
 
     Raises:
-        GeoaimError: the file needs more than both `read_memory_limit` and `MAX_RATIO` times its
-            size; the type is `error_type`.
+        GeoaimError: it needs more than both `read_memory_limit` and `MAX_RATIO` times its size.
     """
     if needed > max(read_memory_limit(), MAX_RATIO * size):
         raise error_type(
@@ -111,22 +105,10 @@ def refuse_damaged(
     *,
     reads_once: bool = False,
 ) -> Iterator[None]:
-    """Turn whatever a library raises on a file's content into an error that names the file.
+    """Turn whatever a library raises on a file's content into an `error_type` that names the file.
 
-    Args:
-        path: the file.
-        error_type: type of the error that is raised.
-        needed: what the file should be, such as "a GeoTIFF".
-        reads_once: whether the block reads the file once from start to end, so that it may be a
-            pipe.
-
-    Yields:
-        Nothing.
-
-    Raises:
-        GeoaimError: the block raised an error; the type is `error_type`. A GeoaimError, a warning,
-            and an error about a missing or forbidden file are raised as they are, with the file's
-            name.
+    `needed` is what the file should be, such as "a GeoTIFF"; with `reads_once` it may be a pipe. A
+    GeoaimError, a warning, and an error about a missing or forbidden file stay what they are.
     """
     if os.path.isdir(path):
         raise error_type(f"{path} is a folder; {needed} is needed")

@@ -27,15 +27,7 @@ _worlds: WeakKeyDictionary[Axes, World] = WeakKeyDictionary()
 def move_to_axes(
     axes: Axes, points: Float[Array, "*any 2"], world: World | None
 ) -> Float[Array, "*any 2"]:
-    """Move points to the world of the axes: the world of what was first drawn in them.
-
-    Args:
-        axes: the axes to draw in.
-        points: (..., 2) metres.
-        world: the plane of the points; None: they are in the world of the axes.
-
-    Returns:
-        (..., 2) metres in the world of the axes.
+    """Move points (m) to the world of the axes: the world of what was first drawn in them.
 
     Raises:
         GeoreferenceError: only one of the two worlds has a CRS.
@@ -53,15 +45,7 @@ def draw_image(
     covered: Bool[Array, "H W"],
     bounds: Float[Array, "2 2"] | None = None,
 ) -> None:
-    """Draw an image of the ground north up, by nearest pixels; uncovered ground is left empty.
-
-    Args:
-        axes: the axes to draw in; the image is drawn in their world.
-        image: (H, W, 3) RGB.
-        grid: its pixels in the world.
-        covered: (H, W) pixels to draw.
-        bounds: lowest and highest x and y of what is drawn, metres; None: all.
-    """
+    """Draw the covered pixels of an image of the ground north up, or its part in bounds (m)."""
     corners = move_to_axes(axes, grid.corners, grid.world)
     corners = corners if bounds is None else bounds
     longer = float(np.ptp(corners, axis=0).max())
@@ -89,15 +73,9 @@ def draw_lines(
     label: str = "",
     outlined: bool = False,
 ) -> None:
-    """Draw lines in metres of the axes' world, with one entry in the legend.
+    """Draw lines in the axes' world, with one entry in the legend unless `label` is empty.
 
-    Args:
-        axes: the axes to draw in.
-        lines: points along each of them, (..., 2).
-        colour: colour of all lines.
-        width: line width, points.
-        label: name in the legend; empty: none.
-        outlined: whether a dark outline makes pale lines visible on pale ground.
+    An outline makes pale lines visible on pale ground.
     """
     drawn = LineCollection(
         list(lines), colors=[colour], linewidths=width, label=plot_text(label) or None
@@ -110,13 +88,7 @@ def draw_lines(
 
 
 def label_place(axes: Axes, name: str, place: Float[Array, "2"]) -> None:
-    """Write a name beside a place, in white on a dark ground.
-
-    Args:
-        axes: the axes to draw in.
-        name: what is written.
-        place: (2,) metres of the axes' world.
-    """
+    """Write a name beside a place (m, in the axes' world), in white on a dark ground."""
     shade = {"facecolor": "black", "alpha": 0.55, "pad": 1, "linewidth": 0}
     text = axes.annotate(
         plot_text(name), place.tolist(), (4, 4), textcoords="offset points", fontsize=7

@@ -14,24 +14,13 @@ Progress = Callable[[str, float, float | None], None]  # stage, done, total if i
 
 
 def no_progress(stage: str, done: float, total: float | None) -> None:
-    """Do nothing: for callers who want no bars.
-
-    Args:
-        stage: name of the stage.
-        done: amount of work done in it, such as frames.
-        total: amount of work in all; None if unknown.
-    """
+    """Do nothing: for callers who want no bars."""
 
 
 def notebook_progress(stage: str, done: float, total: float | None) -> None:
     """Show a bar for each stage below the cell of a notebook; elsewhere do nothing.
 
     It is the default of functions that report their progress.
-
-    Args:
-        stage: name of the stage.
-        done: amount of work done in it, such as frames.
-        total: amount of work in all; None if unknown.
     """
     get_shell = getattr(sys.modules.get("IPython"), "get_ipython", None)
     shell: Any = get_shell() if get_shell else None
@@ -75,17 +64,7 @@ def _format_bars(cell: _Cell) -> str:
 def report_each(
     items: Iterable[Item], progress: Progress, stage: str, total: float | None
 ) -> Iterator[Item]:
-    """Yield items; before each, report how many have been yielded, this one included.
-
-    Args:
-        items: items of any kind.
-        progress: takes stage, done and total.
-        stage: its name.
-        total: number of items; None if unknown.
-
-    Yields:
-        The items.
-    """
+    """Yield items; before each, report how many have been yielded, this one included."""
     for count, item in enumerate(items, 1):
         progress(stage, count, total)
         yield item

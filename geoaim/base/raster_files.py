@@ -42,13 +42,7 @@ def open_raster_file(
 ) -> Iterator[Any]:
     """Open a raster file by one of GDAL's drivers that read a single file.
 
-    Args:
-        path: the file.
-        drivers: names of the drivers to choose from, by the file's first bytes (`SIGNATURES`).
-        options: GDAL's open options.
-
-    Yields:
-        The open rasterio dataset.
+    The driver is chosen by the file's first bytes (`SIGNATURES`).
 
     Raises:
         FileNotFoundError: there is no such file.

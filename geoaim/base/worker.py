@@ -14,23 +14,7 @@ WALL_RATIO = 10  # of the time on the clock to the processor time: a busy machin
 def run_limited(
     work: Callable[[bytes], bytes], content: bytes, *, memory: float, seconds: float
 ) -> bytes:
-    """Run a function on bytes in a new process.
-
-    Windows and macOS limit no memory, and Windows only the time on the clock, which is
-    `WALL_RATIO` times as long.
-
-    Args:
-        work: a function of a module that is quick to import.
-        content: its argument.
-        memory: bytes that it may allocate.
-        seconds: processor time that it may take.
-
-    Returns:
-        Its result.
-
-    Raises:
-        ValueError: it raised an error, or exceeded a limit.
-    """
+    """Run a function on bytes in a new process."""
     serve = SERVE.format(name=work.__name__, memory=int(memory), seconds=int(seconds))
     program = PROGRAM.format(path=sys.path, module=work.__module__, name=work.__name__, serve=serve)
     try:

@@ -167,13 +167,7 @@ def transform_crs(
 ) -> Float[Array, "m 2"]:
     """Transform points between CRSs, x (or longitude) first whatever the CRS's axis order.
 
-    Args:
-        source: the CRS of the points, as `parse_crs` reads it.
-        destination: the CRS to transform to.
-        points: (M, 2) coordinates; those that are not finite stay so.
-
-    Returns:
-        (M, 2) coordinates in the destination.
+    Points that are not finite stay so.
 
     Raises:
         GeoreferenceError: a CRS is unknown, or a point cannot be expressed in the destination.
@@ -205,15 +199,7 @@ class Operation:
 
 
 def find_operation(source: str, destination: str, points: Float[Array, "m 2"]) -> Operation:
-    """Find the operation by which PROJ transforms points, and whether a better one lacks a grid.
-
-    Args:
-        source: the CRS of the points.
-        destination: the CRS to transform to.
-        points: (M, 2) coordinates, x (or longitude) first.
-
-    Returns:
-        The operation, the best one that is available there.
+    """Find the best available operation by which PROJ transforms points, x (or longitude) first.
 
     Raises:
         GeoreferenceError: a CRS is unknown, or a point has no longitude and latitude.
@@ -250,13 +236,7 @@ def _find_operation(
 
 
 def warn_of_operation(operation: Operation, source: str, destination: str) -> None:
-    """Warn where the accuracy of an operation is unknown, or a better one lacks its grids.
-
-    Args:
-        operation: the operation.
-        source: the CRS of the points.
-        destination: the CRS that they are transformed to.
-    """
+    """Warn where the accuracy of an operation is unknown, or a better one lacks its grids."""
     if operation.better:
         stated = f"{operation.accuracy:g} m" if operation.accuracy >= 0 else "an unknown accuracy"
         warn(
@@ -273,15 +253,7 @@ def warn_of_operation(operation: Operation, source: str, destination: str) -> No
 def world_from_crs(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
-    """Convert coordinates in a CRS (x, y or longitude, latitude) to world metres.
-
-    Args:
-        world: the world to convert to.
-        points: (M, 2), x first whatever the CRS's axis order.
-        crs: the CRS of the points; None for the world's CRS.
-
-    Returns:
-        (M, 2) metres from the world's origin.
+    """Convert coordinates in a CRS (x or longitude first; None: the world's CRS) to world metres.
 
     Raises:
         GeoreferenceError: a point cannot be expressed there, or a CRS is given and the world has
@@ -300,14 +272,6 @@ def crs_from_world(
     world: World, points: Float[Array, "m 2"], crs: str | None = None
 ) -> Float[Array, "m 2"]:
     """Convert world metres to coordinates in a CRS: the inverse of `world_from_crs`.
-
-    Args:
-        world: the world of the points.
-        points: (M, 2) metres from its origin.
-        crs: the CRS to convert to; None for the world's CRS.
-
-    Returns:
-        (M, 2) coordinates, x first whatever the CRS's axis order.
 
     Raises:
         GeoreferenceError: a point cannot be expressed there, or a CRS is given and the world has
@@ -331,14 +295,6 @@ def change_world(
     source: World, destination: World, points: Float[Array, "m 2"]
 ) -> Float[Array, "m 2"]:
     """Convert metres of one world to metres of another.
-
-    Args:
-        source: the world of the points.
-        destination: the world to convert to.
-        points: (M, 2) metres from the origin of `source`.
-
-    Returns:
-        (M, 2) metres from the origin of `destination`.
 
     Raises:
         GeoreferenceError: only one of the two has a CRS, or a point cannot be expressed there.

@@ -81,10 +81,7 @@ def make_task(recording: Recording, inputs: Sequence[InputFile], catalog: str) -
 def build_recording(
     task: Task, scratch: Path | None = None, progress: Progress = no_progress
 ) -> Record:
-    """Build the map of a recording, unless it is there, and put it into the catalogue.
-
-    The record is written last. What goes wrong is recorded, not raised.
-    """
+    """Build the map of a recording, unless it is there, and put it into the catalogue."""
     record = make_record(task.recording, "failed", "", task.inputs)
     with ONE_AT_A_TIME, TemporaryDirectory(dir=scratch) as folder:
         try:
@@ -116,17 +113,7 @@ def build_recording(
 def make_record(
     recording: Recording, status: Status, reason: str, inputs: Sequence[InputFile] = ()
 ) -> Record:
-    """Make the record of a recording of which nothing else is known.
-
-    Args:
-        recording: the recording.
-        status: what became of it.
-        reason: why; empty if it was built.
-        inputs: its files.
-
-    Returns:
-        The record, with the present time.
-    """
+    """Make the record of a recording of which nothing else is known."""
     started = datetime.now(UTC).isoformat(timespec="seconds")
     return Record(
         recording.name,

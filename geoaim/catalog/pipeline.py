@@ -42,17 +42,7 @@ def plan_run(
     records: Mapping[str, Record],
     tree: Mapping[str, StoredFile],
 ) -> RunPlan:
-    """Find what has to be built; files are listed, not read.
-
-    Args:
-        recordings: all that the catalogue should have.
-        address: address of the catalogue.
-        records: records of earlier runs, by name.
-        tree: the files of the recordings in the catalogue, as `read_records` lists them.
-
-    Returns:
-        The plan.
-    """
+    """Find what has to be built; files are listed, not read."""
     list_files = _make_lister()
     tasks, unlisted = [], []
     for recording in recordings:

@@ -142,15 +142,7 @@ def check_records(
 
 
 def read_records(catalog: str) -> tuple[dict[str, Record], dict[str, StoredFile], list[str]]:
-    """Read the records of a catalogue.
-
-    Args:
-        catalog: its address.
-
-    Returns:
-        The records by name; all files of recordings, by their paths below `FOLDER`; and the
-        messages about records that cannot be read.
-    """
+    """Read the records of a catalogue."""
     tree = list_tree(join_address(catalog, FOLDER))
     files = [file for path, file in sorted(tree.items()) if path.endswith(f"/{RECORD}")]
     records, problems = {}, []

@@ -7,26 +7,17 @@ import typer
 
 from geoaim import __version__
 from geoaim.cli.align import align
-from geoaim.cli.bench import bench
-from geoaim.cli.build import build
 from geoaim.cli.catalog import app as catalog
-from geoaim.cli.compare import compare
-from geoaim.cli.console import DEBUG, stop_when_terminated
-from geoaim.cli.convert import convert
-from geoaim.cli.doctor import doctor
+from geoaim.cli.console import DEBUG, Command, CommandGroup, stop_when_terminated
 from geoaim.cli.evaluate import evaluate
-from geoaim.cli.frame import frame
-from geoaim.cli.help import Command, CommandGroup
 from geoaim.cli.info import info
-from geoaim.cli.maps import draw, texture
-from geoaim.cli.pick import pick
-from geoaim.cli.predict import predict
-from geoaim.cli.register import register
-from geoaim.cli.sample import sample
+from geoaim.cli.maps import build, draw, frame, register, texture
+from geoaim.cli.pages import pick, view
+from geoaim.cli.predict import compare, predict
 from geoaim.cli.simulate import render, simulate
-from geoaim.cli.track import track
+from geoaim.cli.testing import bench, doctor, sample
+from geoaim.cli.tracks import convert, track
 from geoaim.cli.train import train
-from geoaim.cli.view import view
 
 CATALOG_GROUP = "Make a map"
 GROUPS = {

@@ -8,8 +8,7 @@ import rich.progress
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import console, print_table, report_errors
-from geoaim.cli.help import Command, CommandGroup
+from geoaim.cli.console import Command, CommandGroup, console, print_table, report_errors
 
 if TYPE_CHECKING:
     from geoaim.catalog import Record
@@ -83,10 +82,7 @@ def build(
 
 @app.command(name="list", cls=Command)
 def list_maps(catalog: CatalogFolder) -> None:
-    """List the recordings of a catalogue: built, refused or failed, and how good.
-
-    Example: geoaim catalog list maps
-    """
+    """List the recordings of a catalogue: built, refused or failed, and how good."""
     from rich.table import Table
 
     from geoaim.catalog import read_catalog
@@ -102,10 +98,7 @@ def list_maps(catalog: CatalogFolder) -> None:
 def show(
     catalog: CatalogFolder, name: Annotated[str, typer.Argument(help="of the recording")]
 ) -> None:
-    """Show what is known of one recording and its map.
-
-    Example: geoaim catalog show maps hover
-    """
+    """Show what is known of one recording and its map."""
     from geoaim.aim.summary import summarize_report
     from geoaim.catalog import read_catalog
 
@@ -129,10 +122,7 @@ def verify(
         bool, typer.Option("--repair", help="remove changed files; the next build makes them again")
     ] = False,
 ) -> None:
-    """Read all files of a catalogue and find what is missing or changed; exit code 1 if any is.
-
-    Example: geoaim catalog verify maps
-    """
+    """Read all files of a catalogue and find what is missing or changed; exit code 1 if any is."""
     from geoaim.catalog import remove_changed_files, verify_catalog
 
     with report_errors():

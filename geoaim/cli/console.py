@@ -1,4 +1,4 @@
-"""Progress bars, errors and tables on the terminal."""
+"""Help texts, progress bars, errors and tables on the terminal."""
 
 import json
 import signal
@@ -17,6 +17,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from geoaim.base.errors import IN_COMMAND, GeoaimError, GeoaimWarning
 from geoaim.base.progress import Progress
@@ -144,3 +145,34 @@ def print_result(
         print(json.dumps(content, indent=1))
     else:
         print_table(" and ".join(map(str, files)), lines)
+
+
+class Command(TyperCommand):
+    """A command whose usage line names its arguments and its required options."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Collect the parts of the usage line, such as AIM --tracks TRACKS [OPTIONS]."""
+        pieces = []
+        for parameter in self.get_params(ctx):
+            name = str(parameter.name).upper()
+            if isinstance(parameter, TyperArgument):
+                name += "..." if parameter.nargs == -1 else ""
+                pieces.append(name if parameter.required else f"[{name}]")
+            elif isinstance(parameter, TyperOption) and parameter.required:
+                pieces.append(f"{min(parameter.opts, key=len)} {name}")
+        return [*pieces, "[OPTIONS]"]
+
+
+class CommandGroup(TyperGroup):
+    """Commands in groups, in plain help as well as in that of a terminal."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write each group's commands with the whole first sentence of their help."""
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for name in self.list_commands(ctx):
+            command: Any = self.get_command(ctx, name)
+            sentence = " ".join(command.help.split("\n\n")[0].split())
+            groups.setdefault(command.rich_help_panel or "Commands", []).append((name, sentence))
+        for title, rows in groups.items():
+            with formatter.section(title):
+                formatter.write_dl(rows)

@@ -13,8 +13,14 @@ from geoaim.base.errors import warn
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, get_horizon, load_model, read_scene
-from geoaim.cli.scene_options import SceneFiles, take_scene_files
+from geoaim.cli.inputs import (
+    SceneFiles,
+    SceneSource,
+    get_horizon,
+    load_model,
+    read_scene,
+    take_scene_files,
+)
 
 if TYPE_CHECKING:
     from geoaim.prediction.itra import ITRA
@@ -69,7 +75,7 @@ def evaluate(
         if (aim is None) == (windows is None) or (aim is None) != (tracks is None):
             raise ValueError("give either an AIM with --tracks, or --windows with --scenes")
         if aim is not None and tracks is not None:
-            source = files.make_source(aim, tracks)
+            source = SceneSource(aim, tracks, **files)
             model = load_model(weights, kind)
             config = {"samples": samples, "seed": seed, "realism": realism}
             result = _evaluate_on_map(source, model, val_fraction, config, progress)

@@ -1,15 +1,24 @@
-"""Read the inputs that several commands share: tracks, scenes and prediction models."""
+"""Read the inputs that several commands share: tracks, scenes, tables of scenes, and models."""
 
-from dataclasses import dataclass
+import csv
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from geoaim.base.csv_rows import parse_number, read_rows
+from geoaim.base.errors import TracksError
+from geoaim.base.progress import Progress
+from geoaim.cli import options
 from geoaim.cli.options import AgentKind
 
 if TYPE_CHECKING:
     from geoaim.base.world import World
     from geoaim.hdmap.lanelet2 import HDMap
     from geoaim.prediction.itra import ITRA
+    from geoaim.rendering.ground import Ground
     from geoaim.rendering.scene import Scene
     from geoaim.tracks.lights import Lights
     from geoaim.tracks.tracks import Tracks
@@ -26,12 +35,15 @@ class SceneSource:
 
     aim: Path
     tracks: Path | None
-    tracks_world: str | None = None
-    tracks_resolution: float | None = None
-    tracks_frame_rate: float | None = None
-    lights: Path | None = None
-    hdmap: Path | None = None
-    stop_lines: Path | None = None
+    lights: options.LightsFile = None
+    hdmap: options.HDMapFile = None
+    stop_lines: options.StopLinesFile = None
+    tracks_world: options.TracksWorld = None
+    tracks_resolution: options.TracksResolution = None
+    tracks_frame_rate: options.TracksFrameRate = None
+
+
+SceneFiles = Mapping[str, Any]  # the fields of `SceneSource` but for aim and tracks
 
 
 def read_any_tracks(
@@ -158,3 +170,76 @@ def parse_world(text: str) -> "World":
             "'EPSG:32632 459000 5428000'"
         ) from error
     return World(crs, (east, north))
+
+
+def take_scene_files(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of a scene's files, last, in place of its parameter `files`."""
+    own, kind = inspect.signature(command), inspect.Parameter.KEYWORD_ONLY
+    shared = [
+        inspect.Parameter(field.name, kind, default=None, annotation=field.type)
+        for field in fields(SceneSource)[2:]
+    ]
+    kept = [parameter for name, parameter in own.parameters.items() if name != "files"]
+    signature = own.replace(parameters=[*kept, *shared])
+
+    @wraps(command)
+    def run(*args: object, **kwargs: object) -> None:
+        bound = signature.bind(*args, **kwargs)
+        bound.apply_defaults()
+        files = {option.name: bound.arguments.pop(option.name) for option in shared}
+        command(**bound.arguments, files=files)
+
+    run.__signature__ = signature  # type: ignore[attr-defined]  # typer reads both
+    run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
+    return run
+
+
+COLUMNS = tuple(field.name for field in fields(SceneSource))
+NEEDED = ("aim", "tracks")
+FILES = ("aim", "tracks", "lights", "hdmap", "stop_lines")
+NUMBERS = ("tracks_resolution", "tracks_frame_rate")
+
+
+def read_scene_sources(path: Path) -> list[SceneSource]:
+    """Read a CSV with the columns `aim` and `tracks`, and other fields of `SceneSource`."""
+    with open(path, encoding="utf-8-sig", newline="") as file:
+        try:
+            header, rows = read_rows(file)
+        except (ValueError, csv.Error) as error:
+            raise TracksError(f"{path} is not a CSV of recordings: {error}") from error
+    if not set(NEEDED) <= set(header) <= set(COLUMNS) or len(set(header)) < len(header):
+        raise TracksError(
+            f"{path} has the columns {', '.join(header)}; needed are {' and '.join(NEEDED)}, "
+            f"allowed are {', '.join(COLUMNS)}, each once"
+        )
+    if not rows:
+        raise TracksError(f"{path} has no rows; give one for each recording")
+    sources = []
+    for number, cells in rows:
+        try:
+            sources.append(_parse_row(cells, path.parent))
+        except ValueError as error:
+            raise TracksError(f"{path}, line {number}: {error}") from error
+    return sources
+
+
+def read_scenes(sources: list[SceneSource], rate: float, progress: Progress) -> list["Scene"]:
+    """Read scenes; those of one map share its ground, so that it is kept once."""
+    grounds: dict[Path, Ground] = {}
+    scenes = []
+    for number, source in enumerate(sources):
+        progress("read", number, len(sources))
+        scene, _, _ = read_scene(source, rate=rate)
+        scenes.append(replace(scene, ground=grounds.setdefault(source.aim.resolve(), scene.ground)))
+    progress("read", len(sources), len(sources))
+    return scenes
+
+
+def _parse_row(cells: Mapping[str, str], folder: Path) -> SceneSource:
+    missing = [name for name in NEEDED if name not in cells]
+    if missing:
+        raise ValueError(f"it names no {missing[0]}")
+    files = {name: folder / cells[name] for name in FILES if name in cells}
+    numbers = {name: parse_number(name, cells[name]) for name in NUMBERS if name in cells}
+    texts = {"tracks_world": cells["tracks_world"]} if "tracks_world" in cells else {}
+    return SceneSource(**files, **numbers, **texts)  # type: ignore[arg-type]

@@ -1,13 +1,100 @@
-"""Commands that draw and export maps."""
+"""Commands that make maps and prepare them: build, draw, texture, frame, register."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from geoaim.cli import options
-from geoaim.cli.console import console, report_errors
-from geoaim.cli.outputs import GEOTIFF, check_output
+from geoaim.cli.console import console, print_result, report_errors, show_progress
+from geoaim.cli.outputs import GEOTIFF, TRACKS, check_map_output, check_output
+
+if TYPE_CHECKING:
+    from geoaim.mapping.sampling import FrameCount
+
+
+def build(
+    video: options.VideoSource,
+    output: Annotated[Path, options.output("GeoTIFF to write")],
+    gcps: options.ControlPoints = None,
+    detections: options.DetectionsFolder = None,
+    frames: Annotated[
+        str, typer.Option(help="frames used for the background: auto, all or a number")
+    ] = "auto",
+    crs: Annotated[str | None, typer.Option(help="CRS of the map, such as EPSG:32635")] = None,
+    resolution: Annotated[
+        float | None,
+        options.resolution(
+            "metres per pixel of the map; as in the video if omitted. Of a single image without "
+            "control points: metres per pixel of the image"
+        ),
+    ] = None,
+    frame_resolution: Annotated[
+        float | None,
+        typer.Option(help="metres per pixel of the video, for a map without control points"),
+    ] = None,
+    frame_origin: Annotated[
+        Literal["corner", "middle"],
+        typer.Option(help="origin of a map without control points: top-left corner of the frame"),
+    ] = "corner",
+    height: Annotated[
+        float | None,
+        typer.Option(help="camera's height above the ground, m, if telemetry lacks it"),
+    ] = None,
+    yaw: Annotated[
+        float | None,
+        typer.Option(help="compass heading of the image's top, degrees, if telemetry lacks it"),
+    ] = None,
+    focal_length: Annotated[
+        float | None,
+        typer.Option(
+            help="focal length, 35 mm equivalent with any zoom, mm, if telemetry lacks it"
+        ),
+    ] = None,
+    fixed_camera: options.FixedCamera = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Build a georeferenced map (AIM) from a hovering drone's video, or from one image.
+
+    Control points are pixels of the first frame, unless their file names another. Without control
+    points the telemetry beside the video gives an approximate position, or --frame-resolution a
+    map in local coordinates. A single image becomes a map as it is, by its control points or
+    --resolution. A quick-look .png is written beside the map.
+
+    Example: geoaim build samples/hover.mp4 --gcps samples/gcps.csv -o map.tif
+    """
+    from geoaim.mapping.build_map import MapSettings, build_map
+
+    with show_progress() as progress, report_errors():
+        look = check_map_output(output, [video], [gcps])
+        aim = build_map(
+            video,
+            output,
+            gcps=gcps,
+            detections=detections,
+            settings=MapSettings(
+                frames=_parse_frames(frames),
+                crs=crs,
+                resolution=resolution,
+                frame_resolution=frame_resolution,
+                frame_origin=frame_origin,
+                height=height,
+                yaw=yaw,
+                focal_length=focal_length,
+                fixed_camera=fixed_camera,
+            ),
+            progress=progress,
+        )
+    print_result([output, look], aim.summarize(), as_json, report=aim.report)
+
+
+def _parse_frames(text: str) -> "FrameCount":
+    from geoaim.mapping.sampling import parse_frame_count
+
+    try:
+        return parse_frame_count(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--frames") from None
 
 
 def draw(
@@ -51,3 +138,68 @@ def texture(
         check_output(folder / "texture.json", inputs=[aim])
         export_texture(read_map(aim), folder, resolution=resolution)
     console.print(f"{folder / 'texture.png'}, {folder / 'texture.json'}")
+
+
+def frame(
+    video: options.VideoSource,
+    output: Annotated[Path, options.output(".png to write")],
+    time: Annotated[float, typer.Option(help="time of the frame, s", min=0)] = 0.0,
+) -> None:
+    """Save a frame of a video as a .png, to pick control points on it.
+
+    Example: geoaim frame samples/hover.mp4 -o frame.png
+    """
+    from PIL import Image
+
+    from geoaim.base.files import atomic_write
+    from geoaim.mapping.video.video import open_video, read_frame
+
+    with report_errors():
+        check_output(output, (".png",), [Path(video)])
+        found = read_frame(open_video(video), time)
+        with atomic_write(output) as temporary:
+            Image.fromarray(found.image).save(temporary, format="png")
+    height, width = found.image.shape[:2]
+    console.print(f"{output}: frame {found.index} at {found.time:.2f} s, {width} x {height} px")
+
+
+def register(
+    video: options.VideoSource,
+    output: Annotated[Path, options.output(".csv or .parquet to write")],
+    detections: options.DetectionsFolder = None,
+    reference_time: Annotated[
+        float | None,
+        typer.Option(help="time of the reference frame, s; chosen automatically if omitted"),
+    ] = None,
+    fixed_camera: options.FixedCamera = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Register the frames of a video to a reference frame.
+
+    The table has a row for each frame; its matrix m00 to m22 maps pixels of the frame to pixels
+    of the reference. With --reference-time 0 the reference is the first frame, in which control
+    points are usually picked.
+
+    Example: geoaim register samples/hover.mp4 -o registration.csv
+    """
+    from geoaim.mapping.registration.register import count_reasons, write_registration
+    from geoaim.mapping.registration.register import register as register_frames
+
+    with show_progress() as progress, report_errors():
+        check_output(output, TRACKS)
+        result = register_frames(
+            video,
+            detections=detections,
+            model="rest" if fixed_camera else None,
+            reference_time=reference_time,
+            progress=progress,
+        )
+        write_registration(result, output)
+    lines = {
+        "motion model": result.reference.model,
+        "reference": f"frame {result.reference.index}, {result.reference.time:.2f} s",
+        "registered frames": f"{result.valid.sum()} of {len(result.valid)}",
+    }
+    for reason, count in count_reasons(result.reason).items():
+        lines[f"rejected: {reason}"] = str(count)
+    print_result([output], lines, as_json)

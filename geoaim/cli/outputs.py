@@ -13,16 +13,7 @@ TRACKS = (".csv", ".parquet")
 def check_output(
     output: Path, suffixes: tuple[str, ...] = (), inputs: Iterable[Path | None] = ()
 ) -> None:
-    """Refuse an output with another suffix, in an unwritable folder, or that is also an input.
-
-    Args:
-        output: the file to write.
-        suffixes: suffixes that are allowed, in lower case; empty allows all.
-        inputs: files that are read; None is skipped.
-
-    Raises:
-        ValueError: the output is one of these.
-    """
+    """Refuse an output with another suffix, in an unwritable folder, or that is also an input."""
     if suffixes and output.suffix.lower() not in suffixes:
         raise ValueError(f"{output}: give a name that ends in {' or '.join(suffixes)}")
     if output.resolve() in _resolve(inputs):

@@ -1,16 +1,27 @@
-"""The command that predicts the futures of agents."""
+"""Commands that predict futures on one map, and on several side by side."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from geoaim.base.defaults import SAMPLES
+from geoaim.base.defaults import MAX_HISTORY_STEPS, SAMPLES
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import get_horizon, load_model, read_scene
+from geoaim.cli.inputs import (
+    SceneFiles,
+    SceneSource,
+    get_horizon,
+    load_model,
+    read_scene,
+    take_scene_files,
+)
 from geoaim.cli.outputs import check_output
-from geoaim.cli.scene_options import SceneFiles, take_scene_files
+
+if TYPE_CHECKING:
+    from geoaim.prediction.futures import Futures
+    from geoaim.prediction.itra import ITRA
 
 
 @take_scene_files
@@ -54,10 +65,10 @@ def predict(
     from geoaim.tracks.agent_types import select_group
 
     with show_progress() as progress, report_errors():
-        inputs = [aim, tracks, files.lights, files.hdmap]
+        inputs = [aim, tracks, files["lights"], files["hdmap"]]
         check_output(output, (".csv", ".png", ".mp4", ".gif"), inputs)
         model = load_model(weights, kind)
-        source = files.make_source(aim, tracks)
+        source = SceneSource(aim, tracks, **files)
         scene, _, world = read_scene(source, rate=1 / model.config.dt)
         start, horizon = find_step(scene, at), get_horizon(model, duration)
         progress("predict", 0, 1)
@@ -83,3 +94,105 @@ def predict(
         f"{output}: {samples} futures of {horizon * model.config.dt:g} s after "
         f"{float(scene.times[start]):g} s, {predicted} agents"
     )
+
+
+DEFAULT_SAMPLES = 10  # as in the paper's figures
+
+
+@take_scene_files
+def compare(
+    maps: Annotated[
+        list[Path], typer.Argument(help="maps of one place: AIMs, or HD maps as draw writes them")
+    ],
+    tracks: options.TracksFile,
+    output: Annotated[Path, options.output(".png to write")],
+    kind: options.Kind = "vehicles",
+    weights: Annotated[
+        list[Path] | None,
+        typer.Option(help="model.pt; once for all maps, or once for each in their order"),
+    ] = None,
+    ego: Annotated[
+        list[str] | None,
+        typer.Option(help="id of an agent to show, may be repeated; all agents if omitted"),
+    ] = None,
+    at: Annotated[
+        float | None, typer.Option(help="last observed time, s; the end of the tracks if omitted")
+    ] = None,
+    history: Annotated[int, typer.Option(help="observed steps", min=1)] = MAX_HISTORY_STEPS,
+    duration: Annotated[
+        list[float] | None,
+        typer.Option(help="predicted time, s; may be repeated, for a row each", min=0.1),
+    ] = None,
+    samples: options.Samples = DEFAULT_SAMPLES,
+    seed: options.Seed = 0,
+    *,
+    files: SceneFiles,
+) -> None:
+    """Draw futures on several maps of a place: a column for each map, a row for each duration.
+
+    All panels show the same ground, the sampled futures, and in white what was recorded.
+
+    Example: geoaim compare map.tif hdmap.tif --tracks samples/tracks.csv --ego 5 --at 10
+    --history 1 --duration 4 --duration 12 -o figure.png
+    """
+    from geoaim.base.files import write_figure
+    from geoaim.prediction.pictures import draw_panels
+
+    with show_progress() as progress, report_errors():
+        check_output(output, (".png",), [*maps, tracks, *(weights or [])])
+        choices = _Choices(at, history, duration or [None], samples, seed)
+        pairs = _pair_weights(maps, weights or [None])
+        columns = []
+        for number, (path, file) in enumerate(pairs):
+            progress("predict", number, len(pairs))
+            column = _predict(SceneSource(path, tracks, **files), load_model(file, kind), choices)
+            columns.append([one.select(ego) if ego else one for one in column])
+        progress("predict", len(pairs), len(pairs))
+        titles = [path.stem if file is None else f"{path.stem}, {file}" for path, file in pairs]
+        write_figure(draw_panels(list(zip(*columns, strict=True)), titles), output)
+    console.print(f"{output}: {samples} futures on {len(maps)} maps")
+
+
+@dataclass(frozen=True)
+class _Choices:
+    """What is predicted on each map, by options."""
+
+    at: float | None
+    history: int
+    durations: list[float] | list[None]
+    samples: int
+    seed: int
+
+
+def _predict(source: SceneSource, model: "ITRA", choices: _Choices) -> list["Futures"]:
+    """Predict futures of each duration."""
+    import torch
+
+    from geoaim.prediction.predict import predict
+    from geoaim.rendering.scene import find_step, slice_scene
+
+    scene, _, _ = read_scene(source, rate=1 / model.config.dt)
+    last = find_step(scene, choices.at)
+    first = max(0, last + 1 - choices.history)
+    return [
+        predict(
+            model,
+            slice_scene(scene, slice(first, None)),
+            samples=choices.samples,
+            horizon=get_horizon(model, duration),
+            start=last - first,
+            generator=torch.Generator().manual_seed(choices.seed),
+        )
+        for duration in choices.durations
+    ]
+
+
+def _pair_weights(
+    maps: list[Path], weights: list[Path] | list[None]
+) -> list[tuple[Path, Path | None]]:
+    """Pair each map with a model."""
+    if len(weights) not in (1, len(maps)):
+        raise ValueError(
+            f"{len(weights)} --weights for {len(maps)} maps; give one, or one for each map"
+        )
+    return list(zip(maps, weights * (len(maps) // len(weights)), strict=True))

@@ -8,9 +8,8 @@ import typer
 from geoaim.base.progress import Progress, report_each
 from geoaim.cli import options
 from geoaim.cli.console import console, print_table, report_errors, show_progress
-from geoaim.cli.inputs import read_scene
+from geoaim.cli.inputs import SceneFiles, SceneSource, read_scene, take_scene_files
 from geoaim.cli.outputs import TRACKS, check_output
-from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -54,7 +53,7 @@ def render(
 
     with show_progress() as progress, report_errors():
         check_output(output, (".mp4", ".gif", ".png"))
-        scene, _, _ = read_scene(files.make_source(aim, tracks))
+        scene, _, _ = read_scene(SceneSource(aim, tracks, **files))
         agent = find_agent(scene, ego)
         steps = scene.present[agent].nonzero()[:, 0]
         if output.suffix.lower() == ".png":
@@ -110,12 +109,12 @@ def simulate(
     from geoaim.tracks.files import write_tracks
 
     with show_progress() as progress, report_errors():
-        check_output(output, TRACKS, [aim, tracks, files.lights])
+        check_output(output, TRACKS, [aim, tracks, files["lights"]])
         if video is not None:
             check_output(video, (".mp4", ".gif"), [aim])
             if ego is None:
                 raise ValueError("--video needs --ego, the agent at its centre")
-        source = files.make_source(aim, tracks)
+        source = SceneSource(aim, tracks, **files)
         scene, roads, world = read_scene(source)
         area = None if drivable is None else read_drivable_area(drivable, world)
         rules = make_road_rules(roads, area, world=world)

@@ -12,9 +12,8 @@ import typer
 from geoaim.base.progress import Progress
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors, show_progress
-from geoaim.cli.inputs import SceneSource, load_model
+from geoaim.cli.inputs import SceneFiles, SceneSource, load_model, take_scene_files
 from geoaim.cli.outputs import check_output
-from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from geoaim.prediction.config import TrainConfig
@@ -109,7 +108,7 @@ def train(
         elif aim is None:
             raise ValueError("give an AIM with --tracks, a table of recordings, or --windows")
         else:
-            source = files.make_source(aim, tracks)
+            source = SceneSource(aim, tracks, **files)
             model = _init_model(weights, kind, seed, view) if scratch else load_model(weights, kind)
             dataset = _make_dataset(source, model, val_fraction, segment_duration, progress)
             configure = configure_training if scratch else configure_fine_tuning
@@ -143,7 +142,7 @@ def _make_dataset(
     progress: Progress,
 ) -> "Dataset":
     """Read recordings, one or a table of them, and cut them into segments."""
-    from geoaim.cli.scene_tables import read_scene_sources, read_scenes
+    from geoaim.cli.inputs import read_scene_sources, read_scenes
     from geoaim.prediction.dataset import make_dataset
 
     sources, dt = [source], model.config.dt

@@ -29,23 +29,7 @@ Texts = Sequence[str | None]  # two for each node
 def locate_nodes(
     path: Path, ids: Sequence[str | None], lonlat: Texts, local: Texts, world: World | None
 ) -> tuple[Float[Array, "n 2"], World]:
-    """Locate the nodes of a map.
-
-    Args:
-        path: the file that messages name.
-        ids: (n) of the nodes.
-        lonlat: (2 n) longitude and latitude of each node in turn, as text.
-        local: (2 n) the tags local_x and local_y.
-        world: plane of the result; None: the UTM zone of the map, or a plane without a CRS for
-            local metres.
-
-    Returns:
-        (n, 2) metres in the world; and the world.
-
-    Raises:
-        MapError: there are no nodes, a place is missing, all lie at one place, the numbers are no
-            degrees, or the world is of another kind.
-    """
+    """Locate the nodes of a map."""
     if not ids:
         raise MapError(f"{path} has no nodes, the points of a map")
     degrees, metres = _parse_pairs(lonlat), _parse_pairs(local)

@@ -103,11 +103,7 @@ def _get_size(ground: Ground) -> tuple[int, int]:
 def pack_rectangles(
     sizes: Sequence[tuple[int, int]],
 ) -> tuple[list[tuple[int, int]], tuple[int, int]]:
-    """Place rectangles (height, width) on shelves, the highest first.
-
-    Returns:
-        The first row and column of each rectangle, and the height and width that all take.
-    """
+    """Place rectangles (height, width) on shelves, the highest first; also gives their size."""
     order = sorted(range(len(sizes)), key=lambda k: sizes[k], reverse=True)
     area = sum(height * width for height, width in sizes)
     limit = max(math.isqrt(area), max(width for _, width in sizes))

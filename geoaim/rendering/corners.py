@@ -134,10 +134,7 @@ def _map_pixels(size: tuple[int, int], matrix: Float[Array, "3 3"]) -> Float[Ten
 def _sample_cubic(
     image: Float[Tensor, "C h w"], places: Float[Tensor, "H W 2"]
 ) -> Float[Tensor, "C H W"]:
-    """Sample an image by cubic convolution, with its edges continued, within its range.
-
-    `grid_sample` has another kernel, by which places are off by up to a twentieth of a pixel.
-    """
+    """Sample an image by cubic convolution, with its edges continued, within its range."""
     _, height, width = image.shape
     u, v = (places - 0.5).unbind(-1)
     columns, rows = u.floor(), v.floor()

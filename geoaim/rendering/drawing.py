@@ -109,10 +109,7 @@ class Drawing:
 def flatten_scenes(
     drawing: Drawing, layers: Sequence[OrientedBoxes]
 ) -> tuple[Drawing, Sequence[OrientedBoxes]]:
-    """Bring cameras of (3,) or (*S, A, 3), and the boxes of the scenes *S, to one axis of scenes.
-
-    What broadcasts over all scenes, such as one colour, stays as it is.
-    """
+    """Bring cameras of (3,) or (*S, A, 3) and boxes of the scenes *S to one axis of scenes."""
     cameras, present = drawing.cameras, drawing.present
     if cameras.ndim in (2, 3):
         return drawing, layers

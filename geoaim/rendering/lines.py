@@ -102,17 +102,7 @@ def make_stop_line_layers(
     *,
     width: float = LIGHT_BAR_WIDTH_M,
 ) -> list[OrientedBoxes]:
-    """Make a layer for `render_layers` of each group of light states.
-
-    Args:
-        lines: (L, 2, 2) both ends of the lines, metres; or (B, L, 2, 2).
-        states: (B, L) states in each of B views: 0 green, 1 yellow, 2 red, -1 unknown.
-        groups: the states that each layer shows, such as [(0,), (1, 2)].
-        width: width of the bars, metres.
-
-    Returns:
-        For each group, the bars of `make_stop_line_boxes` whose lights are in one of its states.
-    """
+    """Make a layer of stop lines (`make_stop_line_boxes`) for each group of light states."""
     bars = make_stop_line_boxes(lines, states, width=width)
     assert bars.present is not None
     return [

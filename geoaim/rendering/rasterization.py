@@ -45,13 +45,6 @@ class _FirstDerivative(torch.autograd.Function):
 def compute_pixel_coverage(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     """Compute the area that polygons share with the unit square.
 
-    By Green's theorem, the area is the integral of x dy along the polygon, with x and y clamped to
-    the square. Its gradient with respect to an end of an edge is the integral, over the part of the
-    edge in the square, of how far each point moves along with that end.
-
-    Polygons are convex, their K corners in the order that turns +x towards +y; areas of polygons in
-    the opposite order are negative.
-
     >>> square = torch.tensor([[[0.5, 0.5], [9.0, 0.5], [9.0, 9.0], [0.5, 9.0]]])
     >>> compute_pixel_coverage(square).tolist()
     [0.25]
@@ -73,6 +66,8 @@ class _Coverage(torch.autograd.Function):
         return forbid_second_derivatives((grad_corners,), (corners, grads[0]))[0]
 
 
+# By Green's theorem: the integral of x dy along the polygon, with both clamped to the square.
+# Its gradient by an end of an edge is how far each point of the edge in the square moves with it.
 def _compute_area(corners: Float[Tensor, "n K 2"]) -> Float[Tensor, "n"]:
     """Integrate x dy around each polygon, with both clamped to [0, 1]."""
     x, y = corners.unbind(-1)
@@ -185,17 +180,7 @@ def find_pixels(
     axis: Float[Tensor, "N 2"],
     sizes: Float[Tensor, "N 2"],
 ) -> tuple[Int[Tensor, "n"], Int[Tensor, "n 2"]]:
-    """Find the pixels in or near each box by scan conversion, row by row.
-
-    Args:
-        view: size of the pictures.
-        centre: (N, 2) column and row, pixels (corner origin).
-        axis: (N, 2) unit vector of the heading, right and down.
-        sizes: (N, 2) length and width, pixels.
-
-    Returns:
-        (n,) index of the box of each pixel; (n, 2) column and row of the pixel.
-    """
+    """Find the pixels in or near each box by scan conversion, row by row."""
     half = sizes / 2 + HALF_DIAGONAL_PX
     v, reach = centre[:, 1], (axis.abs().flip(1) * half).sum(1)
     top, bottom = span_pixels(v - reach, v + reach, view.height)

@@ -197,16 +197,7 @@ def make_scene(aim: AIM, tracks: Tracks, lights: Lights | None = None) -> Scene:
 
 
 def make_tracks(scene: Scene, world: World | None = None) -> Tracks:
-    """Make tracks of a scene's agents that are ever present.
-
-    Times are rounded to the microsecond.
-
-    Args:
-        scene: the scene.
-        world: the world of its map; None: the scene's own, and a local plane if that is not known.
-
-    Returns:
-        The tracks.
+    """Make tracks of a scene's agents that are ever present, with times rounded to the microsecond.
 
     Raises:
         ValueError: the scene lies in another world.
@@ -242,15 +233,7 @@ def find_agent(scene: Scene, name: str) -> int:
 
 
 def find_agent_step(scene: Scene, agent: int, time: float | None) -> Int[Tensor, ""]:
-    """Find the step nearest to a time at which an agent is present.
-
-    Args:
-        scene: the scene to search.
-        agent: row of the agent.
-        time: seconds; None for its first step.
-
-    Returns:
-        The index of the step, a tensor without axes.
+    """Find the step nearest to a time (s; None: its first) at which an agent is present.
 
     Raises:
         TracksError: the agent is not present within `MAX_TIME_OFFSET_S` of that time.
@@ -283,12 +266,7 @@ def find_step(scene: Scene, time: float | None) -> int:
 
 
 def check_touches_map(name: str, points: Float[Array, "n 2"], bounds: Float[Array, "2 2"]) -> None:
-    """Check that data are of the same place as the map.
-
-    Args:
-        name: name of the data for the message, such as "track".
-        points: (n, 2) metres.
-        bounds: (2, 2) lowest and highest x and y of the map.
+    """Check that data, such as a "track", are of the same place as the map: low and high x and y.
 
     Raises:
         TracksError: no point lies within the bounds.

@@ -59,17 +59,7 @@ class MeshRenderer(BirdviewRenderer):  # type: ignore[misc]
         )
 
     def render_rgb_mesh(self, mesh: Any, res: Resolution, cameras: Any) -> Float[Tensor, "V H W 3"]:
-        """Paint a mesh over the map.
-
-        Args:
-            mesh: torchdrivesim's `RGBMesh` of V views: verts (V, n, 3) x, y and level, faces
-                (V, F, 3), attrs (V, n, 3) colours from 0 to 1.
-            res: height and width of a view, pixels.
-            cameras: V cameras: xy (V, 2), sc (V, 2) sine and cosine of the headings, scale.
-
-        Returns:
-            (V, H, W, 3) colours from 0 to 255.
-        """
+        """Paint a mesh over the map."""
         view = View(res.height, res.width, 2.0 / cameras.scale / min(res.height, res.width))
         if view.resolution not in self.prefiltered or self.ground.image.requires_grad:
             self.prefiltered = {view.resolution: prefilter_ground(self.ground, view.resolution)}
@@ -116,12 +106,7 @@ class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
         waypoints: Tensor | None = None,
         waypoints_rendering_mask: Tensor | None = None,
     ) -> Tensor:
-        """Render agents, traffic controls and waypoints; see torchdrivesim for the arguments.
-
-        Returns:
-            (B, N, 3, H, W) views around each agent, or (B N, 3, H, W) views of the given cameras; 0
-            to 255.
-        """
+        """Render agents, traffic controls and waypoints; see torchdrivesim for the arguments."""
         egocentric = camera_xy is None and camera_sc is None
         poses = torch.cat([state[..., :3] for state in agent_state.values()], dim=-2)
         cameras = poses if egocentric else _make_cameras(camera_xy, camera_sc)
@@ -143,18 +128,7 @@ class FrameRenderer(BirdviewRenderer):  # type: ignore[misc]
         res: Resolution | None = None,
         fov: float | None = None,
     ) -> Tensor:
-        """Render the map alone.
-
-        Args:
-            camera_xy: (..., 2) centres of N views, metres; None: the world's centre, north up.
-            camera_sc: (..., 2) sine and cosine of the headings that point up; given with
-                `camera_xy` or not at all.
-            res: height and width of a view in pixels; None: the renderer's own.
-            fov: metres that the shorter side shows; None: by the renderer's scale.
-
-        Returns:
-            (N, H, W, 3) colours from 0 to 255.
-        """
+        """Render the map alone."""
         if camera_xy is None and camera_sc is None:
             one = torch.ones_like(self.world_center[..., 0])
             camera_xy, camera_sc = self.world_center, torch.stack([one, torch.zeros_like(one)], -1)

@@ -23,20 +23,6 @@ def paint_triangles(
 ) -> Float[Tensor, "V C H W"]:
     """Paint triangles with exact coverage, those of higher levels first.
 
-    Triangles of one level add up, so that those which share an edge leave no seam there. The
-    result is differentiable with respect to cameras, corners, colours and pictures.
-
-    Args:
-        view: size and resolution of the pictures.
-        cameras: (V, 3) x, y, heading.
-        pictures: (V, C, H, W) what is painted over.
-        corners: (V, F, 3, 2) x and y, metres, in any order; triangles without area are not seen.
-        colours: (V, F, C) colours.
-        levels: (V, F) lower ones lie on top.
-
-    Returns:
-        The painted pictures.
-
     >>> corners = torch.tensor([[[[0.0, 9.0], [0.0, -9.0], [9.0, 0.0]]]])
     >>> black = torch.zeros(1, 1, 2, 2)
     >>> given = black, corners, torch.ones(1, 1, 1), torch.zeros(1, 1)

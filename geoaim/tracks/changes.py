@@ -48,15 +48,7 @@ def _transform_states(
 
 
 def cut_tracks(tracks: Tracks, start: float, duration: float) -> Tracks:
-    """Cut tracks to the steps of a time.
-
-    Args:
-        tracks: tracks with any time steps.
-        start: first time, s.
-        duration: time from `start` to the end, s; both ends are kept.
-
-    Returns:
-        Tracks of the agents that are present at any of the steps.
+    """Cut tracks to the steps of a time (s, both ends are kept) and the agents present in it.
 
     Raises:
         TracksError: no agent is present in that time.

@@ -73,17 +73,6 @@ def read_contents(
 ) -> Contents:
     """Read what is shown on a map; each part may be given as an object or as the path of its file.
 
-    Args:
-        aim: the map.
-        tracks: agents.
-        lights: traffic lights.
-        hdmap: lanes, borders and markings.
-        imagery: shown beneath the map.
-        futures: sampled futures.
-
-    Returns:
-        What is shown.
-
     Raises:
         ValueError: lights are a file, and no HD map says where their stop lines are.
         GeoaimError: something cannot be read.
@@ -105,15 +94,7 @@ def read_contents(
 
 
 def make_map_view(aim: MapSource, contents: Contents, stack: ExitStack) -> MapView:
-    """Make the view of a map.
-
-    Args:
-        aim: the map, or its file, of which only the parts that are shown are read, from overviews.
-        contents: what is shown on it.
-        stack: exit stack that keeps the file open.
-
-    Returns:
-        What the viewer shows.
+    """Make the view of a map, of whose file only the parts that are shown are read, from overviews.
 
     Raises:
         GeoaimError: something cannot be read, or lies at another place than the map.

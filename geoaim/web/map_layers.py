@@ -84,17 +84,7 @@ def tile_aim_file(dataset: Any, grid: Grid, most: float) -> dict[str, TiledRaste
 
 
 def describe_raster(name: str, path: str, raster: TiledRaster, **options: object) -> Description:
-    """Describe tiles for the viewer.
-
-    Args:
-        name: what the panel of layers calls it.
-        path: path of its tiles.
-        raster: the tiles.
-        **options: `visible`, `opacity`, `swipe`, and for the panel `colour` or `legend`.
-
-    Returns:
-        The description.
-    """
+    """Describe tiles for the viewer, with options of its panel of layers (`colour`, `legend`)."""
     shown: Description = {"name": name, "path": path, "visible": True, "opacity": 1.0}
     return shown | raster.describe() | options
 

@@ -35,11 +35,7 @@ Description = dict[str, Any]
 
 
 def describe_tracks(tracks: Tracks) -> tuple[Description, dict[str, Callable[[], bytes]]]:
-    """Describe tracks, with their data: float64 times, and float32 x, y, heading of each agent.
-
-    An agent's states go from its first to its last step, one agent after the other, in metres from
-    a point in the middle; NaN while it is absent.
-    """
+    """Describe tracks, with their data: float64 times, and float32 x, y, heading of each agent."""
     places = tracks.states[..., :2][tracks.present]
     origin = places.mean(axis=0).round() if len(places) else np.zeros(2)
     agents, parts = [], []

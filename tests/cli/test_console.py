@@ -30,7 +30,7 @@ def test_any_failure_is_one_line_and_has_a_traceback_with_debug(tmp_path, monkey
     def fail(path):
         raise KeyError("of\nsome library")
 
-    monkeypatch.setattr("geoaim.cli.kinds.describe_file", fail)
+    monkeypatch.setattr(sys.modules["geoaim.cli.info"], "describe_file", fail)
     result = run(app, ["info", "a.tif"])
     assert result.exit_code == 1
     assert "KeyError: " in result.output

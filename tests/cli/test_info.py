@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import geoaim
 from geoaim.base.errors import GeoaimError
 from geoaim.cli import app
-from geoaim.cli.kinds import describe_file
+from geoaim.cli.info import describe_file
 from geoaim.mapping.registration.register import register, write_registration
 from geoaim.prediction.checkpoints import PRETRAINED
 from geoaim.tracks.formats import write_geopackage

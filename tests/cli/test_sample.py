@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from geoaim.cli import app
 
 run = CliRunner().invoke
-command = import_module("geoaim.cli.sample")  # the package has the command under this name
+command = import_module("geoaim.cli.testing")  # the package has the command under this name
 SAMPLES = Path(__file__).parents[2] / "samples"
 
 

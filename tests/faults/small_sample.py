@@ -5,7 +5,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 SMALL = Path(__file__).parents[2] / "samples" / "tiles"
-command = import_module("geoaim.cli.sample")  # the package has the command under this name
+command = import_module("geoaim.cli.testing")  # the package has the command under this name
 
 
 def write_small_sample(folder: Path) -> None:

@@ -9,7 +9,7 @@ import geoaim
 from geoaim.base.errors import TracksError
 from geoaim.base.progress import no_progress
 from geoaim.cli import app
-from geoaim.cli.scene_tables import read_scene_sources, read_scenes
+from geoaim.cli.inputs import read_scene_sources, read_scenes
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction.checkpoints import read_model, read_pretrained

@@ -73,19 +73,7 @@ def make_tracks_from_positions(rows: pd.DataFrame, world: World, *, half_window:
 
 
 def estimate_velocity(tracks: Tracks, before: float, after: float) -> Float[Array, "N T 2"]:
-    """Estimate velocities (m/s) by differences of positions about each time.
-
-    Differences are one-sided where a track begins or ends.
-
-    Args:
-        tracks: at any times.
-        before: seconds before each time; widened to the median time between an agent's states.
-        after: seconds after each time, widened alike; 0: no later position is used, and an agent
-            needs to be seen for half of `before`.
-
-    Returns:
-        Velocities; NaN where the window does not hold the states that are needed.
-    """
+    """Estimate velocities (m/s) by differences of positions about each time."""
     present_agent, present_step = np.nonzero(tracks.present)
     gaps = np.diff(tracks.times[present_step])[np.diff(present_agent) == 0]
     least = 1.01 * float(np.median(gaps)) if len(gaps) else 0.0
@@ -103,10 +91,7 @@ def estimate_velocity(tracks: Tracks, before: float, after: float) -> Float[Arra
 
 
 def fill_headings(rows: pd.DataFrame) -> pd.DataFrame:
-    """Fill NaN in the column heading: with the agent's last known one, 0 before the first.
-
-    The rows also need the columns id and time. The result is a copy.
-    """
+    """Fill NaN in the column heading: with the agent's last known one, 0 before the first."""
     headings = rows.sort_values("time").groupby("id")["heading"]
     return rows.assign(heading=headings.ffill().fillna(0.0))
 

@@ -77,10 +77,7 @@ def has_parquet_columns(*names: str) -> Matcher:
 
 
 def map_types(path: str | os.PathLike[str], names: "pd.Series[Any]") -> "pd.Series[Any]":
-    """Map names of agent types to ours by `AGENT_TYPES`; keep others in lower case, with a warning.
-
-    `path` is the file that the warning names.
-    """
+    """Map names of agent types to ours by `AGENT_TYPES`; warn of others and keep them."""
     types = names.str.lower().replace(AGENT_TYPES)
     unknown = sorted(set(types.dropna()) - KNOWN_TYPES)
     if unknown:
@@ -124,12 +121,6 @@ def check_columns(
 ) -> None:
     """Check that a table from `read_table` has rows and columns; missing values pass.
 
-    Args:
-        path: the file that the message names.
-        table: the table as read.
-        numbers: required columns of numbers.
-        others: required columns of any type.
-
     Raises:
         TracksError: columns or all rows are missing, or a value is not a number.
     """
@@ -165,11 +156,7 @@ def check_resolution(resolution: float) -> None:
 
 
 def fill_sizes(rows: pd.DataFrame) -> Float[Array, "m 2"]:
-    """Complete the columns length and width (m) of rows by `TYPICAL_SIZES` of the column type.
-
-    Returns:
-        (m, 2) length and width; a side that is 0 or NaN is the typical one.
-    """
+    """Complete the columns length and width (m) of rows by `TYPICAL_SIZES` of the column type."""
     typical = np.array([TYPICAL_SIZES.get(name, OTHER_SIZE) for name in rows["type"]])
     sizes = rows[["length", "width"]].to_numpy(np.float64)
     return np.where(np.isnan(sizes) | (sizes == 0), typical.reshape(-1, 2), sizes)

@@ -108,15 +108,7 @@ def _first(points: np.ndarray) -> Vector:
 
 
 def handle(session: PickingSession, action: Any) -> Outcome:
-    """Carry out an action of a page.
-
-    Args:
-        session: the session before the action.
-        action: plain JSON, as the module's description lists it.
-
-    Returns:
-        The session after it, and the reply as plain JSON.
-    """
+    """Carry out an action of a page; returns the session after it and the reply."""
     try:
         if not isinstance(action, Mapping) or str(action.get("action")) not in ACTIONS:
             raise ValueError(

@@ -144,10 +144,7 @@ class PointFeedback:
 def assess_points(
     points: ControlPoints, size: tuple[int, int], world: World | None = None
 ) -> PointFeedback:
-    """Assess control points while they are picked; a bad layout gives feedback, not an error.
-
-    Warnings are caught (`warnings.catch_warnings`): call it from one thread at a time.
-    """
+    """Assess control points while they are picked; a bad layout gives feedback, not an error."""
     missing = max(MIN_POINTS - len(points.names), 0)
     georeference, problem, caught = _estimate(points, size, world)
     if georeference is None and len(points.names) >= MIN_PRELIMINARY_POINTS:

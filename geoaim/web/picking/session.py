@@ -102,11 +102,7 @@ def redo(session: PickingSession) -> PickingSession:
 
 
 def save_points(session: PickingSession) -> PickingSession:
-    """Write all points to the task's file, whole or not at all; incomplete ones have empty fields.
-
-    What another session or program changed in the file meanwhile is merged first, by name; a point
-    that was changed here as well stays as it is here, with a warning.
-    """
+    """Write all points to the task's file, after what others changed there is merged by name."""
     path = session.task.path
     if path is None:
         return session

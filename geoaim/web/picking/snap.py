@@ -20,12 +20,7 @@ def snap_to_corner(
     pixel: tuple[float, float],
     radius: float = SNAP_RADIUS_PX,
 ) -> tuple[float, float] | None:
-    """Find the strongest corner near a pixel.
-
-    Corners are where the weaker eigenvalue of the gradients' covariance is high (Shi and Tomasi
-    1994), refined to the point that all gradients around it are orthogonal to (Förstner and
-    Gülch 1987). None where there is none: only an edge, texture of noise, or nothing.
-    """
+    """Find the strongest corner near a pixel."""
     height, width = image.shape[:2]
     if not (0 <= pixel[0] <= width and 0 <= pixel[1] <= height and radius > 0):
         raise ValueError(f"({pixel[0]:g}, {pixel[1]:g}) lies outside {width} x {height} pixels")

@@ -34,13 +34,7 @@ def assess_session(session: PickingSession) -> PointFeedback:
 
 
 def describe_session(session: PickingSession) -> dict[str, Any]:
-    """Describe a session: its points, what they give, and what can be done.
-
-    Each point has id, name, frame, u, v, x, y (null where missing), lon and lat unless the plane is
-    local, and with imagery image_u and image_v, its place as a pixel of that. `imagery_from_frame`
-    is the homography for an overlay, from the frame without lens distortion. `disagreeing` are the
-    points that lie elsewhere than the proposed pairs say.
-    """
+    """Describe a session: its points, what they give, and what can be done."""
     task, feedback = session.task, assess_session(session)
     points = collect_points(session)
     columns = {

@@ -1,4 +1,4 @@
-"""The command that shows a map in the browser."""
+"""Commands whose page opens in the browser: view and pick."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,8 +7,8 @@ import typer
 
 from geoaim.cli import options
 from geoaim.cli.console import console, report_errors
+from geoaim.cli.inputs import SceneFiles, SceneSource, take_scene_files
 from geoaim.cli.outputs import check_output
-from geoaim.cli.scene_options import SceneFiles, take_scene_files
 
 if TYPE_CHECKING:
     from geoaim.web.map_view import MapView
@@ -49,7 +49,7 @@ def view(
     with report_errors(), ExitStack() as stack:
         if html is not None:
             check_output(html, (".html",), [aim, tracks, futures])
-        source = files.make_source(aim, tracks)
+        source = SceneSource(aim, tracks, **files)
         contents = read_contents(source, read_map_world(aim), drivable)
         contents = replace(contents, imagery=imagery or None, futures=futures)
         shown = make_map_view(aim, contents, stack)
@@ -71,3 +71,45 @@ def serve_page(shown: "MapView", *, browser: bool) -> None:
         if browser:
             webbrowser.open(server.address)
         server.wait()
+
+
+def pick(
+    video: options.VideoSource,
+    output: Annotated[
+        Path, options.output("control points, .csv; if it exists, picking goes on")
+    ] = Path("points.csv"),
+    imagery: Annotated[
+        list[str] | None,
+        typer.Option(help="imagery or an AIM of the place; coordinates are typed if omitted"),
+    ] = None,
+    time: Annotated[float, typer.Option(help="time of the frame, s", min=0)] = 0.0,
+    crs: Annotated[
+        str | None,
+        typer.Option(
+            help="CRS of typed coordinates: EPSG:4326 (lon, lat) if omitted, or 'local'; also of "
+            "imagery that states none"
+        ),
+    ] = None,
+    browser: Annotated[bool, typer.Option(help="open the page in the browser")] = True,
+) -> None:
+    """Pick control points in the browser: a frame on the left, imagery on the right.
+
+    Click a mark on the ground in both pictures. From the second point on the page tells what the
+    points give, and where the next one helps most. Each change is saved at once.
+
+    Example: geoaim pick samples/hover.mp4 --imagery samples/ortho.tif -o points.csv
+    """
+    from geoaim.base.world import LONLAT
+    from geoaim.web.picking.page import make_picking_view
+    from geoaim.web.picking.task import read_task
+
+    with report_errors():
+        check_output(output, (".csv",), [Path(video)])
+        plane = None if crs == "local" else crs or LONLAT
+        own = None if crs == "local" else crs  # for imagery that states none
+        task = read_task(
+            video, output, imagery=imagery or None, time=time, crs=plane, imagery_crs=own
+        )
+        serve_page(make_picking_view(task, f"{Path(video).name}: control points"), browser=browser)
+        if output.exists():
+            console.print(f"{output}: next, geoaim build {video} --gcps {output} -o map.tif")
