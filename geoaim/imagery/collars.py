@@ -38,16 +38,7 @@ def hide_collars(aim: AIM, name: str | None) -> AIM:
 
 
 def find_collars(image: UInt8[Array, "H W 3"], covered: Bool[Array, "H W"]) -> Bool[Array, "H W"]:
-    """Find plain white or black that reaches the edge of an image.
-
-    Args:
-        image: (H, W, 3) RGB.
-        covered: (H, W) where the image shows anything; the rest is its edge.
-
-    Returns:
-        (H, W) pixels of collars and of the strip beside them; none if it is less than a hundredth
-        of the image.
-    """
+    """Find plain white or black that reaches the edge of an image."""
     found = np.zeros(covered.shape, bool)
     for plain in ((image >= MIN_WHITE).all(axis=2), (image <= MAX_BLACK).all(axis=2)):
         patches = _open(plain & covered)

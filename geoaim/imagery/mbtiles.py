@@ -16,16 +16,7 @@ MIN_BOUNDS_OVERLAP = 0.5  # share of the tiles' extent that lies within the boun
 
 
 def check_mbtiles(path: str, outline: Float[Array, "4 2"]) -> None:
-    """Refuse an MBTiles file whose rows count from the north, against its specification.
-
-    Args:
-        path: the file.
-        outline: corners of its tiles, as the specification counts them: EPSG:3857, metres.
-
-    Raises:
-        ImageryError: its scheme is xyz and its bounds do not show that this is a slip, or its
-            bounds show that its rows count from the north.
-    """
+    """Refuse an MBTiles file whose rows count from the north, against its specification."""
     uri = f"{Path(path).absolute().as_uri()}?mode=ro"
     try:
         with closing(sqlite3.connect(uri, uri=True)) as database:

@@ -44,18 +44,7 @@ def list_sources(
 
 
 def write_objects(sources: Iterable[Any], folder: Path) -> list[Any]:
-    """Write sources that are objects as GeoTIFFs; others, and datasets of plain files, stay.
-
-    Args:
-        sources: files, `Tiles`, open datasets of rasterio, arrays of xarray with a CRS in .rio.
-        folder: where the files are written.
-
-    Returns:
-        The sources, with paths instead of objects.
-
-    Raises:
-        ImageryError: an array cannot be written as a raster.
-    """
+    """Write sources that are objects as GeoTIFFs; others, and datasets of plain files, stay."""
     return [
         _write_object(source, folder / f"source {number}.tif") if is_object(source) else source
         for number, source in enumerate(sources, 1)

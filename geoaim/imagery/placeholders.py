@@ -18,13 +18,6 @@ def leave_out_placeholders(tiles: Sequence[TileFile], name: str) -> list[TileFil
 
     Ground that a camera sees never repeats to the last grey level; what does is the picture by
     which a service says that it has none, or an area without any detail.
-
-    Args:
-        tiles: x, y and file of each tile of one zoom level.
-        name: of the source, for the warning.
-
-    Returns:
-        The tiles that differ from all others.
     """
     sizes = Counter(file.stat().st_size for _, _, file in tiles)
     # A file of another size may hold the same pixels, but then it is of another encoder.

@@ -105,11 +105,7 @@ def describe_source(
 
 
 def number_parts(layers: Sequence[Layer]) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Number the parts that were placed each for itself: files, or all tiles of a layer.
-
-    Returns:
-        For the path of each raster the number of its part, from 1; and the names of the parts.
-    """
+    """Number the parts that were placed each for itself: files, or all tiles of a layer."""
     numbers, names = dict[str, int](), list[str]()
     for layer in layers:
         tiled = layer.zoom is not None

@@ -16,17 +16,7 @@ MAX_ORIGIN_ERROR_M = 1000.0  # of the south-west corner of web Mercator
 
 
 def read_scheme(folder: Path) -> bool | None:
-    """Read from the files beside tiles whether y counts from the south.
-
-    Args:
-        folder: the folder of tiles.
-
-    Returns:
-        True from the south, False from the north; None where nothing tells.
-
-    Raises:
-        ImageryError: the tiles are not in web Mercator, or the files contradict each other.
-    """
+    """Read from the files beside tiles whether y counts from the south."""
     found = {file: scheme for file, scheme in _list_schemes(folder) if scheme is not None}
     if len(set(found.values())) > 1:
         raise ImageryError(

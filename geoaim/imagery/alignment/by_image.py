@@ -98,16 +98,7 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
 
 
 def align_largest_part(imagery: AIM, aim: AIM, prior: Prior) -> ImageryAlignment:
-    """Align the largest part of imagery whose parts may lie at different places.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        aim: an AIM in the same world.
-        prior: how far off the part may be.
-
-    Returns:
-        The alignment of that part.
-    """
+    """Align the largest part of imagery whose parts may lie at different places."""
     return _fit_alignment(*_find_place(imagery, aim, prior, in_parts=True))
 
 

@@ -50,19 +50,7 @@ class Level(NamedTuple):
 
 
 def build_pyramid(imagery: AIM, aim: AIM, prior: Prior) -> list[Level]:
-    """Build grids over the ground that both may share, from coarse to fine.
-
-    Args:
-        imagery: the imagery to align.
-        aim: the AIM that it is aligned to.
-        prior: how far off the imagery may be.
-
-    Returns:
-        Two levels or more, each with half the metres per pixel of the one before.
-
-    Raises:
-        AlignmentError: both share too little ground.
-    """
+    """Build grids over the ground that both may share, from coarse to fine."""
     low = np.maximum(aim.corners.min(axis=0), imagery.corners.min(axis=0) - prior.max_shift)
     high = np.minimum(aim.corners.max(axis=0), imagery.corners.max(axis=0) + prior.max_shift)
     finest = FINEST_STEP * max(imagery.resolution, aim.resolution)

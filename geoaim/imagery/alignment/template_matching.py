@@ -105,14 +105,6 @@ def compute_orientation(
 
     With the gradient (x, y) of strength s = |(x, y)| and its median m, they are
     (x² - y², 2xy) / (s (s + m)): cos and sin of the doubled angle times a weight s / (s + m).
-
-    Args:
-        grey: (H, W) brightness.
-        valid: (H, W) which pixels are valid.
-        resolution: metres per pixel.
-
-    Returns:
-        (H, W, 2) channels; 0 where invalid.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), GRADIENT_SIGMA_PX)
     side = 2 * round(SHADOW_RADIUS_M / resolution) + 1
@@ -144,16 +136,6 @@ def match_windows(
 
     Windows are left out unless both images have edges in `MIN_WINDOW_VALID_SHARE` of their pixels.
     A paraboloid refines each peak.
-
-    Args:
-        reference: (H, W, 2) orientation channels that are divided into windows.
-        image: (H, W, 2) orientation channels on the same grid.
-        side: side of a window, pixels.
-        search: largest shift in x and in y, pixels.
-        stride: distance between windows, pixels.
-
-    Returns:
-        The shifts; NaN for a window whose best place is at the end of the search or on a ridge.
     """
     height, width = reference.shape[:2]
     both = np.asarray(find_edges(reference) & find_edges(image), np.float32)

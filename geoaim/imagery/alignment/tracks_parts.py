@@ -42,19 +42,7 @@ class PartPlaces(NamedTuple):
 def align_parts_to_tracks(
     imagery: AIM, labels: Labels | None, tracks: Tracks, whole: ImageryAlignment, prior: Prior
 ) -> PartPlaces:
-    """Align parts of imagery to tracks: as one, or each for itself, by the evidence.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        labels: its files; None for one file, of which quarters are tried as parts.
-        tracks: tracks in the same world.
-        whole: the alignment of all the imagery to the tracks.
-        prior: how far off the imagery may be.
-
-    Returns:
-        One part, as wide as displaced parts would make it where these are possible; or files that
-        are more probably displaced than not, each at its own place.
-    """
+    """Align parts of imagery to tracks: as one, or each for itself, by the evidence."""
     masks = _list_masks(imagery, labels)
     everything = imagery.coverage > 0
     if len(masks) < 2:
@@ -79,16 +67,7 @@ def align_parts_to_tracks(
 def weigh_displacement(
     scores: Float[Array, "K n n"], prior: Prior, displaced: float
 ) -> tuple[float, Float[Array, "K n n"]]:
-    """Weigh one shift for all parts against a shift of its own for each.
-
-    Args:
-        scores: (K, n, n) log-likelihoods of the parts' shifts.
-        prior: of each shift.
-        displaced: probability of parts that are displaced, before.
-
-    Returns:
-        The probability of displaced parts, and the (K, n, n) probabilities of each part's shifts.
-    """
+    """Weigh one shift for all parts against a shift of its own for each."""
     log_prior = compute_log_prior(list_shifts(scores.shape[1]), prior.max_shift)
     log_prior -= logsumexp(log_prior)
     together = scores.sum(axis=0) + log_prior

@@ -82,13 +82,6 @@ def measure_settings(
     The squared error is the variance plus the squared bias. The variance comes from two halves of
     the patches. The squared bias is the squared distance from the homography minus the difference
     of both variances, and at least 0.
-
-    Args:
-        frames: frames in order of time.
-        settings: settings by name.
-
-    Yields:
-        Rows of the table. Errors are root mean squares over frames and corners.
     """
     size, found, scatter = frames[0].grey.shape, {}, {}
     for name, setting in settings.items():

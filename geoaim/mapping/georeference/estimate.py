@@ -127,12 +127,7 @@ def _measure_datum_accuracy(points: ControlPoints, world: World) -> float:
 def project_points(
     points: ControlPoints, world: World | None
 ) -> tuple[World, normalised_plane.Points]:
-    """Choose the world where none is given, and transform the coordinates to its metres.
-
-    Raises:
-        GeoreferenceError: the coordinates lie outside their CRS's area, or have no CRS although the
-            world has one.
-    """
+    """Choose the world where none is given, and transform the coordinates to its metres."""
     point_checks.check_coordinates(points)
     if points.crs is None:
         if world is not None and world.crs is not None:

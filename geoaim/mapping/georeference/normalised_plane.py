@@ -33,15 +33,6 @@ def fit_similarity(
     """Fit a similarity by least squares, without the point that fits worst.
 
     One point that is kilometres off would otherwise spoil the scale of everything that follows.
-
-    Args:
-        points: (M, 2) two points or more; of four or more, the one that fits worst is left out.
-        targets: (M, 2) where each point lies in any other plane.
-        mirrored: whether to mirror the points first, y to -y.
-
-    Returns:
-        The (3, 3) matrix that maps points to targets, and the sum of squared residuals without the
-        point that was left out.
     """
     z = points[:, 0] + 1j * points[:, 1]
     z = z.conj() if mirrored else z

@@ -56,16 +56,7 @@ def choose_central_photo(links: PhotoLinks, wanted: list[int]) -> int:
 
 
 def chain_links(links: PhotoLinks, photo: int, reference: int) -> Float[Array, "3 3"] | None:
-    """Compose the transform of a photo to the reference along the shortest path of links.
-
-    Args:
-        links: the links between the photos.
-        photo: index of the photo.
-        reference: index of the reference.
-
-    Returns:
-        (3, 3) pixels of the photo to those of the reference; None without a path.
-    """
+    """Compose the transform of a photo to the reference along the shortest path of links."""
     _, previous = dijkstra(links.lengths, indices=reference, return_predecessors=True)
     matrix = np.eye(3)
     while photo != reference:

@@ -203,10 +203,6 @@ def make_row(values: Mapping[str, Any], source: str) -> PointRow:
     """Make a row of the values u, v, x, y and, where stated, name, frame, crs and accuracy (m).
 
     A pixel or a place whose two fields are both empty becomes NaN: it was not picked yet.
-
-    Raises:
-        GeoreferenceError: another of the first four is no finite number; the message names
-            `source`.
     """
     u, v = _parse_pair(values["u"], values["v"], source)
     x, y = _parse_pair(values["x"], values["y"], source)
@@ -221,9 +217,6 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
     """Find the index of the columns u, v, x, y and, where present, name, frame and crs.
 
     The header is in lower case; `COLUMN_NAMES` lists what a column may be called.
-
-    Raises:
-        GeoreferenceError: one of the first four is missing; the message names `source`.
     """
     columns = {
         key: header.index(name)

@@ -243,12 +243,7 @@ def override_telemetry(
 
 
 def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
-    """Georeference the reference frame approximately by the telemetry of the video.
-
-    Raises:
-        GeoreferenceError: there is no telemetry, it lacks a value, or the camera is tilted by more
-            than 10 degrees from straight down.
-    """
+    """Georeference the reference frame approximately by the telemetry of the video."""
     telemetry = video.telemetry
     if telemetry is None:
         raise GeoreferenceError(

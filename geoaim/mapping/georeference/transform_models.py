@@ -102,17 +102,7 @@ def compose_world_from_image(
 def fit_terms(
     pairs: PointPairs, free: list[int], ridge: Terms, start: Terms | None = None
 ) -> Terms:
-    """Fit some of the nine terms by regularised least squares (Levenberg-Marquardt).
-
-    Args:
-        pairs: control points.
-        free: indices of the terms to fit; the others stay zero.
-        ridge: inverse variances of the terms' prior times the variance of the noise.
-        start: first values; None starts at zero, the similarity that normalised the points.
-
-    Returns:
-        All nine terms.
-    """
+    """Fit some of the nine terms by regularised least squares (Levenberg-Marquardt)."""
     terms = np.zeros(9)
     root = np.sqrt(ridge[free])
 

@@ -54,16 +54,7 @@ class Comparison(NamedTuple):
 def make_overview(
     small: UInt8[Array, "h w"], *, scale: float, exclude: Bool[Array, "H W"] | None = None
 ) -> Overview:
-    """Prepare the reference for `compare_placements`.
-
-    Args:
-        small: the reference, reduced.
-        scale: pixels of `small` per pixel of the full image.
-        exclude: pixels of the full image that do not count, such as vehicles.
-
-    Returns:
-        The overview.
-    """
+    """Prepare the reference for `compare_placements`."""
     height, width = small.shape
     detail = _extract_detail(small)
     if exclude is not None:
@@ -87,14 +78,6 @@ def compare_placements(
     an image with itself does not count. The phase correlation selects the right period of repeating
     texture, since periods differ little in area: Kuglin and Hines (1975), "The phase correlation
     image alignment method".
-
-    Args:
-        overview: overview of the reference.
-        small: the frame, reduced like the overview.
-        reference_from_frame: the placement found, in pixels of the full image.
-
-    Returns:
-        The comparison.
     """
     shape = overview.detail.shape
     scale = np.diag([overview.scale, overview.scale, 1.0])

@@ -51,19 +51,6 @@ def choose_placement(
     """Accept a placement unless another fits nearly as well.
 
     On repeating texture it is first moved to the period that fits best.
-
-    Args:
-        grey: the frame.
-        template: patches of the reference at full size.
-        overview: small image of the reference.
-        alignment: the placement found.
-
-    Returns:
-        `alignment`, or that of another period of the texture; and the placement that fits most of
-        what moves by itself, None if nothing does.
-
-    Raises:
-        AmbiguousPlacementError: another placement is as likely, or there is too little texture.
     """
     small = shrink_image(grey, round(1 / overview.scale))
     compared = compare_placements(overview, small, alignment.matrix)

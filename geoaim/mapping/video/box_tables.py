@@ -78,16 +78,7 @@ def strip_zeros(stem: str) -> str:
 def group_by_name(
     names: "pd.Series[str]", listed: Collection[str], numbers: Mapping[str, int] | None
 ) -> FrameRows:
-    """Group rows by the names of frames.
-
-    Args:
-        names: of each row.
-        listed: of all frames, with boxes or without.
-        numbers: the index of the frame of each name; None where names tell none.
-
-    Returns:
-        The rows of each frame.
-    """
+    """Group rows by the names of frames."""
     indices = names.reset_index(drop=True).map(strip_zeros).to_numpy(str)
     known = {strip_zeros(name): np.empty(0, int) for name in listed}
     order = np.argsort(indices, kind="stable")
@@ -114,19 +105,7 @@ def place_numbers(
     video: Video | None,
     source: str | Path,
 ) -> FrameRows:
-    """Place rows that are grouped by numbers of frames.
-
-    Args:
-        groups: rows by numbers as they are written.
-        rate: frames per second by which numbers count as times; None: they number the frames.
-        first: number of the first frame; None: as `find_first` finds it.
-        usual: as there.
-        video: as there.
-        source: as there.
-
-    Returns:
-        The rows of each frame, by its index.
-    """
+    """Place rows that are grouped by numbers of frames."""
     numbers = groups.numbers
     if numbers is None or not len(numbers):
         return groups
@@ -153,20 +132,7 @@ def place_numbers(
 def place_times(
     groups: FrameRows, *, video: Video | None, source: str | Path, unit: str | None
 ) -> FrameRows:
-    """Place rows that are grouped by time: those of each time belong to the nearest frame.
-
-    Args:
-        groups: rows by times as they are written.
-        video: whose frames they are; None: each frame takes the boxes of the nearest time.
-        source: the file that messages name.
-        unit: of the times, a key of `TIME_UNITS`; None: found by the video's duration.
-
-    Returns:
-        The rows of each frame, by its index, or by its time without a video.
-
-    Raises:
-        GeoaimError: no time is one of the video.
-    """
+    """Place rows that are grouped by time: those of each time belong to the nearest frame."""
     frames = None if video is None else _list_times(video)
     times, remarks = groups.numbers, []
     if times is None or not len(times):

@@ -17,11 +17,7 @@ READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
 
 
 def open_container(path: Path) -> Any:
-    """Open a video file, as PyAV's container.
-
-    Raises:
-        VideoError: FFmpeg cannot read it.
-    """
+    """Open a video file, as PyAV's container."""
     check_regular(path, VideoError)
     try:
         return av.open(f"file:{path}", options=READ_OPTIONS, metadata_errors="replace")
@@ -39,19 +35,7 @@ def open_container(path: Path) -> Any:
 
 
 def select_stream(container: Any, path: Path, threads: int | None) -> Any:
-    """Select the video stream of a container.
-
-    Args:
-        container: PyAV's container.
-        path: the file that messages name.
-        threads: decoding threads; None leaves the number to the decoder.
-
-    Returns:
-        The stream.
-
-    Raises:
-        VideoError: it has no video, or an unknown codec.
-    """
+    """Select the video stream of a container."""
     cover = av.stream.Disposition.attached_pic
     streams = [stream for stream in container.streams.video if not stream.disposition & cover]
     if not streams:
@@ -66,16 +50,7 @@ def select_stream(container: Any, path: Path, threads: int | None) -> Any:
 
 
 def read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:
-    """Read the number of frames that a file states.
-
-    Args:
-        container: PyAV's container.
-        stream: its video stream.
-        rate: frames per second, on average.
-
-    Returns:
-        The number, 0 for none; and whether it is a count, not a duration.
-    """
+    """Read the number of frames that a file states."""
     if stream.frames and "mov" in container.format.name:  # an edit list may hide some of them
         return sum(not entry.is_discard for entry in stream.index_entries), True
     if stream.frames:

@@ -83,10 +83,6 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
     """Decode the first frame of a video file, and read the properties that the file states.
 
     `threads` is the number of decoding threads; None leaves it to the decoder.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        VideoError: the file is empty, no video, has no video stream, or no frame can be decoded.
     """
     with open_container(path) as container:
         stream = select_stream(container, path, threads)
@@ -143,14 +139,6 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
     keyframe within `slack` seconds of a time replaces the frame at that time, so that it can be
     decoded alone. From a slack of two frames on, a frame that no other is predicted from is
     replaced by the one before it.
-
-    Args:
-        file: the file.
-        times: seconds, in ascending order.
-        slack: seconds; 0 decodes exactly the frame at each time.
-
-    Yields:
-        The frames. Those that cannot be read are left out, with a `GeoaimWarning`.
     """
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)

@@ -17,18 +17,6 @@ def number_names(
     """Find the frames that files are named by: `000012`, or `hover_13` as ultralytics names them.
 
     Ultralytics counts the frames of a video from 1, and puts its name before the number.
-
-    Args:
-        stems: names of the files without their suffixes.
-        video: the video that they are of, where it is known.
-        source: the folder or file that messages name.
-        first: number of the first frame; None: found.
-
-    Returns:
-        The index of the frame of each name; None where the names have no numbers in common.
-
-    Raises:
-        GeoaimError: a number is greater than those of the video.
     """
     parts = [NUMBERED.fullmatch(stem) for stem in stems]
     found = [part for part in parts if part is not None]
@@ -62,21 +50,7 @@ def match_names(
 def find_first(
     numbers: Collection[int], video: Video | None, source: str | Path, *, usual: int | None = None
 ) -> int:
-    """Find the number of the first frame, 0 or 1, by the numbers that are there.
-
-    Args:
-        numbers: of all frames with boxes.
-        video: the video that they are of, where it is known.
-        source: the file that messages name.
-        usual: number of the first frame in the format; None where formats differ: it is 0, with a
-            warning where nothing shows it.
-
-    Returns:
-        The number.
-
-    Raises:
-        GeoaimError: a number is greater than those of the video.
-    """
+    """Find the number of the first frame, 0 or 1, by the numbers that are there."""
     if not numbers:
         return 0
     least, greatest = min(numbers), max(numbers)
@@ -103,17 +77,7 @@ def find_first(
 def refuse_other_names(
     stems: Collection[str], wanted: Collection[str], video: Video, source: str | Path
 ) -> None:
-    """Refuse names of which none is that of a frame.
-
-    Args:
-        stems: the names that were found.
-        wanted: the names of the images of the video; empty for a video file.
-        video: what the names should be of.
-        source: the folder or file that messages name.
-
-    Raises:
-        GeoaimError: always.
-    """
+    """Refuse names of which none is that of a frame."""
     found = ", ".join(sorted(stems)[:MAX_LISTED])
     if wanted:
         looked_for = f"the names of its images ({', '.join(sorted(wanted)[:MAX_LISTED])}, ...)"

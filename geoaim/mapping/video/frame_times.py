@@ -19,13 +19,6 @@ def read_frame_times(path: Path, start: float) -> Float[Array, " N"]:
 
     MP4 and MOV have an index of decoding times, which are as far apart as presentation times where
     frames are evenly spaced or are not reordered; otherwise the packets of the file are read.
-
-    Args:
-        path: the file.
-        start: presentation time of the first frame, seconds.
-
-    Returns:
-        (N) seconds since the first frame, increasing.
     """
     with open_container(path) as container:
         stream = select_stream(container, path, None)
