@@ -48,8 +48,7 @@ class AimEvidence:
     def align_parts(
         self, imagery: AIM, labels: Labels | None, whole: ImageryAlignment | None
     ) -> list[Part]:
-        """Align files, or else parts of one file, that lie elsewhere than the imagery as a whole.
-        """
+        """Align files, or else parts of one, that lie elsewhere than the imagery as a whole."""
         max_shift = self.prior.max_shift
         if labels is not None:
             parts = align_parts(imagery, labels, self.align, whole, max_shift)

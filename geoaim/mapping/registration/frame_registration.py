@@ -175,8 +175,7 @@ def make_keyframe(
 def select_keyframe(
     keyframes: list[Keyframe], prior: Float[Array, "3 3"], size: tuple[int, int]
 ) -> Keyframe:
-    """Select the earliest keyframe that overlaps enough with a frame, or else the one most in view.
-    """
+    """Select the earliest keyframe that overlaps enough, or else the one most in view."""
     shares = [compute_overlap(keyframe, prior, size) for keyframe in keyframes]
     first = next((number for number, share in enumerate(shares) if share > MIN_OVERLAP), None)
     return keyframes[int(np.argmax(shares)) if first is None else first]

@@ -26,8 +26,7 @@ MAX_STILL_SHARE = 1 / 240  # of the image's width, within which another placemen
 
 
 def check_ground(frames: Iterable[FrameRegistration], size: tuple[int, int]) -> None:
-    """Refuse a sequence of which most frames are ambiguous, or whose placements are not the ground.
-    """
+    """Refuse a sequence of which most frames are ambiguous, or whose placements lie on traffic."""
     frames = list(frames)
     if len(frames) < MIN_FRAMES:
         return
