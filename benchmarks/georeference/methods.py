@@ -26,9 +26,8 @@ from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.georeference import estimate
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
-from geoaim.mapping.georeference.normalised_plane import Points
 from geoaim.mapping.georeference.posterior import ellipse_factor
-from geoaim.mapping.georeference.transform_models import TERM_COUNTS
+from geoaim.mapping.georeference.transform_models import TERM_COUNTS, Points
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 
 SEED = 2

@@ -115,3 +115,45 @@ def _get_shift(alignment: ImageryAlignment) -> Float[Array, "2"]:
     """How far tracks lie from where imagery states them, at the center."""
     center = alignment.center
     return (np.linalg.inv(alignment.true_from_stated) @ [*center, 1])[:2] - center
+
+
+UNKNOWN_M2 = 1e8  # variance of what is not known, square metres
+
+
+def weigh_alignment(
+    alignment: ImageryAlignment, own: Float[Array, "2 2"], reference: Float[Array, "2 2"]
+) -> tuple[ImageryAlignment, Float[Array, "2 2"]]:
+    """Combine an alignment with what was known of the imagery's place before.
+
+    The alignment says where the imagery lies relative to its reference, which may itself be off.
+    In a direction in which the imagery's own place is better known it stays.
+
+    Args:
+        alignment: how the imagery has to be moved to lie on the reference.
+        own: (2, 2) covariance of the imagery's stated place, square metres.
+        reference: (2, 2) covariance of the reference's place.
+
+    Returns:
+        The alignment with the shift that remains, and the (2, 2) covariance of the place in the
+        world.
+
+    >>> off = ImageryAlignment(translation(5.0, 5.0), "translation", np.eye(2) * 0.01, np.zeros(2))
+    >>> moved, _ = weigh_alignment(off, np.eye(2) * 100, np.diag([0.0, 1e6]))
+    >>> moved.shift.round(1).tolist()  # of north the reference says nothing
+    [5.0, 0.0]
+    """
+    gain = own @ np.linalg.inv(own + reference + alignment.covariance)
+    remaining = np.eye(2) - gain
+    back = -remaining @ alignment.shift
+    covariance = remaining @ own
+    moved = replace(alignment, true_from_stated=translation(*back) @ alignment.true_from_stated)
+    return moved, (covariance + covariance.T) / 2
+
+
+def forget_undetermined(alignment: ImageryAlignment) -> ImageryAlignment:
+    """State that nothing is known along the undetermined direction of an alignment."""
+    direction = alignment.undetermined_direction
+    if direction is None:
+        return alignment
+    along = np.array([np.cos(direction), np.sin(direction)])
+    return replace(alignment, covariance=alignment.covariance + np.outer(along, along) * UNKNOWN_M2)

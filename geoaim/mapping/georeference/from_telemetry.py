@@ -8,9 +8,12 @@ from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import make_similarity
 from geoaim.base.world import World, choose_world, world_from_lonlat
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.normalised_plane import half_diagonal
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
-from geoaim.mapping.georeference.transform_models import Posterior, compose_world_from_image
+from geoaim.mapping.georeference.transform_models import (
+    Posterior,
+    compose_world_from_image,
+    half_diagonal,
+)
 
 GPS_SIGMA_M = 3.0  # standard deviation of a GPS position in each axis
 COMPASS_SIGMA = np.radians(5.0)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy import ndarray as Array
 from scipy.special import logsumexp, softmax
 
-from geoaim.mapping.georeference.normalised_plane import Points
 from geoaim.mapping.georeference.posterior import compute_log_prior
 from geoaim.mapping.georeference.transform_models import (
     TERM_COUNTS,
     PointPairs,
+    Points,
     Posterior,
     Terms,
     apply_terms,

@@ -11,7 +11,7 @@ from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.geometry import image_corners
 from geoaim.base.world import LONLAT, parse_crs, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.normalised_plane import (
+from geoaim.mapping.georeference.transform_models import (
     Points,
     fit_similarity,
     half_diagonal,

@@ -25,11 +25,12 @@ from geoaim.mapping.registration.patches import (
     predict_uncertainty,
     shrink_image,
 )
-from geoaim.mapping.registration.placement_comparison import Overview, make_overview
 from geoaim.mapping.registration.placements import (
     AmbiguousPlacementError,
+    Overview,
     choose_placement,
     is_at_rest,
+    make_overview,
 )
 from geoaim.mapping.video.detections import Detections, convert_boxes, mask_boxes
 from geoaim.mapping.video.frames import Frame

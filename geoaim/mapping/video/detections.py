@@ -15,6 +15,7 @@ from geoaim.mapping.video.box_tables import (
     FrameRows,
     group_by_name,
     group_by_value,
+    match_names,
     place_numbers,
     place_times,
 )
@@ -31,7 +32,6 @@ from geoaim.mapping.video.detection_checks import (
 )
 from geoaim.mapping.video.detection_entries import convert_entry, to_table
 from geoaim.mapping.video.detection_files import IGNORED, read_raw_boxes
-from geoaim.mapping.video.frame_numbers import match_names
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import Video
 from geoaim.tracks.formats.shared import AGENT_TYPES
