@@ -1,6 +1,6 @@
 """Georeference the reference frame of a video: by control points on any frame, or by telemetry."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -30,6 +30,7 @@ from geoaim.mapping.registration.register import (
     register_frames,
 )
 from geoaim.mapping.video.detections import Detections
+from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.mapping.video.video import Video
 
@@ -92,7 +93,7 @@ def georeference_reference_frame(
         GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
     """
     if points is None:
-        return _georeference_by_telemetry(video, reference), None, reference
+        return _georeference_by_telemetry(video.telemetry, video.listed, reference), None, reference
     check_inside(points, (video.height, video.width))
     warn_of_small_part(points, (video.height, video.width))
     points, reference = _place_points(points, video, reference, detections)
@@ -114,7 +115,7 @@ def _place_points(
     Where photos of a flight cannot all be registered to one, overlapping photos are linked, and the
     central one of those with control points becomes the reference.
     """
-    frames = {picked: _find_frame_index(picked, video) for picked in points.frames}
+    frames = {picked: _find_frame_index(picked, video.listed) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
         time = video.find_time(index)
@@ -138,7 +139,7 @@ def _place_by_links(
     video: Video,
     detections: Detections | None,
 ) -> tuple[ControlPoints, Reference]:
-    links = link_photos(video, detections)
+    links = link_photos(video, (video.height, video.width), detections)
     central = choose_central_photo(links, list(frames.values()))
     reference = choose_reference(video, detections=detections, time=video.find_time(central))
     chained = {picked: chain_links(links, index, central) for picked, index in frames.items()}
@@ -177,21 +178,21 @@ def _move_points(
     return replace(merged, frames=(None,) * len(merged.pixels))
 
 
-def _find_frame_index(picked: FrameName, video: Video) -> int:
+def _find_frame_index(picked: FrameName, listed: FrameList) -> int:
     if picked is None or isinstance(picked, int):
-        count = video.count_frames() if picked else None
+        count = listed.count
         if picked and count is not None and picked >= count:
             raise GeoreferenceError(
-                f"control points name frame {picked}, but {video.source} has {count} frames, "
+                f"control points name frame {picked}, but {listed.source} has {count} frames, "
                 "counted from 0"
             )
         return picked or 0
-    if video.names is None or picked not in video.names:
+    if listed.names is None or picked not in listed.names:
         raise GeoreferenceError(
             f"control points name the frame {picked!r}, which is not among those of "
-            f"{video.source}; use the file's name, or a frame's number for a video"
+            f"{listed.source}; use the file's name, or a frame's number for a video"
         )
-    return video.names.index(picked)
+    return listed.names.index(picked)
 
 
 def override_telemetry(
@@ -245,12 +246,13 @@ def override_telemetry(
     return replace(video, read_telemetry=read)
 
 
-def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
+def _georeference_by_telemetry(
+    telemetry: Telemetry | None, listed: FrameList, reference: Reference
+) -> Georeference:
     """Georeference the reference frame approximately by the telemetry of the video."""
-    telemetry = video.telemetry
     if telemetry is None:
         raise GeoreferenceError(
-            f"{video.source}: no control points were given and no telemetry can be read beside it "
+            f"{listed.source}: no control points were given and no telemetry can be read beside it "
             "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
             f"points ({name_option('--gcps', 'gcps=')}), or for a map in a local plane the metres "
             + name_option(
@@ -258,8 +260,8 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
                 "per pixel of the frames (gcps=make_local_georeference(resolution=...))",
             )
         )
-    image = "" if video.names is None else f", {video.names[reference.index]}"
-    source, time = f"{video.source}{image}", reference.time
+    image = "" if listed.names is None else f", {listed.names[reference.index]}"
+    source, time = f"{listed.source}{image}", reference.time
     names = ("height", "yaw", "pitch", "focal_length")
     stated = {name: _find_nearest(telemetry.time, getattr(telemetry, name), time) for name in names}
     if abs(stated["pitch"] + np.pi / 2) > MAX_TILT:
@@ -331,14 +333,15 @@ class PhotoLinks:
     transforms: dict[tuple[int, int], Float[Array, "3 3"]]
 
 
-def link_photos(video: Video, detections: Detections | None) -> PhotoLinks:
+def link_photos(
+    photos: Iterable[Frame], size: tuple[int, int], detections: Detections | None
+) -> PhotoLinks:
     """Match the ORB features of each pair of photos, outside the boxes of detections."""
     features = [
-        detect_features(frame.grey, exclude=mask_detections(frame, detections)) for frame in video
+        detect_features(frame.grey, exclude=mask_detections(frame, detections)) for frame in photos
     ]
-    size = video.height, video.width
     lengths, transforms = np.zeros((len(features),) * 2), {}
-    middle = np.array([[video.width / 2, video.height / 2]])
+    middle = np.array([[size[1] / 2, size[0] / 2]])
     for one, other in combinations(range(len(features)), 2):
         matrix = match_features(features[one], features[other], "homography", size=size)
         if matrix is None:
