@@ -77,8 +77,8 @@ def read_point_file(path: Path) -> list[PointRow]:
         with refuse_damaged(path, GeoreferenceError, "a table of control points", reads_once=True):
             content = path.read_bytes()
             is_workbook = content.startswith(b"PK")
-            text = _read_workbook(content) if is_workbook else decode_text(content)
-            lines = text.splitlines()
+            table = _read_workbook(content) if is_workbook else decode_text(content)
+            lines = table.splitlines()
     except OSError as error:
         raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
     numbered = [
@@ -123,8 +123,8 @@ def _read_workbook(content: bytes) -> str:
             letters = cell.get("r", "").rstrip("0123456789") or chr(ord("A") + number)
             if len(letters) > 1:
                 continue
-            parts = [node for node in cell if node.tag != f"{SHEET_TAG}f"]  # not the formula
-            value = " ".join("".join(text for node in parts for text in node.itertext()).split())
+            nodes = [node for node in cell if node.tag != f"{SHEET_TAG}f"]  # not the formula
+            value = " ".join("".join(word for node in nodes for word in node.itertext()).split())
             is_shared = cell.get("t") == "s"
             cells[ord(letters) - ord("A")] = texts[int(value)] if is_shared else value
         writer.writerow(cells)
