@@ -18,17 +18,17 @@ import numpy as np
 import typer
 
 from benchmarks.hover_videos import make_hover_video
-from benchmarks.synthetic import write_video
-from geoaim.aim.aim import AIM
-from geoaim.base.geometry import transform_points
-from geoaim.mapping.background.running_mean import average_frames
-from geoaim.mapping.bench.report import (
+from benchmarks.results import (
     JsonFile,
     measure_peak_megabytes,
     print_rows,
     run_in_process,
     write_rows,
 )
+from benchmarks.synthetic import write_video
+from geoaim.aim.aim import AIM
+from geoaim.base.geometry import transform_points
+from geoaim.mapping.background.running_mean import average_frames
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.sampling import FrameCount

@@ -21,9 +21,9 @@ from numpy import ndarray as Array
 
 from benchmarks.hover_videos import make_hover_video
 from benchmarks.pipeline import THREADS, build, decode
+from benchmarks.results import JsonFile, Row, print_rows, write_rows
 from benchmarks.synthetic import write_video
 from benchmarks.synthetic.camera import render_background
-from geoaim.mapping.bench.report import JsonFile, Row, print_rows, write_rows
 from geoaim.mapping.sampling import FrameCount
 from geoaim.mapping.video import decoding
 

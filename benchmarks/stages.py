@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
+from benchmarks.results import Results, write_results
 from geoaim.base.files import check_writable
 from geoaim.base.progress import Progress
 from geoaim.cli.console import report_errors, show_progress
-from geoaim.mapping.bench.report import Results, write_results
 
 Measure = Callable[[bool, Progress], Results]  # takes whether to be quick, and the progress
 

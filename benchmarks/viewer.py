@@ -23,10 +23,10 @@ import typer
 from jaxtyping import UInt8
 from numpy import ndarray as Array
 
+from benchmarks.results import JsonFile, Row, print_rows, write_rows
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import write_aim
 from geoaim.base.world import World
-from geoaim.mapping.bench.report import JsonFile, Row, print_rows, write_rows
 from geoaim.tracks.tracks import Tracks
 from geoaim.web.explore import Contents, make_map_view
 from geoaim.web.map_view import MapView

@@ -20,7 +20,7 @@ from geoaim.mapping import pipeline
 from geoaim.mapping.background.exposure import estimate_gain, start_exposure
 from geoaim.mapping.background.running_mean import Background, average_frames
 from geoaim.mapping.background.traffic_search import _shrink_frame
-from geoaim.mapping.georeference.normalised_plane import distort_points
+from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.registration.features import detect_features, match_features
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
 from geoaim.mapping.video.frames import Frame

@@ -23,13 +23,13 @@ from numpy import ndarray as Array
 
 from benchmarks.alignment.pairs import Pair, make_pairs, measure_error, misplace_picture
 from benchmarks.alignment.real import measure_rotterdam, measure_songdo, measure_synthetic
+from benchmarks.charts import draw_fronts
 from benchmarks.data import find_data
+from benchmarks.results import ChartFile, JsonFile, format_table, write_rows
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import from_opencv, translation
 from geoaim.imagery.alignment import template_matching
 from geoaim.imagery.alignment.by_image import align_image
-from geoaim.mapping.bench.charts import draw_fronts
-from geoaim.mapping.bench.report import ChartFile, JsonFile, format_table, write_rows
 
 PLACES_PER_KIND, TRIALS = 4, 4  # synthetic places of each kind; misplacements of each pair
 MIN_INLIERS = 10  # number of feature matches

@@ -24,6 +24,7 @@ from numpy import ndarray as Array
 from benchmarks.alignment.pairs import make_pairs
 from benchmarks.alignment.real import SONGDO_MARGIN_M
 from benchmarks.data import find_data
+from benchmarks.results import JsonFile, Row, format_table, print_rows, write_rows
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import CHI2_2D, read_position_covariance, state_position
 from geoaim.base.errors import AlignmentError
@@ -33,7 +34,6 @@ from geoaim.imagery.alignment.parts import Part
 from geoaim.imagery.alignment.placement import align_mosaic, place_mosaic, weigh_part
 from geoaim.imagery.alignment.prior import Prior
 from geoaim.imagery.mosaic import Mosaic, read_imagery
-from geoaim.mapping.bench.report import JsonFile, Row, format_table, print_rows, write_rows
 from geoaim.tracks.formats import read_geotrax
 from geoaim.tracks.tracks import Tracks
 

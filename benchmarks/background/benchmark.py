@@ -13,16 +13,11 @@ from benchmarks.background.drawn_queue import draw_queue
 from benchmarks.background.methods import SEEDS, STANDING, make_clips, measure_methods
 from benchmarks.background.queue_clips import QueueClip, paste_queue
 from benchmarks.background.real import measure_real
+from benchmarks.charts import draw_fronts, draw_sizes
+from benchmarks.curves import average_methods, judge_choices, mark_pareto_fronts, summarise_sizes
 from benchmarks.data import find_data
+from benchmarks.results import Results, Row, collect
 from geoaim.base.progress import Progress
-from geoaim.mapping.bench.charts import draw_fronts, draw_sizes
-from geoaim.mapping.bench.curves import (
-    average_methods,
-    judge_choices,
-    mark_pareto_fronts,
-    summarise_sizes,
-)
-from geoaim.mapping.bench.report import Results, Row, collect
 from geoaim.mapping.georeference.from_telemetry import make_local_georeference
 from geoaim.mapping.pipeline import build_aim
 from geoaim.mapping.sampling import FrameCount

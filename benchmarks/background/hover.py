@@ -21,6 +21,7 @@ from numpy import ndarray as Array
 
 from benchmarks.background.methods import SEEDS, damage_boxes, film_queue, list_frames
 from benchmarks.data import require_data
+from benchmarks.results import JsonFile, Row, print_rows, write_rows
 from benchmarks.stills import STILLS
 from geoaim.base.files import atomic_write
 from geoaim.mapping.background.exposure import apply_gain, estimate_gain, start_exposure
@@ -34,7 +35,6 @@ from geoaim.mapping.background.warping import (
     sharpen_mean,
     warp,
 )
-from geoaim.mapping.bench.report import JsonFile, Row, print_rows, write_rows
 from geoaim.mapping.registration.register import choose_reference, register_frames
 from geoaim.mapping.video.detections import Detections, read_detections
 from geoaim.mapping.video.video import open_video

@@ -15,12 +15,7 @@ import typer
 
 from benchmarks.catalog.losses import measure_losses
 from benchmarks.catalog.stores import measure_store
-from benchmarks.synthetic.camera import Hover, SpriteTracks, film, render_frames
-from geoaim.base.encode import write_video
-from geoaim.catalog import Catalog, Cluster, build_catalog, read_recordings
-from geoaim.catalog.pipeline import plan_run
-from geoaim.catalog.storage import hash_file, make_address
-from geoaim.mapping.bench.report import (
+from benchmarks.results import (
     JsonFile,
     Row,
     measure_peak_megabytes,
@@ -28,6 +23,11 @@ from geoaim.mapping.bench.report import (
     run_in_process,
     write_rows,
 )
+from benchmarks.synthetic.camera import Hover, SpriteTracks, film, render_frames
+from geoaim.base.encode import write_video
+from geoaim.catalog import Catalog, Cluster, build_catalog, read_recordings
+from geoaim.catalog.pipeline import plan_run
+from geoaim.catalog.storage import hash_file, make_address
 
 BAD = 3  # planted recordings that give no map
 STORED = 20  # recordings in the object store

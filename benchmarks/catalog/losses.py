@@ -13,8 +13,8 @@ from pathlib import Path
 
 import psutil
 
+from benchmarks.results import Row
 from geoaim.catalog import Cluster, build_catalog, read_catalog, verify_catalog
-from geoaim.mapping.bench.report import Row
 
 WORKERS = 2
 KILL_WORKERS_AT = (0.2, 0.4)  # shares of the recordings that are done

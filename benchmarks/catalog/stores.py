@@ -14,8 +14,8 @@ from urllib.request import Request, urlopen
 
 import fsspec
 
+from benchmarks.results import Row
 from geoaim.catalog import Cluster, build_catalog, read_catalog, verify_catalog
-from geoaim.mapping.bench.report import Row
 
 BUCKET = "s3://recordings"
 EVERY_FAILURE, EVERY_DELAY, DELAY_S = 10, 5, 0.3  # requests that fail, that are slow, by how much

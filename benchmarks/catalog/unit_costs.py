@@ -19,11 +19,11 @@ import typer
 
 from benchmarks.hover_videos import film_place
 from benchmarks.pipeline import build
+from benchmarks.results import JsonFile, Row, print_rows, write_rows
 from benchmarks.synthetic import write_video
 from geoaim.aim.aim import AIM
 from geoaim.aim.files import write_aim
 from geoaim.imagery.alignment.pipeline import align_tiles
-from geoaim.mapping.bench.report import JsonFile, Row, print_rows, write_rows
 from geoaim.tracks.formats import read_tracks
 
 SAMPLES = Path("samples")

@@ -7,14 +7,14 @@ import warnings
 from collections.abc import Sequence
 from itertools import product
 
+from benchmarks.charts import draw_fronts, draw_sizes
+from benchmarks.curves import judge_choices, mark_pareto_fronts, summarise_sizes
 from benchmarks.georeference.methods import NAMES, draw_regions, measure_counts, measure_row
 from benchmarks.georeference.models import average_models, measure_models
 from benchmarks.georeference.simulated_points import NOISES
+from benchmarks.results import Results, Row, collect
 from geoaim.base.errors import GeoaimWarning
 from geoaim.base.progress import Progress
-from geoaim.mapping.bench.charts import draw_fronts, draw_sizes
-from geoaim.mapping.bench.curves import judge_choices, mark_pareto_fronts, summarise_sizes
-from geoaim.mapping.bench.report import Results, Row, collect
 
 # tolerance of the choice of a model, on maps whose points have errors of 0.5 px and more
 TOLERANCE_PX = 0.5

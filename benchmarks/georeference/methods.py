@@ -18,17 +18,16 @@ from numpy import ndarray as Array
 from rasterio.control import GroundControlPoint
 from rasterio.transform import GCPTransformer
 
+from benchmarks.charts import OTHERS, OURS
 from benchmarks.georeference.simulated_points import HEIGHT, NOISES, WIDTH, PointSet, draw_sets
+from benchmarks.results import Row
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import image_corners, transform_points
-from geoaim.mapping.bench.charts import OTHERS, OURS
-from geoaim.mapping.bench.report import Row
 from geoaim.mapping.georeference import estimate
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
-from geoaim.mapping.georeference.normalised_plane import Points
 from geoaim.mapping.georeference.posterior import ellipse_factor
-from geoaim.mapping.georeference.transform_models import TERM_COUNTS
+from geoaim.mapping.georeference.transform_models import TERM_COUNTS, Points
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 
 SEED = 2

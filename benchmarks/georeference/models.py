@@ -15,7 +15,7 @@ from benchmarks.georeference.simulated_points import (
     make_pinhole_camera,
     pick_points,
 )
-from geoaim.mapping.bench.report import Row
+from benchmarks.results import Row
 from geoaim.mapping.georeference import estimate
 from geoaim.mapping.georeference.control_points import ControlPoints
 from geoaim.mapping.georeference.georeference import Georeference

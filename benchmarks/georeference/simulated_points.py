@@ -13,9 +13,13 @@ from numpy import ndarray as Array
 
 from geoaim.base.geometry import image_corners, make_similarity, transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.normalised_plane import Points, half_diagonal, undistort_points
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
-from geoaim.mapping.georeference.transform_models import compose_world_from_image
+from geoaim.mapping.georeference.transform_models import (
+    Points,
+    compose_world_from_image,
+    half_diagonal,
+    undistort_points,
+)
 
 HEIGHT, WIDTH = 1080, 1920
 LAYOUTS = (  # boxes of the points, shares of the sides: left, top, right, bottom

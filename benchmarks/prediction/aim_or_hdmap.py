@@ -19,8 +19,8 @@ from benchmarks.prediction.places import CAMPUS, ROADS, Places, make_places
 from benchmarks.prediction.pretrained import VAL
 from benchmarks.prediction.protocol import VEHICLES_ON_AIM, evaluate_place, make_places_dataset
 from benchmarks.prediction.results import Workspace
+from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files, write_figure
-from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.prediction.baselines import Predictor, replay
 from geoaim.prediction.config import configure_training
 from geoaim.prediction.dataset import Dataset

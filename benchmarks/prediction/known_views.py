@@ -20,9 +20,9 @@ from benchmarks.prediction.places import (
 )
 from benchmarks.prediction.real_places import STANFORD_TEST, read_stanford
 from benchmarks.prediction.results import Workspace
+from benchmarks.results import describe_machine, write_json
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_files
-from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.cutting import cut_segments

@@ -11,10 +11,10 @@ from benchmarks.prediction.pretrained import VAL
 from benchmarks.prediction.realistic import make_scenes
 from benchmarks.prediction.results import Workspace
 from benchmarks.prediction.standing import FAR_M
+from benchmarks.results import describe_machine, write_json
 from geoaim.base.defaults import SAMPLES
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_files
-from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS, SEGMENT_STEPS
 from geoaim.prediction.cutting import cut_segments

@@ -20,8 +20,8 @@ from torch import Tensor
 
 from benchmarks.prediction.places import Places, make_drawn_scene
 from benchmarks.prediction.results import Workspace
+from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files
-from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS
 from geoaim.prediction.cutting import cut_scene, cut_segments

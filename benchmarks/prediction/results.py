@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files, write_figure
 from geoaim.base.progress import Progress, notebook_progress
-from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.prediction.metrics import Metric, bootstrap_interval, summarise
 from geoaim.prediction.report import format_markdown
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import torch
 
 from benchmarks.prediction.results import Workspace
+from benchmarks.results import describe_machine, write_json
 from geoaim.base.files import atomic_files
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.mapping.bench.report import describe_machine, write_json
 from geoaim.mapping.pipeline import build_aim
 from geoaim.prediction.checkpoints import read_pretrained
 from geoaim.prediction.config import MAX_HISTORY_STEPS

@@ -31,9 +31,9 @@ from benchmarks.realism.motion import (
     read_real_pedestrians,
     read_real_vehicles,
 )
+from benchmarks.results import ChartFile, JsonFile, format_table, write_rows
 from benchmarks.synthetic import make_sample, tracks_of
 from benchmarks.synthetic.roads.layouts import STANDARD_KINDS
-from geoaim.mapping.bench.report import ChartFile, JsonFile, format_table, write_rows
 from geoaim.tracks.tracks import Tracks
 
 MIN_VALUES = 50  # a statistic of fewer values is not compared

@@ -12,23 +12,18 @@ import pandas as pd
 from jaxtyping import Float, UInt8
 from numpy import ndarray as Array
 
+from benchmarks.charts import draw_fronts, draw_sizes
+from benchmarks.curves import average_methods, judge_choices, mark_pareto_fronts, summarise_sizes
 from benchmarks.data import find_data
 from benchmarks.hover_videos import HoverVideo, Kind, film_place, make_hover_video
 from benchmarks.registration.methods import Matrices, Method, list_methods, to_grey
 from benchmarks.registration.settings import SETTINGS, measure_models, measure_sizes
+from benchmarks.results import Results, Row, collect
 from benchmarks.stills import STILLS
 from benchmarks.synthetic import list_boxes, reference_from_frames, write_video
 from benchmarks.synthetic.roads.layouts import PlaceKind
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
-from geoaim.mapping.bench.charts import draw_fronts, draw_sizes
-from geoaim.mapping.bench.curves import (
-    average_methods,
-    judge_choices,
-    mark_pareto_fronts,
-    summarise_sizes,
-)
-from geoaim.mapping.bench.report import Results, Row, collect
 from geoaim.mapping.registration.motion_models import MIN_ACCURACY_GAIN_PX
 from geoaim.mapping.registration.patches import align_patches, make_template
 from geoaim.mapping.video.video import open_video

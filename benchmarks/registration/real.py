@@ -19,7 +19,7 @@ from numpy import ndarray as Array
 
 from benchmarks.data import require_data
 from benchmarks.registration.benchmark import measure_corner_distances
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
+from benchmarks.results import JsonFile, print_rows, write_rows
 from geoaim.mapping.registration.register import Registration, register
 from geoaim.mapping.video.detections import Detections, read_detections
 

@@ -11,12 +11,12 @@ from jaxtyping import UInt8
 from numpy import ndarray as Array
 
 from benchmarks.hover_videos import HoverVideo, film_ground
+from benchmarks.results import Row, collect
 from benchmarks.synthetic import Hover, draw_place, make_place, reference_from_frames
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
-from geoaim.mapping.bench.report import Row, collect
-from geoaim.mapping.bench.settings import Placements, Setting, register_with
 from geoaim.mapping.registration.motion_models import Model
+from geoaim.mapping.registration.own_video import Placements, Setting, register_with
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import open_video
 

@@ -30,10 +30,10 @@ from benchmarks.hover_videos import HoverVideo, make_lane_traffic
 from benchmarks.realism.motion import DT, VEHICLES, read_real_pedestrians, read_real_vehicles
 from benchmarks.registration.benchmark import measure_rate_and_errors
 from benchmarks.registration.methods import list_methods
+from benchmarks.results import JsonFile, format_table, write_rows
 from benchmarks.stills import STILLS, read_clean_still
 from benchmarks.synthetic import Hover, film, make_sample, tracks_of
 from benchmarks.synthetic.roads.layouts import STANDARD_KINDS
-from geoaim.mapping.bench.report import JsonFile, format_table, write_rows
 from geoaim.tracks.changes import resample_tracks
 from geoaim.tracks.tracks import Tracks
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from benchmarks.rendering.peers import make_sampling_grid
-from geoaim.mapping.bench.report import time_medians
+from benchmarks.results import time_medians
 from geoaim.rendering import (
     Ground,
     OrientedBoxes,

@@ -22,6 +22,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from benchmarks.charts import draw_fronts
 from benchmarks.rendering.batches import (
     AGENTS,
     VIEW_SIDE_M,
@@ -39,16 +40,8 @@ from benchmarks.rendering.peers import (
     make_sampling_grid,
     supersample,
 )
+from benchmarks.results import ChartFile, JsonFile, Row, print_rows, time_medians, write_rows
 from benchmarks.synthetic import draw_place, make_place
-from geoaim.mapping.bench.charts import draw_fronts
-from geoaim.mapping.bench.report import (
-    ChartFile,
-    JsonFile,
-    Row,
-    print_rows,
-    time_medians,
-    write_rows,
-)
 from geoaim.rendering import Ground, OrientedBoxes, View, make_ground, prefilter_ground, render
 
 TEXTURE_SIDE_PX = 1024

@@ -23,10 +23,7 @@ import typer
 from torch import Tensor
 
 from benchmarks.rendering.batches import make_scene
-from geoaim import rendering
-from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.mapping.bench.report import (
+from benchmarks.results import (
     JsonFile,
     measure_peak_megabytes,
     print_rows,
@@ -34,6 +31,9 @@ from geoaim.mapping.bench.report import (
     time_medians,
     write_rows,
 )
+from geoaim import rendering
+from geoaim.hdmap.lanelet2 import read_hdmap
+from geoaim.hdmap.rasterize import draw_hdmap
 from geoaim.prediction import ITRA, configure_fine_tuning, make_dataset, predict, read_pretrained
 from geoaim.prediction.batches import Process, draw_batch
 from geoaim.rendering import OrientedBoxes, Scene, make_ground, prefilter_ground, render

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 import typer
 
+from benchmarks.results import JsonFile, print_rows, time_medians, write_rows
 from geoaim.hdmap.drivable import find_drivable_area, sample_borders
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
-from geoaim.mapping.bench.report import JsonFile, print_rows, time_medians, write_rows
 from geoaim.simulation.idm import make_idm_policy
 from geoaim.simulation.infractions import compute_offroad_distance
 from geoaim.simulation.overlap import box_iou

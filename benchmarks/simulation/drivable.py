@@ -13,10 +13,10 @@ from numpy import ndarray as Array
 from shapely import MultiPolygon
 
 from benchmarks.data import require_data
+from benchmarks.results import JsonFile, print_rows, write_rows
 from geoaim import read_tracks
 from geoaim.hdmap.drivable import find_drivable_area
 from geoaim.hdmap.lanelet2 import read_hdmap
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.tracks.agent_types import select_group
 from geoaim.tracks.formats import read_interaction
 from geoaim.tracks.tracks import Tracks

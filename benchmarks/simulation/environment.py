@@ -13,9 +13,9 @@ from typing import Annotated, Any
 import torch
 import typer
 
+from benchmarks.results import JsonFile, print_rows, time_medians, write_rows
 from geoaim.hdmap.lanelet2 import read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.mapping.bench.report import JsonFile, print_rows, time_medians, write_rows
 from geoaim.rendering.scene import make_scene
 from geoaim.simulation.environment import DrivingEnv
 from geoaim.simulation.road_rules import make_road_rules

@@ -19,6 +19,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from benchmarks.data import find_data, require_data
+from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.simulation.drivable import JUNCTIONS
 from benchmarks.synthetic import make_sample, tracks_of
 from benchmarks.synthetic.roads.lanelet import make_lanelet_map
@@ -28,7 +29,6 @@ from benchmarks.synthetic.traffic.signals import compute_light_states
 from geoaim.base.errors import TracksError
 from geoaim.hdmap.lanelet2 import HDMap, read_hdmap
 from geoaim.hdmap.rasterize import draw_hdmap
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.rendering.scene import Scene, make_scene, slice_scene
 from geoaim.simulation.episodes import HISTORY_STEPS, simulate_scene
 from geoaim.simulation.infractions import OFFROAD_TOLERANCE_M, compute_offroad_distance

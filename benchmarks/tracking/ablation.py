@@ -12,6 +12,7 @@ from typing import Any
 
 import typer
 
+from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.tracking.benchmark import (
     ERRORS,
     KINDS,
@@ -21,7 +22,6 @@ from benchmarks.tracking.benchmark import (
     measure_case,
 )
 from benchmarks.tracking.cases import DetectorErrors, TrackingCase, make_drawn_case
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.tracking.noise import DEFAULT_NOISE_PX
 from geoaim.tracking.pipeline import track_boxes
 from geoaim.tracking.states import ACCELERATION_NOISE

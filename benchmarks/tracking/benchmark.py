@@ -20,6 +20,7 @@ import typer
 from jaxtyping import Float
 from numpy import ndarray as Array
 
+from benchmarks.results import JsonFile, print_rows, write_rows
 from benchmarks.synthetic.camera import HoverClip, render_background, render_frames
 from benchmarks.synthetic.place import RESOLUTION, world_from_image
 from benchmarks.synthetic.roads.layouts import PlaceKind
@@ -37,7 +38,6 @@ from benchmarks.tracking.scores import BoxView, make_view, score_tracks
 from geoaim.aim.aim import AIM
 from geoaim.base.encode import write_video
 from geoaim.base.progress import no_progress
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
 from geoaim.mapping.video.video import open_video
 from geoaim.tracking.frame_poses import locate_frames
 from geoaim.tracking.pipeline import track_boxes

@@ -17,7 +17,7 @@ from numpy import ndarray as Array
 from scipy.optimize import linear_sum_assignment
 
 from benchmarks.data import require_data
-from geoaim.mapping.bench.report import JsonFile, print_rows, write_rows
+from benchmarks.results import JsonFile, print_rows, write_rows
 from geoaim.mapping.video.detections import read_detections
 from geoaim.mapping.video.frames import Frame
 from geoaim.tracking import track_boxes

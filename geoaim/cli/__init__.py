@@ -7,6 +7,7 @@ import typer
 
 from geoaim import __version__
 from geoaim.cli.align import align
+from geoaim.cli.bench import bench
 from geoaim.cli.catalog import app as catalog
 from geoaim.cli.console import DEBUG, Command, CommandGroup, stop_when_terminated
 from geoaim.cli.evaluate import evaluate
@@ -15,7 +16,7 @@ from geoaim.cli.maps import build, draw, frame, register, texture
 from geoaim.cli.pages import pick, view
 from geoaim.cli.predict import compare, predict
 from geoaim.cli.simulate import render, simulate
-from geoaim.cli.testing import bench, doctor, sample
+from geoaim.cli.testing import doctor, sample
 from geoaim.cli.tracks import convert, track
 from geoaim.cli.train import train
 

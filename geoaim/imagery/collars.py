@@ -1,6 +1,10 @@
 """Collars: plain white or black around an image, in a file that does not say it shows nothing."""
 
+import hashlib
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,6 +13,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.base.errors import warn
+from geoaim.base.raster_files import open_raster_file
 
 MAX_BLACK, MIN_WHITE = 4, 251  # grey levels of a collar in all bands, after lossy compression
 MIN_COLLAR_SHARE = 0.01  # share of the image below which a plain patch at its edge is no collar
@@ -38,16 +43,7 @@ def hide_collars(aim: AIM, name: str | None) -> AIM:
 
 
 def find_collars(image: UInt8[Array, "H W 3"], covered: Bool[Array, "H W"]) -> Bool[Array, "H W"]:
-    """Find plain white or black that reaches the edge of an image.
-
-    Args:
-        image: (H, W, 3) RGB.
-        covered: (H, W) where the image shows anything; the rest is its edge.
-
-    Returns:
-        (H, W) pixels of collars and of the strip beside them; none if it is less than a hundredth
-        of the image.
-    """
+    """Find plain white or black that reaches the edge of an image."""
     found = np.zeros(covered.shape, bool)
     for plain in ((image >= MIN_WHITE).all(axis=2), (image <= MAX_BLACK).all(axis=2)):
         patches = _open(plain & covered)
@@ -82,3 +78,38 @@ def _keep_at_edge(patches: Bool[Array, "H W"], outside: Bool[Array, "H W"]) -> B
     kept = np.isin(numbers, np.setdiff1d(np.unique(numbers[reached]), [0]))
     whole = cv2.resize(kept.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     return patches & (whole > 0)
+
+
+TileFile = tuple[int, int, Path]  # x, y and file
+
+
+def leave_out_placeholders(tiles: Sequence[TileFile], name: str) -> list[TileFile]:
+    """Leave out tiles whose pixels are those of another tile, with a warning.
+
+    Ground that a camera sees never repeats to the last grey level; what does is the picture by
+    which a service says that it has none, or an area without any detail.
+    """
+    sizes = Counter(file.stat().st_size for _, _, file in tiles)
+    # A file of another size may hold the same pixels, but then it is of another encoder.
+    suspects = [tile for tile in tiles if sizes[tile[2].stat().st_size] > 1]
+    pictures = {tile: _hash_pixels(tile[2]) for tile in suspects}
+    counts = Counter(pictures.values())
+    repeated = {tile for tile, picture in pictures.items() if picture and counts[picture] > 1}
+    if repeated:
+        warn(
+            f"{name}: {len(repeated)} of {len(tiles)} tiles are the same picture as another one, "
+            "as 'no imagery here' is, or plain water; they are left out and their area stays empty"
+        )
+    return [tile for tile in tiles if tile not in repeated]
+
+
+def _hash_pixels(file: Path) -> str:
+    """Hash the pixels of a picture; "" where it is transparent, or cannot be read."""
+    try:
+        with open_raster_file(file) as dataset:
+            pixels = np.ascontiguousarray(dataset.read())
+    except Exception:  # GDAL's errors are of several kinds; the reader of the tile reports them
+        return ""
+    if len(pixels) in (2, 4) and not pixels[-1].any():
+        return ""
+    return hashlib.sha256(pixels.tobytes() + str(pixels.shape).encode()).hexdigest()

@@ -25,7 +25,6 @@ from geoaim.base.limits import check_memory, name_file
 from geoaim.base.world import LONLAT, World, transform_crs
 from geoaim.imagery import resampling
 from geoaim.imagery.collars import hide_collars
-from geoaim.imagery.objects import ImageryObject, list_sources, write_objects
 from geoaim.imagery.rasters import (
     Region,
     describe_extent,
@@ -34,7 +33,15 @@ from geoaim.imagery.rasters import (
     make_region,
     measure_resolution,
 )
-from geoaim.imagery.sources import Layer, Source, describe_source, number_parts
+from geoaim.imagery.sources import (
+    ImageryObject,
+    Layer,
+    Source,
+    describe_source,
+    list_sources,
+    number_parts,
+    write_objects,
+)
 
 BYTES_PER_PIXEL = 8  # memory for a pixel of an image and its coverage
 BLOCK_PX = 1024  # side of the blocks to begin with

@@ -117,11 +117,7 @@ def intersects_bounds(raster: Raster, points: Float[Array, "m 2"]) -> bool:
 
 @contextmanager
 def open_raster(path: str, options: Mapping[str, int]) -> Iterator[Any]:
-    """Open a raster as rasterio's dataset, with options of GDAL's driver.
-
-    Raises:
-        ImageryError: GDAL cannot open or read it.
-    """
+    """Open a raster as rasterio's dataset, with options of GDAL's driver."""
     check_regular(path, ImageryError)
     try:
         with open_raster_file(path, options=options) as dataset:
@@ -228,11 +224,7 @@ def make_region(world: World, corners: Float[Array, "n 2"]) -> Region:
 
 
 def enclose_outlines(outlines: Sequence[Outline], world: World | None) -> Region:
-    """Make the region around outlines; `world` None chooses their UTM zone.
-
-    Raises:
-        ImageryError: the outlines span more than `MAX_EXTENT_DEGREES`.
-    """
+    """Make the region around outlines; `world` None chooses their UTM zone."""
     lonlat = np.concatenate([transform_crs(crs, LONLAT, points) for crs, points in outlines])
     spans = np.ptp(lonlat, axis=0)
     if spans.max() > MAX_EXTENT_DEGREES:

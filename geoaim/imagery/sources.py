@@ -8,18 +8,23 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
+import rasterio.shutil
 from jaxtyping import Float
 from numpy import ndarray as Array
+from rasterio.enums import ColorInterp
+from rasterio.io import DatasetReader
+from rasterio.vrt import WarpedVRT
 
 from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
 from geoaim.base.limits import refuse_damaged
+from geoaim.base.raster_files import IMAGE_DRIVERS
 from geoaim.imagery.addresses import is_address, normalise_address
-from geoaim.imagery.mbtiles import check_mbtiles
-from geoaim.imagery.placeholders import leave_out_placeholders
+from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
-from geoaim.imagery.tile_schemes import read_scheme
+from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
 from geoaim.imagery.tile_service import Service, fetch_tiles
 from geoaim.imagery.tiles import (
     MAX_ZOOM,
@@ -105,11 +110,7 @@ def describe_source(
 
 
 def number_parts(layers: Sequence[Layer]) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Number the parts that were placed each for itself: files, or all tiles of a layer.
-
-    Returns:
-        For the path of each raster the number of its part, from 1; and the names of the parts.
-    """
+    """Number the parts that were placed each for itself: files, or all tiles of a layer."""
     numbers, names = dict[str, int](), list[str]()
     for layer in layers:
         tiled = layer.zoom is not None
@@ -277,3 +278,58 @@ def _find_finest_zoom(tiles: Tiles, service: Service, region: Region) -> int:
 def _hide_query(address: str) -> str:
     """Remove the query of an address, which may hold keys."""
     return address.split("?")[0] if "://" in address else address
+
+
+RGB = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+
+
+@runtime_checkable
+class RasterArray(Protocol):
+    """An array of xarray, which is not imported here."""
+
+    dims: Any
+    coords: Any
+
+
+ImageryObject: TypeAlias = DatasetReader | WarpedVRT | RasterArray
+
+
+def is_object(source: Any) -> TypeGuard[ImageryObject]:
+    """Whether a source is an open dataset of rasterio or an array of xarray."""
+    return isinstance(source, ImageryObject)
+
+
+def list_sources(
+    sources: Source | ImageryObject | Sequence[Source | ImageryObject],
+) -> Sequence[Source | ImageryObject]:
+    """Make a list of one source or of several."""
+    one = isinstance(sources, str | os.PathLike | Tiles) or is_object(sources)
+    return [sources] if one else list(sources)  # type: ignore[arg-type]
+
+
+def write_objects(sources: Iterable[Any], folder: Path) -> list[Any]:
+    """Write sources that are objects as GeoTIFFs; others, and datasets of plain files, stay."""
+    return [
+        _write_object(source, folder / f"source {number}.tif") if is_object(source) else source
+        for number, source in enumerate(sources, 1)
+    ]
+
+
+def _write_object(source: Any, path: Path) -> str:
+    if isinstance(source, DatasetReader | WarpedVRT):
+        plain = isinstance(source, DatasetReader) and source.driver in IMAGE_DRIVERS
+        if plain and os.path.isfile(source.name):
+            return str(source.name)
+        rasterio.shutil.copy(source, path, driver="GTiff")
+        return str(path)
+    try:
+        import rioxarray  # noqa: F401, which adds .rio to arrays
+    except ImportError as error:
+        raise ImageryError("arrays of xarray need rioxarray: pip install rioxarray") from error
+    if source.rio.crs is None:
+        raise ImageryError("the array has no CRS: give it one with .rio.write_crs('EPSG:n')")
+    source.rio.to_raster(path)
+    if "alpha" in np.atleast_1d(source.coords.get("band", [])):  # as `AIM.to_xarray` names it
+        with rasterio.open(path, "r+") as dataset:
+            dataset.colorinterp = [*RGB, ColorInterp.alpha]
+    return str(path)

@@ -1,12 +1,19 @@
 """What files beside tiles say of them: from where y is counted, and in which projection."""
 
 import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
+from jaxtyping import Float
+from numpy import ndarray as Array
+
 from geoaim.base.errors import ImageryError
 from geoaim.base.limits import refuse_damaged
+from geoaim.base.world import LONLAT, transform_crs
 from geoaim.imagery.tiles import HALF_WORLD_M
 
 RESOURCE = "tilemapresource.xml"  # of the Tile Map Service, as gdal2tiles writes it
@@ -16,17 +23,7 @@ MAX_ORIGIN_ERROR_M = 1000.0  # of the south-west corner of web Mercator
 
 
 def read_scheme(folder: Path) -> bool | None:
-    """Read from the files beside tiles whether y counts from the south.
-
-    Args:
-        folder: the folder of tiles.
-
-    Returns:
-        True from the south, False from the north; None where nothing tells.
-
-    Raises:
-        ImageryError: the tiles are not in web Mercator, or the files contradict each other.
-    """
+    """Read from the files beside tiles whether y counts from the south."""
     found = {file: scheme for file, scheme in _list_schemes(folder) if scheme is not None}
     if len(set(found.values())) > 1:
         raise ImageryError(
@@ -82,3 +79,47 @@ def _read_resource(file: Path) -> bool:
             "south-west corner of web Mercator are read"
         )
     return True
+
+
+MIN_BOUNDS_OVERLAP = 0.5  # share of the tiles' extent that lies within the bounds stated
+
+
+def check_mbtiles(path: str, outline: Float[Array, "4 2"]) -> None:
+    """Refuse an MBTiles file whose rows count from the north, against its specification."""
+    uri = f"{Path(path).absolute().as_uri()}?mode=ro"
+    try:
+        with closing(sqlite3.connect(uri, uri=True)) as database:
+            metadata = dict(database.execute("SELECT name, value FROM metadata").fetchall())
+    except sqlite3.Error:
+        return  # without metadata it states nothing
+    bounds = _parse_bounds(metadata.get("bounds"))
+    flipped = outline * [1.0, -1.0]
+    is_xyz = str(metadata.get("scheme", "tms")).lower() == "xyz"
+    agrees, agrees_flipped = (
+        bounds is not None and _overlap(bounds, corners) > MIN_BOUNDS_OVERLAP
+        for corners in (outline, flipped)
+    )
+    if (is_xyz and not agrees) or (agrees_flipped and not agrees):
+        stated = "its scheme is xyz" if is_xyz else "its bounds lie where they would be then"
+        raise ImageryError(
+            f"{path}: its rows count from the north ({stated}), and MBTiles count from the south. "
+            "Convert it (mb-util --scheme=xyz to a folder, which is read), or correct its metadata"
+        )
+
+
+def _parse_bounds(text: Any) -> Float[Array, "2 2"] | None:
+    """Parse bounds (west, south, east, north in degrees) to metres; None where there are none."""
+    try:
+        west, south, east, north = (float(part) for part in str(text).split(","))
+        corners = np.clip([[west, south], [east, north]], [-180, -85.05], [180, 85.05])
+        return transform_crs(LONLAT, "EPSG:3857", corners)
+    except ValueError:
+        return None
+
+
+def _overlap(bounds: Float[Array, "2 2"], corners: Float[Array, "4 2"]) -> float:
+    """Share of the tiles' extent that lies within the bounds, or of the bounds in the extent."""
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    common = np.prod(np.clip(np.minimum(high, bounds[1]) - np.maximum(low, bounds[0]), 0, None))
+    smaller = min(float(np.prod(high - low)), float(np.prod(bounds[1] - bounds[0])))
+    return float(common) / smaller if smaller > 0 else 0.0

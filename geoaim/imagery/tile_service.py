@@ -61,20 +61,7 @@ class _SameHost(urllib.request.HTTPRedirectHandler):
 def fetch_tiles(
     service: Service, zoom: int, numbers: Sequence[tuple[int, int]]
 ) -> Iterator[tuple[int, int, Path]]:
-    """Fetch tiles, or find them in the cache, where they stay for 30 days.
-
-    Args:
-        service: the service.
-        zoom: zoom level of the tiles.
-        numbers: x, and y from the north, of each tile.
-
-    Yields:
-        x, y and file of each tile that the service has.
-
-    Raises:
-        ImageryError: the address is not an http or https URL, a request failed, or a tile has
-            another format or size.
-    """
+    """Fetch tiles, or find them in the cache, where they stay for 30 days."""
     if urlsplit(service.address).scheme not in ("http", "https"):
         raise ImageryError(
             f"{service.name} is not the URL of a tile service (https://...); for files give the "

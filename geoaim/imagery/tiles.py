@@ -75,32 +75,13 @@ def compute_world_fractions(region: Region) -> tuple[Float[Array, "2"], Float[Ar
 
 
 def compute_tile_corners(zoom: int, low: Array, high: Array) -> Float[Array, "4 2"]:
-    """Compute the corners of a block of tiles.
-
-    Args:
-        zoom: level.
-        low: (2,) x and y of the first tile.
-        high: (2,) x and y of the last tile, plus 1.
-
-    Returns:
-        (4, 2) top-left, top-right, bottom-right, bottom-left; metres in EPSG:3857.
-    """
+    """Compute the corners of a block of tiles."""
     (left, top), (right, bottom) = (np.stack([low, high]) / 2.0**zoom * 2.0 - 1.0) * HALF_WORLD_M
     return np.array([[left, -top], [right, -top], [right, -bottom], [left, -bottom]])
 
 
 def georeference_tile(zoom: int, x: int, y: int) -> Georeference:
-    """Georeference a tile.
-
-    Args:
-        zoom: level.
-        x: number of the tile from the west.
-        y: number of the tile from the north.
-
-    Returns:
-        EPSG:3857, and the (3, 3) transform from the unit square over the tile (y down) to metres in
-        that CRS.
-    """
+    """Georeference a tile."""
     side = 2.0 * HALF_WORLD_M / 2**zoom
     left, top = x * side - HALF_WORLD_M, HALF_WORLD_M - y * side
     return MERCATOR, np.array([[side, 0.0, left], [0.0, -side, top], [0.0, 0.0, 1.0]])
@@ -109,17 +90,7 @@ def georeference_tile(zoom: int, x: int, y: int) -> Georeference:
 def choose_zoom(
     tiles: Tiles, levels: Int[Array, "n"], region: Region | None, resolution: float | None
 ) -> int:
-    """Choose the coarsest zoom level that is not coarser than wanted, or else the finest.
-
-    Args:
-        tiles: the tiles; if their `zoom` is set, it is returned.
-        levels: (n,) the levels that exist.
-        region: the region in which the resolution is measured; None chooses the finest level.
-        resolution: wanted metres per pixel; None chooses the finest level.
-
-    Returns:
-        The zoom level.
-    """
+    """Choose the coarsest zoom level that is not coarser than wanted, or else the finest."""
     if tiles.zoom is not None:
         return tiles.zoom
     if resolution is None or region is None:

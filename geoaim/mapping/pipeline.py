@@ -20,12 +20,12 @@ from geoaim.mapping.georeference.control_points import (
     read_control_points,
 )
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.normalised_plane import distort_points
 from geoaim.mapping.georeference.reference_frame import (
     choose_reference_time,
     georeference_reference_frame,
     is_anywhere,
 )
+from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.registration import register
 from geoaim.mapping.registration.placements import MOVING_PART
 from geoaim.mapping.report import (

@@ -49,11 +49,7 @@ def parse_frame_count(text: str) -> FrameCount:
 
 
 def sample_video(video: Video, frames: FrameCount) -> Sample:
-    """Choose all frames of a video, or up to a number of them, which are decoded if they fit.
-
-    Raises:
-        ValueError: `frames` is no such choice.
-    """
+    """Choose all frames of a video, or up to a number of them, which are decoded if they fit."""
     total = video.frame_count
     if frames == "all":
         bands = min(max((total or 0) // MIN_FRAMES_PER_BAND, 1), MAX_BANDS)

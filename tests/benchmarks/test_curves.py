@@ -1,16 +1,16 @@
 import numpy as np
 import pytest
 
-from geoaim.base.labels import label_points
-from geoaim.mapping.bench.charts import draw_fronts, draw_sizes
-from geoaim.mapping.bench.curves import (
+from benchmarks.charts import draw_fronts, draw_sizes
+from benchmarks.curves import (
     find_knee,
     find_pareto_front,
     judge_choices,
     mark_pareto_fronts,
     summarise_sizes,
 )
-from geoaim.mapping.bench.report import Results, write_results
+from benchmarks.results import Results, write_results
+from geoaim.base.labels import label_points
 
 
 def array(*values):

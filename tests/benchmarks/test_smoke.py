@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 import benchmarks
 from benchmarks import hover_videos, pipeline, short_clips
+from benchmarks import results as report
 from benchmarks.realism import benchmark as realism
 from benchmarks.realism import images as realism_images
 from benchmarks.realism import motion as realism_motion
@@ -22,7 +23,6 @@ from benchmarks.synthetic import make_sample, reference_from_frames, tracks_of
 from benchmarks.synthetic.camera import render_background
 from benchmarks.synthetic.scenery.texture import make_natural_noise
 from geoaim.base.encode import write_video
-from geoaim.mapping.bench import report
 from geoaim.mapping.registration.register import register
 
 FOLDER = Path(benchmarks.__file__).parent

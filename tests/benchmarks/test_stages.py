@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 
 from benchmarks.__main__ import list_benchmarks
 from benchmarks.prediction.__main__ import experiment
+from benchmarks.results import Results
 from benchmarks.stages import make_main
-from geoaim.mapping.bench.report import Results
 
 
 @pytest.mark.parametrize("flags", [[], ["--quick"]])

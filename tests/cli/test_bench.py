@@ -4,8 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from geoaim.cli import app
-from geoaim.mapping.bench import own_video
-from geoaim.mapping.bench.report import Results
+from geoaim.mapping.registration import own_video
 
 runner = CliRunner()
 
@@ -14,14 +13,14 @@ runner = CliRunner()
 def test_a_video_of_ones_own_gives_json_and_markdown(tmp_path, monkeypatch, flags):
     def measure(video, quick, progress):
         progress("rows", 1, 1)
-        return Results("Title", {"rows": [{"video": video, "quick": str(quick)}]})
+        return [{"video": video, "quick": str(quick), "stated, px": float("nan")}]
 
     monkeypatch.setattr(own_video, "measure_own_video", measure)
     command = ["bench", "registration", "my.mp4", "-o", str(tmp_path / "new"), *flags]
     result = runner.invoke(app, command)
     assert result.exit_code == 0, result.output
     content = json.loads((tmp_path / "new" / "video.json").read_text("utf-8"))
-    assert content["rows"] == [{"video": "my.mp4", "quick": str(bool(flags))}]
+    assert content["rows"] == [{"video": "my.mp4", "quick": str(bool(flags)), "stated, px": None}]
     assert content["command"] == " ".join(["geoaim bench registration my.mp4", *flags])
     assert (tmp_path / "new" / "video.md").exists()
 

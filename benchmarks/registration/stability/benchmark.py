@@ -17,8 +17,8 @@ from benchmarks.registration.stability.judge import (
 )
 from benchmarks.registration.stability.kinds import KINDS
 from benchmarks.registration.stability.sweep import QUICK_KINDS, RIVALS, run_geoaim, run_rivals
+from benchmarks.results import Results
 from geoaim.base.progress import Progress
-from geoaim.mapping.bench.report import Results
 
 EVERY = 4  # one of so many clips of a kind is taken
 

@@ -23,8 +23,8 @@ from benchmarks.registration.stability.judge import (
     read_best_ranks,
     summarise,
 )
+from benchmarks.results import JsonFile, describe_machine, format_table, write_json
 from geoaim.base.files import atomic_write
-from geoaim.mapping.bench.report import JsonFile, describe_machine, format_table, write_json
 
 CASE = ["method", "kind", "rank", "level", "generator", "base", "size", "seed"]
 COLOURS = ("#009E73", "#DDDDDD", "#56B4E9", "#E69F00", "#000000")  # colours of the verdicts

@@ -31,23 +31,7 @@ def georeference_picture(
     crs: str | None = None,
     similarity: bool = False,
 ) -> AIM:
-    """Georeference a picture by control points.
-
-    Args:
-        path: path of the picture.
-        gcps: what `read_control_points` takes: pixels of the picture and their coordinates.
-        world: plane of the AIM; None: that which `estimate_georeference` chooses.
-        crs: CRS of control points that name none.
-        similarity: whether the picture is known to show the ground straight from above and
-            undistorted, as an orthophoto does.
-
-    Returns:
-        The picture as an AIM, not resampled; coverage is 1 where it is not masked.
-
-    Raises:
-        GeoreferenceError: the control points do not fix a place.
-        ImageryError: the picture cannot be read, is masked everywhere, or is one of several.
-    """
+    """Georeference a picture by control points."""
     points = read_control_points(gcps, crs=crs)
     image, valid = _read_picture(path)
     height, width = valid.shape

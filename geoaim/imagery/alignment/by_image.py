@@ -22,11 +22,13 @@ from geoaim.base.geometry import make_similarity, transform_points, translation
 from geoaim.base.grid import Grid, pad_grid
 from geoaim.base.progress import Progress, no_progress, report_each
 from geoaim.imagery.alignment.prior import DEFAULT_PRIOR, Prior, refuse_beyond_prior
-from geoaim.imagery.alignment.pyramid import WINDOW_PX, Level, build_pyramid
 from geoaim.imagery.alignment.result import ImageryAlignment
 from geoaim.imagery.alignment.template_matching import (
+    WINDOW_PX,
     GreyImage,
+    Level,
     WindowShifts,
+    build_pyramid,
     compute_orientation,
     match_windows,
     resample_grey,
@@ -98,16 +100,7 @@ def align_image(imagery: AIM, aim: AIM, *, prior: Prior = DEFAULT_PRIOR) -> Imag
 
 
 def align_largest_part(imagery: AIM, aim: AIM, prior: Prior) -> ImageryAlignment:
-    """Align the largest part of imagery whose parts may lie at different places.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        aim: an AIM in the same world.
-        prior: how far off the part may be.
-
-    Returns:
-        The alignment of that part.
-    """
+    """Align the largest part of imagery whose parts may lie at different places."""
     return _fit_alignment(*_find_place(imagery, aim, prior, in_parts=True))
 
 

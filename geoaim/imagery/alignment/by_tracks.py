@@ -99,18 +99,7 @@ def align_tracks(imagery: AIM, tracks: Tracks, *, prior: Prior = DEFAULT_PRIOR) 
 def score_parts(
     imagery: AIM, masks: Sequence[Bool[Array, "H W"]], tracks: Tracks, rotation: float, prior: Prior
 ) -> Float[Array, "K n n"]:
-    """Compute log-likelihoods of the shifts of parts of imagery, each by what it alone shows.
-
-    Args:
-        imagery: roughly georeferenced imagery, which `align_tracks` aligned.
-        masks: (H, W) pixels of each part.
-        tracks: the tracks.
-        rotation: radians by which the imagery is turned against the tracks.
-        prior: how far off the imagery may be.
-
-    Returns:
-        (K, n, n) log-likelihoods up to a constant for each part; `list_shifts` has their shifts.
-    """
+    """Compute log-likelihoods of the shifts of parts of imagery, each by what it alone shows."""
     search = _make_search(imagery, sample_poses(tracks), prior)
     rotations = np.array([rotation])
     channels = _draw_channels(search, _estimate_posterior(search, rotations).sum(axis=0))

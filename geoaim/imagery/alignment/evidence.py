@@ -48,16 +48,7 @@ class AimEvidence:
     def align_parts(
         self, imagery: AIM, labels: Labels | None, whole: ImageryAlignment | None
     ) -> list[Part]:
-        """Align files, or else parts of one file, that lie elsewhere than the imagery as a whole.
-
-        Args:
-            imagery: roughly georeferenced imagery.
-            labels: its files; None for one file.
-            whole: the alignment of all of it; None where it cannot be aligned as a whole.
-
-        Returns:
-            Empty where one place suits all.
-        """
+        """Align files, or else parts of one, that lie elsewhere than the imagery as a whole."""
         max_shift = self.prior.max_shift
         if labels is not None:
             parts = align_parts(imagery, labels, self.align, whole, max_shift)
@@ -99,16 +90,7 @@ class TracksEvidence:
     def align_parts(
         self, imagery: AIM, labels: Labels | None, whole: ImageryAlignment | None
     ) -> list[Part]:
-        """Align files each for itself, or widen what is stated, as the tracks support it.
-
-        Args:
-            imagery: roughly georeferenced imagery.
-            labels: its files; None for one file.
-            whole: the alignment of all of it; None where it cannot be aligned as a whole.
-
-        Returns:
-            See `align_parts_to_tracks`; empty where the imagery cannot be aligned as a whole.
-        """
+        """Align files each for itself, or widen what is stated, as the tracks support it."""
         if whole is None:
             return []
         places = align_parts_to_tracks(imagery, labels, self.source, whole, self.prior)
@@ -125,16 +107,7 @@ Evidence = AimEvidence | TracksEvidence
 
 
 def list_evidence(aim: AIM | None, tracks: Tracks | None, prior: Prior) -> list[Evidence]:
-    """List what is given, the strongest first.
-
-    Args:
-        aim: an AIM of the same place, if any.
-        tracks: tracks of vehicles in the same world, if any.
-        prior: how far off the imagery may be.
-
-    Returns:
-        None, one or both.
-    """
+    """List what is given, the strongest first."""
     evidence: list[Evidence] = []
     if aim is not None:
         evidence.append(AimEvidence(aim, prior))

@@ -50,21 +50,7 @@ class Labels(NamedTuple):
 def align_parts(
     imagery: AIM, labels: Labels, align: Align, whole: ImageryAlignment | None, max_shift: float
 ) -> list[Part]:
-    """Align the parts of imagery each for itself, where they need it.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        labels: its parts.
-        align: aligns imagery, or raises AlignmentError.
-        whole: the alignment of all the imagery; None where it cannot be aligned as a whole.
-        max_shift: how far off a part may be, metres.
-
-    Returns:
-        Empty if one place suits all of them, or fewer than two can be aligned and none was found;
-        else all parts, the largest first. Parts that cannot be aligned are placed as the part
-        beside them, or as the others are on average, and their uncertainty is that of the
-        differences between the others and of the prior.
-    """
+    """Align the parts of imagery each for itself, where they need it."""
     everything = imagery.coverage > 0
     aligned, others = dict[int, Part](), []
     for number, name in enumerate(labels.names, 1):

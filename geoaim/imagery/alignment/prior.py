@@ -47,16 +47,7 @@ def compute_log_prior(shifts: Float[Array, "*n 2"], max_shift: float) -> Float[A
 def refuse_beyond_prior(
     matrix: Float[Array, "3 3"], center: Float[Array, "2"], prior: Prior
 ) -> None:
-    """Refuse an answer that lies beyond the searched range.
-
-    Args:
-        matrix: (3, 3) stated_from_true, metres.
-        center: (2,) the point at which the shift counts, metres.
-        prior: the range.
-
-    Raises:
-        AlignmentError: the shift, rotation or scaling is larger.
-    """
+    """Refuse an answer that lies beyond the searched range."""
     origin, east = transform_points(matrix, center + np.array([[0.0, 0.0], [1.0, 0.0]]))
     shift = float(np.linalg.norm(origin - center))
     rotation, scale = np.arctan2(*(east - origin)[::-1]), np.linalg.norm(east - origin)

@@ -38,17 +38,7 @@ MIN_TOGETHER = 0.85
 
 
 def find_parts(imagery: AIM, aim: AIM, prior: Prior) -> Labels | None:
-    """Find parts of one image that lie at different places of an AIM.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        aim: an AIM in the same world.
-        prior: how far off each part may be.
-
-    Returns:
-        The parts, first those that were found at a place; None where there is one only, or where
-        what differs does not lie together, as roofs that lean.
-    """
+    """Find parts of one image that lie at different places of an AIM."""
     found, unexplained = list[ImageryAlignment](), imagery.coverage > 0
     for depth in range(SPLITS + 1):
         for box in _mark_rectangles(imagery, 2**depth):

@@ -42,19 +42,7 @@ class PartPlaces(NamedTuple):
 def align_parts_to_tracks(
     imagery: AIM, labels: Labels | None, tracks: Tracks, whole: ImageryAlignment, prior: Prior
 ) -> PartPlaces:
-    """Align parts of imagery to tracks: as one, or each for itself, by the evidence.
-
-    Args:
-        imagery: roughly georeferenced imagery.
-        labels: its files; None for one file, of which quarters are tried as parts.
-        tracks: tracks in the same world.
-        whole: the alignment of all the imagery to the tracks.
-        prior: how far off the imagery may be.
-
-    Returns:
-        One part, as wide as displaced parts would make it where these are possible; or files that
-        are more probably displaced than not, each at its own place.
-    """
+    """Align parts of imagery to tracks: as one, or each for itself, by the evidence."""
     masks = _list_masks(imagery, labels)
     everything = imagery.coverage > 0
     if len(masks) < 2:
@@ -79,16 +67,7 @@ def align_parts_to_tracks(
 def weigh_displacement(
     scores: Float[Array, "K n n"], prior: Prior, displaced: float
 ) -> tuple[float, Float[Array, "K n n"]]:
-    """Weigh one shift for all parts against a shift of its own for each.
-
-    Args:
-        scores: (K, n, n) log-likelihoods of the parts' shifts.
-        prior: of each shift.
-        displaced: probability of parts that are displaced, before.
-
-    Returns:
-        The probability of displaced parts, and the (K, n, n) probabilities of each part's shifts.
-    """
+    """Weigh one shift for all parts against a shift of its own for each."""
     log_prior = compute_log_prior(list_shifts(scores.shape[1]), prior.max_shift)
     log_prior -= logsumexp(log_prior)
     together = scores.sum(axis=0) + log_prior
@@ -136,3 +115,45 @@ def _get_shift(alignment: ImageryAlignment) -> Float[Array, "2"]:
     """How far tracks lie from where imagery states them, at the center."""
     center = alignment.center
     return (np.linalg.inv(alignment.true_from_stated) @ [*center, 1])[:2] - center
+
+
+UNKNOWN_M2 = 1e8  # variance of what is not known, square metres
+
+
+def weigh_alignment(
+    alignment: ImageryAlignment, own: Float[Array, "2 2"], reference: Float[Array, "2 2"]
+) -> tuple[ImageryAlignment, Float[Array, "2 2"]]:
+    """Combine an alignment with what was known of the imagery's place before.
+
+    The alignment says where the imagery lies relative to its reference, which may itself be off.
+    In a direction in which the imagery's own place is better known it stays.
+
+    Args:
+        alignment: how the imagery has to be moved to lie on the reference.
+        own: (2, 2) covariance of the imagery's stated place, square metres.
+        reference: (2, 2) covariance of the reference's place.
+
+    Returns:
+        The alignment with the shift that remains, and the (2, 2) covariance of the place in the
+        world.
+
+    >>> off = ImageryAlignment(translation(5.0, 5.0), "translation", np.eye(2) * 0.01, np.zeros(2))
+    >>> moved, _ = weigh_alignment(off, np.eye(2) * 100, np.diag([0.0, 1e6]))
+    >>> moved.shift.round(1).tolist()  # of north the reference says nothing
+    [5.0, 0.0]
+    """
+    gain = own @ np.linalg.inv(own + reference + alignment.covariance)
+    remaining = np.eye(2) - gain
+    back = -remaining @ alignment.shift
+    covariance = remaining @ own
+    moved = replace(alignment, true_from_stated=translation(*back) @ alignment.true_from_stated)
+    return moved, (covariance + covariance.T) / 2
+
+
+def forget_undetermined(alignment: ImageryAlignment) -> ImageryAlignment:
+    """State that nothing is known along the undetermined direction of an alignment."""
+    direction = alignment.undetermined_direction
+    if direction is None:
+        return alignment
+    along = np.array([np.cos(direction), np.sin(direction)])
+    return replace(alignment, covariance=alignment.covariance + np.outer(along, along) * UNKNOWN_M2)

@@ -83,17 +83,7 @@ class Traffic:
 
 
 def find_traffic(stack: Stack, seen: Masks, order: Int[Array, "K"] | None = None) -> Traffic:
-    """Separate traffic from ground in small registered frames, about 1000 px wide.
-
-    Args:
-        stack: (K, h, w, 3) frames warped to one image, at one exposure. They are modified in place
-            where `seen` is False.
-        seen: (K, h, w) whether a frame covers a pixel.
-        order: (K,) the indices of the frames in order of time; None: they are in this order.
-
-    Returns:
-        The traffic.
-    """
+    """Separate traffic from ground in small registered frames, about 1000 px wide."""
     order = np.arange(len(stack)) if order is None else order
     background = compute_median(stack, seen)
     threshold = max(MIN_THRESHOLD, THRESHOLD_SIGMAS * estimate_noise(stack, seen, background))
@@ -137,15 +127,7 @@ def _summarise_votes(
 
 
 def _count_times(clear: Masks, order: Int[Array, "K"]) -> UInt16[Array, "h w"]:
-    """Count at how many separate times the frames show the background.
-
-    Args:
-        clear: (K, h, w) whether a frame shows the background.
-        order: (K,) the indices of the frames in order of time.
-
-    Returns:
-        (h, w) the number of sequences of frames that show it without interruption.
-    """
+    """Count at how many separate times the frames show the background."""
     times, before = np.zeros(clear.shape[1:], np.uint16), np.zeros(clear.shape[1:], bool)
     for index in order:
         times += clear[index] & ~before
@@ -284,18 +266,7 @@ def _dilate_square(mask: Bool[Array, "h w"]) -> Bool[Array, "h w"]:
 def continue_ground(
     stack: Stack, seen: Masks, background: Image, doubtful: Bool[Array, "h w"], threshold: float
 ) -> tuple[Image, Bool[Array, "h w"]]:
-    """Replace the background where it is in doubt by the frames that continue its surroundings.
-
-    Args:
-        stack: (K, h, w, 3) frames.
-        seen: (K, h, w) what they show of the image.
-        background: (h, w, 3) the background.
-        doubtful: (h, w) where it is in doubt.
-        threshold: difference above which two pixels differ, grey levels.
-
-    Returns:
-        (h, w, 3) the background, and (h, w) where it is still in doubt and was left as it is.
-    """
+    """Replace the background where it is in doubt by the frames that continue its surroundings."""
     if not doubtful.any():
         return background, doubtful
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (1 + 2 * GROWTH_PX, 1 + 2 * GROWTH_PX))
@@ -337,12 +308,7 @@ def _choose_frames(
 
 
 def find_seams(differs: Masks, seen: Masks) -> Bool[Array, "h w"]:
-    """Find pixels about which no frame shows 7 x 7 pixels as the background does.
-
-    Args:
-        differs: (K, h, w) where frames differ from the background.
-        seen: (K, h, w) what they show of the image.
-    """
+    """Find pixels about which no frame shows 7 x 7 pixels as the background does."""
     shown = np.zeros(seen.shape[1:], np.uint8)
     never_seen = ~seen.any(0)
     for different, visible in zip(differs, seen, strict=True):
@@ -356,14 +322,6 @@ def find_beyond(masks: Masks, seen: Masks, order: Int[Array, "K"]) -> Masks:
     """Find where frames lie before the first or after the last one that shows the background.
 
     What stands and leaves does not return, but the ground does after each vehicle that passes.
-
-    Args:
-        masks: (K, h, w) where frames show something else.
-        seen: (K, h, w) what they show of the image.
-        order: (K,) the indices of the frames in order of time.
-
-    Returns:
-        (K, h, w) whether a frame shows something else, and so do all before it or all after it.
     """
     beyond = np.zeros_like(masks)
     for indices in (order, order[::-1]):
@@ -428,17 +386,7 @@ def find_pixels(mask: UInt8[Array, "h w"]) -> Pixels:
 def find_alike(
     stack: Stack, pixels: Pixels, colours: UInt8[Array, "m 3"], threshold: float
 ) -> Bool[Array, "K m"]:
-    """Find which frames have nearly the given colours.
-
-    Args:
-        stack: (K, h, w, 3) frames.
-        pixels: (2, m) rows and columns.
-        colours: (m, 3) their colours.
-        threshold: largest difference of a channel, grey levels.
-
-    Returns:
-        (K, m) whether a frame looks alike at a pixel.
-    """
+    """Find which frames have nearly the given colours."""
     colour = colours.astype(np.int16)
     return np.stack([np.abs(frame[tuple(pixels)] - colour).max(-1) <= threshold for frame in stack])
 
@@ -446,17 +394,7 @@ def find_alike(
 def average_at(
     stack: Stack, pixels: Pixels, selected: Bool[Array, "K m"], default: UInt8[Array, "m 3"]
 ) -> UInt8[Array, "m 3"]:
-    """Average the selected frames at some pixels.
-
-    Args:
-        stack: (K, h, w, 3) frames.
-        pixels: (2, m) rows and columns.
-        selected: (K, m) whether a frame counts.
-        default: (m, 3) colours where none does.
-
-    Returns:
-        (m, 3) colours.
-    """
+    """Average the selected frames at some pixels."""
     total = np.zeros(default.shape, np.float32)
     for frame, chosen in zip(stack, selected, strict=True):
         total += frame[tuple(pixels)] * chosen[:, None]

@@ -14,7 +14,7 @@ from geoaim.base.world import (
     warn_of_operation,
     world_from_crs,
 )
-from geoaim.mapping.georeference import normalised_plane, point_checks
+from geoaim.mapping.georeference import point_checks
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
 from geoaim.mapping.georeference.georeference import Georeference
 from geoaim.mapping.georeference.model_choice import (
@@ -24,13 +24,18 @@ from geoaim.mapping.georeference.model_choice import (
     fit_candidates,
     fit_similarity_candidate,
 )
-from geoaim.mapping.georeference.outliers import reject_outlier
+from geoaim.mapping.georeference.outliers import SIGMA_DOF, reject_outlier
 from geoaim.mapping.georeference.posterior import fit_posterior
 from geoaim.mapping.georeference.transform_models import (
     PointPairs,
+    Points,
     Posterior,
     apply_terms,
     compose_world_from_image,
+    fit_similarity,
+    fit_terms,
+    half_diagonal,
+    normalise_pixels,
     select_pairs,
 )
 
@@ -78,12 +83,12 @@ def estimate_georeference(
     size = (height, width)
     world, targets = project_points(points, world)
     point_checks.check_layout(points, targets, size, outside=outside)
-    plane = normalised_plane.normalise_pixels(points.pixels, size)
-    world_from_plane = normalised_plane.fit_similarity(plane, targets)[0]
+    plane = normalise_pixels(points.pixels, size)
+    world_from_plane = fit_similarity(plane, targets)[0]
     pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
     scale = world_from_plane[:2, :2]
     metres = float(np.sqrt(np.linalg.det(scale)))
-    picking = point_checks.PICKING_SIGMA_PX / normalised_plane.half_diagonal(*size)
+    picking = point_checks.PICKING_SIGMA_PX / half_diagonal(*size)
     sigma = max(picking, points.accuracy / metres)
     used = reject_outlier(points.names, pairs, sigma)
     inliers = select_points(points, np.flatnonzero(used).tolist())
@@ -124,15 +129,8 @@ def _measure_datum_accuracy(points: ControlPoints, world: World) -> float:
     return float(np.nan_to_num(operation.accuracy))
 
 
-def project_points(
-    points: ControlPoints, world: World | None
-) -> tuple[World, normalised_plane.Points]:
-    """Choose the world where none is given, and transform the coordinates to its metres.
-
-    Raises:
-        GeoreferenceError: the coordinates lie outside their CRS's area, or have no CRS although the
-            world has one.
-    """
+def project_points(points: ControlPoints, world: World | None) -> tuple[World, Points]:
+    """Choose the world where none is given, and transform the coordinates to its metres."""
     point_checks.check_coordinates(points)
     if points.crs is None:
         if world is not None and world.crs is not None:
@@ -167,7 +165,7 @@ def _fit_models(
 
 def _check_horizon(best: Candidate, posterior: Posterior, size: tuple[int, int]) -> None:
     """Check that the chosen model and the posterior are regular over the whole image."""
-    corners = normalised_plane.normalise_pixels(image_corners(*size), size)
+    corners = normalise_pixels(image_corners(*size), size)
     for terms in (best.terms, posterior.mean):
         if (1.0 + corners @ terms[6:8]).min() < MIN_DENOMINATOR or abs(terms[8]) > MAX_RADIAL:
             raise GeoreferenceError(
@@ -192,3 +190,61 @@ def _check_plausibility(names: tuple[str, ...], posterior: Posterior, spread: fl
             " steep slant: one of them is likely wrong. Check them;"
             f" {MIN_POINTS_UNUSUAL} points would prove it."
         )
+
+
+MIN_PRELIMINARY_POINTS = 2
+
+
+def estimate_preliminary(
+    points: ControlPoints, *, height: int, width: int, world: World | None = None
+) -> Georeference:
+    """Estimate a similarity from control points that do not suffice for `estimate_georeference`.
+
+    No point is tested for mistakes. Tilt, stretch and lens enter the uncertainty at their expected
+    size (`posterior`), and the noise is that of picking points.
+
+    Args:
+        points: two points or more on one image.
+        height: height of the image, pixels.
+        width: width of the image, pixels.
+        world: the target plane; None: see `estimate_georeference`.
+
+    Returns:
+        The georeference, marked approximate; leave-one-out errors are NaN.
+
+    Raises:
+        GeoreferenceError: there are fewer than two points, or two have the same pixel or place.
+    """
+    if len(points.names) < MIN_PRELIMINARY_POINTS:
+        raise GeoreferenceError(
+            f"{len(points.names)} control points were given; {MIN_PRELIMINARY_POINTS} are needed"
+            " for a first georeference"
+        )
+    size = (height, width)
+    world, targets = project_points(points, world)
+    point_checks.check_distinctness(points, targets)
+    plane = normalise_pixels(points.pixels, size)
+    world_from_plane = fit_similarity(plane, targets)[0]
+    pairs = PointPairs(plane, transform_points(np.linalg.inv(world_from_plane), targets))
+    sigma = point_checks.PICKING_SIGMA_PX / half_diagonal(*size)
+    posterior = fit_posterior(pairs, sigma, SIGMA_DOF)
+    terms = fit_terms(pairs, [0, 1, 2, 3], np.zeros(9))
+    scale = world_from_plane[:2, :2]
+    return Georeference(
+        world_from_image=compose_world_from_image(world_from_plane, terms, size),
+        world=world,
+        model="similarity",
+        radial=0.0,
+        height=height,
+        width=width,
+        pixels=points.pixels,
+        residuals=(apply_terms(terms, plane) - pairs.ground) @ scale.T,
+        leave_one_out=np.full(len(plane), np.nan),
+        used=np.ones(len(plane), bool),
+        probabilities={},
+        noise=posterior.noise * float(np.sqrt(np.linalg.det(scale))),
+        terms=terms,
+        posterior=posterior,
+        world_from_plane=world_from_plane,
+        approximate=True,
+    )

@@ -8,9 +8,12 @@ from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import make_similarity
 from geoaim.base.world import World, choose_world, world_from_lonlat
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.normalised_plane import half_diagonal
 from geoaim.mapping.georeference.posterior import PRIOR_SIGMA
-from geoaim.mapping.georeference.transform_models import Posterior, compose_world_from_image
+from geoaim.mapping.georeference.transform_models import (
+    Posterior,
+    compose_world_from_image,
+    half_diagonal,
+)
 
 GPS_SIGMA_M = 3.0  # standard deviation of a GPS position in each axis
 COMPASS_SIGMA = np.radians(5.0)
@@ -27,23 +30,7 @@ def approximate_georeference(
     field_of_view: float,
     size: tuple[int, int],
 ) -> Georeference:
-    """Approximate the georeference of a camera that looks straight down, by telemetry alone.
-
-    Args:
-        latitude: latitude of the image's centre, degrees (WGS 84).
-        longitude: longitude of the image's centre, degrees.
-        height_above_ground: height of the camera above the ground, metres.
-        yaw: direction of the image's top, radians counter-clockwise from east; for a compass
-            heading h in degrees, pi / 2 - radians(h).
-        field_of_view: angle that the image's width spans, radians.
-        size: height and width of the image, pixels.
-
-    Returns:
-        The georeference, marked approximate.
-
-    Raises:
-        GeoreferenceError: a value is missing (NaN) or impossible.
-    """
+    """Approximate the georeference of a camera that looks straight down, by telemetry alone."""
     values = (latitude, longitude, height_above_ground, yaw, field_of_view)
     possible = height_above_ground > 0.0 and 0.0 < field_of_view < np.pi
     if not (np.isfinite(values).all() and possible):

@@ -11,8 +11,7 @@ from numpy import ndarray as Array
 from geoaim.base.displays import Display
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.world import World, describe_world
-from geoaim.mapping.georeference.normalised_plane import Points, undistort_points
-from geoaim.mapping.georeference.transform_models import Posterior
+from geoaim.mapping.georeference.transform_models import Points, Posterior, undistort_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,11 +8,11 @@ import numpy as np
 from numpy import ndarray as Array
 from scipy.special import logsumexp, softmax
 
-from geoaim.mapping.georeference.normalised_plane import Points
 from geoaim.mapping.georeference.posterior import compute_log_prior
 from geoaim.mapping.georeference.transform_models import (
     TERM_COUNTS,
     PointPairs,
+    Points,
     Posterior,
     Terms,
     apply_terms,
@@ -36,16 +36,7 @@ class Candidate:
 
 
 def fit_candidates(pairs: PointPairs, posterior: Posterior, sigma: float) -> list[Candidate]:
-    """Fit each transform model with and without the lens term, and keep the more probable fit.
-
-    Args:
-        pairs: control points in the normalised plane.
-        posterior: posterior of all nine terms.
-        sigma: expected standard deviation of a point's coordinate, in units of that plane.
-
-    Returns:
-        One candidate for each of `TERM_COUNTS`.
-    """
+    """Fit each transform model with and without the lens term, and keep the more probable fit."""
     fits = [
         _fit_candidate(model, pairs, [*range(TERM_COUNTS[model]), *lens], posterior, sigma)
         for model, lens in product(TERM_COUNTS, ([], [8]))
@@ -54,16 +45,7 @@ def fit_candidates(pairs: PointPairs, posterior: Posterior, sigma: float) -> lis
 
 
 def fit_similarity_candidate(pairs: PointPairs, posterior: Posterior, sigma: float) -> Candidate:
-    """Fit the model of a transform that is known to be a similarity.
-
-    Args:
-        pairs: control points in the normalised plane.
-        posterior: posterior of its terms.
-        sigma: expected standard deviation of a point's coordinate, in units of that plane.
-
-    Returns:
-        The only candidate.
-    """
+    """Fit the model of a transform that is known to be a similarity."""
     return _fit_candidate("similarity", pairs, list(range(4)), posterior, sigma)
 
 
@@ -104,15 +86,6 @@ def _integrate_noise(error: Points, design: Array, precision: Array, sigma: floa
 
     Laplace's approximation at the fitted terms (Kass and Raftery 1995, Bayes Factors, 4.1); the
     density of the noise is 1 / noise.
-
-    Args:
-        error: (M, 2) residuals.
-        design: (2 M, K) derivatives of the mapped points with respect to the free terms.
-        precision: (K,) inverse variances of the terms' prior.
-        sigma: expected noise.
-
-    Returns:
-        The logarithm, up to a constant and without the prior's density at the fitted terms.
     """
     variance = (sigma * NOISES) ** 2
     information = design.T @ design / variance[:, None, None] + np.diag(precision)

@@ -22,19 +22,7 @@ MIN_RELATIVE_LIKELIHOOD = 0.05  # likelihood of a further suspect, relative to t
 
 
 def reject_outlier(names: tuple[str, ...], pairs: PointPairs, sigma: float) -> Bool[Array, "m"]:
-    """Leave out one point that is clearly wrong, with a warning.
-
-    Args:
-        names: (M,) names of the points, for messages.
-        pairs: the points.
-        sigma: expected noise of a coordinate, in units of the normalised plane.
-
-    Returns:
-        (M,) whether each point is used: False for the wrong one, if any.
-
-    Raises:
-        GeoreferenceError: a point is wrong and it cannot be told which, or several are.
-    """
+    """Leave out one point that is clearly wrong, with a warning."""
     used = np.ones(len(names), bool)
     suspects = _find_suspects(pairs, sigma)
     if not suspects:

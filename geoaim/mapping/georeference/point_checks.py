@@ -11,7 +11,7 @@ from geoaim.base.errors import GeoreferenceError, warn
 from geoaim.base.geometry import image_corners
 from geoaim.base.world import LONLAT, parse_crs, transform_crs
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.normalised_plane import (
+from geoaim.mapping.georeference.transform_models import (
     Points,
     fit_similarity,
     half_diagonal,
@@ -68,18 +68,7 @@ def _is_in_area(crs: str, coordinates: Points) -> bool:
 def check_layout(
     points: ControlPoints, targets: Points, size: tuple[int, int], *, outside: bool = False
 ) -> None:
-    """Check that control points on one image of (height, width) can fix a transform.
-
-    Args:
-        points: the control points.
-        targets: (M, 2) where they lie, metres.
-        size: (height, width) of the image, pixels.
-        outside: whether points may lie outside the image.
-
-    Raises:
-        GeoreferenceError: the points are too few, on several frames, repeated, on a line, close
-            together, mirrored, outside the image, or at an impossible scale.
-    """
+    """Check that control points on one image of (height, width) can fix a transform."""
     _check_count(points)
     check_distinctness(points, targets)
     _check_spread(points, size)
@@ -97,12 +86,7 @@ def check_layout(
 
 
 def check_distinctness(points: ControlPoints, targets: Points) -> None:
-    """Check that no two control points have the same pixel or place; targets are in metres.
-
-    Raises:
-        GeoreferenceError: two have, or all places lie as close together as degrees taken for
-            metres.
-    """
+    """Check that no two control points have the same pixel or place; targets are in metres."""
     _check_distances(points.names, points.pixels, MIN_PIXEL_DISTANCE, "pixel")
     _check_extent(points, targets)
     _check_distances(points.names, targets, MIN_GROUND_DISTANCE, "place")
@@ -197,11 +181,7 @@ def _measure_swapped_error(
 
 
 def check_inside(points: ControlPoints, size: tuple[int, int]) -> None:
-    """Check that points lie on the images of (height, width) that they were picked on.
-
-    Raises:
-        GeoreferenceError: some do not.
-    """
+    """Check that points lie on the images of (height, width) that they were picked on."""
     height, width = size
     outside = ((points.pixels < -0.5) | (points.pixels > (width + 0.5, height + 0.5))).any(axis=1)
     if outside.any():

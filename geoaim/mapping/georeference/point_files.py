@@ -1,6 +1,7 @@
-"""Read rows of control points from CSV, OpenDroneMap and QGIS files."""
+"""Read rows of control points from CSV, Excel workbooks, OpenDroneMap and QGIS files."""
 
 import csv
+import io
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -8,6 +9,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
+from zipfile import ZipFile
 
 import numpy as np
 from jaxtyping import Float
@@ -41,6 +44,10 @@ ODM_PIXEL_SHIFT = 0.5  # px from OpenDroneMap's origin, the first pixel's centre
 
 MAX_NUMBER = 1e12  # no pixel and no coordinate in metres, feet or degrees is as far away
 SHARED_COVARIANCE = "shared covariance"  # comment of a file: three numbers, square metres
+SHEET_TAG = "{http://schemas.openxmlformats.org/spreadsheetml/2006/main}"
+MAX_SHEET_COLUMNS = 26  # A to Z; others are not read
+MAX_WORKBOOK_BYTES = 20_000_000  # unpacked
+DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 Lines = list[tuple[int, str]]  # lines and their numbers in the file
 
 
@@ -68,7 +75,10 @@ def read_point_file(path: Path) -> list[PointRow]:
     """
     try:
         with refuse_damaged(path, GeoreferenceError, "a table of control points", reads_once=True):
-            lines = decode_text(path.read_bytes()).splitlines()
+            content = path.read_bytes()
+            is_workbook = content.startswith(b"PK")
+            table = _read_workbook(content) if is_workbook else decode_text(content)
+            lines = table.splitlines()
     except OSError as error:
         raise GeoreferenceError(f"{path}: cannot be read ({error}).") from error
     numbered = [
@@ -76,23 +86,49 @@ def read_point_file(path: Path) -> list[PointRow]:
         for number, line in enumerate(lines, 1)
         if line.strip(' \t,;"') and not re.match(r'\s*"?sep=', line, re.I)
     ]
-    content = [(number, line) for number, line in numbered if not line.startswith("#")]
-    if not content:
+    rows_of_points = [(number, line) for number, line in numbered if not line.startswith("#")]
+    if not rows_of_points:
         raise GeoreferenceError(f"{path}: holds no control points.")
     crs = _find_comment(numbered, "crs")[1]
     number, text = _find_comment(numbered, "accuracy")
     accuracy = 0.0 if text is None else _parse_accuracy(text, f"{path}, line {number}")
-    header = content[0][1]
+    header = rows_of_points[0][1]
     if re.match(r"mapx\W", header, re.I):
-        return _read_qgis(content, crs, path)
+        return _read_qgis(rows_of_points, crs, path)
     if odm_crs := _parse_odm_crs(header):
-        return _read_odm(content, odm_crs, path)
+        return _read_odm(rows_of_points, odm_crs, path)
     number, text = _find_comment(numbered, SHARED_COVARIANCE)
     shared = None if text is None else _parse_covariance(text, f"{path}, line {number}")
-    rows = _read_csv(content, crs, path)
+    rows = _read_csv(rows_of_points, crs, path)
     return [
         replace(row, accuracy=max(row.accuracy, accuracy), shared_covariance=shared) for row in rows
     ]
+
+
+def _read_workbook(content: bytes) -> str:
+    """The first sheet of an Excel workbook as the text of a CSV file."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    with ZipFile(io.BytesIO(content)) as book:
+        names = {info.filename: info for info in book.infolist()}
+        sheets = sorted(name for name in names if name.startswith("xl/worksheets/sheet"))
+        parts = [name for name in ("xl/sharedStrings.xml", *sheets[:1]) if name in names]
+        if not sheets or sum(names[name].file_size for name in parts) > MAX_WORKBOOK_BYTES:
+            raise ValueError("it is no workbook of control points; save the sheet as CSV")
+        trees = [ElementTree.fromstring(book.read(name)) for name in parts]
+    texts = ["".join(item.itertext()) for item in trees[0].iter(f"{SHEET_TAG}si")]
+    for row in trees[-1].iter(f"{SHEET_TAG}row"):
+        cells = [""] * MAX_SHEET_COLUMNS
+        for number, cell in enumerate(row.iter(f"{SHEET_TAG}c")):
+            letters = cell.get("r", "").rstrip("0123456789") or chr(ord("A") + number)
+            if len(letters) > 1:
+                continue
+            nodes = [node for node in cell if node.tag != f"{SHEET_TAG}f"]  # not the formula
+            value = " ".join("".join(word for node in nodes for word in node.itertext()).split())
+            is_shared = cell.get("t") == "s"
+            cells[ord(letters) - ord("A")] = texts[int(value)] if is_shared else value
+        writer.writerow(cells)
+    return file.getvalue()
 
 
 def _find_comment(numbered: Lines, key: str) -> tuple[int, str | None]:
@@ -194,6 +230,10 @@ def _read_csv(content: Lines, crs: str | None, path: Path) -> list[PointRow]:
         if len(fields) <= max(columns[key] for key in "uvxy"):
             raise GeoreferenceError(f"{source}: {line!r} has too few fields.")
         values = {key: fields[at].strip() for key, at in columns.items() if at < len(fields)}
+        if separator != ",":
+            numbers = {key for key in ("u", "v", "x", "y", "accuracy") if key in values}
+            commas = {key for key in numbers if DECIMAL_COMMA.fullmatch(values[key])}
+            values |= {key: values[key].replace(",", ".") for key in commas}
         if values.get("enable", "1").lower() not in OFF:
             rows.append(make_row({**values, "crs": values.get("crs") or crs}, source))
     return rows
@@ -203,10 +243,6 @@ def make_row(values: Mapping[str, Any], source: str) -> PointRow:
     """Make a row of the values u, v, x, y and, where stated, name, frame, crs and accuracy (m).
 
     A pixel or a place whose two fields are both empty becomes NaN: it was not picked yet.
-
-    Raises:
-        GeoreferenceError: another of the first four is no finite number; the message names
-            `source`.
     """
     u, v = _parse_pair(values["u"], values["v"], source)
     x, y = _parse_pair(values["x"], values["y"], source)
@@ -221,9 +257,6 @@ def find_columns(header: Sequence[str], source: str) -> dict[str, int]:
     """Find the index of the columns u, v, x, y and, where present, name, frame and crs.
 
     The header is in lower case; `COLUMN_NAMES` lists what a column may be called.
-
-    Raises:
-        GeoreferenceError: one of the first four is missing; the message names `source`.
     """
     columns = {
         key: header.index(name)

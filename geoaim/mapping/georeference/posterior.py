@@ -37,17 +37,6 @@ def fit_posterior(
     The terms are those of similarity (4), stretch and shear (2), perspective (2) and lens (1).
     The variance of the noise is the mean of the residuals' variance and the expected one, weighted
     by their degrees of freedom (a scaled inverse chi-square prior).
-
-    Args:
-        pairs: control points in the normalised plane.
-        sigma: expected standard deviation of a point's coordinate, in units of that plane.
-        sigma_dof: degrees of freedom that `sigma` counts for beside the residuals; 0: the residuals
-            alone determine the noise, from a hundredth of `sigma` up.
-        similarity: whether the transform is known to be a similarity: all other terms are 0.
-
-    Returns:
-        Mean and covariance of the terms, the noise, and the misfit, which is large where there are
-        outliers.
     """
     # Start with a wide prior, so that a strong lens is not suppressed.
     precision = 1.0 / np.concatenate([np.full(4, np.inf), 5.0 * PRIOR_SIGMA]) ** 2

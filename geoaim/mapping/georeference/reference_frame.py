@@ -1,11 +1,13 @@
 """Georeference the reference frame of a video: by control points on any frame, or by telemetry."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
+from scipy.sparse.csgraph import dijkstra
 
 from geoaim.base.errors import GeoreferenceError, name_option, warn
 from geoaim.base.geometry import transform_points, wrap_angle
@@ -18,8 +20,9 @@ from geoaim.mapping.georeference.control_points import (
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.from_telemetry import approximate_georeference
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.photo_links import chain_links, choose_central_photo, link_photos
 from geoaim.mapping.georeference.point_checks import MIN_POINTS, check_inside, warn_of_small_part
+from geoaim.mapping.registration.features import detect_features, match_features
+from geoaim.mapping.registration.frame_registration import mask_detections
 from geoaim.mapping.registration.register import (
     TIME_TOLERANCE_S,
     Reference,
@@ -27,6 +30,7 @@ from geoaim.mapping.registration.register import (
     register_frames,
 )
 from geoaim.mapping.video.detections import Detections
+from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.telemetry import Telemetry
 from geoaim.mapping.video.video import Video
 
@@ -89,7 +93,7 @@ def georeference_reference_frame(
         GeoreferenceError: nothing fixes a place, or a frame with control points is missing.
     """
     if points is None:
-        return _georeference_by_telemetry(video, reference), None, reference
+        return _georeference_by_telemetry(video.telemetry, video.listed, reference), None, reference
     check_inside(points, (video.height, video.width))
     warn_of_small_part(points, (video.height, video.width))
     points, reference = _place_points(points, video, reference, detections)
@@ -111,7 +115,7 @@ def _place_points(
     Where photos of a flight cannot all be registered to one, overlapping photos are linked, and the
     central one of those with control points becomes the reference.
     """
-    frames = {picked: _find_frame_index(picked, video) for picked in points.frames}
+    frames = {picked: _find_frame_index(picked, video.listed) for picked in points.frames}
     transforms, reasons = {}, {}
     for picked, index in frames.items():
         time = video.find_time(index)
@@ -135,7 +139,7 @@ def _place_by_links(
     video: Video,
     detections: Detections | None,
 ) -> tuple[ControlPoints, Reference]:
-    links = link_photos(video, detections)
+    links = link_photos(video, (video.height, video.width), detections)
     central = choose_central_photo(links, list(frames.values()))
     reference = choose_reference(video, detections=detections, time=video.find_time(central))
     chained = {picked: chain_links(links, index, central) for picked, index in frames.items()}
@@ -174,21 +178,21 @@ def _move_points(
     return replace(merged, frames=(None,) * len(merged.pixels))
 
 
-def _find_frame_index(picked: FrameName, video: Video) -> int:
+def _find_frame_index(picked: FrameName, listed: FrameList) -> int:
     if picked is None or isinstance(picked, int):
-        count = video.count_frames() if picked else None
+        count = listed.count
         if picked and count is not None and picked >= count:
             raise GeoreferenceError(
-                f"control points name frame {picked}, but {video.source} has {count} frames, "
+                f"control points name frame {picked}, but {listed.source} has {count} frames, "
                 "counted from 0"
             )
         return picked or 0
-    if video.names is None or picked not in video.names:
+    if listed.names is None or picked not in listed.names:
         raise GeoreferenceError(
             f"control points name the frame {picked!r}, which is not among those of "
-            f"{video.source}; use the file's name, or a frame's number for a video"
+            f"{listed.source}; use the file's name, or a frame's number for a video"
         )
-    return video.names.index(picked)
+    return listed.names.index(picked)
 
 
 def override_telemetry(
@@ -242,17 +246,13 @@ def override_telemetry(
     return replace(video, read_telemetry=read)
 
 
-def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeference:
-    """Georeference the reference frame approximately by the telemetry of the video.
-
-    Raises:
-        GeoreferenceError: there is no telemetry, it lacks a value, or the camera is tilted by more
-            than 10 degrees from straight down.
-    """
-    telemetry = video.telemetry
+def _georeference_by_telemetry(
+    telemetry: Telemetry | None, listed: FrameList, reference: Reference
+) -> Georeference:
+    """Georeference the reference frame approximately by the telemetry of the video."""
     if telemetry is None:
         raise GeoreferenceError(
-            f"{video.source}: no control points were given and no telemetry can be read beside it "
+            f"{listed.source}: no control points were given and no telemetry can be read beside it "
             "(a DJI .SRT of the same name, or GPS in the images' EXIF); give four or more control "
             f"points ({name_option('--gcps', 'gcps=')}), or for a map in a local plane the metres "
             + name_option(
@@ -260,8 +260,8 @@ def _georeference_by_telemetry(video: Video, reference: Reference) -> Georeferen
                 "per pixel of the frames (gcps=make_local_georeference(resolution=...))",
             )
         )
-    image = "" if video.names is None else f", {video.names[reference.index]}"
-    source, time = f"{video.source}{image}", reference.time
+    image = "" if listed.names is None else f", {listed.names[reference.index]}"
+    source, time = f"{listed.source}{image}", reference.time
     names = ("height", "yaw", "pitch", "focal_length")
     stated = {name: _find_nearest(telemetry.time, getattr(telemetry, name), time) for name in names}
     if abs(stated["pitch"] + np.pi / 2) > MAX_TILT:
@@ -316,3 +316,61 @@ def _find_nearest(times: Float[Array, " T"], values: Float[Array, " T"], time: f
     if not len(stated):
         return float("nan")
     return float(values[stated[np.argmin(np.abs(times[stated] - time))]])
+
+
+STEP_LENGTH = 0.3  # added for each link, in image diagonals: prefers paths of few links
+UNLINKED = -9999  # what SciPy gives as the predecessor where there is no path
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoLinks:
+    """Homographies between overlapping photos."""
+
+    # cost of each link: the distance of the photos' centres in image diagonals, plus `STEP_LENGTH`;
+    # 0 where two photos are not linked
+    lengths: Float[Array, "T T"]
+    # (i, j) -> (3, 3) pixels of photo j to those of photo i, for i < j
+    transforms: dict[tuple[int, int], Float[Array, "3 3"]]
+
+
+def link_photos(
+    photos: Iterable[Frame], size: tuple[int, int], detections: Detections | None
+) -> PhotoLinks:
+    """Match the ORB features of each pair of photos, outside the boxes of detections."""
+    features = [
+        detect_features(frame.grey, exclude=mask_detections(frame, detections)) for frame in photos
+    ]
+    lengths, transforms = np.zeros((len(features),) * 2), {}
+    middle = np.array([[size[1] / 2, size[0] / 2]])
+    for one, other in combinations(range(len(features)), 2):
+        matrix = match_features(features[one], features[other], "homography", size=size)
+        if matrix is None:
+            continue
+        transforms[one, other] = matrix
+        shift = np.linalg.norm(transform_points(matrix, middle) - middle)
+        lengths[one, other] = lengths[other, one] = STEP_LENGTH + shift / np.hypot(*size)
+    return PhotoLinks(lengths, transforms)
+
+
+def choose_central_photo(links: PhotoLinks, wanted: list[int]) -> int:
+    """Choose the photo that is linked to most of the wanted ones (indices), then the nearest."""
+    distance = dijkstra(links.lengths)[:, wanted]
+    linked = np.isfinite(distance)
+    total = np.where(linked, distance, 0.0).sum(axis=1)
+    return int(np.lexsort([total, -linked.sum(axis=1)])[0])
+
+
+def chain_links(links: PhotoLinks, photo: int, reference: int) -> Float[Array, "3 3"] | None:
+    """Compose the transform of a photo to the reference along the shortest path of links."""
+    _, previous = dijkstra(links.lengths, indices=reference, return_predecessors=True)
+    matrix = np.eye(3)
+    while photo != reference:
+        nearer = int(previous[photo])
+        if nearer == UNLINKED:
+            return None
+        if nearer < photo:
+            matrix = links.transforms[nearer, photo] @ matrix
+        else:
+            matrix = np.linalg.inv(links.transforms[photo, nearer]) @ matrix
+        photo = nearer
+    return matrix / matrix[2, 2]

@@ -8,9 +8,13 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.mapping.georeference.georeference import Georeference
-from geoaim.mapping.georeference.normalised_plane import Points, normalise_pixels
 from geoaim.mapping.georeference.posterior import ellipse_factor
-from geoaim.mapping.georeference.transform_models import apply_terms, term_jacobian
+from geoaim.mapping.georeference.transform_models import (
+    Points,
+    apply_terms,
+    normalise_pixels,
+    term_jacobian,
+)
 
 GRID_SHAPE = (9, 15)  # places of an uncertainty map; odd, so that one is the middle
 CORNERS = ("top left", "top right", "bottom right", "bottom left")

@@ -25,11 +25,12 @@ from geoaim.mapping.registration.patches import (
     predict_uncertainty,
     shrink_image,
 )
-from geoaim.mapping.registration.placement_comparison import Overview, make_overview
 from geoaim.mapping.registration.placements import (
     AmbiguousPlacementError,
+    Overview,
     choose_placement,
     is_at_rest,
+    make_overview,
 )
 from geoaim.mapping.video.detections import Detections, convert_boxes, mask_boxes
 from geoaim.mapping.video.frames import Frame
@@ -175,16 +176,7 @@ def make_keyframe(
 def select_keyframe(
     keyframes: list[Keyframe], prior: Float[Array, "3 3"], size: tuple[int, int]
 ) -> Keyframe:
-    """Select the earliest keyframe that overlaps enough with a frame, or else the one most in view.
-
-    Args:
-        keyframes: keyframes in order of time.
-        prior: reference_from_frame of the frame, pixels.
-        size: (height, width) of the frame, pixels.
-
-    Returns:
-        The keyframe.
-    """
+    """Select the earliest keyframe that overlaps enough, or else the one most in view."""
     shares = [compute_overlap(keyframe, prior, size) for keyframe in keyframes]
     first = next((number for number, share in enumerate(shares) if share > MIN_OVERLAP), None)
     return keyframes[int(np.argmax(shares)) if first is None else first]
@@ -193,16 +185,7 @@ def select_keyframe(
 def compute_overlap(
     keyframe: Keyframe, reference_from_frame: Float[Array, "3 3"], size: tuple[int, int]
 ) -> float:
-    """Compute the share of a keyframe's patches that lie inside a frame.
-
-    Args:
-        keyframe: the keyframe.
-        reference_from_frame: transform of the frame, pixels.
-        size: (height, width) of the frame, pixels.
-
-    Returns:
-        The share, 0 to 1.
-    """
+    """Compute the share of a keyframe's patches that lie inside a frame."""
     frame_from_keyframe = np.linalg.inv(reference_from_frame) @ keyframe.reference_from_keyframe
     points = transform_points(frame_from_keyframe, keyframe.fine.points)
     return float(((points > 0) & (points < np.array(size[::-1]))).all(1).mean())

@@ -114,17 +114,6 @@ def fit_motion(
 
     The first weights are relative to the median displacement, so that points which move
     independently have little weight from the start.
-
-    Args:
-        points: (M, 2) x, y in pixels, corner origin.
-        displacements: (M, 2) measured motion of each point, pixels.
-        information: (M, 2, 2) inverse covariance of each displacement, 1/px^2.
-        model: the motion model to fit.
-        size: (height, width) of the image in pixels, which normalises the coordinates.
-        rounds: number of reweightings.
-
-    Returns:
-        The motion, whose matrix takes `points` to `points + displacements`.
     """
     columns = compute_basis(points, model, size=size)
     projected = np.einsum("mik,mij->mkj", columns, information)
@@ -161,16 +150,6 @@ def jackknife_covariance(
     Residuals that neighbours share (parallax, lens, rolling shutter, slow traffic) enlarge it,
     whereas the covariance of the fit takes the points for independent. Delete-a-group jackknife:
     Kott (2001), "The delete-a-group jackknife".
-
-    Args:
-        points: (M, 2) pixels.
-        information: inverse covariance of each displacement, 1/px^2.
-        motion: the motion that was fitted to them.
-        size: (height, width) of the image, which is divided into 4 x 3 blocks.
-
-    Returns:
-        The covariance of the k parameters, in normalised coordinates; infinite when a single block
-        determines the motion.
     """
     height, width = size
     column = (points[:, 0] * BLOCK_COLUMNS / width).astype(int).clip(0, BLOCK_COLUMNS - 1)

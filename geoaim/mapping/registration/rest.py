@@ -40,22 +40,13 @@ MIN_COVERED_SHARE = 0.1  # of the resting patches, covered in two frames or more
 
 
 def may_stand(frames: Sequence[Frame], keyframe: Keyframe) -> bool:
-    """Whether about as many patches of the reference are at rest in each frame.
-
-    Args:
-        frames: other frames, spread over the video.
-        keyframe: the reference.
-    """
+    """Whether about as many patches of the reference are at rest in each frame."""
     counts = [int(_classify_patches(keyframe.fine, f.grey)[0].sum()) for f in frames]
     return len(counts) > 1 and min(counts) >= max(MIN_INLIERS, MIN_STEADY_RATIO * max(counts))
 
 
 def stands_still(frames: Sequence[Frame]) -> bool:
-    """Whether what is at rest in the frames is the ground: over the image, and covered at times.
-
-    Args:
-        frames: some 16, spread over the video.
-    """
+    """Whether what is at rest in the frames is the ground: over the image, and covered at times."""
     if len(frames) < MIN_EVIDENCE_FRAMES:
         return False
     median = np.median(np.stack([frame.grey for frame in frames]), axis=0).astype(np.uint8)
@@ -84,27 +75,13 @@ def _classify_patches(
 def register_at_rest(
     frames: Iterable[Frame], keyframe: Keyframe
 ) -> Iterator[tuple[Frame, FrameRegistration]]:
-    """Yield each frame with its registration: the identity, or why it is not at rest.
-
-    Args:
-        frames: the frames.
-        keyframe: the reference.
-    """
+    """Yield each frame with its registration: the identity, or why it is not at rest."""
     for frame in frames:
         yield frame, check_rest(frame.grey, keyframe)
 
 
 def check_rest(grey: UInt8[Array, "H W"], keyframe: Keyframe) -> FrameRegistration:
-    """Check that a frame shows at least 16 patches of the reference at the same pixels.
-
-    Args:
-        grey: the frame.
-        keyframe: the reference.
-
-    Returns:
-        The registration. Its uncertainty is the mean displacement of these patches, and the error
-        of linear interpolation.
-    """
+    """Check that a frame shows at least 16 patches of the reference at the same pixels."""
     alignment = align_patches(keyframe.fine, grey, np.eye(3), "translation", iterations=1)
     if alignment is None:
         return _reject("no patch in view")

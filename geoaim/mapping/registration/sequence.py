@@ -26,16 +26,7 @@ MAX_STILL_SHARE = 1 / 240  # of the image's width, within which another placemen
 
 
 def check_ground(frames: Iterable[FrameRegistration], size: tuple[int, int]) -> None:
-    """Refuse a sequence of which most frames are ambiguous, or whose placements are not the ground.
-
-    Args:
-        frames: the registrations of a video, in order of time.
-        size: (height, width) of the frames, pixels.
-
-    Raises:
-        RegistrationError: a part of the image moves by itself in most frames, or another part moves
-            less from frame to frame than the one that was registered.
-    """
+    """Refuse a sequence of which most frames are ambiguous, or whose placements lie on traffic."""
     frames = list(frames)
     if len(frames) < MIN_FRAMES:
         return
@@ -64,13 +55,6 @@ def find_jumps(
 
     The limit is ten times the median distance of a frame from the middle of its neighbours, and at
     least 1 % of the width.
-
-    Args:
-        reference_from_frame: of valid frames, in order of time.
-        size: (height, width) of the frames, pixels.
-
-    Returns:
-        (T,) whether each frame has jumped.
     """
     jumped = np.zeros(len(reference_from_frame), bool)
     if len(jumped) < MIN_FRAMES:

@@ -1,6 +1,7 @@
 """A table of the boxes of all frames, as files of detections hold them."""
 
-from collections.abc import Collection, Mapping
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,9 +10,8 @@ import pandas as pd
 from jaxtyping import Float, Int
 from numpy import ndarray as Array
 
-from geoaim.base.errors import GeoaimError
-from geoaim.mapping.video.frame_numbers import find_first
-from geoaim.mapping.video.video import Video
+from geoaim.base.errors import GeoaimError, warn
+from geoaim.mapping.video.frames import FrameList
 
 CORNERS = ("u0", "v0", "u1", "v1", "u2", "v2", "u3", "v3")
 BOX = ("left", "top", "right", "bottom")
@@ -78,16 +78,7 @@ def strip_zeros(stem: str) -> str:
 def group_by_name(
     names: "pd.Series[str]", listed: Collection[str], numbers: Mapping[str, int] | None
 ) -> FrameRows:
-    """Group rows by the names of frames.
-
-    Args:
-        names: of each row.
-        listed: of all frames, with boxes or without.
-        numbers: the index of the frame of each name; None where names tell none.
-
-    Returns:
-        The rows of each frame.
-    """
+    """Group rows by the names of frames."""
     indices = names.reset_index(drop=True).map(strip_zeros).to_numpy(str)
     known = {strip_zeros(name): np.empty(0, int) for name in listed}
     order = np.argsort(indices, kind="stable")
@@ -111,38 +102,26 @@ def place_numbers(
     rate: float | None,
     first: int | None,
     usual: int | None,
-    video: Video | None,
+    frames: FrameList | None,
     source: str | Path,
 ) -> FrameRows:
-    """Place rows that are grouped by numbers of frames.
-
-    Args:
-        groups: rows by numbers as they are written.
-        rate: frames per second by which numbers count as times; None: they number the frames.
-        first: number of the first frame; None: as `find_first` finds it.
-        usual: as there.
-        video: as there.
-        source: as there.
-
-    Returns:
-        The rows of each frame, by its index.
-    """
+    """Place rows that are grouped by numbers of frames."""
     numbers = groups.numbers
     if numbers is None or not len(numbers):
         return groups
     if rate is not None:
         start = first if first is not None else usual if usual and numbers.min() > 0 else 0
         timed = replace(groups, numbers=(numbers - start) / rate, stride=groups.stride / rate)
-        return place_times(timed, video=video, source=source, unit="s")
+        return place_times(timed, frames=frames, source=source, unit="s")
     chosen = {int(number) for number in numbers.tolist()}
-    start = find_first(chosen, video, source, usual=usual) if first is None else first
+    start = find_first(chosen, frames, source, usual=usual) if first is None else first
     stride = max(groups.stride, 1.0) if len(numbers) >= MIN_REGULAR else 1.0
     groups = replace(groups, numbers=numbers - start, stride=stride)
-    count, last = None if video is None else video.count_frames(), float(numbers.max()) - start
+    count, last = None if frames is None else frames.count, float(numbers.max()) - start
     step = stride if np.isfinite(stride) else 1.0
-    if video is None or not count or last + step >= MIN_COVERED * count:
+    if frames is None or not count or last + step >= MIN_COVERED * count:
         return groups
-    usual_rate = (last + 1) / count * video.rate
+    usual_rate = (last + 1) / count * frames.rate
     remark = (
         f"its frame numbers end at {last + start:.0f} and the video has {count} frames; if it has "
         f"not all frames of the video, give their --rate in a second (such as {usual_rate:.3g})"
@@ -151,41 +130,29 @@ def place_numbers(
 
 
 def place_times(
-    groups: FrameRows, *, video: Video | None, source: str | Path, unit: str | None
+    groups: FrameRows, *, frames: FrameList | None, source: str | Path, unit: str | None
 ) -> FrameRows:
-    """Place rows that are grouped by time: those of each time belong to the nearest frame.
-
-    Args:
-        groups: rows by times as they are written.
-        video: whose frames they are; None: each frame takes the boxes of the nearest time.
-        source: the file that messages name.
-        unit: of the times, a key of `TIME_UNITS`; None: found by the video's duration.
-
-    Returns:
-        The rows of each frame, by its index, or by its time without a video.
-
-    Raises:
-        GeoaimError: no time is one of the video.
-    """
-    frames = None if video is None else _list_times(video)
+    """Place rows that are grouped by time: those of each time belong to the nearest frame."""
+    known = None if frames is None else frames.times
     times, remarks = groups.numbers, []
     if times is None or not len(times):
         return groups
     if unit is None:
-        unit = "s" if frames is None else _find_unit(times, float(frames[-1]))
+        unit = "s" if known is None else _find_unit(times, float(known[-1]))
         if unit != "s":
             remarks.append(f"its times are taken to be in {unit}")
     times, stride = times / TIME_UNITS[unit], groups.stride / TIME_UNITS[unit]
-    if frames is None or video is None:
+    if known is None or frames is None:
         return replace(groups, numbers=times, stride=stride, by_time=True)
-    nearest = np.searchsorted((frames[1:] + frames[:-1]) / 2, times)
-    distance = np.abs(frames[nearest] - times)
-    half = float(np.median(np.diff(frames))) / 2 if len(frames) > 1 else MAX_TIME_OFFSET_S
+    nearest = np.searchsorted((known[1:] + known[:-1]) / 2, times)
+    distance = np.abs(known[nearest] - times)
+    half = float(np.median(np.diff(known))) / 2 if len(known) > 1 else MAX_TIME_OFFSET_S
     usable = distance <= max(half, min(stride / 2, MAX_TIME_OFFSET_S)) * (1 + 1e-6)
     if not usable.any():
         raise GeoaimError(
-            f"{source} has boxes of {times.min():g} to {times.max():g} s, and {video.source} lasts "
-            f"{frames[-1]:.1f} s: none is of a frame; give times since the first frame, or --rate"
+            f"{source} has boxes of {times.min():g} to {times.max():g} s, and {frames.source} "
+            f"lasts {known[-1]:.1f} s: none is of a frame; give times since the first frame, or "
+            "--rate"
         )
     chosen = np.lexsort((distance, nearest))
     chosen = chosen[usable[chosen]]
@@ -197,13 +164,6 @@ def place_times(
     numbers = nearest[chosen].astype(float)
     stride = stride if np.isinf(stride) else max(find_stride(numbers), 1.0)
     return FrameRows(None, numbers, rows, stride, remarks=tuple(remarks))
-
-
-def _list_times(video: Video) -> Float[Array, " n"] | None:
-    times, count = video.read_times(), video.count_frames()
-    if times is not None and len(times):
-        return times
-    return None if not count else np.arange(count) / video.rate
 
 
 def _find_unit(times: Float[Array, "m"], duration: float) -> str:
@@ -233,3 +193,90 @@ def find_stride(numbers: Float[Array, " n"]) -> float:
         return 1.0
     least = float(np.quantile(gaps, 0.1))
     return float(gaps[gaps <= 1.5 * least + 1e-9].mean())
+
+
+NUMBERED = re.compile(r"(.*?)(\d+)")
+MAX_LISTED = 3  # names that a message lists
+
+
+def number_names(
+    stems: Sequence[str], frames: FrameList | None, source: str | Path, first: int | None = None
+) -> dict[str, int] | None:
+    """Find the frames that files are named by: `000012`, or `hover_13` as ultralytics names them.
+
+    Ultralytics counts the frames of a video from 1, and puts its name before the number.
+    """
+    parts = [NUMBERED.fullmatch(stem) for stem in stems]
+    found = [part for part in parts if part is not None]
+    if len(found) < len(parts) or len({part[1] for part in found}) != 1:
+        return None
+    numbers = [int(part[2]) for part in found]
+    is_padded = any(part[2].startswith("0") and len(part[2]) > 1 for part in found)
+    prefix = found[0][1].removesuffix("_")
+    is_of_video = frames is None or prefix == Path(frames.source).stem
+    by_ultralytics = found[0][1] != prefix and is_of_video and not is_padded
+    if first is None:
+        first = find_first(numbers, frames, source, usual=1 if by_ultralytics else None)
+    return {stem: number - first for stem, number in zip(stems, numbers, strict=True)}
+
+
+def match_names(
+    names: Sequence[str], frames: FrameList | None, source: str | Path, first: int | None = None
+) -> dict[str, int] | None:
+    """Number the names of frames of a video; refuse those of which none is that of a frame."""
+    if frames is not None and frames.names is not None:
+        images = [Path(name).stem for name in frames.names]
+        if not {name.lstrip("0") for name in images} & {name.lstrip("0") for name in names}:
+            refuse_other_names(names, images, frames, source)
+        return None
+    numbers = number_names(names, frames, source, first)
+    if numbers is None and frames is not None:
+        refuse_other_names(names, (), frames, source)
+    return numbers
+
+
+def find_first(
+    numbers: Collection[int],
+    frames: FrameList | None,
+    source: str | Path,
+    *,
+    usual: int | None = None,
+) -> int:
+    """Find the number of the first frame, 0 or 1, by the numbers that are there."""
+    if not numbers:
+        return 0
+    least, greatest = min(numbers), max(numbers)
+    count = None if frames is None else frames.count
+    if least == 0:
+        first = 0
+    elif count is not None and greatest == count:
+        first = 1
+    else:
+        first = usual or 0
+    if count is not None and greatest - first >= count:
+        raise GeoaimError(
+            f"{source} has boxes of frame number {greatest}, but {frames and frames.source} has "
+            f"{count} frames; are they of another video, or of one at another rate?"
+        )
+    if usual is None and least > 0 and first == 0 and frames is not None:
+        warn(
+            f"{source} has no boxes of a frame number 0, so that nothing shows whether its numbers "
+            f"({least} to {greatest}) count from 0 or from 1; they are taken to count from 0"
+        )
+    return first
+
+
+def refuse_other_names(
+    stems: Collection[str], wanted: Collection[str], frames: FrameList, source: str | Path
+) -> None:
+    """Refuse names of which none is that of a frame."""
+    found = ", ".join(sorted(stems)[:MAX_LISTED])
+    if wanted:
+        looked_for = f"the names of its images ({', '.join(sorted(wanted)[:MAX_LISTED])}, ...)"
+    else:
+        stem = Path(frames.source).stem
+        looked_for = f"frame numbers from 0 (000000, 000001, ...), or {stem}_1, {stem}_2, ..."
+    raise GeoaimError(
+        f"{source} has boxes of {found}, ..., of which none is a frame of {frames.source}; needed "
+        f"are {looked_for}"
+    )

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, dropwhile, groupby, islice
@@ -16,9 +17,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.base.errors import VideoError, warn
-from geoaim.base.limits import MAX_RECORDING_S
-from geoaim.mapping.video.containers import open_container, read_frame_count, select_stream
-from geoaim.mapping.video.frame_times import TIMESTAMP_STEP_S, read_frame_times
+from geoaim.base.limits import MAX_RECORDING_S, check_regular
 from geoaim.mapping.video.frames import Frame
 
 DEFAULT_RATE = 25  # frames per second, where a file states none
@@ -83,10 +82,6 @@ def open_video_file(path: Path, threads: int | None) -> VideoFile:
     """Decode the first frame of a video file, and read the properties that the file states.
 
     `threads` is the number of decoding threads; None leaves it to the decoder.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        VideoError: the file is empty, no video, has no video stream, or no frame can be decoded.
     """
     with open_container(path) as container:
         stream = select_stream(container, path, threads)
@@ -143,14 +138,6 @@ def read_frames_at(file: VideoFile, times: list[float], slack: float) -> Iterato
     keyframe within `slack` seconds of a time replaces the frame at that time, so that it can be
     decoded alone. From a slack of two frames on, a frame that no other is predicted from is
     replaced by the one before it.
-
-    Args:
-        file: the file.
-        times: seconds, in ascending order.
-        slack: seconds; 0 decodes exactly the frame at each time.
-
-    Yields:
-        The frames. Those that cannot be read are left out, with a `GeoaimWarning`.
     """
     if not file.seekable:
         yield from _select_shown(read_frames(file), times)
@@ -379,3 +366,86 @@ def _decode_frames(
         if decoded is not None:
             time = _compute_time(file, stream, decoded, default_time)
             yield _make_frame(file, decoded, file.find_number(time), time)
+
+
+# FFmpeg's containers and raw streams; playlists and lists of files would name others
+FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,m4v,h264,hevc,av1,obu,ivf,"
+    "flv,live_flv,asf,ogg,mjpeg,mxf,gif,dv,wtv,nut"
+)
+READ_OPTIONS = {"format_whitelist": FORMATS, "protocol_whitelist": "file"}
+
+
+def open_container(path: Path) -> Any:
+    """Open a video file, as PyAV's container."""
+    check_regular(path, VideoError)
+    try:
+        return av.open(f"file:{path}", options=READ_OPTIONS, metadata_errors="replace")
+    except av.FFmpegError as error:
+        with path.open("rb") as opened:
+            head = opened.read(8)
+        if not head:
+            raise VideoError(f"{path}: the file is empty") from error
+        if head[4:] == b"ftyp":
+            raise VideoError(
+                f"{path}: an MP4 or MOV whose index (moov atom) cannot be read: the recording or "
+                "the copy was interrupted; copy it again, or repair it (untrunc)"
+            ) from error
+        raise VideoError(f"{path}: not a video that FFmpeg can read ({error.strerror})") from error
+
+
+def select_stream(container: Any, path: Path, threads: int | None) -> Any:
+    """Select the video stream of a container."""
+    cover = av.stream.Disposition.attached_pic
+    streams = [stream for stream in container.streams.video if not stream.disposition & cover]
+    if not streams:
+        kinds = ", ".join(sorted({one.type for one in container.streams})) or "no stream at all"
+        raise VideoError(f"{path}: no video in this file, but {kinds}; give a video file")
+    if streams[0].codec_context is None:
+        raise VideoError(f"{path}: its codec is unknown to FFmpeg; convert the file to H.264")
+    streams[0].thread_type = "AUTO"
+    if threads is not None:
+        streams[0].thread_count = threads
+    return streams[0]
+
+
+def read_frame_count(container: Any, stream: Any, rate: float) -> tuple[int, bool]:
+    """Read the number of frames that a file states."""
+    if stream.frames and "mov" in container.format.name:  # an edit list may hide some of them
+        return sum(not entry.is_discard for entry in stream.index_entries), True
+    if stream.frames:
+        return stream.frames, True
+    if stream.duration is not None:
+        return round(stream.duration * stream.time_base * rate), False
+    return round((container.duration or 0) / av.time_base * rate), False
+
+
+MAX_UNEVENNESS = 0.01  # of steps between evenly spaced frames, as a share
+TIMESTAMP_STEP_S = 1e-3  # Matroska rounds timestamps to milliseconds
+
+
+def read_frame_times(path: Path, start: float) -> Float[Array, " N"]:
+    """Read the times of all frames without decoding one.
+
+    MP4 and MOV have an index of decoding times, which are as far apart as presentation times where
+    frames are evenly spaced or are not reordered; otherwise the packets of the file are read.
+    """
+    with open_container(path) as container:
+        stream = select_stream(container, path, None)
+        unit = float(stream.time_base)
+        if "mov" in container.format.name:
+            entries = [entry.timestamp for entry in stream.index_entries if not entry.is_discard]
+            times = (np.sort(np.array(entries, np.float64)) - min(entries, default=0)) * unit
+            steps = np.diff(times)
+            is_even = not len(steps) or np.ptp(steps) <= MAX_UNEVENNESS * steps.mean()
+            if len(times) and (is_even or not stream.codec_context.has_b_frames):
+                return times
+        stamps: list[int] = []
+        with suppress(av.FFmpegError):  # a damaged file: its frames up to there
+            stamps.extend(
+                packet.pts
+                for packet in container.demux(stream)
+                if packet.pts is not None and not packet.is_discard
+            )
+    times = np.unique(np.array(stamps, np.float64)) * unit - start
+    return times[times > -TIMESTAMP_STEP_S]

@@ -73,21 +73,7 @@ def parse_size(text: str) -> tuple[int, int]:
 def judge_boxes(
     raw: RawBoxes, picture: tuple[int, int], options: BoxOptions, source: str
 ) -> tuple[Float[Array, "M n"], Bool[Array, "M"], list[str]]:
-    """Judge what the numbers of boxes mean, by the picture that they should lie in.
-
-    Args:
-        raw: the boxes.
-        picture: (width, height) of the frames, pixels.
-        options: what the user says.
-        source: what messages name.
-
-    Returns:
-        Left, top, right and bottom, or corners, in pixels of the frames; which boxes are usable;
-        and remarks on what was assumed or left out.
-
-    Raises:
-        GeoaimError: too many boxes lie outside the picture.
-    """
+    """Judge what the numbers of boxes mean, by the picture that they should lie in."""
     remarks: list[str] = []
     numbers = np.asarray(raw.numbers, np.float64)
     finite = np.asarray(np.isfinite(numbers).all(axis=1))

@@ -62,20 +62,7 @@ def parse_columns(text: str) -> dict[str, str]:
 def name_columns(
     path: Path, table: pd.DataFrame, columns: Mapping[str, str], *, has_clock: bool = True
 ) -> RawBoxes:
-    """Name the columns of a table by what they hold.
-
-    Args:
-        path: the file that messages name.
-        table: as read.
-        columns: names of columns by what they hold; others are found by `KNOWN_NAMES`.
-        has_clock: whether rows tell their frame.
-
-    Returns:
-        The boxes. A point without width and height is a box without extent.
-
-    Raises:
-        GeoaimError: a column is missing, or a value is not a number.
-    """
+    """Name the columns of a table by what they hold."""
     found = _find_columns(path, table, columns)
     values = {key: table[name].reset_index(drop=True) for key, name in found.items()}
     for key in NUMBERS:

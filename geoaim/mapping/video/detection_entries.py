@@ -19,17 +19,7 @@ ROWS = (
 
 
 def convert_entry(value: Any) -> RawBoxes:
-    """Convert the boxes of a frame, by their attributes alone.
-
-    Args:
-        value: an array, a table, a list of dictionaries, `DetectedBoxes`, or a detector's result.
-
-    Returns:
-        The boxes.
-
-    Raises:
-        GeoaimError: an array has columns of no known meaning.
-    """
+    """Convert the boxes of a frame, by their attributes alone."""
     if hasattr(value, "columns") or _is_records(value):
         return _convert_table(to_table(value))
     if hasattr(value, "get_corners"):

@@ -54,19 +54,7 @@ class DetectionFormat:
 
 
 def read_raw_boxes(source: Path | pd.DataFrame, columns: Mapping[str, str] | None) -> RawBoxes:
-    """Read a folder, a file or a table of detections in a format of `FORMATS`.
-
-    Args:
-        source: the folder or file, or a table.
-        columns: as in `read_detections`.
-
-    Returns:
-        The boxes as they are written.
-
-    Raises:
-        GeoaimError: it holds no detections in a known format.
-        FileNotFoundError: there is no such file or folder.
-    """
+    """Read a folder, a file or a table of detections in a format of `FORMATS`."""
     if isinstance(source, pd.DataFrame):
         return _read_table(Content(Path("the table"), "table", source, columns or {}))
     if not source.exists():

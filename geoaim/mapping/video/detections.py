@@ -15,6 +15,7 @@ from geoaim.mapping.video.box_tables import (
     FrameRows,
     group_by_name,
     group_by_value,
+    match_names,
     place_numbers,
     place_times,
 )
@@ -31,8 +32,7 @@ from geoaim.mapping.video.detection_checks import (
 )
 from geoaim.mapping.video.detection_entries import convert_entry, to_table
 from geoaim.mapping.video.detection_files import IGNORED, read_raw_boxes
-from geoaim.mapping.video.frame_numbers import match_names
-from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.video import Video
 from geoaim.tracks.formats.shared import AGENT_TYPES
 
@@ -92,26 +92,26 @@ class BoxReader:
     """
 
     def __init__(
-        self, raw: RawBoxes, source: str, options: BoxOptions, video: Video | None = None
+        self, raw: RawBoxes, source: str, options: BoxOptions, listed: FrameList | None = None
     ) -> None:
-        self._raw, self._source, self._options, self._video = raw, source, options, video
-        self._frames = _find_frames(raw, source, options, video)
+        self._raw, self._source, self._options, self._listed = raw, source, options, listed
+        self._frames = _find_frames(raw, source, options, listed)
         self._picture: tuple[int, int] | None = None
         self.summary = raw.format
-        if video is not None:
-            self._judge((video.width, video.height))
+        if listed is not None:
+            self._judge(listed.size)
 
-    def bind(self, video: Video | None) -> "BoxReader":
+    def bind(self, listed: FrameList | None) -> "BoxReader":
         """Read the same boxes as those of a video, by which they are judged.
 
         Boxes that were read without it may be those of a longer one, of which it is a part.
         """
-        if video is None or self._video is video:
+        if listed is None or self._listed is listed:
             return self
         try:
-            return BoxReader(self._raw, self._source, self._options, video)
+            return BoxReader(self._raw, self._source, self._options, listed)
         except GeoaimError as error:
-            if self._video is None and "has boxes of" in str(error):
+            if self._listed is None and "has boxes of" in str(error):
                 self.summary += f"; {error}"
                 return self
             raise
@@ -121,7 +121,7 @@ class BoxReader:
         rows = self._frames.find(frame.name, frame.index, frame.time)
         if rows is None:
             return None
-        if self._video is None or self._picture is None:
+        if self._listed is None or self._picture is None:
             height, width = frame.grey.shape
             if self._picture != (width, height):
                 self._judge((width, height))
@@ -162,12 +162,14 @@ class BoxReader:
             warn(f"{self._source}: {'; '.join(remarks)}")
 
 
-def _find_frames(raw: RawBoxes, source: str, options: BoxOptions, video: Video | None) -> FrameRows:
+def _find_frames(
+    raw: RawBoxes, source: str, options: BoxOptions, listed: FrameList | None
+) -> FrameRows:
     """Find which rows are of which frame."""
     rows = raw.rows
     if "time" in rows:
         groups = group_by_value(rows["time"].to_numpy(np.float64))
-        return place_times(groups, video=video, source=source, unit=raw.time_unit)
+        return place_times(groups, frames=listed, source=source, unit=raw.time_unit)
     if "frame" in rows:
         groups = group_by_value(np.round(rows["frame"].to_numpy(np.float64)))
         if raw.all_frames is not None:
@@ -179,10 +181,10 @@ def _find_frames(raw: RawBoxes, source: str, options: BoxOptions, video: Video |
             rate=options.rate,
             first=options.first,
             usual=raw.usual_frame,
-            video=video,
+            frames=listed,
             source=source,
         )
-    numbers = match_names(raw.listed, video, source, options.first)
+    numbers = match_names(raw.listed, listed, source, options.first)
     return group_by_name(rows["name"], raw.listed, numbers)
 
 
@@ -233,18 +235,19 @@ def read_detections(  # noqa: PLR0913  (its options)
         GeoaimError: the file or folder holds no detections in a known format, or none of the
             frames of the video.
     """
+    listed = None if video is None else video.listed
     if isinstance(source, BoxReader):
-        return source.bind(video)
+        return source.bind(listed)
     if form is not None and form not in FORMS:
         raise ValueError(f"form is {form!r}; one of {', '.join(FORMS)} is needed")
     if callable(source):
         return lambda frame: convert_boxes(source(frame), form)
     options = BoxOptions(rate, first, form, size, tuple(classes))
     if isinstance(source, str | Path):
-        return BoxReader(read_raw_boxes(Path(source), columns), str(source), options, video)
+        return BoxReader(read_raw_boxes(Path(source), columns), str(source), options, listed)
     if hasattr(source, "columns"):
-        return BoxReader(read_raw_boxes(to_table(source), columns), "the table", options, video)
-    return BoxReader(_join_entries(source), "the boxes", options, video)
+        return BoxReader(read_raw_boxes(to_table(source), columns), "the table", options, listed)
+    return BoxReader(_join_entries(source), "the boxes", options, listed)
 
 
 def _join_entries(entries: Iterable[Any]) -> RawBoxes:

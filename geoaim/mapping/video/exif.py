@@ -22,9 +22,6 @@ def read_exif(paths: Sequence[str | Path], *, rate: float = 1.0) -> Telemetry | 
     """Read telemetry from the EXIF and DJI's XMP of photos; None when no photo has a position.
 
     Time is the index of a photo over `rate` (frames per second), as in `open_video`.
-
-    Raises:
-        GeoreferenceError: a position or another value is not possible.
     """
     remarks = dict[str, str]()
     rows = [_read_exif_entry(Path(path), remarks) for path in paths]

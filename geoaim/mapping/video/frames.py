@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Shaped, UInt8
+from jaxtyping import Float, Shaped, UInt8
 from numpy import ndarray as Array
 
 # Pixel formats whose first plane is 8-bit luma, so that grey images need no copy.
@@ -79,6 +79,22 @@ class Frame:
             return None
         full = self.decoded.color_range == FULL_RANGE or "yuvj" in self.decoded.format.name
         return YuvEncoding(*LUMA_WEIGHTS.get(int(self.decoded.colorspace), BT601), full)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameList:
+    """What tells which frame of a video something belongs to."""
+
+    source: str  # name of the video, for messages
+    size: tuple[int, int]  # (width, height), pixels
+    rate: float  # frames per second, on average
+    names: tuple[str, ...] | None  # file names of images; None: a video has none
+    times: Float[Array, " N"] | None  # of all frames, s; None: only reading tells their number
+
+    @property
+    def count(self) -> int | None:
+        """Number of frames."""
+        return None if self.times is None else len(self.times)
 
 
 def image_from_planes(

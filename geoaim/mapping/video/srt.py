@@ -89,9 +89,6 @@ def _parse_entry(text: str, remarks: dict[str, str]) -> dict[str, float]:
     """Parse the fields of an entry, in degrees, metres and millimetres.
 
     Fields whose meaning the file leaves open are left out, with the reason in `remarks`.
-
-    Raises:
-        ValueError: a field is not a number.
     """
     stated = {}
     for name, pattern in PATTERNS.items():
@@ -162,11 +159,7 @@ def _parse_number(name: str, text: str) -> float:
 
 
 def _check_changes(telemetry: Telemetry, path: str | Path) -> None:
-    """Refuse times that go back; leave out the few values that no drone reaches so fast.
-
-    Raises:
-        GeoreferenceError: a time goes back, or too many values jump.
-    """
+    """Refuse times that go back; leave out the few values that no drone reaches so fast."""
     if (np.diff(telemetry.time) < 0).any():
         entry = int(np.argmax(np.diff(telemetry.time) < 0)) + 2
         raise GeoreferenceError(f"{path}: entry {entry} is earlier than the one before it")

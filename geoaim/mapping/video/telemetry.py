@@ -50,22 +50,7 @@ def make_telemetry(
     source: str,
     remarks: Mapping[str, str] | None = None,
 ) -> Telemetry:
-    """Make telemetry from fields as files state them.
-
-    Args:
-        times: (T) seconds.
-        rows: (T) the fields of `PLAUSIBLE` and `MODIFIERS` at each time, of which any may be
-            missing: degrees, metres, millimetres; yaw clockwise from north, pitch -90 straight
-            down, roll clockwise about the view; zoom is digital, by which the focal length grows.
-        source: the file that messages name.
-        remarks: those of the telemetry.
-
-    Returns:
-        The telemetry in its own units; NaN where a row lacks a field.
-
-    Raises:
-        GeoreferenceError: no time has a position, or a value is not possible.
-    """
+    """Make telemetry from fields as files state them."""
     limits = PLAUSIBLE | MODIFIERS
     table = np.array([[row.get(name, math.nan) for name in limits] for row in rows], np.float64)
     # views of the table's columns

@@ -19,7 +19,7 @@ from geoaim.base.limits import check_memory, refuse_damaged
 from geoaim.base.raster_files import open_raster_file
 from geoaim.mapping.video.decoding import open_video_file, read_frames, read_frames_at
 from geoaim.mapping.video.exif import read_exif
-from geoaim.mapping.video.frames import Frame
+from geoaim.mapping.video.frames import Frame, FrameList
 from geoaim.mapping.video.srt import read_srt
 from geoaim.mapping.video.telemetry import Telemetry
 
@@ -72,10 +72,13 @@ class Video:
         """Seconds, by the number of frames and their rate; NaN when that number is unknown."""
         return math.nan if self.frame_count is None else self.frame_count / self.rate
 
-    def count_frames(self) -> int | None:
-        """Count the frames, by the index of a video file; None where only reading tells."""
+    @cached_property
+    def listed(self) -> FrameList:
+        """The frames' names and times, by the index of a video file."""
         times = self.read_times()
-        return self.frame_count if times is None else len(times)
+        if times is None and self.frame_count:
+            times = np.arange(self.frame_count) / self.rate
+        return FrameList(self.source, (self.width, self.height), self.rate, self.names, times)
 
     def find_time(self, index: int) -> float:
         """Find the time of a frame by its number, s since the first.
@@ -83,10 +86,9 @@ class Video:
         Raises:
             ValueError: the video has no frame of that number.
         """
-        count = self.count_frames()
+        times, count = self.listed.times, self.listed.count
         if index < 0 or (count is not None and index >= count):
             raise ValueError(f"{self.source} has {count} frames, from 0, and none is {index}")
-        times = self.read_times()
         return index / self.rate if times is None else float(times[index])
 
     @cached_property

@@ -12,11 +12,14 @@ from geoaim.base.errors import GeoaimWarning, GeoreferenceError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.world import World
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.estimate import estimate_georeference
+from geoaim.mapping.georeference.estimate import (
+    MIN_PRELIMINARY_POINTS,
+    estimate_georeference,
+    estimate_preliminary,
+)
 from geoaim.mapping.georeference.georeference import Georeference, world_from_pixels
-from geoaim.mapping.georeference.normalised_plane import Points, distort_points
 from geoaim.mapping.georeference.point_checks import MIN_POINTS
-from geoaim.mapping.georeference.preliminary import MIN_PRELIMINARY_POINTS, estimate_preliminary
+from geoaim.mapping.georeference.transform_models import Points, distort_points
 from geoaim.mapping.georeference.uncertainty import (
     CORNERS,
     map_uncertainty,

@@ -8,7 +8,7 @@ from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import transform_points
 from geoaim.base.world import LONLAT, transform_crs, world_from_crs
 from geoaim.mapping.georeference.control_points import ControlPoints, select_points
-from geoaim.mapping.georeference.normalised_plane import Points
+from geoaim.mapping.georeference.transform_models import Points
 from geoaim.web.picking.candidates import measure_disagreement
 from geoaim.web.picking.feedback import PointFeedback, assess_points, describe_feedback
 from geoaim.web.picking.session import PickingSession, collect_points

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -206,3 +207,53 @@ def test_points_may_be_switched_off_and_have_an_accuracy(tmp_path):
     text = "name,enable,accuracy,u,v,lon,lat\na,1,0.02,1,2,27.5,53.9\nb,0,9,3,4,27.6,53.8\n"
     points = read_control_points(written(tmp_path, text))
     assert (points.names, points.accuracy) == (("a",), 0.02)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_read_where_they_separate_nothing(tmp_path, separator):
+    lines = [["u", "v", "x", "y", "accuracy"], ["10,5", "20", "583200,25", "-6062200,5", "0,3"]]
+    path = tmp_path / "points.csv"
+    path.write_text("# crs: local\n" + "\n".join(separator.join(line) for line in lines))
+    points = read_control_points(path)
+    np.testing.assert_array_equal(points.pixels, [[10.5, 20.0]])
+    np.testing.assert_array_equal(points.coordinates, [[583200.25, -6062200.5]])
+    assert points.accuracy == 0.3
+
+
+def test_commas_of_thousands_are_refused(tmp_path):
+    path = tmp_path / "points.csv"
+    path.write_text('# crs: local\nu,v,x,y\n10,20,"583,200","6,062,200"\n')
+    with pytest.raises(GeoreferenceError, match="line 3"):
+        read_control_points(path)
+
+
+def write_workbook(path, strings, rows):
+    space = 'xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"'
+    with ZipFile(path, "w") as book:
+        items = "".join(f"<si><t>{text}</t></si>" for text in strings)
+        book.writestr("xl/sharedStrings.xml", f"<sst {space}>{items}</sst>")
+        sheet = f"<worksheet {space}><sheetData>{rows}</sheetData></worksheet>"
+        book.writestr("xl/worksheets/sheet1.xml", sheet)
+
+
+def test_the_first_sheet_of_a_workbook_is_read(tmp_path):
+    names = ["# crs: local", "u", "v", "x", "y", "name", "a, corner"]
+    head = "".join(f'<c r="{c}2" t="s"><v>{i}</v></c>' for i, c in enumerate("ABCDE", 1))
+    values = '<c r="A3"><f>5*2</f><v>10</v></c><c r="B3"><v>20.5</v></c><c r="C3"><v>3</v></c>'
+    last = '<c r="D3"><v>-4.25</v></c><c r="E3" t="s"><v>6</v></c><c r="AA3"><v>9</v></c>'
+    first = '<row><c r="A1" t="s"><v>0</v></c></row>'
+    path = tmp_path / "points.xlsx"
+    write_workbook(path, names, f"{first}<row>{head}</row><row>{values}{last}</row>")
+    points = read_control_points(path)
+    np.testing.assert_array_equal(points.pixels, [[10.0, 20.5]])
+    np.testing.assert_array_equal(points.coordinates, [[3.0, -4.25]])
+    assert points.names == ("a, corner",)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:60], lambda b: b"PK" + bytes(50)])
+def test_a_damaged_workbook_is_refused_by_its_name(tmp_path, damage):
+    path = tmp_path / "points.xlsx"
+    write_workbook(path, ["u"], "<row/>")
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(GeoreferenceError, match=r"points\.xlsx"):
+        read_control_points(path)

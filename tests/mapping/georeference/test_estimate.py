@@ -9,7 +9,7 @@ from geoaim.base.world import World, lonlat_from_world, transform_crs
 from geoaim.mapping.georeference.control_points import select_points
 from geoaim.mapping.georeference.estimate import estimate_georeference
 from geoaim.mapping.georeference.georeference import world_from_pixels
-from geoaim.mapping.georeference.normalised_plane import distort_points
+from geoaim.mapping.georeference.transform_models import distort_points
 from geoaim.mapping.georeference.uncertainty import map_uncertainty, predict_uncertainty
 from tests.mapping.georeference.points import GRID, SIZE, TILTED, TRUTH, UTM, make_points
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geoaim.mapping.georeference.normalised_plane import (
+from geoaim.mapping.georeference.transform_models import (
     distort_points,
     fit_similarity,
     undistort_points,

@@ -6,7 +6,7 @@ import pytest
 from geoaim.base.errors import GeoreferenceError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.mapping.georeference.control_points import select_points
-from geoaim.mapping.georeference.preliminary import estimate_preliminary
+from geoaim.mapping.georeference.estimate import estimate_preliminary
 from geoaim.mapping.georeference.uncertainty import predict_uncertainty
 from tests.mapping.georeference.points import SIZE, TILTED, TRUTH, make_points
 

@@ -81,11 +81,13 @@ def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
     names = {name.replace(" ", "_") for name in re.findall("no (focal length|[a-z]+)", missing)}
     asked = {f"{name}=" for name in names - {"pitch"} or {"yaw"}}
     with pytest.raises(GeoreferenceError, match=rf"photos, a\.jpg.*states {missing}\. ") as caught:
-        _georeference_by_telemetry(video, reference_at(0))
+        _georeference_by_telemetry(video.telemetry, video.listed, reference_at(0))
     assert set(re.findall(r"\((\w+=)\.\.\.", str(caught.value))) == asked
     # the image's top points east
     given = override_telemetry(video, height=80.0, yaw=90.0, focal_length=24.0)
-    place = _georeference_by_telemetry(given, reference_at(0)).world_from_image
+    place = _georeference_by_telemetry(
+        given.telemetry, given.listed, reference_at(0)
+    ).world_from_image
     up = -place[:2, 1]
     np.testing.assert_allclose(up / np.linalg.norm(up), [1.0, 0.0], atol=0.06)  # grid north
 
@@ -93,7 +95,9 @@ def test_what_telemetry_lacks_is_named_with_the_file_and_given_by_the_caller(
 def test_a_position_of_another_time_is_used_with_a_warning(unchecked):
     video = open_with_telemetry(height=80.0, yaw=0.0, pitch=-1.5)
     with pytest.warns(GeoaimWarning, match=r"no position at 2\.00 s.*that of 0\.00 s"):
-        assert _georeference_by_telemetry(video, reference_at(2)).approximate
+        assert _georeference_by_telemetry(
+            video.telemetry, video.listed, reference_at(2)
+        ).approximate
 
 
 def test_the_message_says_why_a_field_is_not_read(unchecked):
@@ -103,7 +107,7 @@ def test_the_message_says_why_a_field_is_not_read(unchecked):
     with pytest.raises(
         GeoreferenceError, match=r"no height \(its altitude is of an unknown kind\)"
     ):
-        _georeference_by_telemetry(video, reference_at(0))
+        _georeference_by_telemetry(video.telemetry, video.listed, reference_at(0))
 
 
 @pytest.mark.parametrize("given", [{"height": 0.0}, {"yaw": np.nan}, {"focal_length": -24.0}])

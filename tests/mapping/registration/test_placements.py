@@ -5,8 +5,12 @@ from geoaim.base.geometry import translation
 from geoaim.mapping.registration.features import Features
 from geoaim.mapping.registration.frame_registration import make_keyframe, register_frame
 from geoaim.mapping.registration.patches import align_patches, make_template, shrink_image
-from geoaim.mapping.registration.placement_comparison import compare_placements, make_overview
-from geoaim.mapping.registration.placements import AmbiguousPlacementError, choose_placement
+from geoaim.mapping.registration.placements import (
+    AmbiguousPlacementError,
+    choose_placement,
+    compare_placements,
+    make_overview,
+)
 from geoaim.mapping.video.frames import Frame
 from tests.conftest import textured
 

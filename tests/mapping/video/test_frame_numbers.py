@@ -41,10 +41,10 @@ def test_frames_in_order_have_their_numbers(clip: Video) -> None:
 
 
 def test_the_time_of_a_number_leads_to_that_frame(clip: Video) -> None:
-    assert clip.count_frames() == len(STAMPS)
+    assert clip.listed.count == len(STAMPS)
     for number in (0, 5, 11, 12, 47):
         assert clip.find_time(number) == pytest.approx(TIMES[number], abs=1.5e-3)
-        [frame] = clip.frames_at([clip.find_time(_find_frame_index(number, clip))])
+        [frame] = clip.frames_at([clip.find_time(_find_frame_index(number, clip.listed))])
         assert number_of(frame) == number
     with pytest.raises(ValueError, match="48 frames"):
         clip.find_time(48)

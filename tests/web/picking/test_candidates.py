@@ -4,7 +4,7 @@ import pytest
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points
 from geoaim.mapping.georeference.control_points import ControlPoints
-from geoaim.mapping.georeference.preliminary import estimate_preliminary
+from geoaim.mapping.georeference.estimate import estimate_preliminary
 from geoaim.web.picking.candidates import propose_pairs
 
 PIXELS = np.array([[290.0, 340.0], [960.0, 390.0], [660.0, 710.0]])

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from numpy import ndarray as Array
 from scipy.stats import gmean
 
-from geoaim.mapping.bench.report import Row
+from benchmarks.results import Row
 
 NEAR_BEST = 1.05  # times the best error: as good as the best
 NEAR_KNEE = 1.25  # times the knee's size: at the knee

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from benchmarks.curves import find_best_size, find_pareto_front
+from benchmarks.results import Row
 from geoaim.base.labels import label_points
-from geoaim.mapping.bench.curves import find_best_size, find_pareto_front
-from geoaim.mapping.bench.report import Row
 
 # colours of Okabe and Ito, which colour-blind readers can tell apart; the marks differ as well
 OURS, OTHERS, KNEE = "#D55E00", "#0072B2", "#009E73"

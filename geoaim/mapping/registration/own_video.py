@@ -5,12 +5,17 @@ frames by itself; half of their distance at the image's corners is the standard 
 together, if their errors are independent. A simple motion model scatters little and may be wrong
 all the same, hence its distance from the homography counts too. Errors that shift a whole frame,
 as compression sometimes does, are not measured. Only the first frames of the video are read.
+
+Sizes are no options of the library, since no scene needs others than the defaults: here the
+constants of `patches` are replaced while a video is registered.
 """
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -20,18 +25,37 @@ from numpy import ndarray as Array
 from geoaim.base.errors import RegistrationError
 from geoaim.base.geometry import image_corners, transform_points
 from geoaim.base.progress import Progress
-from geoaim.mapping.bench.charts import draw_fronts
-from geoaim.mapping.bench.curves import mark_pareto_fronts
-from geoaim.mapping.bench.report import Results, collect
-from geoaim.mapping.bench.settings import Setting, prepare, register_with
-from geoaim.mapping.registration.patches import PatchTemplate
-from geoaim.mapping.registration.register import Reference
+from geoaim.mapping.registration import patches
+from geoaim.mapping.registration.motion_models import Model
+from geoaim.mapping.registration.register import Reference, choose_reference, register_frames
 from geoaim.mapping.video.frames import Frame
 from geoaim.mapping.video.video import VideoSource, open_video
 
 FRAMES, QUICK_FRAMES = 60, 20
 PER_PATCH = ("points", "contrast", "energy", "extractor", "inverse")  # arrays of a template
 BLOCKS = 6  # blocks of the chessboard along the width
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A setting of the registration; the defaults are the library's."""
+
+    count: int = patches.PATCH_COUNT  # target number of patches
+    side: int = patches.PATCH_SIDE_PX  # side of a patch, pixels
+    reduction: int = 1  # integer factor by which the frame is shrunk
+    model: Model | None = None  # the motion model; None chooses it by the data
+
+
+@dataclass(frozen=True, eq=False)
+class Placements:
+    """Frames registered with a setting."""
+
+    matrices: Float[Array, "T 3 3"]  # (T, 3, 3) reference_from_frame, pixels; NaN where rejected
+    seconds: Float[Array, " T"]  # (T,) processor time of each frame
+    stated: Float[Array, " T"]  # (T,) uncertainty over the image, pixels
+    reference: Reference  # the frame that they are registered to
+
+
 SETTINGS = {
     "geoaim": Setting(),
     "a quarter of the patches": Setting(count=Setting.count // 4),
@@ -46,7 +70,7 @@ SETTINGS = {
 }
 
 
-def measure_own_video(source: VideoSource, quick: bool, progress: Progress) -> Results:
+def measure_own_video(source: VideoSource, quick: bool, progress: Progress) -> list[dict[str, Any]]:
     """Measure how consistent and how fast each setting registers a video.
 
     Args:
@@ -55,7 +79,7 @@ def measure_own_video(source: VideoSource, quick: bool, progress: Progress) -> R
         progress: called with what is measured, what is done and all there is.
 
     Returns:
-        Tables and charts.
+        A row for each setting.
 
     Raises:
         VideoError: the video cannot be read.
@@ -66,12 +90,12 @@ def measure_own_video(source: VideoSource, quick: bool, progress: Progress) -> R
     frames = list(islice(video, QUICK_FRAMES if quick else FRAMES))
     if len(frames) < 2:
         raise RegistrationError(f"{video.source} has {len(frames)} frame; two or more are needed")
-    rows = collect(measure_settings(frames), "settings", progress, len(SETTINGS))
-    panels = {f"{len(frames)} frames of {video.width} x {video.height} px": rows}
-    labels = ("ms of a processor a frame", "expected error at the corners, px")
-    charts = {"fronts": draw_fronts(panels, cost="ms", error="expected error, px", labels=labels)}
-    marked = mark_pareto_fronts(panels, "ms", "expected error, px")
-    return Results(f"Registration of {video.source}, without truth", {"rows": marked}, charts)
+    rows: list[dict[str, Any]] = []
+    progress("settings", 0, len(SETTINGS))
+    for row in measure_settings(frames):
+        rows.append(row)
+        progress("settings", len(rows), len(SETTINGS))
+    return rows
 
 
 def measure_settings(
@@ -82,13 +106,6 @@ def measure_settings(
     The squared error is the variance plus the squared bias. The variance comes from two halves of
     the patches. The squared bias is the squared distance from the homography minus the difference
     of both variances, and at least 0.
-
-    Args:
-        frames: frames in order of time.
-        settings: settings by name.
-
-    Yields:
-        Rows of the table. Errors are root mean squares over frames and corners.
     """
     size, found, scatter = frames[0].grey.shape, {}, {}
     for name, setting in settings.items():
@@ -133,8 +150,49 @@ def _halve(reference: Reference, part: int) -> Reference:
     return replace(reference, keyframe=keyframe)
 
 
-def _keep_patches(template: PatchTemplate, keep: Bool[Array, " M"]) -> PatchTemplate:
+def _keep_patches(
+    template: patches.PatchTemplate, keep: Bool[Array, " M"]
+) -> patches.PatchTemplate:
     count = len(keep)
     pixels = template.pixels.reshape(3, count, -1)[:, keep].reshape(3, -1)
     parts = {name: getattr(template, name)[keep] for name in PER_PATCH}
     return replace(template, pixels=pixels, **parts)
+
+
+def prepare(frames: Sequence[Frame], setting: Setting) -> Reference:
+    """Prepare the reference, the first frame, for a setting."""
+    with patch.multiple(patches, PATCH_COUNT=setting.count, PATCH_SIDE_PX=setting.side):
+        small = [_shrink(frame, setting.reduction) for frame in frames]
+        video = open_video([frame.grey for frame in small])
+        return choose_reference(video, model=setting.model, time=small[0].time, probes=small)
+
+
+def register_with(
+    frames: Sequence[Frame], setting: Setting, reference: Reference | None = None
+) -> Placements:
+    """Register frames with a setting.
+
+    Args:
+        frames: frames in order of time.
+        setting: the setting.
+        reference: prepared for it; None prepares it.
+
+    Returns:
+        The registrations, in pixels of the full image.
+    """
+    reference = reference or prepare(frames, setting)
+    matrices, seconds, stated = [], [], []
+    scale = np.diag([setting.reduction, setting.reduction, 1.0])
+    with patch.multiple(patches, PATCH_COUNT=setting.count, PATCH_SIDE_PX=setting.side):
+        small = (_shrink(frame, setting.reduction) for frame in frames)
+        start = time.process_time()
+        for _, placed in register_frames(small, reference):
+            seconds.append(time.process_time() - start)
+            matrices.append(scale @ placed.reference_from_frame @ np.linalg.inv(scale))
+            stated.append(placed.uncertainty * setting.reduction)
+            start = time.process_time()
+    return Placements(np.array(matrices), np.array(seconds), np.array(stated), reference)
+
+
+def _shrink(frame: Frame, reduction: int) -> Frame:
+    return Frame(frame.index, frame.time, None, patches.shrink_image(frame.grey, reduction))
