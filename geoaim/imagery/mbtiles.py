@@ -1,8 +1,6 @@
 """What an MBTiles file says of its tiles: whether its rows count from the south."""
 
 import sqlite3
-from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +8,7 @@ from jaxtyping import Float
 from numpy import ndarray as Array
 
 from geoaim.base.errors import ImageryError
+from geoaim.base.sqlite_files import open_sqlite
 from geoaim.base.world import LONLAT, transform_crs
 
 MIN_BOUNDS_OVERLAP = 0.5  # share of the tiles' extent that lies within the bounds stated
@@ -26,9 +25,8 @@ def check_mbtiles(path: str, outline: Float[Array, "4 2"]) -> None:
         ImageryError: its scheme is xyz and its bounds do not show that this is a slip, or its
             bounds show that its rows count from the north.
     """
-    uri = f"{Path(path).absolute().as_uri()}?mode=ro"
     try:
-        with closing(sqlite3.connect(uri, uri=True)) as database:
+        with open_sqlite(path) as database:
             metadata = dict(database.execute("SELECT name, value FROM metadata").fetchall())
     except sqlite3.Error:
         return  # without metadata it states nothing
