@@ -2,10 +2,8 @@
 
 import glob
 import os
-import sqlite3
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeGuard, runtime_checkable
@@ -21,11 +19,12 @@ from rasterio.vrt import WarpedVRT
 from geoaim.base.errors import GeoaimWarning, ImageryError, name_option, warn
 from geoaim.base.limits import refuse_damaged
 from geoaim.base.raster_files import IMAGE_DRIVERS
+from geoaim.base.sqlite_files import open_sqlite
 from geoaim.imagery.addresses import is_address, normalise_address
 from geoaim.imagery.collars import leave_out_placeholders
 from geoaim.imagery.rasters import Outline, Raster, Region, describe_raster, outline_raster
 from geoaim.imagery.tile_schemes import check_mbtiles, read_scheme
-from geoaim.imagery.tile_service import Service, fetch_tiles
+from geoaim.imagery.tile_service import MAX_TILE_BYTES, Service, fetch_tiles
 from geoaim.imagery.tiles import (
     MAX_ZOOM,
     MERCATOR,
@@ -145,10 +144,11 @@ def _outline_mbtiles(path: str, zoom: int | None) -> Float[Array, "4 2"]:
         "SELECT zoom_level, MIN(tile_column), MIN(tile_row), MAX(tile_column), MAX(tile_row) "
         "FROM tiles WHERE ? IS NULL OR zoom_level = ? GROUP BY zoom_level ORDER BY zoom_level"
     )
-    with (
-        refuse_damaged(path, ImageryError, "an MBTiles file"),
-        closing(sqlite3.connect(f"{Path(path).absolute().as_uri()}?mode=ro", uri=True)) as database,
-    ):
+    with refuse_damaged(path, ImageryError, "an MBTiles file"), open_sqlite(path) as database:
+        # GDAL reads without a limit what may be a view that never ends or makes a tile of any size
+        (longest,) = database.execute("SELECT max(length(tile_data)) FROM tiles").fetchone()
+        if (longest or 0) > MAX_TILE_BYTES:
+            raise ImageryError(f"{path} has a tile of {longest / 1e6:.0f} MB")
         rows = database.execute(query, (zoom, zoom)).fetchall()
         if not rows:
             raise ImageryError(f"{path} has no tiles{'' if zoom is None else f' of zoom {zoom}'}")

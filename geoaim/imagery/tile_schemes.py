@@ -2,7 +2,6 @@
 
 import json
 import sqlite3
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,6 +12,7 @@ from numpy import ndarray as Array
 
 from geoaim.base.errors import ImageryError
 from geoaim.base.limits import refuse_damaged
+from geoaim.base.sqlite_files import open_sqlite
 from geoaim.base.world import LONLAT, transform_crs
 from geoaim.imagery.tiles import HALF_WORLD_M
 
@@ -86,9 +86,8 @@ MIN_BOUNDS_OVERLAP = 0.5  # share of the tiles' extent that lies within the boun
 
 def check_mbtiles(path: str, outline: Float[Array, "4 2"]) -> None:
     """Refuse an MBTiles file whose rows count from the north, against its specification."""
-    uri = f"{Path(path).absolute().as_uri()}?mode=ro"
     try:
-        with closing(sqlite3.connect(uri, uri=True)) as database:
+        with open_sqlite(path) as database:
             metadata = dict(database.execute("SELECT name, value FROM metadata").fetchall())
     except sqlite3.Error:
         return  # without metadata it states nothing

@@ -5,9 +5,7 @@ The layer `states` has a point for each agent and time, the layer `paths` a line
 
 import json
 import os
-import sqlite3
 import warnings
-from contextlib import closing
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,6 +17,7 @@ import shapely
 from geoaim.base.errors import TracksError
 from geoaim.base.files import atomic_write
 from geoaim.base.limits import check_memory, refuse_damaged
+from geoaim.base.sqlite_files import open_sqlite
 from geoaim.base.world import World
 from geoaim.tracks.files import choose_own_world, place_rows
 from geoaim.tracks.formats.shared import TrackFormat
@@ -125,7 +124,7 @@ def _check_tables(path: Path) -> None:
     with path.open("rb") as file:
         if file.read(len(SQLITE)) != SQLITE:
             raise ValueError("its first bytes are those of another format")
-    with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as database:
+    with open_sqlite(path) as database:
         kinds = dict(database.execute("SELECT name, type FROM sqlite_master").fetchall())
         if kinds.get("states") != "table":
             own = ("gpkg_", "rtree_", "sqlite_")
