@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     from geoaim.mapping.video.video import open_video as open_video
     from geoaim.rendering.scene import Scene as Scene
     from geoaim.rendering.scene import make_scene as make_scene
+    from geoaim.tracking.find_vehicles import find_vehicles as find_vehicles
     from geoaim.tracking.pipeline import track_video as track_video
     from geoaim.tracks.files import write_tracks as write_tracks
     from geoaim.tracks.formats.formats import read_tracks as read_tracks
@@ -103,6 +104,7 @@ _MODULE_OF_NAME = {
     "explore": "geoaim.web.widget",
     "pick": "geoaim.web.widget",
     "export_texture": "geoaim.mapping.texture",
+    "find_vehicles": "geoaim.tracking.find_vehicles",
     "make_scene": "geoaim.rendering.scene",
     "open_video": "geoaim.mapping.video.video",
     "read_aim": "geoaim.aim.files",

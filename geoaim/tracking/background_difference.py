@@ -4,11 +4,13 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
 
-NOISE_FACTOR = 4.0  # standard deviations of a cell's noise that are no difference
+from geoaim.base.errors import TracksError
+
+NOISE_FACTOR = 2.5  # standard deviations of a cell's noise that are no difference
 MIN_DIFFERENCE = 9.0  # grey levels
 GAIN_STEP = 37  # every which cell is compared for the gain
 LEVELS = (1, 2, 3, 4, 6, 8, 10, 13)  # grey levels at which the differences of a cell are counted
@@ -20,6 +22,10 @@ BOUNDARY_GAIN = 0.85  # the ground's boundary has less contrast than a vehicle's
 SHADOW_RATIOS = (0.3, 0.93)  # of brightness in shadow and beside it
 SHADOW_TINT = 0.09  # differences of the colours' ratios in a shadow
 MIN_SHADOW_SHARE = 0.05  # of what differs; less is no shadow
+SHADOW_MARGIN = 0.1  # by which the ratio in a shadow may be lower than in most of them
+SHADOW_REACH_M, GLASS_REACH_M = 3.0, 1.5  # of a shadow from its vehicle; of glass between its parts
+MAX_VEHICLE_M2 = 60.0  # with its shadow
+MIN_SUN, MIN_SUN_VEHICLES = 0.4, 20  # agreement of the directions of shadows, and how many
 SMOOTHING = 0.7  # cells; standard deviation of the blur of frames and map
 BLACK = 8.0  # grey levels that are added before ratios are taken
 
@@ -32,6 +38,9 @@ class Ground:
     covered: Bool[Array, "H W"]
     tolerance: UInt8[Array, "H W"]  # grey levels from which on a cell differs
     shadow: float  # ratio of brightness in vehicles' shadows; 1: they cast none
+    # where shadows fall, as a unit vector on the grid; zero where that is not known
+    sun: Float[Array, "2"]
+    resolution: float  # metres per cell
 
 
 def match_gain(
@@ -81,6 +90,9 @@ def learn_ground(
 
     Returns:
         The ground: the map, but where something stood in it that left, what was under it.
+
+    Raises:
+        TracksError: the map does not look like the frames.
     """
     stack = [
         cv2.GaussianBlur(match_gain(frame, image, seen & covered), (3, 3), SMOOTHING)
@@ -93,11 +105,21 @@ def learn_ground(
     median = np.full(covered.shape, LEVELS[-1], np.uint8)
     for level, count in zip(LEVELS[::-1], counts[::-1], strict=True):
         median[count > len(frames) / 2] = level
+    typical = float(np.median(median[covered])) if covered.any() else LEVELS[-1]
+    if typical >= LEVELS[-1]:
+        raise TracksError(
+            f"frames differ from the map by {typical:.0f} grey levels or more nearly everywhere; "
+            "vehicles are found without a detector on a map of the same video: build it with "
+            "geoaim build, or give boxes (--detections)"
+        )
     median = cv2.GaussianBlur(cv2.dilate(median, np.ones((3, 3))), (5, 5), 1.0)
     tolerance = np.asarray(MIN_DIFFERENCE + NOISE_FACTOR * 1.4826 * median, np.uint8)
     image = _uncover_ground(image, stack, differences, tolerance, resolution)
-    ground = Ground(image, covered, tolerance, 1.0)
-    return replace(ground, shadow=_find_shadow_ratio(ground, stack, differences))
+    ground = Ground(image, covered, tolerance, 1.0, np.zeros(2), resolution)
+    ground = replace(ground, shadow=_find_shadow_ratio(ground, stack, differences))
+    if ground.shadow == 1.0:
+        return ground
+    return replace(ground, sun=_find_sun(ground, stack, differences))
 
 
 def _uncover_ground(
@@ -168,6 +190,48 @@ def _find_shadow_ratio(
     return float(edges[smooth.argmax()] + (edges[1] - edges[0]) / 2)
 
 
+def _find_sun(
+    ground: Ground, stack: list[UInt8[Array, "H W 3"]], differences: list[UInt8[Array, "H W"]]
+) -> Float[Array, "2"]:
+    """Find where shadows fall: from lit to dark cells of what differs, over all vehicles."""
+    total, number = np.zeros(2), 0
+    for frame, difference in zip(stack, differences, strict=True):
+        mask = (difference > ground.tolerance).view(np.uint8)
+        count, labels, stats, _ = cv2.connectedComponentsWithStats(
+            cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3)))
+        )
+        area = stats[:, cv2.CC_STAT_AREA] * ground.resolution**2
+        rows, columns = np.nonzero(mask)
+        ratio, tint = _compute_ratio(frame[rows, columns], ground.image[rows, columns])
+        dark = (ratio < SHADOW_RATIOS[1]) & (tint < SHADOW_TINT)
+        own = labels[rows, columns]
+        places = np.column_stack([columns, rows]).astype(float)
+        sums = []
+        for kind in (~dark, dark):
+            weight = np.bincount(own[kind], minlength=count)
+            place = [np.bincount(own[kind], places[kind, k], count) for k in (0, 1)]
+            sums.append((weight, np.stack(place, axis=1) / np.maximum(weight, 1)[:, None]))
+        (lit, here), (shade, there) = sums
+        both = np.minimum(lit, shade) > 0.2 * (lit + shade)
+        both &= (area > MIN_STANDING_M2) & (area < MAX_VEHICLE_M2) & (np.arange(count) > 0)
+        offset = (there - here)[both]
+        total += (offset / np.maximum(np.hypot(*offset.T), 1e-9)[:, None]).sum(axis=0)
+        number += len(offset)
+    length = float(np.hypot(*total))
+    return total / length if number >= MIN_SUN_VEHICLES and length > MIN_SUN * number else 0 * total
+
+
+def _sweep(mask: UInt8[Array, "H W"], step: Float[Array, "2"], reach: float) -> UInt8[Array, "H W"]:
+    """Extend a mask in a direction, by up to `reach` cells."""
+    swept, done = mask, 0.0
+    while done < reach:
+        length = min(max(done, 1.0), reach - done)
+        matrix = np.array([[1.0, 0.0, step[0] * length], [0.0, 1.0, step[1] * length]])
+        moved = cv2.warpAffine(swept, matrix, mask.shape[::-1], flags=cv2.INTER_NEAREST)
+        swept, done = np.asarray(cv2.max(swept, moved), np.uint8), done + length
+    return swept
+
+
 def find_foreground(
     ground: Ground, frame: UInt8[Array, "H W 3"], seen: Bool[Array, "H W"]
 ) -> tuple[UInt8[Array, "H W"], UInt8[Array, "H W"]]:
@@ -186,12 +250,20 @@ def find_foreground(
     difference = _subtract(matched, ground.image, known)
     strength = np.asarray(cv2.divide(difference, ground.tolerance, scale=UNIT), np.uint8)
     shaded = np.zeros(known.shape, np.uint8)
-    if ground.shadow < 1.0:
-        cells = np.flatnonzero(strength > UNIT // 2)
-        ratio, tint = _compute_ratio(
-            matched.reshape(-1, 3)[cells], ground.image.reshape(-1, 3)[cells]
-        )
-        shaded.reshape(-1)[cells] = (
-            (ratio > ground.shadow - 0.1) & (ratio < SHADOW_RATIOS[1]) & (tint < SHADOW_TINT)
-        )
+    if ground.shadow == 1.0:
+        return strength, shaded
+    cells = np.flatnonzero(strength > UNIT // 2)
+    ratio, tint = _compute_ratio(
+        matched.reshape(-1, 3)[cells], ground.image.reshape(-1, 3)[cells]
+    )
+    dark = (ratio < SHADOW_RATIOS[1]) & (tint < SHADOW_TINT)
+    shaded.reshape(-1)[cells] = dark & (ratio > ground.shadow - SHADOW_MARGIN)
+    if ground.sun.any():
+        lit, either = np.zeros_like(shaded), np.zeros_like(shaded)
+        lit.reshape(-1)[cells] = ~dark & (strength.reshape(-1)[cells] > UNIT)
+        either.reshape(-1)[cells] = dark
+        cast = _sweep(lit, ground.sun, SHADOW_REACH_M / ground.resolution)
+        ahead = _sweep(lit, -ground.sun, GLASS_REACH_M / ground.resolution)
+        # dark between lit parts is glass; dark on one side only is a shadow
+        shaded = np.where(either & cast, 1 - ahead, shaded & (1 - (cast & ahead))).astype(np.uint8)
     return strength, shaded
