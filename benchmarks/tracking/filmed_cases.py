@@ -88,7 +88,9 @@ def film_still(still: str, kind: Kind, seed: int, folder: Path, *, count: int) -
     for row, known in enumerate(present):
         if known.sum() > 1:
             speed = np.hypot(*np.gradient(metres[row, known], clip.times[known], axis=0).T)
-            states[row, known] = np.column_stack([metres[row, known], poses[agents[row], known, 2], speed])
+            states[row, known] = np.column_stack(
+                [metres[row, known], poses[agents[row], known, 2], speed]
+            )
     present = np.isfinite(states).all(axis=2)
     kept = np.flatnonzero(present.any(axis=1))
     sizes = clip.traffic.sizes[agents[kept]] * STILL_RESOLUTION

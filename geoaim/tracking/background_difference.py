@@ -253,9 +253,7 @@ def find_foreground(
     if ground.shadow == 1.0:
         return strength, shaded
     cells = np.flatnonzero(strength > UNIT // 2)
-    ratio, tint = _compute_ratio(
-        matched.reshape(-1, 3)[cells], ground.image.reshape(-1, 3)[cells]
-    )
+    ratio, tint = _compute_ratio(matched.reshape(-1, 3)[cells], ground.image.reshape(-1, 3)[cells])
     dark = (ratio < SHADOW_RATIOS[1]) & (tint < SHADOW_TINT)
     shaded.reshape(-1)[cells] = dark & (ratio > ground.shadow - SHADOW_MARGIN)
     if ground.sun.any():

@@ -1,8 +1,5 @@
-"""Vehicles without a detector: what differs from the map in the frames that are registered to it."""
+"""Vehicles without a detector: what differs from the map in registered frames."""
 
-from dataclasses import replace
-
-import cv2
 import numpy as np
 from jaxtyping import Float
 from numpy import ndarray as Array
@@ -61,7 +58,7 @@ def search_frames(
     if grid.resolution > MAX_RESOLUTION:
         raise TracksError(
             f"a pixel shows {grid.resolution:.2g} m of ground; vehicles are found without a "
-            f"detector up to {MAX_RESOLUTION} m: give boxes (--detections), or check the map's scale"
+            f"detector up to {MAX_RESOLUTION} m: give boxes (--detections), or check the scale"
         )
     ground = _learn(video, aim, grid, matrices, known)
     small = grid.resolution <= max(MAX_SMALL_RESOLUTION, 0.12)
@@ -71,9 +68,7 @@ def search_frames(
         if matrix is None or not np.isfinite(matrix).all():
             continue
         strength, shaded = find_foreground(ground, *grid.view(frame.image, matrix))
-        shapes = find_shapes(
-            strength, shaded, grid.resolution, 0.25 if small else MIN_VEHICLE_M2
-        )
+        shapes = find_shapes(strength, shaded, grid.resolution, 0.25 if small else MIN_VEHICLE_M2)
         frame_from_grid = np.linalg.inv(grid.grid_from_world @ matrix)
         corners = transform_points(frame_from_grid, shapes.corners.reshape(-1, 2)).reshape(-1, 4, 2)
         boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)

@@ -53,7 +53,7 @@ class GroundGrid:
 def measure_resolution(matrix: Float[Array, "3 3"], size: tuple[int, int]) -> float:
     """Measure the metres per pixel in the middle of an image of (height, width)."""
     middle = np.array(size[::-1]) / 2
-    points = transform_points(matrix, middle + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    points = transform_points(matrix, middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     return float(np.sqrt(abs(np.linalg.det(points[1:] - points[0]))))
 
 
@@ -84,4 +84,6 @@ def make_grid(
     turn = np.eye(3)
     turn[0, :2], turn[1, :2], turn[:2, 2] = right, down, -low
     columns, rows = np.ceil(extent / resolution).astype(int).tolist()
-    return GroundGrid(np.diag([1 / resolution, 1 / resolution, 1.0]) @ turn, (rows, columns), resolution)
+    return GroundGrid(
+        np.diag([1 / resolution, 1 / resolution, 1.0]) @ turn, (rows, columns), resolution
+    )

@@ -1,4 +1,4 @@
-"""Vehicles in what differs from the ground: parts without shadows, neighbours split, turned boxes."""
+"""Vehicles in what differs from the ground: no shadows, neighbours split, turned boxes."""
 
 from dataclasses import dataclass
 
@@ -68,7 +68,7 @@ def find_shapes(
                 continue
             corners = _fit_box(part)
             level = float(np.mean(strength[window][part])) / UNIT
-            boxes.append(corners + [left, top])
+            boxes.append(corners + np.array([left, top]))
             scores.append(min(1.0, level / 2.5))
     return Shapes(np.array(boxes, float).reshape(-1, 4, 2), np.array(scores, float))
 
@@ -140,4 +140,6 @@ def _fit_box(part: Bool[Array, "h w"]) -> Float[Array, "4 2"]:
         along, across, width, height = across, -along, height, width
     middle = np.array([x, y]) + 0.5
     half, side = along * width / 2, across * height / 2
-    return np.stack([middle - half - side, middle + half - side, middle + half + side, middle - half + side])
+    return np.stack(
+        [middle - half - side, middle + half - side, middle + half + side, middle - half + side]
+    )
