@@ -124,7 +124,10 @@ def _split_touching(part: Bool[Array, "h w"], resolution: float) -> list[Bool[Ar
         if len(kept) > 1:
             seeds = np.where(np.isin(cores, kept), cores, 0)
             labels: Int[Array, "H W"] = watershed(-depth, seeds, mask=padded)[1:-1, 1:-1]
-            return [one for n in kept for one in _split(labels == n, resolution)]
+            # what is farther from a core than the erosion is the bridge between both
+            reach = cv2.distanceTransform((seeds == 0).view(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
+            near = reach <= erosion / resolution + 1.5
+            return [one for n in kept for one in _split((labels == n) & near, resolution)]
     return [part]
 
 

@@ -125,7 +125,7 @@ def test_what_stood_in_the_map_and_left_is_found_while_it_stood():
     learnt = learn_ground(image, np.ones(ground.shape[:2], bool), frames, 0.12)
     for step, there in ((2, True), (25, False)):
         strength, _ = find_foreground(learnt, *frames[step])
-        assert ((strength[142:154, 124:152] > UNIT).mean() > 0.9) is there
+        assert ((strength[142:154, 124:152] > UNIT).mean() > 0.9) == there
 
 
 def test_options_of_detections_need_detections(tmp_path):
