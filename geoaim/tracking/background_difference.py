@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from numpy import ndarray as Array
 from scipy import ndimage
 
@@ -21,6 +21,7 @@ MIN_STANDING_M2 = 1.5
 BOUNDARY_GAIN = 0.85  # the ground's boundary has less contrast than a vehicle's, by this factor
 SHADOW_RATIOS = (0.3, 0.93)  # of brightness in shadow and beside it
 SHADOW_TINT = 0.09  # differences of the colours' ratios in a shadow
+CLEAR = 1.5  # times the tolerance, of differences that tell how dark shadows are
 MIN_SHADOW_SHARE = 0.05  # of what differs; less is no shadow
 SHADOW_MARGIN = 0.1  # by which the ratio in a shadow may be lower than in most of them
 SHADOW_REACH_M, GLASS_REACH_M = 3.0, 1.5  # of a shadow from its vehicle; of glass between its parts
@@ -38,7 +39,7 @@ class Ground:
     covered: Bool[Array, "H W"]
     tolerance: UInt8[Array, "H W"]  # grey levels from which on a cell differs
     shadow: float  # ratio of brightness in vehicles' shadows; 1: they cast none
-    # where shadows fall, as a unit vector on the grid; zero where that is not known
+    # from a vehicle's outline to its shadow's, cells; zero where that is not known
     sun: Float[Array, "2"]
     resolution: float  # metres per cell
 
@@ -177,7 +178,7 @@ def _find_shadow_ratio(
     chosen = [
         _compute_ratio(frame[where], ground.image[where])
         for frame, where in (
-            (frame, difference > ground.tolerance)
+            (frame, difference > CLEAR * ground.tolerance.astype(np.float32))
             for frame, difference in zip(stack, differences, strict=True)
         )
     ]
@@ -193,8 +194,8 @@ def _find_shadow_ratio(
 def _find_sun(
     ground: Ground, stack: list[UInt8[Array, "H W 3"]], differences: list[UInt8[Array, "H W"]]
 ) -> Float[Array, "2"]:
-    """Find where shadows fall: from lit to dark cells of what differs, over all vehicles."""
-    total, number = np.zeros(2), 0
+    """Find how far shadows fall: from lit to dark cells of what differs, over all vehicles."""
+    offsets, groups = [np.empty((0, 2))], []
     for frame, difference in zip(stack, differences, strict=True):
         mask = (difference > ground.tolerance).view(np.uint8)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(
@@ -214,11 +215,31 @@ def _find_sun(
         (lit, here), (shade, there) = sums
         both = np.minimum(lit, shade) > 0.2 * (lit + shade)
         both &= (area > MIN_STANDING_M2) & (area < MAX_VEHICLE_M2) & (np.arange(count) > 0)
-        offset = (there - here)[both]
-        total += (offset / np.maximum(np.hypot(*offset.T), 1e-9)[:, None]).sum(axis=0)
-        number += len(offset)
-    length = float(np.hypot(*total))
-    return total / length if number >= MIN_SUN_VEHICLES and length > MIN_SUN * number else 0 * total
+        offsets.append((there - here)[both])
+        chosen = both[own]
+        groups.append((count, own[chosen], places[chosen], dark[chosen]))
+    offset = np.concatenate(offsets)
+    total = (offset / np.maximum(np.hypot(*offset.T), 1e-9)[:, None]).sum(axis=0)
+    agreement = float(np.hypot(*total))
+    if len(offset) < MIN_SUN_VEHICLES or agreement < MIN_SUN * len(offset):
+        return np.zeros(2)
+    direction = total / agreement
+    return direction * max(1.0, _measure_shadows(groups, direction))
+
+
+def _measure_shadows(
+    groups: list[tuple[int, Int[Array, " n"], Float[Array, "n 2"], Bool[Array, " n"]]],
+    direction: Float[Array, "2"],
+) -> float:
+    """Measure how far shadows reach beyond the lit parts of their vehicles, cells; the median."""
+    beyond = []
+    for count, own, places, dark in groups:
+        ends = np.full((2, count), -np.inf)
+        for row, kind in enumerate((dark, ~dark)):
+            np.maximum.at(ends[row], own[kind], places[kind] @ direction)
+        known = np.isfinite(ends).all(axis=0)
+        beyond += (ends[0][known] - ends[1][known]).tolist()
+    return float(np.median(beyond))
 
 
 def _sweep(mask: UInt8[Array, "H W"], step: Float[Array, "2"], reach: float) -> UInt8[Array, "H W"]:
@@ -260,8 +281,9 @@ def find_foreground(
         lit, either = np.zeros_like(shaded), np.zeros_like(shaded)
         lit.reshape(-1)[cells] = ~dark & (strength.reshape(-1)[cells] > UNIT)
         either.reshape(-1)[cells] = dark
-        cast = _sweep(lit, ground.sun, SHADOW_REACH_M / ground.resolution)
-        ahead = _sweep(lit, -ground.sun, GLASS_REACH_M / ground.resolution)
+        sun = ground.sun / np.hypot(*ground.sun)
+        cast = _sweep(lit, sun, SHADOW_REACH_M / ground.resolution)
+        ahead = _sweep(lit, -sun, GLASS_REACH_M / ground.resolution)
         # dark between lit parts is glass; dark on one side only is a shadow
         shaded = np.where(either & cast, 1 - ahead, shaded & (1 - (cast & ahead))).astype(np.uint8)
     return strength, shaded

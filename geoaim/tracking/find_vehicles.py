@@ -68,7 +68,9 @@ def search_frames(
         if matrix is None or not np.isfinite(matrix).all():
             continue
         strength, shaded = find_foreground(ground, *grid.view(frame.image, matrix))
-        shapes = find_shapes(strength, shaded, grid.resolution, 0.25 if small else MIN_VEHICLE_M2)
+        shapes = find_shapes(
+            strength, shaded, grid.resolution, ground.sun, 0.25 if small else MIN_VEHICLE_M2
+        )
         frame_from_grid = np.linalg.inv(grid.grid_from_world @ matrix)
         corners = transform_points(frame_from_grid, shapes.corners.reshape(-1, 2)).reshape(-1, 4, 2)
         boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)

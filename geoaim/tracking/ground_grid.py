@@ -31,7 +31,7 @@ class GroundGrid:
             world_from_image: transform of its pixels to metres.
 
         Returns:
-            The image on the grid, and which cells it covers.
+            The image on the grid, and which cells it covers but for a rim of two.
         """
         height, width = image.shape[:2]
         fine = measure_resolution(world_from_image, (height, width))
@@ -47,7 +47,8 @@ class GroundGrid:
             np.ones(image.shape[:2], np.uint8), matrix, size, flags=cv2.INTER_NEAREST
         )
         viewed = cv2.warpPerspective(image, matrix, size, flags=cv2.INTER_LINEAR)
-        return np.asarray(viewed, np.uint8), np.asarray(seen) > 0
+        inner = cv2.erode(seen, np.ones((5, 5), np.uint8), borderValue=0)
+        return np.asarray(viewed, np.uint8), np.asarray(inner) > 0
 
 
 def measure_resolution(matrix: Float[Array, "3 3"], size: tuple[int, int]) -> float:

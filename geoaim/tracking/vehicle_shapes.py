@@ -35,6 +35,7 @@ def find_shapes(
     strength: UInt8[Array, "H W"],
     shaded: UInt8[Array, "H W"],
     resolution: float,
+    sun: Float[Array, "2"],
     min_area: float = MIN_AREA_M2,
 ) -> Shapes:
     """Find the shapes of vehicles in what differs from the ground.
@@ -43,6 +44,7 @@ def find_shapes(
         strength: the difference, `UNIT` for one of the tolerance.
         shaded: which cells may be shadow.
         resolution: metres per cell.
+        sun: from a vehicle's outline to its shadow's, cells; zero where that is not known.
         min_area: of a shape, m².
 
     Returns:
@@ -63,7 +65,9 @@ def find_shapes(
         strong = group & (strength[window] > UNIT)
         if strong.sum() * resolution**2 < MIN_STRONG_M2:
             continue
-        for part in _split(_find_body(group, weak[window], shaded[window], kernel), resolution):
+        for part in _split(
+            _find_body(group, weak[window], shaded[window], kernel, sun), resolution
+        ):
             if part.sum() * resolution**2 < min_area:
                 continue
             corners = _fit_box(part)
@@ -78,8 +82,12 @@ def _find_body(
     weak: UInt8[Array, "h w"],
     shaded: UInt8[Array, "h w"],
     kernel: UInt8[Array, "k k"],
+    sun: Float[Array, "2"],
 ) -> Bool[Array, "h w"]:
-    """Find the parts of a group that are no shadow; a group that is dark as a whole is kept."""
+    """Find the parts of a group that are no shadow; of one that is dark, by where the sun stands.
+
+    A dark vehicle and its shadow, which is the same outline moved, cover the group together.
+    """
     body = (group & (weak > 0) & (shaded == 0)).view(np.uint8)
     pad = len(kernel)
     padded = cv2.copyMakeBorder(body, pad, pad, pad, pad, cv2.BORDER_CONSTANT)
@@ -87,7 +95,14 @@ def _find_body(
     if min(group.shape) > 5:
         closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     body = closed[pad:-pad, pad:-pad] > 0
-    return body if body.sum() > MIN_BODY_SHARE * group.sum() else group
+    if body.sum() > MIN_BODY_SHARE * group.sum():
+        return body
+    back = np.array([[1.0, 0.0, -sun[0]], [0.0, 1.0, -sun[1]]])
+    moved = cv2.warpAffine(
+        group.view(np.uint8), back, group.shape[::-1], flags=cv2.INTER_NEAREST, borderValue=0
+    )
+    dark = group & (moved > 0)
+    return dark if dark.sum() > MIN_BODY_SHARE * group.sum() else group
 
 
 def _split(body: Bool[Array, "h w"], resolution: float) -> list[Bool[Array, "h w"]]:
