@@ -10,6 +10,7 @@ from skimage.segmentation import watershed
 
 from geoaim.tracking.background_difference import UNIT
 
+CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 WEAK = 0.6  # of the tolerance; what differs by so much belongs to what differs by more
 CLOSING_M = 0.5  # gaps in a vehicle
 MIN_AREA_M2 = 0.25  # of anything
@@ -93,7 +94,7 @@ def _find_body(
     padded = cv2.copyMakeBorder(body, pad, pad, pad, pad, cv2.BORDER_CONSTANT)
     closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, kernel)
     if min(group.shape) > 5:
-        closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+        closed = cv2.morphologyEx(closed, cv2.MORPH_OPEN, CROSS)
     body = closed[pad:-pad, pad:-pad] > 0
     if body.sum() > MIN_BODY_SHARE * group.sum():
         return body

@@ -9,6 +9,7 @@ from numpy import ndarray as Array
 
 from geoaim.aim.aim import AIM
 from geoaim.aim.position import CLAIMS, read_position_covariance
+from geoaim.aim.rectification import change_aim_world
 from geoaim.base.errors import AlignmentError
 from geoaim.base.geometry import transform_points, translation
 from geoaim.base.progress import Progress, notebook_progress
@@ -63,7 +64,7 @@ def place_by_imagery(
     margin = 1.5 * prior.max_shift
     region = np.stack([rough.corners.min(axis=0) - margin, rough.corners.max(axis=0) + margin])
     if isinstance(imagery, AIM):
-        reference = imagery
+        reference = change_aim_world(imagery, rough.world)
     else:
         reference = read_imagery(imagery, world=rough.world, corners=region)
     windows = match_image(rough, reference, prior=prior, progress=progress)
